@@ -17,8 +17,8 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.output.video import check_video
+from lumisplat.cli.input.loading import file_marks
+from lumisplat.cli.output.frame_folder import check_video
 from lumisplat.renderer.renderer import Renderer
 from support.files.cli_files import Workplace
 

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.input.messages import one_line
+from lumisplat.cli.input.arguments import one_line
 from support.files.cli_files import Workplace
 
 CAMERAS = ("--cameras", "@cameras.json")

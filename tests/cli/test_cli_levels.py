@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import file_marks
+from lumisplat.cli.input.loading import file_marks
 from support.files.cli_files import Workplace
 from support.files.splat_files import streamed
 from support.kinds import expect_kind

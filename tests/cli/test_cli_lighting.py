@@ -11,9 +11,8 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.options.lighting import EnvironmentOptions
-from lumisplat.cli.options.remarks import unused_options
-from lumisplat.cli.options.settings import changed_config
+from lumisplat.cli.options.command import changed_config
+from lumisplat.cli.options.frame import EnvironmentOptions, unused_options
 from lumisplat.io.images.exr import write_exr
 from support.files.cli_files import Workplace
 from support.files.image_files import read_image

@@ -14,7 +14,7 @@ from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.input import arguments
 from lumisplat.cli.input.arguments import options_of
-from lumisplat.cli.options.settings import LIGHTING
+from lumisplat.cli.options.command import LIGHTING
 from lumisplat.io import change_config
 
 COMMANDS = {named.name: kind for kind, named in map(get_args, get_args(_Command))}

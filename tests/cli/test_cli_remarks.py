@@ -10,8 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.options.lighting import EnvironmentOptions
-from lumisplat.cli.options.remarks import frame_remarks
+from lumisplat.cli.options.frame import EnvironmentOptions, frame_remarks
 from support.files.cli_files import Workplace
 from support.scenes.raster_scenes import one_gaussian, quad
 

@@ -13,8 +13,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.cli import _Command, main
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.input.arguments import joined_numbers
-from lumisplat.cli.input.messages import shell_words
+from lumisplat.cli.input.arguments import joined_numbers, shell_words
 from lumisplat.cli.input.numbers import frame_numbers, vector
 from support.files.cli_files import Workplace
 

@@ -16,7 +16,7 @@ from test_viewer import camera, cloud
 import lumisplat as ls
 from lumisplat.config.checks import Range
 from lumisplat.config.setting import Setting, frozen, given
-from lumisplat.io.formats import USD
+from lumisplat.io.load_save import USD
 from lumisplat.scene.checks import UNIT_COLOR
 from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
 from lumisplat.viewer.frames.pose import Pose

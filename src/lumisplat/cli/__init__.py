@@ -40,10 +40,13 @@ from lumisplat.cli.commands.render import Render
 from lumisplat.cli.commands.shadowmap import ShadowMap
 from lumisplat.cli.commands.train import Train
 from lumisplat.cli.commands.view import View
-from lumisplat.cli.input.arguments import gathered_positionals, joined_numbers, moved_option, options_of
-from lumisplat.cli.input.messages import (
+from lumisplat.cli.input.arguments import (
     ArgumentsError,
+    gathered_positionals,
+    joined_numbers,
     logging_in_shell_words,
+    moved_option,
+    options_of,
     panels_as_errors,
     shell_words,
     unknown_command,

@@ -188,7 +188,7 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
             names the frame.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.formats import read_cameras
+    from lumisplat.io.load_save import read_cameras
 
     return read_cameras(path, width, height)
 
@@ -207,7 +207,7 @@ def load_camera_path(path: PathLike, *, width: int | None = None, height: int | 
         FormatError: The file cannot be read, has no cameras, or has cameras of different sizes or models.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.formats import read_camera_way
+    from lumisplat.io.load_save import read_camera_way
 
     return read_camera_way(path, width, height)
 

@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from lumisplat.config import TrainConfig
 from lumisplat.constants import ONE_PLACE, SH_C0
-from lumisplat.io.training_images.loading import camera_target, count_places, count_poses
-from lumisplat.io.training_images.loading import is_bent
+from lumisplat.io.training_images.loading import camera_target, count_places, count_poses, is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.local_frame import camera_extent

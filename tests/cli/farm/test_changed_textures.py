@@ -13,7 +13,7 @@ import warp as wp
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import file_marks
+from lumisplat.cli.input.loading import file_marks
 from support.files.cli_files import Workplace
 
 SIZE = ("--width", "24", "--height", "16", "--device", "cpu")

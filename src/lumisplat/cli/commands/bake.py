@@ -11,12 +11,18 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.camera import UpOption, parse_up
-from lumisplat.cli.options.command import DeviceCommand, Flag, PlacingCommand
-from lumisplat.cli.options.lighting import EnvironmentOptions
-from lumisplat.cli.options.settings import SetCommand, changed_config, setting, without_none
+from lumisplat.cli.options.command import (
+    DeviceCommand,
+    Flag,
+    PlacingCommand,
+    SetCommand,
+    changed_config,
+    setting,
+    without_none,
+)
+from lumisplat.cli.options.frame import EnvironmentOptions
 from lumisplat.cli.output.console import byte_size, counted, progress_bars
-from lumisplat.cli.output.images import check_folder
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_output
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,9 +15,8 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions, parse_up
-from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
-from lumisplat.cli.options.remarks import not_used
-from lumisplat.cli.options.settings import PipelineCommand, given_settings, setting
+from lumisplat.cli.options.command import DeviceCommand, PipelineCommand, PlacingCommand, given_settings, setting
+from lumisplat.cli.options.frame import not_used
 from lumisplat.cli.output.console import (
     Report,
     byte_size,

@@ -17,7 +17,7 @@ from lumisplat.cli.input.loading import holds_all_columns, size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.command import Flag, LevelsCommand
 from lumisplat.cli.output.console import Report, byte_size, progress_bars, spoken_up
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _Range = tuple[float | None, float | None]
 _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]

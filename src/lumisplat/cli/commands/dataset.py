@@ -11,19 +11,15 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
-from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.loading import file_marks, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, PlacingCommand
-from lumisplat.cli.options.frame import FrameCommand, shared_origin
-from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.options.settings import given_options, given_settings, setting, without_none
+from lumisplat.cli.options.command import Flag, PlacingCommand, given_options, given_settings, setting, without_none
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
 from lumisplat.cli.output.console import Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
-from lumisplat.cli.output.images import check_folder
-from lumisplat.cli.output.standard_output import refuse_standard_output
+from lumisplat.cli.output.images import check_folder, refuse_standard_output
 
 _log = logging.getLogger("lumisplat")
 

@@ -13,8 +13,7 @@ from lumisplat.cli.input.loading import holds_materials
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
 from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.images import check_folder
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_output
 
 _INSIDE = {"auto": None, "yes": True, "no": False}
 

@@ -1,10 +1,15 @@
-"""``lumisplat demo``: pictures of a scene that the package makes itself."""
+"""``lumisplat demo``: images of a scene that the package makes itself, lit ones for each pipeline among them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+import math
+import tempfile
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
@@ -12,6 +17,11 @@ import lumisplat as ls
 from lumisplat.cli.options.command import DeviceCommand, Flag
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.images import check_writable, make_folder, plan_shots
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+    from PIL import Image
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,14 +55,156 @@ class Demo(DeviceCommand):
 
     def _write_lit_pictures(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
         """Writes the lit pictures, and prints the path of each as soon as it is written."""
-        from lumisplat.cli.output.demo_images import lit_pictures
 
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)
 
-        for path in lit_pictures(ls.demo_scene_lit(scene), camera, self.output, start, report):
+        for path in _lit_pictures(ls.demo_scene_lit(scene), camera, self.output, start, report):
             print(path, flush=True)
 
     def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
         ls.save(self.output / "demo.ply", scene.splats[0].gaussians)
         ls.save_cameras(self.output / "transforms.json", cameras)
+
+
+_SAMPLES = 16
+"""Samples of each picture: noise remains visible in dark corners, and a frame takes seconds."""
+_SWING_FRAMES = 24
+"""Frames of the animation: one swing, there and back."""
+_SWING_SAMPLES = 8
+"""Half of what its lights need without grain: 88 instead of 156 s of one core."""
+_SWING_FPS = 12.0
+_SWING_MIDDLE = 0.2
+"""x of the plane through the room about which the spot swings, metres."""
+
+
+def _lit_config() -> ls.RenderConfig:
+    """Settings of lit pictures."""
+    return ls.RenderConfig(
+        pipeline=ls.Pipeline.HYBRID,
+        shadows=ls.Shadows.SOFT,
+        # On average as bright as exact shadows; with this many samples no difference is visible.
+        shadow_rays=ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC),
+        tone_map=ls.ToneMap.NEUTRAL,
+        samples=_SAMPLES,
+        max_bounces=6,
+    )
+
+
+_Start = Callable[["ls.RenderConfig"], "ls.Renderer"]
+"""Makes a renderer."""
+
+
+def _lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
+    """Renders and writes ``lit-PIPELINE.png`` for each pipeline, ``lit-aovs.png`` and ``lit-swing.gif``.
+
+    Args:
+        scene: The lit scene.
+        camera: The view; lit pictures are half as wide, those of the animation a quarter.
+        folder: An existing folder.
+        start: Makes renderers.
+        report: Called with the progress.
+
+    Yields:
+        The path of each, once it is written.
+    """
+    view = camera.scaled(max(1, camera.width // 2))
+    for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID):
+        aovs = _SHEET_AOVS if pipeline.rasterises and pipeline.spawns_rays else ()
+        renderer = start(replace(_lit_config(), pipeline=pipeline, aovs=aovs))
+        frame = renderer.render(scene, view, progress=_labelled(report, f"lighting, {pipeline.value}"))
+        path = folder / f"lit-{pipeline.value}.png"
+        frame.save(path)
+        yield path
+        if aovs:
+            _write_sheet(frame, folder / "lit-aovs.png")
+            yield folder / "lit-aovs.png"
+    path = folder / "lit-swing.gif"
+    with _few_samples():
+        pictures = _swing(scene, camera.scaled(max(1, camera.width // 4)), start, report)
+    ls.save_animation(path, pictures, fps=_SWING_FPS)
+    yield path
+
+
+@contextmanager
+def _few_samples() -> Generator[None]:
+    """Inside the block, nothing warns of few samples: the demo has chosen them."""
+    log = logging.getLogger("lumisplat.grain")
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
+def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) -> list[npt.NDArray[np.float32]]:
+    """Pictures of one swing of the spot, from right to left and back."""
+    spot, *others = scene.lights
+    assert isinstance(spot, ls.LightSpot)
+    renderer = start(replace(_lit_config(), samples=_SWING_SAMPLES))
+    pictures: list[npt.NDArray[np.float32]] = []
+    turn = _SWING_FRAMES // 2
+    for step in range(turn + 1):
+        report("moving a light", step / (turn + 1))
+        share = math.cos(math.pi * step / turn)
+        (x, y, z), (dx, dy, dz) = spot.position, spot.direction
+        position = (_SWING_MIDDLE + share * (x - _SWING_MIDDLE), y, z)
+        moved = replace(spot, position=position, direction=(share * dx, dy, dz))
+        pictures.append(renderer.render(replace(scene, lights=(moved, *others)), camera).pixels_srgb())
+    report("moving a light", 1.0)
+    return pictures + pictures[-2:0:-1]
+
+
+def _labelled(report: Report, label: str) -> Report:
+    """Reports fractions under another label."""
+    return lambda _, share: report(label, share)
+
+
+_COLUMNS = 4
+_LAYERS = ("albedo", "normal", "depth", "position", "gaussian_index", "instance_index", "emission", "reflection")
+"""The first rows; two of the lights follow, which end with Gaussians a ray and the picture itself."""
+
+_SHEET_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
+"""What a frame needs for it."""
+
+
+def _write_sheet(frame: ls.Frame, path: Path) -> None:
+    """Writes the sheet of a frame that has every layer and three lights, twice as wide as the frame."""
+    from PIL import Image
+
+    tiles = _tiles(frame)
+    width, height = max(1, frame.camera.width // 2), max(1, frame.camera.height // 2)
+    sheet = Image.new("RGB", (_COLUMNS * width, -(-len(tiles) // _COLUMNS) * height))
+    for place, (name, picture) in enumerate(tiles.items()):
+        # Colours of indices must not mix.
+        how = Image.Resampling.NEAREST if "index" in name else Image.Resampling.BOX
+        tile = picture.resize((width, height), how)
+        _label(tile, name)
+        sheet.paste(tile, (place % _COLUMNS * width, place // _COLUMNS * height))
+    sheet.save(path)
+
+
+def _tiles(frame: ls.Frame) -> dict[str, Image.Image]:
+    """The pictures by name, in order."""
+    from PIL import Image
+
+    with tempfile.TemporaryDirectory() as folder:
+        frame.save(Path(folder) / "picture.png", layers=(*_LAYERS, "lights", "hits"))
+        pictures = {
+            file.name.removeprefix("picture.").removesuffix("png").strip("."): Image.open(file).convert("RGB")
+            for file in Path(folder).iterdir()
+        }
+    # Lights stay in their order, whatever their names.
+    parts = {part: [f"light.{name}.{part}" for name in frame.light_names] for part in ("direct", "shadow")}
+    order = [*_LAYERS, *parts["direct"], "hits", *parts["shadow"], ""]
+    return {name or "picture": pictures[name] for name in order}
+
+
+def _label(tile: Image.Image, name: str) -> None:
+    from PIL import ImageDraw, ImageFont
+
+    font = ImageFont.load_default(max(8, tile.height // 14))
+    ImageDraw.Draw(tile).text(
+        (6, tile.height - 5), name, fill="white", font=font, anchor="ld", stroke_width=2, stroke_fill="black"
+    )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,21 +13,21 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand
-from lumisplat.cli.options.settings import setting
+from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand, setting
 from lumisplat.cli.output.comparisons import (
     Comparison,
+    Figures,
     cells,
     check_report,
     compare,
     mean,
     plain,
+    write_beside,
     write_json,
     write_side_by_side,
 )
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder, file_stems, make_folder
-from lumisplat.cli.output.material_reports import figure_rows, write_material_report
 
 _log = logging.getLogger("lumisplat")
 
@@ -161,9 +162,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
             )
         for line in result.remarks:
             _log.warning("%s", line)
-        print_columns(*figure_rows(result))
+        print_columns(*_figure_rows(result))
         if self.output is not None:
-            write_material_report(self.output, result)
+            _write_material_report(self.output, result)
             print(f"{self.output}: metrics.json, and the worst views: found, true, and the difference")
 
     def _views(
@@ -203,3 +204,70 @@ def _common_scales(views: Sequence[ls.io.Photograph]) -> int:
         size = f"{smallest.width} x {smallest.height}"
         _log.warning("ms-ssim has %d scales: photographs of %s pixels are too small for 5", scales, size)
     return max(1, scales)
+
+
+_FIGURES = {
+    "albedo_psnr": ("albedo, one scale a channel", "dB", 2),
+    "albedo_psnr_unscaled": ("albedo as it is", "dB", 2),
+    "normal_mean": ("normals, mean", "degrees", 2),
+    "normal_median": ("normals, median", "degrees", 2),
+    "roughness_rmse": ("roughness, rmse", "", 4),
+    "environment_psnr": ("environment, one scale a channel", "dB", 2),
+}
+"""Of the table: label, unit, digits."""
+_VIEW_FIGURES = (
+    "coverage",
+    "albedo_psnr",
+    "albedo_psnr_unscaled",
+    "albedo_psnr_linear",
+    "normal_mean",
+    "normal_median",
+    "roughness_rmse",
+)
+
+
+def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list[list[str]]]:
+    """The table of all figures."""
+    rows: list[list[str]] = []
+    for name, (label, unit, digits) in _FIGURES.items():
+        rows.append([label, _number(getattr(result, name), digits), unit])
+    for name, figures in result.relit.items():
+        rows.append([f"relit in {name}, psnr", _number(figures.psnr, 2), "dB"])
+        rows.append([f"relit in {name}, ssim", _number(figures.ssim, 4), ""])
+        rows.append([f"relit in {name}, flip", _number(figures.flip, 4), ""])
+    rows.append(["scale of albedo", " ".join(f"{factor:.3f}" for factor in result.albedo_scale), "red green blue"])
+    return [f"{len(result.views)} views", "figure", ""], rows
+
+
+def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
+    """Writes metrics.json and, for the worst views, a picture with a row for each thing that was found.
+
+    Raises:
+        FormatError: A file cannot be written.
+    """
+    overall: Figures = {name: getattr(result, name) for name in (*_FIGURES, "albedo_psnr_linear")}
+    told = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
+    views = [
+        {"name": view.name, **plain({name: getattr(view, name) for name in _VIEW_FIGURES}), "relit": _relit(view.relit)}
+        for view in result.views
+    ]
+    make_folder(folder)
+    write_json(folder / "metrics.json", {"all": told, "views": views, "remarks": list(result.remarks)})
+    worst = sorted(result.views, key=_quality)[:_WORST]
+    for view, stem in zip(worst, file_stems([view.name for view in worst]), strict=True):
+        write_beside(folder / f"{stem}.png", list(view.pictures.values()))
+
+
+def _quality(view: ls.inverse.MaterialView) -> float:
+    """By which the worst views are found: PSNR of relit pictures, else of albedo, else nearness of normals."""
+    relit = mean([figures.psnr for figures in view.relit.values()])
+    others = [value for value in (relit, view.albedo_psnr, -view.normal_mean) if not math.isnan(value)]
+    return others[0] if others else 0.0
+
+
+def _relit(relit: Mapping[str, ls.inverse.RelitFigures]) -> dict[str, dict[str, float | str | None]]:
+    return {name: plain(figures._asdict()) for name, figures in relit.items()}
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"

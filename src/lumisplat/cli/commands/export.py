@@ -10,8 +10,7 @@ from typing import Annotated, Any
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import gltf_document, toml_values
-from lumisplat.cli.input.loading import USD, WITH_CAMERAS, size_on_disk
+from lumisplat.cli.input.loading import USD, WITH_CAMERAS, gltf_document, size_on_disk, toml_values
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
 from lumisplat.cli.options.command import PlacingCommand
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars

@@ -28,8 +28,8 @@ import lumisplat as ls
 from lumisplat.cli.commands.train import Train
 from lumisplat.cli.farm.driver import FarmGroup, FarmOptions, run_farm
 from lumisplat.cli.farm.job import FrameJob, FrameList
-from lumisplat.cli.input.file_marks import toml_values
-from lumisplat.cli.input.messages import ArgumentsError, panels_as_errors
+from lumisplat.cli.input.arguments import ArgumentsError, panels_as_errors
+from lumisplat.cli.input.loading import toml_values
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.output.console import Report
 from lumisplat.cli.output.frame_folder import FrameFolder, stored_origin

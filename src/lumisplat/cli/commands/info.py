@@ -3,25 +3,34 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast
 
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.file_marks import gltf_document, toml_values
-from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, size_on_disk
+from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, gltf_document, size_on_disk, toml_values
 from lumisplat.cli.options.command import Flag, LevelsCommand
-from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars
+from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars, spoken_up
+from lumisplat.cli.output.images import file_stems
 
 if TYPE_CHECKING:
     from lumisplat.math.arrays import FloatArray
 
     Held = ls.io.BlockIndex | ls.Gaussians | ls.Mesh | ls.Scene | list[ls.Camera] | FloatArray
+    import numpy as np
+    import numpy.typing as npt
+
+    from lumisplat.scene.lights import Light
+    from lumisplat.scene.materials import Material
+
+    Array = npt.NDArray[np.floating[Any]]
+
 
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
@@ -58,8 +67,6 @@ class Info(LevelsCommand):
             raise failures[-1]
 
     def _print(self, path: Path) -> None:
-        from lumisplat.cli.output.describe import block_rows, camera_rows, gaussian_rows, mesh_rows, radiance_rows
-
         kind, held = self._load(path)
         size = ("file", byte_size(size_on_disk(path)))
         match held:
@@ -78,27 +85,25 @@ class Info(LevelsCommand):
 
     def _facts(self, path: Path) -> dict[str, Any]:
         """What is in a file, as plain values."""
-        from lumisplat.cli.output import describe
-
         kind, held = self._load(path)
         head = {"file": str(path), "kind": kind, "bytes": size_on_disk(path)}
         match held:
             case ls.io.BlockIndex():
-                return head | describe.block_facts(held)
+                return head | block_facts(held)
             case ls.Gaussians():
-                return head | describe.capture_facts(held)
+                return head | capture_facts(held)
             case ls.Mesh():
-                return head | describe.mesh_facts(held)
+                return head | mesh_facts(held)
             case ls.Scene():
                 animation = _animation(path)
-                animated = describe.animation_facts(animation) if animation else None
+                animated = animation_facts(animation) if animation else None
                 rig = _rig(path)
-                rigged = describe.rig_facts(rig) if rig else None
-                return head | describe.scene_facts(held, _cameras(path)) | {"animation": animated, "rig": rigged}
+                rigged = rig_facts(rig) if rig else None
+                return head | scene_facts(held, _cameras(path)) | {"animation": animated, "rig": rigged}
             case list():
-                return head | describe.camera_facts(held)
+                return head | camera_facts(held)
             case _:
-                return head | describe.radiance_facts(held)
+                return head | radiance_facts(held)
 
     def _load(self, path: Path) -> tuple[str, Held]:
         """What kind of file it is, and what is in it."""
@@ -150,33 +155,31 @@ def _rig(path: Path) -> ls.avatars.Rig | None:
 
 def _print_scene(path: Path, size: tuple[str, str], scene: ls.Scene) -> None:
     """Tables of a scene as a whole, of its captures and meshes, actors, lights and cameras."""
-    from lumisplat.cli.output import describe
-
     cameras, animation = _cameras(path), _animation(path)
     counts = f"{counted(len(scene.splats), 'capture')}, {counted(len(scene.meshes), 'mesh', 'meshes')}"
     counts += f", {counted(len(scene.lights), 'light')}" * bool(scene.lights)
     counts += f", {counted(len(cameras), 'camera')}" * bool(cameras)
     rows = [("kind", "scene"), size, ("holds", counts)]
     if scene.splats or scene.meshes:
-        rows.append(("bounds", describe.box(*scene.bounds())))
+        rows.append(("bounds", box(*scene.bounds())))
     if animation is not None:
         length = f"{animation.frame_count:,} frames at {animation.fps:g} a second, {animation.duration:.4g} s"
         rows.append(("animation", length))
-    settings = describe.changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
+    settings = changed_settings(ls.load_config(path)) if path.suffix.lower() == ".toml" else ""
     print_table(str(path), rows + [("settings", settings)] * bool(settings))
     for index, splat, count in _distinct(scene.splats, lambda one: (id(one.gaussians), id(one.material), one.name)):
-        print_table(f"  capture {index}   {splat.name}{_times(count)}", describe.splat_rows(splat))
+        print_table(f"  capture {index}   {splat.name}{_times(count)}", splat_rows(splat))
     for index, mesh, count in _distinct(scene.meshes, lambda one: (id(one.mesh), one.name)):
         names = dict.fromkeys(name for name in (mesh.name, mesh.mesh.name, mesh.mesh.material.name) if name)
-        print_table(f"  mesh {index}   {' / '.join(names)}{_times(count)}", describe.placed_mesh_rows(mesh))
+        print_table(f"  mesh {index}   {' / '.join(names)}{_times(count)}", placed_mesh_rows(mesh))
     for index, actor in enumerate(animation.actors if animation else ()):
-        print_table(f"  actor {index}   {actor.name}", describe.actor_rows(actor))
+        print_table(f"  actor {index}   {actor.name}", actor_rows(actor))
     if (rig := _rig(path)) is not None:
-        print_table("  rig", describe.rig_rows(rig))
+        print_table("  rig", rig_rows(rig))
     if scene.lights:
-        print_table("  lights", [describe.light_row(light) for light in scene.lights])
+        print_table("  lights", [light_row(light) for light in scene.lights])
     if cameras:
-        print_table("  cameras", describe.camera_rows(cameras)[1:])
+        print_table("  cameras", camera_rows(cameras)[1:])
 
 
 def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object]) -> list[tuple[int, _Instance, int]]:
@@ -190,3 +193,449 @@ def _distinct(instances: Sequence[_Instance], kind: Callable[[_Instance], object
 def _times(count: int) -> str:
     """How often something is there, if more than once."""
     return f"   ({count:,} times)" if count > 1 else ""
+
+
+_BAR = 24
+"""Length of the longest histogram bar, characters."""
+
+Rows = list[tuple[str, str]]
+
+
+def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
+    """A capture."""
+    import numpy as np
+
+    arrays = gaussians.arrays()
+    percentiles = np.percentile(gaussians.scales, (1, 50, 99))
+    rows = [
+        ("Gaussians", f"{gaussians.count:,}"),
+        ("SH degree", f"{gaussians.sh_degree}"),
+        ("bounds", box(*gaussians.bounds())),
+        (
+            "scale",
+            "1 % {:.4g}   median {:.4g}   99 % {:.4g}   largest {:.4g}".format(*percentiles, gaussians.scales.max()),
+        ),
+        ("opacity", _histogram(gaussians.opacities)),
+        ("memory", byte_size(sum(array.nbytes for array in arrays.values()))),
+        ("antialiased", "yes (Mip-Splatting)" if gaussians.antialiased else "no"),
+    ]
+    if any(gaussians.origin):
+        rows.insert(3, ("origin", _origin(gaussians.origin)))
+    if gaussians.kernel_degree != 2:  # all but a few captures
+        rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
+    if gaussians.up is not None:
+        rows.append(("up", spoken_up(gaussians.up)))
+    if (view := gaussians.first_view) is not None:
+        rows.append(("first view", f"from {_point(view.eye)}, {math.degrees(view.fov_y):.3g} degrees high"))
+    extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]
+    if extras:
+        rows.append(("also has", ", ".join(extras)))
+    rows += [("comment", comment) for comment in gaussians.comments]
+    return rows
+
+
+def _origin(origin: tuple[float, float, float]) -> str:
+    """Where a file's zero is placed, if it is in map coordinates."""
+    return "{:.12g} {:.12g} {:.12g}, which bounds are about".format(*origin)
+
+
+def block_rows(index: ls.io.BlockIndex) -> Rows:
+    """A capture in blocks."""
+    known = block_facts(index)
+    counts = [f"{count:,}" for count in known["level_gaussians"]]
+    low, high = index.bounds
+    rows = [
+        ("Gaussians", counts[0]),
+        ("SH degree", f"{known['sh_degree']}"),
+        ("bounds", box(low.min(axis=0), high.max(axis=0))),
+        ("blocks", f"{known['blocks']:,}"),
+        ("antialiased", "yes (Mip-Splatting)" if index.antialiased else "no"),
+    ]
+    return rows + [("coarser", "   ".join(counts[1:]))] * bool(counts[1:])
+
+
+def splat_rows(splat: ls.SplatInstance) -> Rows:
+    """A capture in a scene, with its material."""
+    rows = _placed(gaussian_rows(splat.gaussians), splat)
+    if splat.material is not None:
+        rows += [("material", splat.material.name or "unnamed"), ("surface", _surface(splat.material))]
+    if splat.sh_degree < splat.gaussians.sh_degree:
+        rows.append(("SH used", f"degree {splat.sh_degree}"))
+    if splat.shadow_catcher:
+        rows.append(("shadow catcher", "stays as captured, takes shadows"))
+    return rows
+
+
+def placed_mesh_rows(instance: ls.MeshInstance) -> Rows:
+    """A mesh in a scene."""
+    return _placed(mesh_rows(instance.mesh), instance)
+
+
+def _placed(rows: Rows, instance: ls.SplatInstance | ls.MeshInstance) -> Rows:
+    """Rows with the box in the world after that of the asset itself."""
+    after = next(index for index, (name, _) in enumerate(rows) if name == "bounds") + 1
+    return [*rows[:after], ("placed", box(*instance.bounds())), *rows[after:]]
+
+
+def rig_rows(rig: ls.avatars.Rig) -> Rows:
+    """A rig: its joints, and its clips with their lengths."""
+    clips = ", ".join(f"{name} {rig.duration(name):.4g} s" for name in rig.clips)
+    return [("joints", f"{_joint_count(rig):,}"), ("clips", clips or "none")]
+
+
+def _joint_count(rig: ls.avatars.Rig) -> int:
+    """Number of nodes that move vertices."""
+    return len({int(node) for surface in rig.surfaces for part in surface.parts for node in part.nodes})
+
+
+def actor_rows(actor: ls.Actor) -> Rows:
+    """An actor: what it is, how it moves by itself, and how through the scene."""
+    subject, rig, motion = actor.subject, actor.rig, actor.motion
+    rows = [("kind", type(subject).__name__)]
+    if isinstance(subject, ls.io.GaussianSequence):
+        rows.append(("frames", f"{subject.frame_count:,} at {subject.fps:g} a second, {subject.duration:.4g} s"))
+    if rig is not None and rig.clips:
+        clip = actor.clip or rig.clips[0]
+        rows.append(("clip", f"{clip}   {rig.duration(clip):.4g} s" + "   once" * (not actor.loop)))
+        others = [name for name in rig.clips if name != clip]
+        if others:
+            rows.append(("other clips", ", ".join(others)))
+    if actor.speed != 1.0:
+        rows.append(("speed", f"{actor.speed:g}"))
+    if motion is not None:
+        rows.append(("keyframes", f"{motion.count:,}, the last at {motion.duration:.4g} s"))
+    rows += [("at the start", box(*instance.bounds())) for instance in actor.at(0.0)]
+    texts = [
+        text for text, is_so in (("casts no shadow", not actor.casts_shadow), ("not relit", not actor.relight)) if is_so
+    ]
+    return rows + [("light", ", ".join(texts))] * bool(texts)
+
+
+def mesh_rows(mesh: ls.Mesh) -> Rows:
+    """A mesh and its material."""
+    material = mesh.material
+    has = [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None]
+    rows = [
+        ("vertices", f"{mesh.vertex_count:,}"),
+        ("faces", f"{mesh.face_count:,}"),
+        ("bounds", box(*mesh.bounds())),
+        *([("origin", _origin(mesh.origin))] if any(mesh.origin) else []),
+        ("has", ", ".join(has) or "positions only"),
+        ("front", '+z, unless its entry or instance says front, such as front = "-z"'),
+        *([("colours", f"black in {100.0 * black:.3g} % of the vertices")] if (black := black_share(mesh)) else []),
+        ("material", "{} base colour {:.3g} {:.3g} {:.3g}".format(material.name or "unnamed", *material.base_color)),
+        ("surface", _surface(material)),
+        *_inside(material),
+    ]
+    names = [field.name for field in fields(material) if field.name.endswith("_texture")]
+    for name in names:
+        texture: Array | None = getattr(material, name)
+        if texture is not None:
+            kind = name.removesuffix("_texture").replace("_", " ")
+            rows.append(("texture", f"{kind}   {texture.shape[1]} x {texture.shape[0]}"))
+    return rows
+
+
+def light_row(light: Light) -> tuple[str, str]:
+    """A light: what kind, how bright, and where."""
+    kind = type(light).__name__.removeprefix("Light").lower()
+    texts = [f"{light.intensity:.4g} {light.unit}"]
+    if light.color != (1.0, 1.0, 1.0):
+        texts.append("colour {:.3g} {:.3g} {:.3g}".format(*light.color))
+    for name, title in (("position", "at"), ("direction", "towards"), ("edge_u", "edges"), ("edge_v", "and")):
+        if (vector := getattr(light, name, None)) is not None:
+            texts.append(f"{title} {_point(vector)}")
+    for name in ("range", "radius"):
+        value = getattr(light, name, 0.0)
+        if 0.0 < value < math.inf:
+            texts.append(f"{name} {value:.4g}")
+    if isinstance(light, ls.LightSpot):
+        texts.append(f"cone {math.degrees(light.inner_angle):.3g} to {math.degrees(light.outer_angle):.3g} degrees")
+    if isinstance(light, ls.LightDirectional) and light.angle:
+        texts.append(f"angle {math.degrees(light.angle):.3g} degrees")
+    if isinstance(light, ls.LightEnvironment):
+        texts.append("one colour" if light.image is None else image_size(light.image))
+    texts += [text for text, is_so in (("off", not light.enabled), ("no shadow", not light.casts_shadow)) if is_so]
+    return kind + (f" {light.name}" if light.name else ""), "   ".join(texts)
+
+
+def camera_rows(cameras: Sequence[ls.Camera]) -> Rows:
+    """All cameras of a file."""
+    import numpy as np
+
+    sizes = sorted({(camera.width, camera.height) for camera in cameras})
+    eyes = np.array([camera.eye for camera in cameras])
+    names = file_stems([camera.name for camera in cameras])
+    return [
+        ("kind", "cameras"),
+        ("frames", f"{len(cameras):,}"),
+        (
+            "sizes",
+            ", ".join(f"{width} x {height}" for width, height in sizes[:4]) + (", ..." if len(sizes) > 4 else ""),
+        ),
+        ("lens", "   ".join(_lenses(cameras))),
+        ("positions", box(eyes.min(axis=0), eyes.max(axis=0))),
+        ("names", ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")),
+    ]
+
+
+def _lenses(cameras: Sequence[ls.Camera]) -> Iterator[str]:
+    """The models of cameras, and the coefficients of the first that distorts."""
+    yield ", ".join(dict.fromkeys(camera.model.value for camera in cameras))
+    distorted = [camera for camera in cameras if camera.is_distorted]
+    if distorted:
+        named = zip(("k1", "k2", "k3", "k4", "p1", "p2"), distorted[0].distortion, strict=True)
+        yield "distortion " + " ".join(f"{name} {value:.4g}" for name, value in named if value)
+    lenses = len({camera.distortion for camera in cameras})
+    if lenses > 1:
+        yield f"(the first of {lenses:,} lenses)"
+
+
+def radiance_rows(image: Array) -> Rows:
+    """An image of radiance, such as an environment."""
+    import numpy as np
+
+    return [
+        ("kind", "radiance"),
+        ("size", image_size(image)),
+        ("mean", "{:.4g} {:.4g} {:.4g}".format(*image.mean(axis=(0, 1), dtype=np.float64))),
+        ("largest", f"{image.max():.4g}"),
+    ]
+
+
+def changed_settings(config: ls.RenderConfig) -> str:
+    """The settings of a scene file that differ from the library's defaults."""
+    default = ls.RenderConfig()
+    texts: list[str] = []
+    for field in fields(config):
+        value, usual = getattr(config, field.name), getattr(default, field.name)
+        if is_dataclass(value):
+            names = [one.name for one in fields(value) if getattr(value, one.name) != getattr(usual, one.name)]
+            texts += [f"{field.name}.{name} {_setting(getattr(value, name))}" for name in names]
+        elif value != usual:
+            texts.append(f"{field.name} {_setting(value)}")
+    return "   ".join(texts)
+
+
+def image_size(image: Array) -> str:
+    """Width and height."""
+    return f"{image.shape[1]} x {image.shape[0]}"
+
+
+def box(low: Array, high: Array) -> str:
+    """A box by two of its corners."""
+    return f"{_point(low)} to {_point(high)}"
+
+
+def _point(values: Iterable[float]) -> str:
+    """A point or a direction; -0 is 0."""
+    return f"({', '.join(f'{value:z.4g}' for value in values)})"
+
+
+def _setting(value: object) -> str:
+    """A setting as TOML names it."""
+    return str(getattr(value, "value", value))
+
+
+def _surface(material: Material) -> str:
+    """The factors of a material."""
+    if isinstance(material, ls.MaterialPbr):
+        names = ("metallic", "roughness", "specular", "ior", "transmission")
+        texts = [f"{name} {getattr(material, name):.3g}" for name in names]
+        if any(material.emissive):
+            sides = "" if material.double_sided else ", front only"
+            texts.append("emissive {:.3g} {:.3g} {:.3g}".format(*material.emissive) + sides)
+        return "   ".join(texts)
+    names = ("emissive", "ambient", "diffuse", "specular")
+    texts = ["{} {:.3g} {:.3g} {:.3g}".format(name, *getattr(material, name)) for name in names]
+    return "   ".join([*texts, f"shininess {material.shininess:.3g}"])
+
+
+def _inside(material: Material) -> Rows:
+    """The medium of a mesh, if it lets light in."""
+    if not isinstance(material, ls.MaterialPbr) or material.transmission <= 0.0:
+        return []
+    if material.thin_walled:
+        return [("inside", "none, a thin wall")]
+    texts = ["clear"]
+    if math.isfinite(material.attenuation_distance):
+        color = "{:.3g} {:.3g} {:.3g}".format(*material.attenuation_color)
+        texts = [f"white becomes {color} after {material.attenuation_distance:.4g}"]
+    return [("inside", "   ".join([*texts, f"ior {material.ior:.4g}", f"priority {material.priority}"]))]
+
+
+def _histogram(opacities: Array) -> str:
+    """Bars for how many opacities there are in each tenth of 0..1."""
+    import numpy as np
+
+    counts, edges = np.histogram(opacities, bins=10, range=(0.0, 1.0))
+    bars = ["━" * round(_BAR * count / counts.max()) for count in counts]
+    return "\n".join(
+        f"{low:.1f} {bar:<{_BAR}} {count:,}" for low, bar, count in zip(edges[:-1], bars, counts, strict=True)
+    )
+
+
+Facts = dict[str, Any]
+
+
+def capture_facts(gaussians: ls.Gaussians) -> Facts:
+    """A capture, in its own coordinates."""
+    import numpy as np
+
+    arrays = gaussians.arrays()
+    return {
+        "gaussians": gaussians.count,
+        "sh_degree": gaussians.sh_degree,
+        "bounds": _box(gaussians.bounds()),
+        "origin": list(gaussians.origin),
+        "scale_percentiles": [float(value) for value in np.percentile(gaussians.scales, (1, 50, 99))],
+        "opacity_histogram": np.histogram(gaussians.opacities, bins=10, range=(0.0, 1.0))[0].tolist(),
+        "memory_bytes": sum(array.nbytes for array in arrays.values()),
+        "antialiased": gaussians.antialiased,
+        "kernel_degree": gaussians.kernel_degree,
+        "up": _plain(gaussians.up),
+        "first_view": None if gaussians.first_view is None else _plain(gaussians.first_view.eye.tolist()),
+        "also_has": [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays],
+        "comments": list(gaussians.comments),
+    }
+
+
+def block_facts(index: ls.io.BlockIndex) -> Facts:
+    """A capture in blocks, from its index alone."""
+    low, high = index.bounds
+    levels = max(len(block.levels) for block in index.blocks)
+    return {
+        "gaussians": index.count,
+        "sh_degree": math.isqrt(index.sh_count) - 1,
+        "bounds": _box((low.min(axis=0), high.max(axis=0))),
+        "blocks": len(index.blocks),
+        "level_gaussians": [
+            sum(block.levels[min(level, len(block.levels) - 1)].count for block in index.blocks)
+            for level in range(levels)
+        ],
+        "antialiased": index.antialiased,
+    }
+
+
+def mesh_facts(mesh: ls.Mesh) -> Facts:
+    """A mesh, in its own coordinates."""
+    return {
+        "vertices": mesh.vertex_count,
+        "faces": mesh.face_count,
+        "bounds": _box(mesh.bounds()),
+        "origin": list(mesh.origin),
+        "has": [name for name in ("normals", "uvs", "colors") if getattr(mesh, name) is not None],
+        "black_vertices": black_share(mesh),
+        "material": mesh.material.name,
+        "inside": _inside_facts(mesh.material),
+    }
+
+
+def _inside_facts(material: Material) -> Facts | None:
+    """The medium of a mesh that lets light in; None: it has none."""
+    if getattr(material, "transmission", 0.0) <= 0.0:
+        return None
+    names = ("thin_walled", "attenuation_color", "attenuation_distance", "ior", "priority")
+    return {name: _plain(getattr(material, name)) for name in names}
+
+
+def black_share(mesh: ls.Mesh) -> float:
+    """Share of the vertices whose colour is black, 0..1: such a mesh is black, whatever lights it."""
+    return 0.0 if mesh.colors is None else float((mesh.colors.max(axis=1) < 0.5 / 255.0).mean())
+
+
+def scene_facts(scene: ls.Scene, cameras: Sequence[ls.Camera]) -> Facts:
+    """A scene: instances with their boxes in the world, lights and cameras."""
+    return {
+        "bounds": _box(scene.bounds()) if scene.splats or scene.meshes else None,
+        "captures": [
+            {"name": one.name, "placed": _box(one.bounds()), **capture_facts(one.gaussians)} for one in scene.splats
+        ],
+        "meshes": [
+            {"name": one.name or one.mesh.name, "placed": _box(one.bounds()), **mesh_facts(one.mesh)}
+            for one in scene.meshes
+        ],
+        "lights": [light_facts(light) for light in scene.lights],
+        "cameras": camera_facts(cameras) if cameras else None,
+    }
+
+
+def rig_facts(rig: ls.avatars.Rig) -> Facts:
+    """A rig: the number of its joints, and its clips with their lengths, seconds."""
+    clips = [{"name": name, "duration": rig.duration(name)} for name in rig.clips]
+    return {"joints": _joint_count(rig), "clips": clips}
+
+
+def animation_facts(animation: ls.Animation) -> Facts:
+    """The actors of a scene and the length of their animation, seconds."""
+    return {
+        "fps": animation.fps,
+        "frames": animation.frame_count,
+        "duration": animation.duration,
+        "actors": [actor_facts(actor) for actor in animation.actors],
+    }
+
+
+def actor_facts(actor: ls.Actor) -> Facts:
+    """An actor: what it is, and how it moves."""
+    rig, motion, subject = actor.rig, actor.motion, actor.subject
+    is_sequence = isinstance(subject, ls.io.GaussianSequence)
+    return {
+        "name": actor.name,
+        "kind": type(subject).__name__,
+        "clip": None if rig is None else actor.clip or next(iter(rig.clips), None),
+        "clips": [] if rig is None else list(rig.clips),
+        "clip_duration": actor.own_duration or None,
+        "fps": subject.fps if is_sequence else None,
+        "frames": subject.frame_count if is_sequence else None,
+        "loop": actor.loop,
+        "speed": actor.speed,
+        "keyframes": 0 if motion is None else motion.count,
+        "keyframes_end": None if motion is None else motion.duration,
+        "casts_shadow": actor.casts_shadow,
+        "relight": actor.relight,
+        "placed_at_start": [_box(instance.bounds()) for instance in actor.at(0.0)],
+    }
+
+
+def light_facts(light: Light) -> Facts:
+    """A light: its kind and all its settings but images."""
+    named = {field.name: getattr(light, field.name) for field in fields(light) if field.name != "image"}
+    return {"kind": type(light).__name__.removeprefix("Light").lower(), **{k: _plain(v) for k, v in named.items()}}
+
+
+def camera_facts(cameras: Sequence[ls.Camera]) -> Facts:
+    """All cameras of a file."""
+    import numpy as np
+
+    eyes = np.array([camera.eye for camera in cameras])
+    return {
+        "count": len(cameras),
+        "sizes": sorted({(camera.width, camera.height) for camera in cameras}),
+        "models": list(dict.fromkeys(camera.model.value for camera in cameras)),
+        "distortions": list(dict.fromkeys(camera.distortion for camera in cameras)),
+        "positions": _box((eyes.min(axis=0), eyes.max(axis=0))),
+        "names": [camera.name for camera in cameras],
+    }
+
+
+def radiance_facts(image: Any) -> Facts:
+    """An image of radiance."""
+    return {
+        "width": int(image.shape[1]),
+        "height": int(image.shape[0]),
+        "mean": [float(value) for value in image.mean(axis=(0, 1), dtype=float)],
+        "largest": float(image.max()),
+    }
+
+
+def _box(corners: tuple[Any, Any]) -> list[list[float]]:
+    """Two corners; -0 becomes 0."""
+    return [[float(value) + 0.0 for value in corner] for corner in corners]
+
+
+def _plain(value: Any) -> Any:
+    """A value as JSON holds it; infinity is None."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return [*cast("tuple[Any, ...]", value)] if isinstance(value, tuple) else value

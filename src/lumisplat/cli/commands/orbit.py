@@ -12,19 +12,14 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
-from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.loading import block_views, scene_file, scene_settings
+from lumisplat.cli.input.loading import block_views, file_marks, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, ViewsCommand
-from lumisplat.cli.options.frame import FrameCommand, shared_origin
-from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.options.settings import given_settings, setting
+from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
 from lumisplat.cli.output.console import Report, print_stats, progress_bars
-from lumisplat.cli.output.frame_folder import FrameFolder
-from lumisplat.cli.output.images import check_writable
-from lumisplat.cli.output.standard_output import refuse_standard_output
-from lumisplat.cli.output.video import check_video
+from lumisplat.cli.output.frame_folder import FrameFolder, check_video
+from lumisplat.cli.output.images import check_writable, refuse_standard_output
 
 _log = logging.getLogger("lumisplat")
 

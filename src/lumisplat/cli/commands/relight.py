@@ -13,10 +13,9 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up
-from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
-from lumisplat.cli.options.settings import SetCommand, changed_config, setting
+from lumisplat.cli.options.command import DeviceCommand, PlacingCommand, SetCommand, changed_config, setting
 from lumisplat.cli.output.console import Report, counted, progress_bars
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
 """A probe's first coefficient times this is its mean radiance."""

@@ -15,19 +15,26 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
 from lumisplat.cli.farm.parts import Parts
-from lumisplat.cli.input.file_marks import file_marks
-from lumisplat.cli.input.loading import BlockViews, block_views, scene_file, scene_settings
+from lumisplat.cli.input.loading import BlockViews, block_views, file_marks, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, ViewsCommand
-from lumisplat.cli.options.frame import FrameCommand, shared_origin
-from lumisplat.cli.options.remarks import frame_remarks
-from lumisplat.cli.options.settings import given_settings, setting
+from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
 from lumisplat.cli.output.console import FrameProgress, Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_source import REALTIME_FRAMES, FrameSource, WarmUp
-from lumisplat.cli.output.images import FrameWriter, Layers, Shot, ViewName, check_writable, make_folder, plan_shots
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, refuse_standard_output, standard_output
+from lumisplat.cli.output.images import (
+    STANDARD_OUTPUT,
+    FrameWriter,
+    Layers,
+    Shot,
+    ViewName,
+    check_writable,
+    make_folder,
+    plan_shots,
+    refuse_standard_output,
+    standard_output,
+)
 
 _log = logging.getLogger("lumisplat")
 

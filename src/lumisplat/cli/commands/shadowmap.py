@@ -11,10 +11,9 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.command import DeviceCommand, PlacingCommand
-from lumisplat.cli.options.settings import setting, without_none
+from lumisplat.cli.options.command import DeviceCommand, PlacingCommand, setting, without_none
 from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, spoken_up
-from lumisplat.cli.output.standard_output import STANDARD_OUTPUT, standard_output
+from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 if TYPE_CHECKING:
     from lumisplat.scene.lights import Light

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -12,8 +12,13 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns
 from lumisplat.cli.input.numbers import seconds_of
 from lumisplat.cli.options.command import DeviceCommand, Flag
+from lumisplat.cli.output.comparisons import plain, write_json, write_picture
 from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
-from lumisplat.cli.output.standard_output import refuse_standard_output
+from lumisplat.cli.output.images import file_stems, make_folder, refuse_standard_output
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 _CAPTURES = (".ply", ".spz")
 _POSES = ("transforms.json", "transforms_train.json", "sparse", "cameras.bin", "cameras.txt")
@@ -175,8 +180,6 @@ class Train(DeviceCommand):
         """Finds and writes materials, once training has come to its end."""
         if not self.relightable or not result.is_finished:
             return None
-        from lumisplat.cli.output.material_reports import write_materials  # loads NumPy and Pillow
-
         if result.cameras is not None:  # poses have moved
             moved = zip(photographs.training, result.cameras, strict=True)
             photographs = replace(photographs, training=tuple(replace(one, camera=camera) for one, camera in moved))
@@ -186,7 +189,7 @@ class Train(DeviceCommand):
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{self._again} continues; {self.output} has no materials yet") from None
-        write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
+        _write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
         return found
 
     def _tell_materials(self, found: ls.inverse.FoundMaterials) -> None:
@@ -271,3 +274,60 @@ class Train(DeviceCommand):
     def _again(self) -> str:
         """What is to be typed to go on."""
         return "the same command without --overwrite" if self.overwrite else "the same command"
+
+
+_VIEWS = 4
+"""Photographs beside which materials are shown, at most."""
+_SKY_PX = 16
+"""Side of a pixel of the sky's picture."""
+_SKY_MEAN = 0.3
+"""Mean of the sky in its picture, linear: how bright it is there is a convention, and above 1 is white."""
+_SH_C0 = 0.28209479177387814
+
+
+def _write_materials(
+    folder: Path, found: ls.inverse.FoundMaterials, photographs: ls.io.Photographs, device: str
+) -> None:
+    """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures.
+
+    Raises:
+        FormatError: A file cannot be written.
+    """
+    import numpy as np
+
+    make_folder(folder)
+    views = (photographs.held_out or photographs.training)[:_VIEWS]
+    renderer = ls.create_renderer(ls.RenderConfig(lighting=False), device)
+    layers = [ls.Scene([layer]) for layer in _layers(found.gaussians)]
+    for view, stem in zip(views, file_stems([view.name for view in views]), strict=True):
+        shown = [view.pixels(), *(renderer.render(layer, view.camera).color for layer in layers)]
+        write_picture(folder / f"{stem}.png", np.concatenate(shown, axis=1))
+    image = found.environment.image
+    if image is not None:
+        exposed = image * (_SKY_MEAN / max(float(image.mean()), 1e-9))
+        write_picture(folder / "environment.png", np.kron(_encoded(exposed), np.ones((_SKY_PX, _SKY_PX, 1))))
+    told = plain({"error": found.error, "too_light": found.too_light}) | {"gaussians": found.gaussians.count}
+    write_json(folder / "materials.json", told)
+
+
+def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:
+    """The capture with albedo, roughness and normals for colours."""
+    import numpy as np
+
+    assert gaussians.albedo is not None and gaussians.roughness is not None and gaussians.normals is not None
+    grey = np.repeat(gaussians.roughness[:, None], 3, axis=1)
+    return [_colored(gaussians, color) for color in (_encoded(gaussians.albedo), grey, 0.5 + 0.5 * gaussians.normals)]
+
+
+def _colored(gaussians: ls.Gaussians, color: npt.NDArray[np.floating]) -> ls.Gaussians:
+    import numpy as np
+
+    return replace(gaussians, sh=((color - 0.5) / _SH_C0).astype(np.float32)[:, None])
+
+
+def _encoded(linear: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Display-referred sRGB."""
+    import numpy as np
+
+    bright = 1.055 * np.maximum(linear, 1e-9) ** (1.0 / 2.4) - 0.055
+    return np.where(linear <= 0.0031308, 12.92 * linear, bright)

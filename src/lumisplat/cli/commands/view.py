@@ -12,9 +12,8 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.options.camera import UpOption, parse_up
-from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, PlacingCommand
-from lumisplat.cli.options.lighting import LightGroup, LightOptions
-from lumisplat.cli.options.settings import SamplesCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, PlacingCommand, SamplesCommand
+from lumisplat.cli.options.frame import LightGroup, LightOptions
 
 _PORT = 8080
 

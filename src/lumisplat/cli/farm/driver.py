@@ -26,8 +26,8 @@ from lumisplat.cli.farm.job import FrameList, FrameMaker, film_lines
 from lumisplat.cli.farm.worker import Answer, Order, Worker
 from lumisplat.cli.input.numbers import seconds_of
 from lumisplat.cli.output.console import Report, counted, one_line, progress_bars, spoken_time
-from lumisplat.cli.output.standard_output import refuse_standard_output
-from lumisplat.cli.output.video import check_video
+from lumisplat.cli.output.frame_folder import check_video
+from lumisplat.cli.output.images import refuse_standard_output
 
 _log = logging.getLogger("lumisplat")
 

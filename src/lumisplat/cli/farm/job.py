@@ -11,8 +11,7 @@ from typing import Any, Protocol
 import lumisplat as ls
 from lumisplat.cli.farm.parts import PartFolder
 from lumisplat.cli.output.console import FrameProgress, Report, counted, one_line
-from lumisplat.cli.output.frame_folder import FrameFolder
-from lumisplat.cli.output.video import check_video, write_video
+from lumisplat.cli.output.frame_folder import FrameFolder, check_video, write_video
 
 NAMED_REASONS = 3
 """Reasons why frames failed that a message names, each with its first frame; the others are counted."""

@@ -12,7 +12,7 @@ from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.numbers import numbers, vector
-from lumisplat.cli.options.settings import given_options, setting
+from lumisplat.cli.options.command import given_options, setting
 from lumisplat.cli.output.console import spoken_up
 
 _log = logging.getLogger("lumisplat")

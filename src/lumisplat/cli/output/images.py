@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
+import io
 import mimetypes
 import re
+import shutil
+import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -222,3 +226,49 @@ def _depth_legend(path: Path, frame: ls.Frame, *, first: bool) -> str:
         return f"{path}: no surface is seen, all values are 0"
     near, far = frame.depth_range
     return f"{path}: depth in scene units from {near:.6g} (1) to {far:.6g} (65535); 0: no surface"
+
+
+STANDARD_OUTPUT = Path("-")
+
+
+def refuse_standard_output(output: Path | None) -> None:
+    """Refuses ``-o -`` where many files are written.
+
+    Raises:
+        ConfigError: It is given.
+    """
+    if output == STANDARD_OUTPUT:
+        raise ls.ConfigError("-o - is one file, and frames are many: give a folder")
+
+
+@contextlib.contextmanager
+def standard_output(suffix: str) -> Generator[Path]:
+    """Yields a file to write, which is copied to standard output at the end, whole or not at all.
+
+    What is printed in the meantime appears on standard error.
+
+    Args:
+        suffix: Extension of the file, which selects its format.
+
+    Raises:
+        ConfigError: Standard output is a terminal, or closed.
+        LumisplatError: The block has raised one; it names standard output instead of the file.
+    """
+    out = sys.stdout
+    if sys.__stdout__ is None or out.isatty():
+        raise ls.ConfigError("-o - is standard output: send it to a file or a program, such as -o - > picture.png")
+    messages = io.StringIO()
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"out{suffix}"
+        try:
+            with contextlib.redirect_stdout(messages):
+                yield file
+        except ls.LumisplatError as error:
+            if str(file) not in str(error):
+                raise
+            raise ls.SceneError(str(error).replace(str(file), "standard output")) from error
+        print(messages.getvalue().replace(str(file), "standard output"), end="", file=sys.stderr)
+        out.flush()
+        with file.open("rb") as stream:
+            shutil.copyfileobj(stream, out.buffer)
+        out.flush()

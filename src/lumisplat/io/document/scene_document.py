@@ -32,8 +32,8 @@ from lumisplat.io.document.saving import entries_of, relative_path, relocated, s
 from lumisplat.io.document.tables import PLACED_IN_WORDS, light_table, placement_table
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike, parsing
-from lumisplat.io.formats import USD, holds_mesh
 from lumisplat.io.gltf.scene import shows_one_capture
+from lumisplat.io.load_save import USD, holds_mesh
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
 from lumisplat.io.scene_toml.placement import is_placed, say_unturned, scene_up
