@@ -345,8 +345,9 @@ def test_options_without_effect_are_said(work, caplog):
     assert animate(work, "frames", "--frames", "0:2", "--set=response.kernel_degree=2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
-        "not used by --pipeline raster: --set response.kernel_degree (it is of --pipeline trace and hybrid)",
-        "not used in an unlit frame: --shadows (no lights: --lighting on has one at the camera)",
+        "not used: --shadows (used where lights shine: add one, or switch lighting on)",
+        "not used: --set response.kernel_degree "
+        "(used where rays are followed: with shadows, or by other pipelines than raster)",
     ]
 
 

@@ -280,36 +280,42 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
             {},
             ls.Scene(),
             [
-                "not used by --pipeline raster: --samples, --set seed, --set max_bounces, "
-                "--set response.kernel_degree, --set trace.normal_method, --set jitter "
-                "(they are of --pipeline trace and hybrid)",
-                "not used in an unlit frame: --exposure, --set shadow_rays.offset "
-                "(no lights: --lighting on has one at the camera)",
+                "not used: --exposure, --set shadow_rays.offset "
+                "(used where lights shine: add one, or switch lighting on)",
+                "not used: --samples, --set seed, --set jitter "
+                "(used where lights shine, and by other pipelines than raster)",
+                "not used: --set max_bounces, --set trace.normal_method "
+                "(used by the pipelines trace, hybrid, path, realtime)",
+                "not used: --set response.kernel_degree "
+                "(used where rays are followed: with shadows, or by other pipelines than raster)",
             ],
         ),
         (
             {"raster": {"strategy": ls.config.RasterStrategy.STOCHASTIC}, "lighting": False},
             LAMP,
             [
-                "not used by --pipeline raster: --set max_bounces, --set response.kernel_degree, "
-                "--set trace.normal_method (they are of --pipeline trace and hybrid)",
-                "not used in an unlit frame: --exposure, --set shadow_rays.offset (--lighting is off)",
+                "not used: --exposure, --set shadow_rays.offset "
+                "(used where lights shine: add one, or switch lighting on)",
+                "not used: --set max_bounces, --set trace.normal_method "
+                "(used by the pipelines trace, hybrid, path, realtime)",
+                "not used: --set response.kernel_degree "
+                "(used where rays are followed: with shadows, or by other pipelines than raster)",
             ],
         ),
         (
             {},
             LAMP,
             [
-                "not used by --pipeline raster: --set max_bounces, --set trace.normal_method "
-                "(they are of --pipeline trace and hybrid)"
+                "not used: --set max_bounces, --set trace.normal_method "
+                "(used by the pipelines trace, hybrid, path, realtime)",
             ],
         ),
         (
             {"shadows": ls.Shadows.OFF, "pipeline": ls.Pipeline.TRACE, "lighting": True},
             ls.Scene(),
             [
-                "not used by --pipeline trace: --set raster.antialiasing (it is of --pipeline raster and hybrid)",
-                "not used without shadows: --set shadow_rays.offset (--shadows hard or soft has some)",
+                "not used: --set shadow_rays.offset (used with shadows, hard or soft)",
+                "not used: --set raster.antialiasing (used by the pipelines raster, hybrid, realtime)",
             ],
         ),
         (
@@ -320,7 +326,7 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
         (
             {"pipeline": ls.Pipeline.PATH},
             ls.Scene(),
-            ["not used by --pipeline path: --set raster.antialiasing (it is of --pipeline raster and hybrid)"],
+            ["not used: --set raster.antialiasing (used by the pipelines raster, hybrid, realtime)"],
         ),
     ],
     ids=[
@@ -345,18 +351,18 @@ def test_what_is_not_used(settings: dict[str, Any], scene: ls.Scene, lines: list
         (
             "raster",
             [
-                "not used by --pipeline raster: --set trace.strategy, --set glossy_reflections (they are of --pipeline "
-                "trace and hybrid)",
-                "not used by --pipeline raster: --set path.primary (it is of --pipeline path)",
+                "not used: --set trace.strategy (used by the pipelines trace, hybrid, realtime)",
+                "not used: --set glossy_reflections (used by the pipelines trace, hybrid)",
+                "not used: --set path.primary (used by the pipeline path)",
             ],
         ),
-        ("trace", ["not used by --pipeline trace: --set path.primary (it is of --pipeline path)"]),
-        ("hybrid", ["not used by --pipeline hybrid: --set path.primary (it is of --pipeline path)"]),
+        ("trace", ["not used: --set path.primary (used by the pipeline path)"]),
+        ("hybrid", ["not used: --set path.primary (used by the pipeline path)"]),
         (
             "path",
             [
-                "not used by --pipeline path: --set trace.strategy, --set glossy_reflections (its rays meet one relit "
-                "Gaussian, by chance, blend captures that are kept, and reflect what is around)"
+                "not used: --set trace.strategy (used by the pipelines trace, hybrid, realtime)",
+                "not used: --set glossy_reflections (used by the pipelines trace, hybrid)",
             ],
         ),
     ],

@@ -51,7 +51,7 @@ def test_the_option_is_of_the_rasteriser(work, caplog):
     ls.save(work.folder / "a.ply", random_gaussians(3, count=3))
     small = ("--width", "8", "--height", "6", "--device", "cpu")
     work.run("render", "@a.ply", "-o", "@a.png", *small, "--pipeline", "trace", "--set=raster.projection=unscented")
-    assert "not used by --pipeline trace: --set raster.projection" in caplog.text
+    assert "not used: --set raster.projection" in caplog.text
     refused = work.run(
         "render", "@a.ply", "-o", "@a.png", "--set=raster.strategy=stochastic", "--set=raster.projection=unscented"
     )

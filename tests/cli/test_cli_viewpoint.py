@@ -106,3 +106,25 @@ def test_bench_takes_a_viewpoint(work) -> None:
     """Every command that renders has these options."""
     outcome = work.run("bench", "@capture.ply", "--azimuth", "45", "--width", "32", "--repeats", "1", "--device", "cpu")
     assert outcome.status == 0 and "32 x 18" in outcome.out
+
+
+def test_a_scene_of_another_program_is_seen_by_its_own_cameras(work) -> None:
+    """One image a camera, named after it; a viewpoint replaces them, and beside a capture they are not its cameras."""
+    mesh = ls.MeshInstance(ls.box(1.0), name="box")
+    cameras = [ls.Camera.look_at(eye, (0, 0, 0), **SIZE, name=name) for name, eye in SIDES.items()]
+    ls.save(work.folder / "box.glb", ls.Scene(meshes=[mesh], up="y-up"), cameras=cameras)
+    options = ("--width", "48", "--height", "32", "--device", "cpu")
+    assert work.run("render", "@box.glb", "-o", "@out", *options).status == 0
+    assert sorted(path.name for path in work.path("out").iterdir()) == ["left.png", "top.png"]
+    for camera in ls.load_cameras(work.path("box.glb"), **SIZE):
+        frame = ls.render(ls.io.load(work.path("box.glb")), camera, device="cpu")  # pyright: ignore[reportArgumentType]
+        picture = read_image(work.path("out") / f"{camera.name}.png")["srgb"]
+        np.testing.assert_array_equal(picture, (np.clip(frame.pixels_srgb(), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
+    assert work.run("render", "@box.glb", "--azimuth", "40", "-o", "@own", *options).status == 0
+    assert [path.name for path in work.path("own").iterdir()] == ["front.png"]
+    work.capture("capture.ply")
+    assert work.run("render", "@capture.ply", "@box.glb", "-o", "@both", *options).status == 0
+    assert len([*work.path("both").iterdir()]) == 1
+
+
+SIDES = {"left": (-4.0, 0.5, 0.1), "top": (0.2, 4.0, 1.0)}

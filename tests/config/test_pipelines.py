@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,19 @@ def test_unused_settings_name_their_readers() -> None:
     assert unused["shadow_rays"] == "Used with shadows, hard or soft."
     assert "raster" not in unused and "tone_map" not in unused
     assert "tone_map" in ls.RenderConfig().unused_settings(lit=False)
+
+
+def test_a_frame_that_is_exact_with_one_sample_reads_no_random_numbers() -> None:
+    """Unlit, sorted and rasterised by ellipses; rays read the response of Gaussians, and shadows follow some."""
+    exact = ls.RenderConfig()
+    assert exact.unused_settings(lit=False).keys() >= {"samples", "seed", "jitter", "noise", "time_limit", "response"}
+    stochastic = replace(exact, raster=ls.RasterConfig(strategy="stochastic"))  # pyright: ignore[reportArgumentType]
+    unscented = replace(exact, raster=ls.RasterConfig(projection="unscented"))  # pyright: ignore[reportArgumentType]
+    for unused in (stochastic.unused_settings(lit=False), unscented.unused_settings(lit=False)):
+        assert not {"samples", "seed", "jitter"} & unused.keys()
+    assert not {"samples", "seed", "response"} & exact.unused_settings(lit=True).keys()
+    assert "response" in replace(exact, shadows=ls.Shadows.OFF).unused_settings(lit=True)
+    assert "trace.strategy" in replace(exact, pipeline=ls.Pipeline.PATH).unused_settings(lit=True)
 
 
 def test_no_other_code_asks_which_pipeline_it_is() -> None:

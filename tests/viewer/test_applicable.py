@@ -60,6 +60,9 @@ def test_settings_without_an_effect_change_no_pixel() -> None:
     """Those that are disabled for a pipeline, each at another value, but for those that would be refused."""
     others: dict[str, Any] = {
         "max_bounces": 0,
+        "seed": 7,
+        "jitter": False,
+        "response": ls.config.ResponseConfig(kernel_degree=4),
         "glossy_reflections": True,
         "energy_compensation": True,
         "tone_map": ls.ToneMap.AGX,

@@ -93,6 +93,7 @@ _RESOLVED = {
 READ_BY: dict[str, tuple[Pipeline, ...]] = {
     "raster": tuple(one for one in Pipeline if one.rasterises),
     "trace": tuple(one for one in Pipeline if one.spawns_rays),
+    "trace.strategy": tuple(one for one in Pipeline if one.spawns_rays and not one.traces_paths),
     "path": tuple(one for one in Pipeline if one.traces_paths),
     "realtime": tuple(one for one in Pipeline if one.is_sequence),
     "max_bounces": tuple(one for one in Pipeline if one.spawns_rays),
@@ -101,6 +102,9 @@ READ_BY: dict[str, tuple[Pipeline, ...]] = {
     **dict.fromkeys(("samples", "noise", "time_limit"), tuple(one for one in Pipeline if not one.is_sequence)),
 }
 """The pipelines that read a setting or group of `RenderConfig`; the others are read by all."""
+
+READ_IF_SAMPLED = ("samples", "time_limit", "noise", "seed", "jitter")
+"""Settings that frames do not read which are exact with one sample: unlit, sorted and rasterised by ellipses."""
 
 READ_IF_LIT = (
     *("shadows", "shadow_rays", "tone_map", "exposure", "glossy_reflections", "capture_gain", "energy_compensation"),

@@ -8,8 +8,15 @@ from enum import Enum
 from typing import Annotated
 
 from lumisplat.config.checks import Color, DisplayColor, Range, listed_names, quoted, suggestion
-from lumisplat.config.gaussians import RasterConfig, ResponseConfig, ShadowConfig, TraceConfig
-from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, Pipeline
+from lumisplat.config.gaussians import (
+    Projection,
+    RasterConfig,
+    RasterStrategy,
+    ResponseConfig,
+    ShadowConfig,
+    TraceConfig,
+)
+from lumisplat.config.pipelines import READ_BY, READ_IF_LIT, READ_IF_SAMPLED, Pipeline
 from lumisplat.config.realtime import RealtimeConfig
 from lumisplat.config.setting import Seed, frozen, given, take_fields
 from lumisplat.constants import SAMPLES_MAX
@@ -208,6 +215,11 @@ class RenderConfig:
             lit: Whether frames are lit, as `is_lit` says.
         """
         unused = {name: _readers(pipelines) for name, pipelines in READ_BY.items() if self.pipeline not in pipelines}
+        if not self.pipeline.spawns_rays and not (lit and self.shadows is not Shadows.OFF):
+            unused["response"] = "Used where rays are followed: with shadows, or by other pipelines than raster."
+        is_exact = self.raster.strategy is RasterStrategy.SORTED and self.raster.projection is Projection.EWA
+        if not self.pipeline.spawns_rays and not lit and is_exact:
+            unused |= dict.fromkeys(READ_IF_SAMPLED, "Used where lights shine, and by other pipelines than raster.")
         if self.shadows is Shadows.OFF:
             unused["shadow_rays"] = "Used with shadows, hard or soft."
         if not lit:

@@ -13,10 +13,10 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings
 from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions, parse_up
 from lumisplat.cli.options.command import DeviceCommand, PipelineCommand, PlacingCommand, given_settings, setting
-from lumisplat.cli.options.frame import not_used
+from lumisplat.cli.options.frame import EnvironmentOptions, unused_options
 from lumisplat.cli.output.console import (
     Report,
     byte_size,
@@ -67,9 +67,8 @@ class Bench(PlacingCommand, DeviceCommand, PipelineCommand):
         if self.repeats < 1:
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
         self.viewpoint.check(self.cameras)
-        file = scene_file(self.scene)
-        config = self._config(scene_settings(file))
-        cameras_of = self.cameras or file
+        config = self.pipeline_config(scene_settings(scene_file(self.scene)))
+        cameras_of = self.cameras or camera_file(self.scene)
         cameras = ls.load_cameras(cameras_of) if cameras_of else []
         with progress_bars() as report:
             started = time.perf_counter()
@@ -77,6 +76,8 @@ class Bench(PlacingCommand, DeviceCommand, PipelineCommand):
             ready = time.perf_counter()
             scene = self._load(report)
             scene = self.viewpoint.upright(scene)
+            for line in unused_options(config, scene, dict(given_settings(self)), EnvironmentOptions()):
+                _log.warning("%s", line)
             loaded = time.perf_counter()
             camera = self._camera(cameras, scene)
             renderer.render(scene, camera)
@@ -126,14 +127,6 @@ class Bench(PlacingCommand, DeviceCommand, PipelineCommand):
         renderer = self.start_renderer(report, config, profile=True)
         renderer.render(scene, camera)
         return stage_times(renderer.render(scene, camera))
-
-    def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """The settings of the scene file, with those that were given in their place."""
-        config = self.pipeline_config(base)
-        unused = [option for name, option in given_settings(self) if name.startswith("trace.")]
-        if unused and not config.pipeline.spawns_rays:
-            _log.warning("%s", not_used(config, unused, "trace and hybrid"))
-        return config
 
     def _camera(self, cameras: list[ls.Camera], scene: ls.Scene) -> ls.Camera:
         if self.viewpoint.is_given or not (cameras or not self.scene):

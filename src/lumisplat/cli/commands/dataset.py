@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
-from lumisplat.cli.input.loading import file_marks, scene_file, scene_settings
+from lumisplat.cli.input.loading import camera_file, file_marks, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, PlacingCommand, given_options, given_settings, setting, without_none
@@ -183,7 +183,7 @@ class Dataset(FrameCommand, PlacingCommand):
         """
         if settings.poses.where is not ls.config.PosePlaces.CAMERAS:
             return []
-        cameras = self.load_cameras(self.cameras, scene_file(self.scene))
+        cameras = self.load_cameras(self.cameras, camera_file(self.scene))
         if not cameras:
             raise ls.ConfigError("views are to be near cameras, and there are none: give --cameras FILE")
         return cameras

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import scene_file, scene_settings
+from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand, PipelineName, SetCommand, setting
 from lumisplat.cli.output.comparisons import check_report, write_beside, write_json
 from lumisplat.cli.output.console import print_columns, progress_bars
@@ -89,9 +89,8 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             missing = "scene" if not scenes else "photograph"
             raise ls.ConfigError(f"no {missing} given: lumisplat fit room.toml photo.jpg -o fitted.toml")
         self._check_output(photographs)
-        file = scene_file(scenes)
-        cameras = self._cameras(file, photographs)
-        config = self._config(scene_settings(file))
+        cameras = self._cameras(camera_file(scenes), photographs)
+        config = self._config(scene_settings(scene_file(scenes)))
         with progress_bars() as report:
             self.quiet_warp()
             document = ls.io.SceneDocument.open(scenes, partial(self.load_asset, report=report))

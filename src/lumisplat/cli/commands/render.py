@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
 from lumisplat.cli.farm.parts import Parts
-from lumisplat.cli.input.loading import BlockViews, block_views, file_marks, scene_file, scene_settings
+from lumisplat.cli.input.loading import BlockViews, block_views, camera_file, file_marks, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
@@ -158,13 +158,12 @@ class Render(ViewsCommand, FrameCommand):
     def _open(self, report: Report) -> _Pictures:
         """Checks all that can be checked, and loads the scene."""
         writer = FrameWriter(self._layers.names, self.view)
-        file = scene_file(self.scene)
-        base = scene_settings(file)
+        base = scene_settings(scene_file(self.scene))
         config = self.frame_config(base, {"aovs": (*base.aovs, *writer.aovs)})
         if config.pipeline.is_sequence and self.samples is not None:
             config = replace(config, samples=base.samples)  # they are frames before the picture
         # What fails fast comes first: cameras, environment and device before a capture of a gigabyte.
-        cameras = self._cameras(file)
+        cameras = self._cameras(camera_file(self.scene))
         shots = self._shots(cameras) if cameras else None
         check_writable(self.output)
         environment = self.light.environment_light()

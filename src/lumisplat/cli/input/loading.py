@@ -107,6 +107,18 @@ def scene_file(paths: Sequence[Path]) -> Path | None:
     return found[0] if found else None
 
 
+def camera_file(paths: Sequence[Path]) -> Path | None:
+    """Returns the file that brings the cameras of a scene: its scene.toml, or the only file, if that is a scene.
+
+    A scene beside other files is put among them, where its cameras would look past it.
+
+    Raises:
+        ConfigError: There are two scene files.
+    """
+    is_scene = len(paths) == 1 and paths[0].suffix.lower() in _SCENES
+    return paths[0] if is_scene else scene_file(paths)
+
+
 def scene_settings(file: Path | None) -> ls.RenderConfig:
     """The settings of a ``scene.toml``; None: the library's defaults.
 

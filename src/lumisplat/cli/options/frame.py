@@ -227,7 +227,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
 
         Args:
             cameras: The camera file that was given.
-            scene_file: The scene.toml that is rendered.
+            scene_file: The file of the scene that may have cameras, as of `camera_file`.
 
         Raises:
             ConfigError: The options of the viewpoint contradict themselves.
@@ -298,11 +298,6 @@ def shared_origin(command: FrameCommand, config: ls.RenderConfig) -> dict[str, s
     }
 
 
-_OF_SAMPLES = ("samples", "time_limit", "noise", "seed", "jitter")
-_OF_RAYS = ("trace.", "max_bounces", "glossy_reflections")
-_NOT_OF_PATHS = ("trace.strategy", "glossy_reflections")
-
-
 def frame_remarks(
     config: ls.RenderConfig,
     scene: ls.Scene,
@@ -331,65 +326,22 @@ def unused_options(
     config: ls.RenderConfig, scene: ls.Scene, given: Mapping[str, str], light: EnvironmentOptions
 ) -> Iterator[str]:
     """Yields a line for each reason why options are not used; arguments as of `frame_remarks`."""
-
-    def options(*names: str) -> list[str]:
-        """Those given, of these settings and groups."""
-        return [text for name, text in given.items() if name in names or name.startswith(_groups(names))]
-
-    is_path = config.pipeline.traces_paths
-    bounces = config.pipeline.bounces_light
     lit = config.is_lit(by_default=scene.is_lit_by_default)
-    shadowed = lit and config.shadows is not ls.Shadows.OFF
-    if not config.pipeline.rasterises and (unused := options("raster.")):
-        yield not_used(config, unused, "raster and hybrid")
-    if not config.pipeline.spawns_rays:
-        used = _used_by_raster(config, lit=lit, shadowed=shadowed)
-        unused = [one for one in options(*_OF_SAMPLES, *_OF_RAYS, "response.") if one not in options(*used)]
-        if unused:
-            yield not_used(config, unused, "trace and hybrid")
-    if not is_path and (unused := options("path.")):
-        yield not_used(config, unused, "path")
-    if not config.pipeline.is_sequence and (unused := options("realtime.")):
-        yield not_used(config, unused, "realtime")
-    if is_path and (unused := options(*_NOT_OF_PATHS)):
-        yield (
-            f"not used by --pipeline path: {', '.join(unused)} (its rays meet one relit Gaussian, by chance, blend "
-            "captures that are kept, and reflect what is around)"
-        )
+    unused = config.unused_settings(lit=lit)
+    unused.pop("adaptive", None)  # refused by frames
+    if config.pipeline.is_sequence:
+        del unused["samples"]  # --samples are frames before the picture
     if not lit:
-        unused = [*(option for option in given_options(light) if option != "--lighting"), *options("shadow_rays.")]
-        if unused:
-            why = "--lighting is off" if config.lighting is False else "no lights: --lighting on has one at the camera"
-            yield f"not used in an unlit frame: {', '.join(unused)} ({why})"
-    elif bounces and light.shadows == "hard":
+        unused |= dict.fromkeys(("denoise", "environment", "environment_rotation"), unused["exposure"])
+    options = {option.removeprefix("--").replace("-", "_"): option for option in given_options(light)} | dict(given)
+    reasons: dict[str, list[str]] = {}
+    for name, option in options.items():
+        if reason := unused.get(name, unused.get(name.partition(".")[0])):
+            reasons.setdefault(reason, []).append(option)
+    for reason, names in reasons.items():
+        yield f"not used: {', '.join(names)} ({reason[0].lower()}{reason[1:].rstrip('.')})"
+    if lit and config.pipeline.bounces_light and light.shadows == "hard":
         yield f"not used by --pipeline {config.pipeline.value}: --shadows hard (its shadows are soft)"
-    elif not shadowed and (unused := options("shadow_rays.")):
-        yield f"not used without shadows: {', '.join(unused)} (--shadows hard or soft has some)"
-
-
-def not_used(config: ls.RenderConfig, options: list[str], others: str) -> str:
-    """Returns the line that a pipeline does not use options, and which others do."""
-    are = "it is" if len(options) == 1 else "they are"
-    return f"not used by --pipeline {config.pipeline.value}: {', '.join(options)} ({are} of --pipeline {others})"
-
-
-def _groups(names: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(name for name in names if name.endswith("."))
-
-
-def _used_by_raster(config: ls.RenderConfig, *, lit: bool, shadowed: bool) -> list[str]:
-    """Settings of samples and rays that a rasterised frame uses: those of samples, and those of shadow rays."""
-    used: list[str] = []
-    raster = config.raster
-    if (
-        lit
-        or raster.strategy is ls.config.RasterStrategy.STOCHASTIC
-        or raster.projection is ls.config.Projection.UNSCENTED
-    ):
-        used += _OF_SAMPLES
-    if shadowed:
-        used.append("response.")
-    return used
 
 
 def _lit_fog(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
