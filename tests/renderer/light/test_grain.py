@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.output import demo_images
+from lumisplat.cli.commands import demo
 from lumisplat.demo.shapes import icosphere
 from lumisplat.renderer.scene.frame_plan import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS, FramePlan
 from support.scenes.pipelines import DIRECT
@@ -125,8 +125,9 @@ def test_samples_that_nobody_asked_for_leave_captures_as_they_are(pipeline: ls.P
 
 def test_the_demo_chooses_its_samples(caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Any) -> None:
     """Its animation has fewer than its lights need, on purpose: it does not complain about itself, others still do."""
-    monkeypatch.setattr(demo_images, "_CONFIG", replace(demo_images._CONFIG, samples=MANY, max_bounces=0))
-    monkeypatch.setattr(demo_images, "_SWING_FRAMES", 2)
+    settings = replace(demo._lit_config(), samples=MANY, max_bounces=0)
+    monkeypatch.setattr(demo, "_lit_config", lambda: settings)
+    monkeypatch.setattr(demo, "_SWING_FRAMES", 2)
     spot = ls.LightSpot((0, -2, 3), (0, 1, 0))
     content = scene(SKY, spot)
     content = replace(content, lights=(spot, *(light for light in content.lights if light is not spot)))
@@ -134,7 +135,7 @@ def test_the_demo_chooses_its_samples(caplog: pytest.LogCaptureFixture, tmp_path
     def start(config: ls.RenderConfig) -> ls.Renderer:
         return ls.create_renderer(config, "cpu")
 
-    list(demo_images.lit_pictures(content, front_camera(16, 16), tmp_path, start, lambda label, share: None))
+    list(demo.lit_pictures(content, front_camera(16, 16), tmp_path, start, lambda label, share: None))
     assert not [record for record in caplog.records if "grainy" in record.getMessage()]
     start(ls.RenderConfig(samples=1)).render(content, front_camera(16, 16))
     assert [record for record in caplog.records if "grainy" in record.getMessage()]

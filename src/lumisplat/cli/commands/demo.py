@@ -59,7 +59,7 @@ class Demo(DeviceCommand):
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)
 
-        for path in _lit_pictures(ls.demo_scene_lit(scene), camera, self.output, start, report):
+        for path in lit_pictures(ls.demo_scene_lit(scene), camera, self.output, start, report):
             print(path, flush=True)
 
     def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
@@ -95,7 +95,7 @@ _Start = Callable[["ls.RenderConfig"], "ls.Renderer"]
 """Makes a renderer."""
 
 
-def _lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
+def lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
     """Renders and writes ``lit-PIPELINE.png`` for each pipeline, ``lit-aovs.png`` and ``lit-swing.gif``.
 
     Args:
