@@ -15,6 +15,7 @@ from lumisplat.cli.commands.render import Render
 from lumisplat.cli.input import arguments
 from lumisplat.cli.input.arguments import options_of
 from lumisplat.cli.options.command import LIGHTING
+from lumisplat.config.setting import settings_of
 from lumisplat.io import change_config
 
 COMMANDS = {named.name: kind for kind, named in map(get_args, get_args(_Command))}
@@ -146,3 +147,37 @@ def test_the_help_shows_all_commands_on_a_screen(capsys: pytest.CaptureFixture[s
     for name, kind in COMMANDS.items():
         (row,) = (row for row in rows if row.split()[:1] == [name] and row.startswith("  "))
         assert row.split(maxsplit=1)[1] == (kind.__doc__ or "").splitlines()[0] and len(row) <= 120
+
+
+@pytest.mark.parametrize(
+    ("command", "config"),
+    [
+        ("train", ls.TrainConfig()),
+        ("delight", ls.DelightConfig()),
+        ("relight", ls.config.RelightConfig()),
+        ("dataset", ls.config.DatasetConfig()),
+        ("shadowmap", ls.config.DeepShadowConfig()),
+    ],
+)
+def test_the_help_of_settings_says_what_their_declaration_says(command: str, config: Any) -> None:
+    """Options of settings have no value of their own; the default and the range in the help are the declared ones."""
+    hints = get_type_hints(COMMANDS[command], include_extras=True)
+    declared = {one.name: one for one in settings_of(type(config))}
+    of_words = {"inside"}  # auto, yes and no stand for None, True and False
+    names = declared.keys() - of_words
+    options = {field.name: field.default for field in fields(COMMANDS[command]) if field.name in names}
+    for name, default in options.items():
+        said = next(
+            (one for one in getattr(hints[name], "__metadata__", ()) if hasattr(one, "help_behavior_hint")), None
+        )
+        if said is None or "default" not in (said.help_behavior_hint or ""):
+            assert not default, name  # a flag, or what help knows no default of
+            continue
+        assert default is None, name
+        value, limits = getattr(config, name), declared[name].range
+        text = ",".join(value) if isinstance(value, tuple) else f"{getattr(value, 'value', value)}"
+        shown = said.help_behavior_hint.removeprefix("(default: ").removesuffix(")")
+        assert shown in (text, f"{value:g}" if isinstance(value, float) else text), name
+        numbers = re.fullmatch(r"([\d.]+?)(?:\.\.|-)([\d.]+)", said.metavar or "")
+        if numbers:
+            assert tuple(map(float, numbers.groups())) == (limits.low, limits.high), name

@@ -127,11 +127,7 @@ def _help() -> str:
 
 
 def _arguments(args: Sequence[str]) -> list[str]:
-    """Arguments as the parser takes them: numbers of an option in one, files of a command together.
-
-    Raises:
-        ArgumentsError: The first argument is neither a command nor an option.
-    """
+    """Arguments as the parser takes them: numbers of an option in one, files of a command together."""
     words = joined_numbers(args)
     farmed = get_type_hints(Farm, include_extras=True)["what"]
     count = 2 if words[:1] == ["farm"] else 1

@@ -116,11 +116,7 @@ class Animate(FrameCommand):
         return animation if self.fps is None else _at_rate(animation, self.fps)
 
     def _cameras(self, animation: ls.Animation) -> list[ls.Camera]:
-        """One camera for each frame.
-
-        Raises:
-            ConfigError: No camera is named --camera, or there are neither one nor as many cameras as frames.
-        """
+        """One camera for each frame."""
         count, source = animation.frame_count, self.cameras or self.scene
         cameras = self.load_cameras(self.cameras, self.scene)
         if self.camera is not None:
@@ -162,11 +158,7 @@ class Animate(FrameCommand):
 
 
 def _at_rate(animation: ls.Animation, fps: float) -> ls.Animation:
-    """The animation at another rate, of the same duration.
-
-    Raises:
-        ConfigError: The rate is not positive, or gives too many frames.
-    """
+    """The animation at another rate, of the same duration."""
     if not 0.0 < fps < math.inf:
         raise ls.ConfigError(f"--fps is {fps}, expected a positive number")
     length = animation.duration * fps

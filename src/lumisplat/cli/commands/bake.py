@@ -93,11 +93,7 @@ class Bake(PlacingCommand, DeviceCommand, SetCommand):
             print(f"{counted(len(scene.meshes), 'mesh instance')} cast shadows and light, and are not in the result")
 
     def _config(self) -> ls.RenderConfig:
-        """The settings: those of a scene.toml, and the options.
-
-        Raises:
-            ConfigError: They contradict each other.
-        """
+        """The settings: those of a scene.toml, and the options."""
         if self.direct and "max_bounces" in self.set_values():
             raise ls.ConfigError("--direct leaves out the bounces that --set max_bounces counts: give one of them")
         base = scene_settings(scene_file(self.scene))

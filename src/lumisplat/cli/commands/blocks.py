@@ -74,12 +74,7 @@ class Blocks(LoadingCommand):
         )
 
     def _checked_output(self) -> Path:
-        """The folder to write.
-
-        Raises:
-            ConfigError: Something is missing, or out of range.
-            FormatError: The folder is there, and not empty.
-        """
+        """The folder to write."""
         if not self.files:
             raise ls.ConfigError("no file given: lumisplat blocks IN.ply -o FOLDER")
         if self.output is None:
@@ -108,11 +103,7 @@ class Blocks(LoadingCommand):
         return loaded
 
     def _check_room(self, output: Path, parts: Sequence[ls.io.PlyStream | ls.Gaussians]) -> None:
-        """Refuses what the disk has no room for.
-
-        Raises:
-            FormatError: There is less.
-        """
+        """Refuses what the disk has no room for."""
         count = sum(part.count for part in parts)
         sh_count = max(part.sh_count if isinstance(part, ls.io.PlyStream) else part.sh.shape[1] for part in parts)
         needed = 4 * (11 + 3 * sh_count) * count * (_LEVEL_SHARE if self.coarser else 1.0)
@@ -122,12 +113,7 @@ class Blocks(LoadingCommand):
             raise ls.FormatError(output, f"needs {byte_size(needed)}, of which the disk has {byte_size(free)} free")
 
     def _plan(self) -> None:
-        """Prints a row a worker.
-
-        Raises:
-            ConfigError: Something is missing, or out of range.
-            FormatError: The index or the camera file cannot be read.
-        """
+        """Prints a row a worker."""
         folder = block_folder(self.files[0]) if len(self.files) == 1 else None
         if folder is None:
             raise ls.ConfigError("--plan is of one folder that lumisplat blocks has made")

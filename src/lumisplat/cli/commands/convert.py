@@ -208,11 +208,7 @@ def _edited(option: str, edit: _Edit, gaussians: ls.Gaussians) -> ls.Gaussians:
 
 
 def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
-    """Reads ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` as arguments of `lumisplat.editing.select`.
-
-    Raises:
-        ConfigError: A text is none of that, names an unknown value, or one for the second time.
-    """
+    """Reads ``opacity=0.1..``, ``scale_max=..0.5`` and ``x=-1..1`` as arguments of `lumisplat.editing.select`."""
     known = [name for name, p in inspect.signature(ls.editing.select).parameters.items() if p.kind is p.KEYWORD_ONLY]
     ranges: dict[str, _Range] = {}
     for text in texts:
@@ -232,11 +228,7 @@ def _value_ranges(texts: Sequence[str]) -> dict[str, _Range]:
 
 
 def _count_of(text: str, whole: int) -> int:
-    """Reads a number of Gaussians, or a percentage of those that there are.
-
-    Raises:
-        ConfigError: It is neither, or not above 0.
-    """
+    """Reads a number of Gaussians, or a percentage of those that there are."""
     try:
         count = round(whole * float(text[:-1]) / 100.0) if text.endswith("%") else int(text)
         positive = float(text.removesuffix("%")) > 0.0

@@ -175,12 +175,7 @@ class Dataset(FrameCommand, PlacingCommand):
         )
 
     def _cameras(self, settings: ls.config.DatasetConfig) -> list[ls.Camera]:
-        """The cameras near which views are.
-
-        Raises:
-            ConfigError: They are wanted, and neither --cameras nor a scene.toml has any.
-            FormatError: The file cannot be read, or --cameras has none.
-        """
+        """The cameras near which views are."""
         if settings.poses.where is not ls.config.PosePlaces.CAMERAS:
             return []
         cameras = self.load_cameras(self.cameras, camera_file(self.scene))

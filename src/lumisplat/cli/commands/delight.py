@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import holds_materials
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
-from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, given_settings_of, setting
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_output
 
@@ -40,11 +40,11 @@ class Delight(LevelsCommand, DeviceCommand):
     """Write the environment that was found as an image, .exr."""
     up: UpOption = "auto"
     """Set the up direction in the image of --sky."""
-    cells: Annotated[int, arg(metavar="4..32")] = 12
+    cells: Annotated[int | None, setting("4..32", "12")] = None
     """Trace light in N x N directions; time grows with N x N."""
     matt: Flag = False
     """Take all captured colour as albedo, for materials without specular."""
-    seed: Annotated[int, arg(metavar="N")] = 0
+    seed: Annotated[int | None, setting("N", "0")] = None
     """Draw other random numbers."""
 
     def run(self) -> None:
@@ -55,7 +55,9 @@ class Delight(LevelsCommand, DeviceCommand):
             return
         self._check_outputs()
         self.check_levels([self.capture])
-        config = ls.DelightConfig(cells=self.cells, inside=_INSIDE[self.inside], matt=self.matt, seed=self.seed)
+        given = given_settings_of(self, ls.DelightConfig)
+        given["inside"] = _INSIDE[self.inside]
+        config = ls.DelightConfig(**given)
         with progress_bars() as report:
             self.quiet_warp()
             capture = self._loaded(report)
@@ -75,11 +77,7 @@ class Delight(LevelsCommand, DeviceCommand):
             print(f"{self.sky}: {told}")
 
     def _save_sky(self, found: ls.inverse.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
-        """Writes the image of the sky.
-
-        Raises:
-            FormatError: It cannot be written; the message says that the capture is.
-        """
+        """Writes the image of the sky."""
         try:
             scene = upright(ls.Scene([capture]), self.up)
             say_guessed_up(scene)
@@ -89,12 +87,7 @@ class Delight(LevelsCommand, DeviceCommand):
             raise
 
     def _check_outputs(self) -> None:
-        """Refuses what cannot be written, before anything slow is done.
-
-        Raises:
-            ConfigError: A sky is wanted of a room, or --up is no direction.
-            FormatError: A file of that name cannot be written.
-        """
+        """Refuses what cannot be written, before anything slow is done."""
         parse_up(self.up)
         if self.sky is not None and self.inside == "yes":
             raise ls.ConfigError(

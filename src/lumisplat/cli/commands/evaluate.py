@@ -125,12 +125,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the photographs")
 
     def _compare_materials(self, captures: Sequence[Path], folder: Path) -> None:
-        """Compares what is known of materials and light, prints, and writes what is asked for.
-
-        Raises:
-            ConfigError: An option is for photographs alone, or there is no single capture.
-            FormatError: A file cannot be read or written.
-        """
+        """Compares what is known of materials and light, prints, and writes what is asked for."""
         if (
             self.scale != 1.0
             or self.hold_out != _HOLD_OUT
@@ -170,12 +165,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
     ) -> Sequence[ls.io.Photograph]:
-        """The photographs that are held out.
-
-        Raises:
-            ConfigError: None is, or the report would take their place.
-            FormatError: The folder cannot be read.
-        """
+        """The photographs that are held out."""
         photographs = ls.io.load_photographs(
             folder,
             scale=self.scale,
@@ -240,11 +230,7 @@ def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list
 
 
 def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
-    """Writes metrics.json and, for the worst views, a picture with a row for each thing that was found.
-
-    Raises:
-        FormatError: A file cannot be written.
-    """
+    """Writes metrics.json and, for the worst views, a picture with a row for each thing that was found."""
     overall: Figures = {name: getattr(result, name) for name in (*_FIGURES, "albedo_psnr_linear")}
     told = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
     views = [

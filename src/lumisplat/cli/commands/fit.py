@@ -139,11 +139,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             check_report(self.report, photographs)
 
     def _cameras(self, file: Path | None, photographs: list[Path]) -> list[ls.Camera]:
-        """The camera of each photograph.
-
-        Raises:
-            ConfigError: There are none, or it is not clear which.
-        """
+        """The camera of each photograph."""
         path = self.cameras or file
         if path is None:
             raise ls.ConfigError("no cameras given: --cameras FILE, or a scene.toml with cameras")
@@ -173,11 +169,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return None if self.environment_degree == "none" else int(self.environment_degree)
 
     def _base_colors(self) -> bool | list[str]:
-        """Those that were asked for.
-
-        Raises:
-            ConfigError: No name was given.
-        """
+        """Those that were asked for."""
         if self.base_colors is None or self.base_colors == "all":
             return self.base_colors is not None
         names = [name.strip() for name in self.base_colors.split(",") if name.strip()]
@@ -186,11 +178,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         return names
 
     def _exposure(self) -> float | Literal["fit"] | None:
-        """The exposure that was given.
-
-        Raises:
-            ConfigError: It is neither stops nor "fit".
-        """
+        """The exposure that was given."""
         if self.exposure is None or self.exposure == "fit":
             return "fit" if self.exposure else None
         try:
@@ -200,11 +188,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
 
 
 def _named(path: Path, cameras: list[ls.Camera], name: str) -> ls.Camera:
-    """The camera of a name, or of an image of that name.
-
-    Raises:
-        ConfigError: There is none.
-    """
+    """The camera of a name, or of an image of that name."""
     for camera in cameras:
         if name in (camera.name, Path(camera.name).stem):
             return camera
@@ -224,9 +208,6 @@ def _fitted_document(
         document: Of the scene that was fitted.
         fit: What was found.
         output: The scene file that is to be written.
-
-    Raises:
-        FormatError: The image of the environment, or a capture, cannot be written.
     """
     document, remarks = _with_colors(document, fit)
     document, more = _with_captures(document, fit, output)

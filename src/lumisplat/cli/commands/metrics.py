@@ -111,11 +111,7 @@ class Metrics(LoadingCommand):
             print_columns(["", paths[0].name], rows)
 
     def _capture(self, path: Path, report: Report) -> _Capture:
-        """A capture, or a scene with one.
-
-        Raises:
-            FormatError: The file cannot be read, or holds no Gaussians.
-        """
+        """A capture, or a scene with one."""
         asset = self.load_asset(path, report)
         if isinstance(asset, ls.Mesh) or (isinstance(asset, ls.Scene) and not asset.splats):
             raise ls.FormatError(path, "has no Gaussians: metrics of light compare captures")
@@ -142,11 +138,7 @@ def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
 
 
 def _wanted(names: str | None) -> list[str]:
-    """Names of metrics from a list with commas; None: the usual ones of pictures.
-
-    Raises:
-        ConfigError: A name is unknown, or there is none.
-    """
+    """Names of metrics from a list with commas; None: the usual ones of pictures."""
     chosen = [*_USUAL] if names is None else [name.strip() for name in names.split(",") if name.strip()]
     for name in chosen or [names]:
         if name not in METRICS:
@@ -155,12 +147,7 @@ def _wanted(names: str | None) -> list[str]:
 
 
 def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tuple[list[Figures], list[str]]:
-    """The figures of each pair, NaN for those that cannot be computed, and why they cannot, each reason once.
-
-    Raises:
-        FormatError: There is not a single figure.
-        MissingExtraError: There is none, because a package is missing.
-    """
+    """The figures of each pair, NaN for those that cannot be computed, and why they cannot, each reason once."""
     rows: list[Figures] = []
     problems: dict[str, ls.LumisplatError] = {}
     for index, pair in enumerate(pairs):
@@ -181,12 +168,7 @@ def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tu
 
 
 def _figure(name: str, pair: Pair) -> float:
-    """One figure of one pair.
-
-    Raises:
-        FormatError: A picture cannot be read, or the two cannot be compared; names both.
-        MissingExtraError: The package of the metric is not installed.
-    """
+    """One figure of one pair."""
     load = _loaded_picture if name in _OF_PICTURES else _shadow_strength
     image, reference = load(pair.image), load(pair.reference)
     try:

@@ -115,11 +115,7 @@ class Orbit(ViewsCommand, FrameCommand):
         return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
 
     def _frame_count(self) -> int:
-        """Number of frames.
-
-        Raises:
-            ConfigError: The length, the rate or the turns are out of range.
-        """
+        """Number of frames."""
         for option, value in (("--seconds", self.seconds), ("--fps", self.fps)):
             if not 0.0 < value < math.inf:
                 raise ls.ConfigError(f"{option} is {value:g}, expected a positive number")

@@ -13,7 +13,14 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
 from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up
-from lumisplat.cli.options.command import DeviceCommand, PlacingCommand, SetCommand, changed_config, setting
+from lumisplat.cli.options.command import (
+    DeviceCommand,
+    PlacingCommand,
+    SetCommand,
+    changed_config,
+    given_settings_of,
+    setting,
+)
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
@@ -39,13 +46,15 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
     """Write .ply, .compressed.ply, .spz or .glb; - is standard output."""
     at: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="(default: its middle)")] = None
     """Gather the light here, in the scene's coordinates."""
-    gamma: Annotated[float, arg(metavar="0..1000")] = 1.0
+    gamma: Annotated[float | None, setting("0..1000", "1")] = None
     """Multiply all light by this factor."""
-    exponent: Annotated[float, arg(metavar="0.1..64")] = 1.0
+    exponent: Annotated[float | None, setting("0.1..64", "1")] = None
     """Gather light from a narrower cone about the normal; 1 is matt."""
-    scale_max: Annotated[float, arg(metavar="0..1000")] = 4.0
+    scale_max: Annotated[float | None, setting("0..1000", "4")] = None
     """Limit the factor of each colour, before --gamma."""
-    normals: Literal["auto", "smallest-axis", "pca"] = "auto"
+    normals: Annotated[Literal["auto", "smallest-axis", "pca"] | None, setting("{auto,smallest-axis,pca}", "auto")] = (
+        None
+    )
     """Take the file's normals, the smallest axes, or the neighbours' planes."""
     degree: Annotated[int, arg(metavar="0..8")] = 3
     """Store the light as SH of this degree."""
@@ -64,12 +73,7 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
             with standard_output(".ply") as file:
                 replace(self, output=file).run()
             return
-        config = ls.config.RelightConfig(
-            exponent=self.exponent,
-            scale_max=self.scale_max,
-            gamma=self.gamma,
-            normals=ls.config.NormalEstimate(self.normals),
-        )
+        config = ls.config.RelightConfig(**given_settings_of(self, ls.config.RelightConfig))
         at = None if self.at is None else vector("--at", self.at, "0,1,2.5")
         self._check_outputs()
         rendering = scene_settings(scene_file(self.scene))
@@ -122,7 +126,7 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
         brightness = float(mean.mean())
         if brightness * _GAMMA_MAX < 1.0:
             print("there is next to no light there: look for it elsewhere by --at, or give a --background")
-        elif self.gamma == 1.0 and not 0.5 < brightness < 2.0:
+        elif self.gamma in (None, 1.0) and not 0.5 < brightness < 2.0:
             print(f"to keep the avatar about as bright as it was: --gamma {1.0 / brightness:.2g}")
         if self.probe is not None:
             print(f"{self.probe}: the light as an image")

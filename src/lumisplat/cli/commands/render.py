@@ -190,11 +190,7 @@ class Render(ViewsCommand, FrameCommand):
         return block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=self.viewpoint.upright)
 
     def _check_tiles(self) -> None:
-        """Refuses what is not made of parts of a picture.
-
-        Raises:
-            ConfigError: Some of it is asked for.
-        """
+        """Refuses what is not made of parts of a picture."""
         layers = self._layers
         given = {
             "--aov deep": layers.deep,
@@ -292,11 +288,7 @@ class Render(ViewsCommand, FrameCommand):
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
-        """The pictures of cameras.
-
-        Raises:
-            ConfigError: The output does not suit them, or the view.
-        """
+        """The pictures of cameras."""
         shots = plan_shots(cameras, self._names(cameras), self.output, self.format)
         if self.view and shots[0].path.suffix.lower() != ".png":
             raise ls.ConfigError(f"{shots[0].path}: --view is a picture to look at, expected .png")

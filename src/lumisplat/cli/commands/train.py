@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns
 from lumisplat.cli.input.numbers import seconds_of
-from lumisplat.cli.options.command import DeviceCommand, Flag
+from lumisplat.cli.options.command import DeviceCommand, Flag, given_settings_of, setting
 from lumisplat.cli.output.comparisons import plain, write_json, write_picture
 from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
 from lumisplat.cli.output.images import file_stems, make_folder, refuse_standard_output
@@ -44,9 +44,9 @@ class Train(DeviceCommand):
     """Read images with transforms.json, transforms_train.json or a COLMAP model."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FILE")]
     """The capture: .ply or .spz."""
-    iterations: Annotated[int, arg(metavar="N")] = 7000
+    iterations: Annotated[int | None, setting("N", "7000")] = None
     """Steps, one photograph each; what half an hour buys is in docs/guide/training.md."""
-    cap: Annotated[int, arg(metavar="N")] = 100_000
+    cap: Annotated[int | None, setting("N", "100000")] = None
     """Gaussians, at most."""
     hold_out: Annotated[int, arg(metavar="N")] = 8
     """Hold out every N-th image for evaluation; 0 disables."""
@@ -58,15 +58,15 @@ class Train(DeviceCommand):
     """Find missing poses first; needs pip install 'lumisplat[poses]'."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
     """Fill the background: a name, #rrggbb, r,g,b, or random."""
-    densification: Literal["mcmc", "adaptive"] = "mcmc"
+    densification: Annotated[Literal["mcmc", "adaptive"] | None, setting("{mcmc,adaptive}", "mcmc")] = None
     """How Gaussians come and go: as samples, up to --cap, or where the loss pulls."""
-    sh_degree: Annotated[int, arg(metavar="0-3")] = 3
+    sh_degree: Annotated[int | None, setting("0-3", "3")] = None
     """How much colours may change with the direction of view."""
-    pipeline: Literal["raster", "trace"] = "raster"
+    pipeline: Annotated[Literal["raster", "trace"] | None, setting("{raster,trace}", "raster")] = None
     """Train by splats, or by rays, slower and exact for any lens."""
-    projection: Literal["ewa", "unscented"] = "ewa"
+    projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
     """Rasterise by ellipses, or along the rays of any lens."""
-    kernel_degree: Annotated[int, arg(metavar="0..5")] = 2
+    kernel_degree: Annotated[int | None, setting("0..5", "2")] = None
     """Train Gaussians of this kernel; others than 2 need --pipeline trace."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
@@ -76,7 +76,7 @@ class Train(DeviceCommand):
     """Learn the poses, too: for those that are a little off."""
     relightable: Flag = False
     """Find albedo, roughness, normals and the environment after training."""
-    material_steps: Annotated[int, arg(metavar="N")] = 300
+    material_steps: Annotated[int | None, setting("N", "300")] = None
     """Steps of --relightable that refine materials by a photograph each."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that Gaussians are flat; try 0.3."""
@@ -84,9 +84,9 @@ class Train(DeviceCommand):
     """Weight normals, so that Gaussians lie on surfaces; try 0.05."""
     depth_spread: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """For relighting: how much it counts that surfaces are thin; try 0.3."""
-    prune_below: Annotated[float, arg(metavar="WEIGHT")] = 0.01
+    prune_below: Annotated[float | None, setting("WEIGHT", "0.01")] = None
     """Remove Gaussians of less weight in every pixel at the end."""
-    seed: Annotated[int, arg(metavar="N")] = 0
+    seed: Annotated[int | None, setting("N", "0")] = None
     """Of everything that is random: the same seed gives the same capture."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
     """End after such a time, as 90s, 10m or 1.5h; the same command then continues."""
@@ -116,11 +116,11 @@ class Train(DeviceCommand):
             raise ls.ConfigError(f"-o is {self.output}, expected a file that ends in {' or '.join(_CAPTURES)}")
         if self.relightable and not holds_all_columns(self.output):
             raise ls.ConfigError(f"-o is {self.output}, expected a .ply: others have no columns for --relightable")
-        if self.relightable and (self.pipeline, self.projection) != ("raster", "ewa"):
+        if self.relightable and (self.pipeline == "trace" or self.projection == "unscented"):
             raise ls.ConfigError("--relightable is of --pipeline raster and --projection ewa")
         if self.relightable and self.exposures:
             raise ls.ConfigError("--relightable finds materials of photographs of one exposure: leave out --exposures")
-        if self.material_steps < 0:
+        if self.material_steps is not None and self.material_steps < 0:
             raise ls.ConfigError(f"--material-steps is {self.material_steps}, expected 0 or more")
         for made in (self._config, self._materials_config, self._seconds, self._checked_background):
             made()
@@ -207,31 +207,15 @@ class Train(DeviceCommand):
         return None if self.stop_after is None else seconds_of("--stop-after", self.stop_after)
 
     def _materials_config(self) -> ls.config.MaterialsConfig:
-        return ls.config.MaterialsConfig(iterations=self.material_steps, seed=self.seed)
+        steps = {} if self.material_steps is None else {"iterations": self.material_steps}
+        return ls.config.MaterialsConfig(**steps, **({} if self.seed is None else {"seed": self.seed}))
 
     def _config(self) -> ls.TrainConfig:
-        given = (self.flatness, self.normals, self.depth_spread)
-        if self.relightable and given == (None, None, None):
-            given = _RELIGHTABLE
-        flatness, normals, depth_spread = (weight or 0.0 for weight in given)
-        return ls.TrainConfig(
-            iterations=self.iterations,
-            cap=self.cap,
-            sh_degree=self.sh_degree,
-            densification=ls.config.Densification(self.densification),
-            pipeline=ls.Pipeline(self.pipeline),
-            projection=ls.config.Projection(self.projection),
-            kernel_degree=self.kernel_degree,
-            antialiased=self.antialiased,
-            exposures=self.exposures,
-            refine_poses=self.refine_poses,
-            random_background=self._is_random,
-            flatness=flatness,
-            normals=normals,
-            depth_spread=depth_spread,
-            prune_below=self.prune_below,
-            seed=self.seed,
-        )
+        given = given_settings_of(self, ls.TrainConfig)
+        names = ("flatness", "normals", "depth_spread")
+        if self.relightable and given.keys().isdisjoint(names):
+            given |= dict(zip(names, _RELIGHTABLE, strict=True))
+        return ls.TrainConfig(**given, random_background=self._is_random)
 
     @property
     def _is_random(self) -> bool:
@@ -239,11 +223,7 @@ class Train(DeviceCommand):
         return self.background.strip().lower() == "random"
 
     def _checked_background(self) -> str:
-        """What is behind photographs that are transparent, as they are read.
-
-        Raises:
-            ConfigError: It is no colour, nor random.
-        """
+        """What is behind photographs that are transparent, as they are read."""
         if self._is_random:
             return "black"
         try:
@@ -260,10 +240,10 @@ class Train(DeviceCommand):
             print_columns(
                 ["held out", "PSNR, dB"], [["mean", f"{score.psnr:.2f}"], *([n, f"{v:.2f}"] for n, v in worst)]
             )
-        steps = f"{result.iterations:,} of {self.iterations:,} steps"
+        steps = f"{result.iterations:,} of {self._config().iterations:,} steps"
         print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {spoken_time(result.seconds)}")
         if result.pruned:
-            limit = f"a weight of {self.prune_below:g} in any image"
+            limit = f"a weight of {self._config().prune_below:g} in any image"
             print(
                 f"{counted(result.pruned, 'Gaussian')} that never reach {limit} pruned: nothing to do (--prune-below)"
             )
@@ -288,11 +268,7 @@ _SH_C0 = 0.28209479177387814
 def _write_materials(
     folder: Path, found: ls.inverse.FoundMaterials, photographs: ls.io.Photographs, device: str
 ) -> None:
-    """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures.
-
-    Raises:
-        FormatError: A file cannot be written.
-    """
+    """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures."""
     import numpy as np
 
     make_folder(folder)

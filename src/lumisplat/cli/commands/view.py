@@ -79,11 +79,7 @@ class View(LevelsCommand, PlacingCommand, DeviceCommand, SamplesCommand):
             viewer.close()
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
-        """Settings with those that were given in their place.
-
-        Raises:
-            ConfigError: A value is out of its range.
-        """
+        """Settings with those that were given in their place."""
         return self.pipeline_config(base, self.light.changes())
 
 

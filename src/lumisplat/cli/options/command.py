@@ -382,6 +382,12 @@ def changed_config(base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
     return base
 
 
+def given_settings_of(command: Command, kind: type[DataclassInstance]) -> Changes:
+    """Returns the settings of a class that options of the same names give; the class has the others' defaults."""
+    values = {one.name: getattr(command, one.name, None) for one in fields(kind)}
+    return without_none(values)
+
+
 def without_none(settings: Mapping[str, Any]) -> Changes:
     """Returns the settings that were given."""
     return {name: value for name, value in settings.items() if value is not None}
