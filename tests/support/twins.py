@@ -8,6 +8,7 @@ that is not stored is computed; `tools/make_twins.py` stores it.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import hashlib
 import importlib
@@ -104,13 +105,25 @@ def described(value: Any) -> bytes:
     raise TypeError(f"no description of a {type(value).__name__}")
 
 
+def without_imports(source: str) -> str:
+    """A module's source without its imports of the package: where that has its names may change."""
+    lines = source.splitlines()
+    for node in ast.parse(source).body:
+        names = [one.name for one in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [node.module or ""]
+        if any(name.partition(".")[0] == "lumisplat" for name in names):
+            lines[node.lineno - 1 : node.end_lineno] = [""] * ((node.end_lineno or node.lineno) - node.lineno + 1)
+    return "\n".join(line for line in lines if line)
+
+
 @cache
 def source_of(module: str) -> bytes:
-    """Source of an oracle and of all oracles that it imports."""
+    """Source of an oracle and of all oracles that it imports, but for what they import of the package."""
     names, texts = [module], []
     for name in names:
         text = inspect.getsource(importlib.import_module(name))
-        texts.append(text)
+        texts.append(without_imports(text))
         others = re.findall(r"^from (support\.oracles\.\w+) import", text, re.M)
         for line in re.findall(r"^from support\.oracles import (.*)", text, re.M):
             others += [f"support.oracles.{name.strip()}" for name in line.split(",")]
