@@ -13,8 +13,8 @@ from lumisplat.constants import ALPHA_MAX, ALPHA_MIN, BOX_MARGIN
 from lumisplat.device.gaussian.particle import canonical_from_object
 from lumisplat.device.structs.bvh import FAR, Box, Particle
 from lumisplat.device.structs.scene import KernelData
+from lumisplat.renderer.scene.assets import upload_gaussians
 from lumisplat.renderer.scene.instance_tables import KERNEL_LINEAR_SLOPE, kernel_data
-from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from support.kinds import present

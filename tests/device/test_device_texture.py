@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, TextureData
-from lumisplat.renderer.scene.upload import pack_textures
+from lumisplat.renderer.scene.assets import pack_textures
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.sampling.surface_points import wrapped
 from lumisplat.scene.textures import TextureWrap

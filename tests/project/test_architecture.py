@@ -297,12 +297,12 @@ ALLOCATORS |= {f"wp.{name}_like" for name in ("zeros", "empty", "full", "ones")}
 
 
 def test_frames_allocate_in_buffers_only() -> None:
-    """Memory is allocated in buffers.py, upload.py (assets), struct_tables.py and downloads.py (host copies) only."""
+    """Memory is allocated in buffers.py, assets.py, struct_tables.py and downloads.py (host copies) only."""
     offenders = []
     for path in FILES:
         # In device code, wp.array(dtype=...) is the type of a parameter.
         allocators = ALLOCATORS - {"wp.array"} if is_device_code(path) else ALLOCATORS
-        if path.name not in ("buffers.py", "downloads.py", "struct_tables.py", "upload.py"):
+        if path.name not in ("buffers.py", "downloads.py", "struct_tables.py", "assets.py"):
             offenders += [(module_name(path), call, line) for call, line in calls(path) if call in allocators]
     assert not offenders
 

@@ -17,10 +17,9 @@ from lumisplat.math.arrays import Doubles, FloatArray, IntArray, Rows
 from lumisplat.renderer.given_rays import RAY_BATCH, GivenRays, batches, whole_packets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.camera_rays import CameraRays
-from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
-from lumisplat.renderer.trace.mesh_trace import MeshTracer
-from lumisplat.renderer.trace.packet_ranges import packet_ranges
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import MeshTracer
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene

@@ -145,7 +145,7 @@ def test_absurd_transforms_are_refused_or_finite(renderer: ls.Renderer) -> None:
 
 def test_failed_upload_leaves_the_renderer_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     """After running out of memory half way, the old scene and the new one are both drawn as by a new renderer."""
-    from lumisplat.renderer.scene import mesh_assets
+    from lumisplat.renderer.scene import assets
 
     old = ls.Scene([random_gaussians(110)], [quad(5.0)])
     new = ls.Scene([random_gaussians(111, 300)], [quad(3.0, 0.5), quad(6.0)])
@@ -156,7 +156,7 @@ def test_failed_upload_leaves_the_renderer_whole(monkeypatch: pytest.MonkeyPatch
         raise RuntimeError("out of memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(mesh_assets, "upload_meshes", fail)
+        patch.setattr(assets, "upload_meshes", fail)
         with pytest.raises(ls.DeviceError, match="cpu has no room for the scene: out of memory"):
             renderer.render(new, front_camera())
     for scene in (old, new):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lumisplat.device.gi.radiance_cache import CacheTiles
-from lumisplat.renderer.scene.light_changes import OUTDATED_SHARE
+from lumisplat.renderer.scene.motion import OUTDATED_SHARE
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Cell, RadianceCacheOracle, Samples, cell_at
 from support.scenes.cache_rig import CacheRig, made_samples, on_floor, unit

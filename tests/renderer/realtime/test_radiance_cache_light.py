@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lumisplat.renderer.scene.light_changes import OUTDATED_SHARE
+from lumisplat.renderer.scene.motion import OUTDATED_SHARE
 from support.oracles.radiance_cache_oracle import Samples
 from support.scenes.cache_rig import UP, CacheRig, cosine_directions, made_samples, on_floor
 

@@ -14,7 +14,7 @@ from lumisplat.device.gaussian.layers import LAYER_LIFT
 from lumisplat.device.gi.probe_placement import ProbeData
 from lumisplat.math.directions import directions_of_square
 from lumisplat.renderer.scene.camera_table import subpixel
-from lumisplat.renderer.scene.light_changes import OUTDATED_SHARE
+from lumisplat.renderer.scene.motion import OUTDATED_SHARE
 from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight

@@ -11,7 +11,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK, TRAVERSE_STACK_SMALL
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
-from lumisplat.renderer.scene import bvh_scene, splat_assets
+from lumisplat.renderer.scene import assets, bvh_scene
 from lumisplat.renderer.scene.bvh_scene import tree_of_boxes, waiting_in_tree
 from support.compare.graph_launcher import GraphLauncher
 from support.compare.images import assert_close, assert_images_alike
@@ -208,7 +208,7 @@ def test_a_failed_upload_leaves_nothing_stale(monkeypatch: pytest.MonkeyPatch) -
         raise RuntimeError("out of memory")
 
     with monkeypatch.context() as patch:
-        patch.setattr(splat_assets, "upload_gaussians", refuse)
+        patch.setattr(assets, "upload_gaussians", refuse)
         with pytest.raises(ls.DeviceError, match="no room"):
             renderer.render(ls.Scene([second]), view())
     renderer.render(ls.Scene([first]), view())

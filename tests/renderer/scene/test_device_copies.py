@@ -13,7 +13,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.demo.shapes import sphere
 from lumisplat.renderer import checks
-from lumisplat.renderer.scene import splat_assets, upload
+from lumisplat.renderer.scene import assets
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
@@ -39,7 +39,7 @@ def polished() -> ls.Scene:
 def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
     """Makes uploads copies, whose memory becomes NaN as soon as nothing owns them."""
     kept: list[np.ndarray] = []
-    share = upload.as_device_array
+    share = assets.as_device_array
 
     def copy(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
         memory = np.array(values)
@@ -48,7 +48,7 @@ def copies(monkeypatch: pytest.MonkeyPatch) -> list[np.ndarray]:
         weakref.finalize(array, memory.fill, np.nan)
         return array
 
-    monkeypatch.setattr(upload, "as_device_array", copy)
+    monkeypatch.setattr(assets, "as_device_array", copy)
     return kept
 
 
@@ -78,7 +78,7 @@ def test_copies_live_while_kernels_read_them(pipeline: ls.Pipeline, copies: list
     assert len(copies) >= 6, "means, scales, opacities, colours, roughness and metallic are copied"
     assert all(np.isfinite(memory).all() for memory in copies), "a copy was freed while tables point to it"
     with pytest.MonkeyPatch.context() as undo:
-        undo.setattr(upload, "as_device_array", lambda values, dtype, device: DeviceArray(values, dtype=dtype))
+        undo.setattr(assets, "as_device_array", lambda values, dtype, device: DeviceArray(values, dtype=dtype))
         renderer = ls.create_renderer(config(pipeline), "cpu", threads=1)
         expected = [renderer.render(scene, camera) for _ in range(2)]
     for frame, other in zip(copied, expected, strict=True):
@@ -109,8 +109,7 @@ def wavy(shown: ls.Scene, amount: float) -> ls.Scene:
 @pytest.fixture
 def copied(monkeypatch: pytest.MonkeyPatch) -> None:
     """Makes assets copies, as on a GPU, which renderers may write to."""
-    for module in (upload, splat_assets):
-        monkeypatch.setattr(module, "shares_memory", lambda _: False)
+    monkeypatch.setattr(assets, "shares_memory", lambda _: False)
 
 
 @pytest.mark.usefixtures("copied")

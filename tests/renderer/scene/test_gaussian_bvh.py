@@ -12,8 +12,8 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.constants import ALPHA_MIN, BOX_MARGIN, NODE_WIDTH, TRAVERSE_STACK
 from lumisplat.device.structs.bvh import FAR, NO_CHILD
+from lumisplat.renderer.scene.assets import upload_gaussians
 from lumisplat.renderer.scene.instance_tables import kernel_data
-from lumisplat.renderer.scene.upload import upload_gaussians
 from lumisplat.renderer.trees.box_tree import TREE_SURFACE_LEVELS
 from lumisplat.renderer.trees.gaussian_bvh import GaussianBvh
 from lumisplat.runtime.launcher import Launcher

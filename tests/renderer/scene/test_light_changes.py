@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.renderer.scene.light_changes import (
+from lumisplat.renderer.scene.motion import (
     CHANGED_FRAMES,
     CHANGED_SHARE,
     MOVED_FRAMES,

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.transforms import cross_matrix, rigid_from_twist
 from lumisplat.renderer.gradients import ray_backward
-from lumisplat.renderer.trace.packet_ranges import packet_ranges
+from lumisplat.renderer.trace.gaussian_trace import packet_ranges
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.gradient_oracle import Parameters, differences
 from support.oracles.ray_gradient_oracle import RayLoss

@@ -14,8 +14,8 @@ from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import MeshTracer
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.device.structs.gradients import GaussianGradient
-from lumisplat.renderer.scene.splat_assets import SplatAsset
+from lumisplat.renderer.scene.assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers
 
 

@@ -19,8 +19,7 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels
 from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, trace_table
-from lumisplat.renderer.trace.packet_ranges import packet_ranges
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges, trace_table
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher

@@ -13,9 +13,9 @@ from lumisplat.constants import BOX_MARGIN, NODE_WIDTH, TRAVERSE_STACK, TRAVERSE
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, HIT_PEAK, NO_CHILD, AssetBvh, Node, SceneBvh
 from lumisplat.device.structs.scene import GaussianData, KernelData
 from lumisplat.errors import DeviceError
+from lumisplat.renderer.scene.assets import SplatAsset
 from lumisplat.renderer.scene.instance_tables import footprint_of, hit_distance_of, kernel_data
 from lumisplat.renderer.scene.materials import is_relit
-from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.renderer.trees.gaussian_bvh import GaussianBvh
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import Launcher

@@ -14,16 +14,14 @@ from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.scene import GaussianData, MeshData, MeshInstanceData, SplatInstanceData
 from lumisplat.device.structs.shading import ShadingScene
 from lumisplat.errors import DeviceError
+from lumisplat.renderer.scene.assets import MeshAssets, SplatAsset, sync_splat_assets
 from lumisplat.renderer.scene.bvh_scene import BvhScene
 from lumisplat.renderer.scene.camera_table import CENTER, camera_table, subpixel, tile_grid
 from lumisplat.renderer.scene.captured_emitters import CapturedEmitters
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.instance_tables import mesh_instance_table, splat_instance_table
-from lumisplat.renderer.scene.light_changes import in_order
-from lumisplat.renderer.scene.mesh_assets import MeshAssets
-from lumisplat.renderer.scene.motion import Motion
+from lumisplat.renderer.scene.motion import Motion, in_order
 from lumisplat.renderer.scene.shading_scene import ShadingTables
-from lumisplat.renderer.scene.splat_assets import SplatAsset, sync_splat_assets
 from lumisplat.renderer.trees.box_tree import HostBoxTree
 from lumisplat.renderer.trees.gaussian_bvh import GaussianBvh
 from lumisplat.renderer.trees.mesh_bvh import MeshBvhScene

@@ -16,9 +16,9 @@ from lumisplat.device.structs.scene import (
     MeshInstanceData,
     SplatInstanceData,
 )
+from lumisplat.renderer.scene.assets import MeshAssets
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, place_texture, shading_overrides
-from lumisplat.renderer.scene.mesh_assets import MeshAssets
 from lumisplat.renderer.trees.mesh_bvh import InstancePlaces
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera

@@ -16,11 +16,10 @@ from lumisplat.device.structs.shading import (
     ShadingSettings,
     SplatAttributes,
 )
-from lumisplat.renderer.scene.emitters import Emitters
+from lumisplat.renderer.scene.assets import SplatAsset
 from lumisplat.renderer.scene.frame_plan import FramePlan, environment_draws
-from lumisplat.renderer.scene.lights import LightTable
+from lumisplat.renderer.scene.lights import Emitters, LightTable
 from lumisplat.renderer.scene.materials import TextureFirst, material_table
-from lumisplat.renderer.scene.splat_assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, DeviceArray, rows_of
 from lumisplat.runtime.struct_tables import table_dtype, upload_structs
 from lumisplat.scene.camera import Camera

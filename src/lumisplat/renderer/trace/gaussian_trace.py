@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from lumisplat.constants import (
 )
 from lumisplat.device.structs.bvh import FAR, STRATEGY_HIT, STRATEGY_PASS, STRATEGY_SORTED, TraceData
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
+from lumisplat.math.arrays import IntArray, Rows
 from lumisplat.renderer.scene.bvh_scene import SplatSets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace import gaussian_trace_kernels, stochastic_hit_kernels
@@ -144,3 +146,23 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     row["sh_degree"] = config.sh_degree
     row["offset"] = FAR
     return table
+
+
+def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:
+    """Ranges of rays, and how many hits each has: no more than ``most`` unless it is the least range.
+
+    Rays that were followed together are again: ranges are of whole packets of CPUs and of whole warps.
+
+    Args:
+        counts: Hits of each ray.
+        most: How many hits a range is to have at most.
+    """
+    edges = np.append(np.arange(0, len(counts), 2 * PACKET_RAYS), len(counts))
+    before: Rows = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[edges]
+    begin, parts = 0, len(edges) - 1
+    while begin < parts:
+        end = max(int(np.searchsorted(before, int(before[begin]) + most, side="right")) - 1, begin + 1)
+        found = int(before[end] - before[begin])
+        if found:
+            yield int(edges[begin]), int(edges[end]), found
+        begin = end

@@ -5,14 +5,15 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.config import RenderConfig
+from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.trace import mesh_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
-from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.path_gaussians import Dark, PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
@@ -102,3 +103,44 @@ class RayTracer:
         assert isinstance(self._gaussians, PathGaussians)
         with self._launcher.stage("gaussians"):
             return self._gaussians.find_captured(scene, rays, ends, name)
+
+
+class MeshTracer:
+    """Finds the meshes that rays hit.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules(*, has_meshes: bool) -> list[KernelModule]:
+        """The kernel modules of scenes with or without meshes."""
+        return [mesh_trace_kernels] if has_meshes else []
+
+    def find(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> MeshHits:
+        """The nearest triangle between each ray's ``t_min`` and ``t_max``.
+
+        Args:
+            scene: Up to date for rays.
+            rays: What to follow.
+            name: Of the buffers that hold the result.
+            bounced: Whether the rays were scattered by surfaces: meshes count from their origin on.
+        """
+        count = len(rays.t_max)
+        hits = self._buffers.struct(name, MeshHits, count)
+        if scene.mesh_instances.shape[0]:
+            bands = TILE_BANDS_PER_THREAD * self._launcher.threads
+            self._launcher.run_banded(
+                mesh_trace_kernels.find_mesh_hits,
+                count,
+                *(bounced, scene.mesh_bvh, rays, hits),
+                bands=bands,
+            )
+        else:
+            device_array(hits.face).fill_(-1)
+            hits.t = rays.t_max
+        return hits

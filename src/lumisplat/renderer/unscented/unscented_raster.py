@@ -17,8 +17,8 @@ from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatTiles
 from lumisplat.renderer.scene.camera_table import image_field
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.trace.mesh_trace import MeshTracer
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import MeshTracer
 from lumisplat.renderer.unscented import ray_splat_kernels, ray_splat_pixel_kernels, ray_splat_tile_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher

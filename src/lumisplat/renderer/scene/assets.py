@@ -1,23 +1,97 @@
-"""Uploads assets to the device."""
+"""The Gaussian sets and meshes of a scene on the device: uploaded once, and kept while scenes hold the same objects."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
 
-from lumisplat.device.structs.scene import GaussianData, MeshData
+from lumisplat.device.structs.scene import GaussianData, MeshData, VariedData
 from lumisplat.device.structs.shading import SplatAttributes
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.reflectance import albedo_curves
-from lumisplat.runtime.buffers import DeviceArray, device_array
+from lumisplat.renderer.scene.materials import varied_table, varies
+from lumisplat.runtime.buffers import DeviceArray, bytes_of, device_array
+from lumisplat.runtime.struct_tables import upload_table
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.materials import Material, texture_names
+from lumisplat.scene.materials import Material, MaterialPbr, texture_names
 from lumisplat.scene.mesh import Mesh
+from lumisplat.scene.scene import Scene
 
 Key = TypeVar("Key")
 TextureKey = tuple[int, tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class SplatAsset:
+    """A Gaussian set on the device, and its instances."""
+
+    gaussians: Gaussians
+    data: GaussianData
+    attributes: SplatAttributes
+    placed: tuple[int, ...]
+    """Indices of its splat instances."""
+    instance_ids: DeviceArray
+    """The same on the device."""
+
+    @property
+    def placed_count(self) -> int:
+        """Gaussians over all of its instances."""
+        return self.gaussians.count * self.instance_ids.shape[0]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of its arrays, bytes."""
+        d = self.data
+        return bytes_of(d.means, d.rotations, d.scales, d.opacities, d.sh)
+
+
+def sync_splat_assets(scene: Scene, held: list[SplatAsset], device: str) -> list[SplatAsset]:
+    """The assets of a scene, in the order of their first instances.
+
+    A set that replaces one like it, as in animations, is copied to where that was, if the device has copies at all.
+
+    Args:
+        scene: The scene whose instances place them.
+        held: Assets on the device; those no longer placed are removed from the list, and their memory freed or written
+            again, before others are uploaded: the peak is one scene, not both.
+        device: Warp device name.
+    """
+    numbers: dict[int, list[int]] = {}
+    for number, instance in enumerate(scene.splats):
+        numbers.setdefault(id(instance.gaussians), []).append(number)
+    sets = [scene.splats[placed[0]].gaussians for placed in numbers.values()]
+    known = {id(asset.gaussians): asset for asset in held if id(asset.gaussians) in numbers}
+    replaced = {
+        id(gaussians): asset
+        for asset, gaussians in zip(held, sets, strict=False)
+        if not shares_memory(device)
+        and not {id(asset.gaussians), id(gaussians)} & known.keys()
+        and are_alike(asset.gaussians, gaussians)
+    }
+    held[:] = known.values()
+    assets: list[SplatAsset] = []
+    for gaussians, placed in zip(sets, numbers.values(), strict=True):
+        asset = known.get(id(gaussians)) or replaced.pop(id(gaussians), None)
+        if asset is None or asset.placed != tuple(placed):
+            ids = DeviceArray(np.array(placed, np.int32), device=device)
+        else:
+            ids = asset.instance_ids
+        data, attributes = _on_device(gaussians, asset, device)
+        assets.append(SplatAsset(gaussians, data, attributes, tuple(placed), ids))
+    return assets
+
+
+def _on_device(gaussians: Gaussians, asset: SplatAsset | None, device: str) -> tuple[GaussianData, SplatAttributes]:
+    """A set on the device: there already, copied to where the asset is that it replaces, or in new memory."""
+    if asset is None:
+        data = upload_gaussians(gaussians, device)
+        return data, upload_attributes(gaussians, data, device)
+    if asset.gaussians is not gaussians:
+        overwrite_gaussians(asset.data, asset.attributes, gaussians)
+    return asset.data, asset.attributes
 
 
 def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
@@ -79,6 +153,60 @@ def _materials_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndar
     return [(name, wp.float32, array) for name, array in values if array is not None]
 
 
+class MeshAssets:
+    """The distinct meshes of a scene, end to end in one set of arrays.
+
+    Args:
+        device: Warp device name.
+    """
+
+    def __init__(self, device: str) -> None:
+        self._device = device
+        self._meshes: dict[int, Mesh] = {}
+        self._face_first: dict[int, int] = {}
+        self._texture_first: dict[TextureKey, int] = {}
+        self._varied: dict[int, int] = {}
+        self.data = MeshData()
+
+    def sync(self, scene: Scene) -> None:
+        """Uploads the meshes if they have changed."""
+        meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
+        if list(meshes) == list(self._meshes):
+            return
+        self._meshes, self.data = {}, MeshData()
+        self._face_first = first_of({key: mesh.face_count for key, mesh in meshes.items()})
+        self.data, self._texture_first = upload_meshes(tuple(meshes.values()), self._device)
+        self._upload_varied(meshes)
+        self._meshes = meshes
+
+    def _upload_varied(self, meshes: dict[int, Mesh]) -> None:
+        """Uploads transmission and layers of the meshes where textures vary them."""
+        materials = {key: mesh.material for key, mesh in meshes.items() if varies(mesh)}
+        self._varied = {key: 1 + number for number, key in enumerate(materials)}
+        found = [material for material in materials.values() if isinstance(material, MaterialPbr)]
+        self.data.varied = upload_table(varied_table(found, self.texture_first), VariedData, self._device)
+        if any(material.sheen_roughness_texture is not None for material in found):
+            self.data.sheen_curves = DeviceArray(albedo_curves().astype(np.float32), dtype=wp.vec4, device=self._device)
+
+    def face_first(self, mesh: Mesh) -> int:
+        """First face of a mesh in the data."""
+        return self._face_first[id(mesh)]
+
+    def varied(self, mesh: Mesh) -> int:
+        """The element of ``data.varied`` that is of a mesh; 0: no textures vary its transmission or layers."""
+        return self._varied.get(id(mesh), 0)
+
+    def texture_first(self, texture: np.ndarray) -> int:
+        """First texel of a texture in the data."""
+        return self._texture_first[texture_key(texture)]
+
+    @property
+    def bytes(self) -> int:
+        """Memory of meshes and textures, bytes."""
+        m = self.data
+        return bytes_of(m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels) if self._meshes else 0
+
+
 def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[TextureKey, int]]:
     """Uploads meshes and their textures end to end; also returns the first texel of each texture."""
     data = MeshData()
@@ -108,16 +236,6 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
 def textures_of(material: Material) -> list[Any]:
     """All textures that a material may have; None: it has no such texture."""
     return [getattr(material, name) for name in texture_names(material)]
-
-
-def upload_sheen_curves(device: str) -> DeviceArray:
-    """The table of albedos of sheen by its roughness."""
-    return DeviceArray(albedo_curves().astype(np.float32), dtype=wp.vec4, device=device)
-
-
-def upload_array(values: np.ndarray, device: str) -> DeviceArray:
-    """A copy of an array on the device."""
-    return DeviceArray(values, device=device)
 
 
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:
