@@ -29,7 +29,7 @@ from bench.timing import parser
 from lumisplat.io.images.texture import write_png
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.relighting.delight.delight import SURE
+from lumisplat.relighting.delight import SURE
 from lumisplat.relighting.irradiance import median_outgoing
 
 OUT = Path("/tmp/delighted")

@@ -108,7 +108,7 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
 
 def print_fit(folder: Path, scale: float, config: ls.TrainConfig, device: str) -> None:
     """A row for each thousand steps, and what came of it."""
-    photographs = ls.io.load_photographs(folder, scale=scale, background="black")
+    photographs = ls.io.load_training_images(folder, scale=scale, background="black")
     camera = photographs.training[0].camera
     learnt, held_out = len(photographs.training), len(photographs.held_out)
     print(f"{learnt} photographs of {camera.width} x {camera.height}, {held_out} held out")

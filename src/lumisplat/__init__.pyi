@@ -129,7 +129,7 @@ from lumisplat.io.load_save import (
     save_config as save_config,
 )
 from lumisplat.relighting.avatar_lighter import AvatarLighter as AvatarLighter
-from lumisplat.relighting.delight.delight import delight as delight
+from lumisplat.relighting.delight import delight as delight
 from lumisplat.relighting.fitting.fit_lights import fit_lights as fit_lights
 from lumisplat.relighting.probe_transfer import relight as relight
 from lumisplat.renderer.one_shot import render as render
@@ -156,7 +156,7 @@ from lumisplat.scene.animation.rigged_gaussians import (
 )
 from lumisplat.scene.camera import Camera as Camera
 from lumisplat.scene.camera import CameraModel as CameraModel
-from lumisplat.scene.editing.merge import merge as merge
+from lumisplat.scene.editing.transform import merge as merge
 from lumisplat.scene.editing.transform import transform as transform
 from lumisplat.scene.gaussians import Gaussians as Gaussians
 from lumisplat.scene.lights import (
@@ -189,20 +189,20 @@ from lumisplat.scene.materials import (
 from lumisplat.scene.materials import (
     MaterialSimple as MaterialSimple,
 )
+from lumisplat.scene.materials import TextureWrap as TextureWrap
 from lumisplat.scene.mesh import Mesh as Mesh
 from lumisplat.scene.ops.insertion import insert as insert
 from lumisplat.scene.ops.insertion import stand_on_ground as stand_on_ground
+from lumisplat.scene.ops.mesh_sampling import gaussians_from_mesh as gaussians_from_mesh
 from lumisplat.scene.ops.normals import estimate_normals as estimate_normals
 from lumisplat.scene.ops.views import frame_camera as frame_camera
 from lumisplat.scene.ops.views import orbit_cameras as orbit_cameras
 from lumisplat.scene.primitives import box as box
 from lumisplat.scene.primitives import plane as plane
 from lumisplat.scene.primitives import sphere as sphere
-from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh as gaussians_from_mesh
 from lumisplat.scene.scene import MeshInstance as MeshInstance
 from lumisplat.scene.scene import Scene as Scene
 from lumisplat.scene.scene import SplatInstance as SplatInstance
-from lumisplat.scene.textures import TextureWrap as TextureWrap
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap as DeepShadowMap
 from lumisplat.training.train import train as train
 from lumisplat.viewer.viewer import Viewer as Viewer

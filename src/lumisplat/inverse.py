@@ -1,14 +1,14 @@
 """Inverse rendering: materials of captures and images, and the lights of a scene."""
 
 from lumisplat.config import DelightConfig
-from lumisplat.relighting.delight.delight import MaterialEstimate, delight, estimate_materials
+from lumisplat.relighting.capture_measures import surface_remark
+from lumisplat.relighting.delight import MaterialEstimate, delight, estimate_materials
 from lumisplat.relighting.evaluation import MaterialEvaluation, MaterialView, RelitFigures, evaluate_materials
 from lumisplat.relighting.fitting.fit_lights import fit_lights
 from lumisplat.relighting.fitting.results import FittedView, LightFit
 from lumisplat.relighting.light_estimation import LightEstimate, estimate_lights
 from lumisplat.relighting.sun_estimation import SunEstimate, estimate_sun
-from lumisplat.relighting.surface_measure import surface_remark
-from lumisplat.training.materials.find_materials import FoundMaterials, find_materials
+from lumisplat.training.find_materials import FoundMaterials, find_materials
 
 __all__ = [
     "DelightConfig",

@@ -47,7 +47,7 @@ def test_the_table_has_means_and_the_worst(work):
     table = evaluate(work, "--hold-out", "2")
     assert list(table) == ["", "mean of 3 views", "v4", "v2", "v0"]
     assert table[""] == ["psnr", "ssim", "ms-ssim", "flip"]
-    photographs = ls.io.load_photographs(work.path("photos"), hold_out=2).held_out
+    photographs = ls.io.load_training_images(work.path("photos"), hold_out=2).held_out
     truth = shown(work)
     psnrs = [ls.metrics.psnr(truth, view.pixels()) for view in photographs]
     assert psnrs[0] > 55.0 and 20.0 < psnrs[2] < 25.0
@@ -100,7 +100,7 @@ def test_what_is_masked_does_not_count(work):
     work.run("evaluate", "@capture.ply", "@photos", "--device", "cpu", "--hold-out", "3", "-o", "@masked")
     told = {view["name"]: view for view in json.loads(work.path("masked/metrics.json").read_text())["views"]}
     assert told["v3"]["compared"] == pytest.approx(24 * 32 / (36 * 48))
-    view = ls.io.load_photographs(work.path("photos"), hold_out=3).held_out[1]
+    view = ls.io.load_training_images(work.path("photos"), hold_out=3).held_out[1]
     assert told["v3"]["psnr"] == pytest.approx(ls.metrics.psnr(shown(work), view.pixels(), region=mask > 0), abs=1e-6)
     assert told["v3"]["psnr"] == pytest.approx(float(before[0]), abs=1.0)
     difference = np.asarray(Image.open(work.path("masked/v3.png")))[:, 96:]

@@ -49,11 +49,11 @@ def test_materials_are_of_poses_that_were_refined(
 ) -> None:
     """They are found in the photographs as these stand now; figures that there are none of are null."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
-    seen: list[ls.io.Photographs] = []
+    seen: list[ls.io.TrainingImages] = []
     find = ls.inverse.find_materials
 
     def spied(
-        capture: ls.Gaussians, photographs: ls.io.Photographs, *rest: Any, **options: Any
+        capture: ls.Gaussians, photographs: ls.io.TrainingImages, *rest: Any, **options: Any
     ) -> ls.inverse.FoundMaterials:
         seen.append(photographs)
         return find(capture, photographs, *rest, **options)
@@ -63,7 +63,7 @@ def test_materials_are_of_poses_that_were_refined(
     assert main(command) == 0
     told = json.loads((tmp_path / "a.training" / "poses.json").read_text())["frames"]
     poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in told}
-    before = {one.name: one.camera.eye for one in ls.io.load_photographs(folder).training}
+    before = {one.name: one.camera.eye for one in ls.io.load_training_images(folder).training}
     assert {one.name for one in seen[0].training} == set(before)
     for one in seen[0].training:
         np.testing.assert_allclose(one.camera.eye, poses[one.name][:3, 3], atol=1e-6)

@@ -111,8 +111,8 @@ def along_rays(camera: ls.Camera, depth: np.ndarray) -> np.ndarray:
 
 
 def test_photographs_come_back(folder) -> None:
-    """`ls.io.load_photographs` has the same cameras, pixels, masks and parts."""
-    photographs = ls.io.load_photographs(folder)
+    """`ls.io.load_training_images` has the same cameras, pixels, masks and parts."""
+    photographs = ls.io.load_training_images(folder)
     learnt, held = photographs.training, photographs.held_out
     records = [record_of(folder, index) for index in range(VIEWS)]
     parts = {record["name"]: record["split"] for record in records}

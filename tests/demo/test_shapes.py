@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from lumisplat.demo import shapes
 from lumisplat.errors import SceneError
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.surface_points import welded_indices
+from lumisplat.scene.ops.surface_points import welded_indices
 from support.kinds import present
 
 BOX_VOLUME = 0.8 * 0.6 * 1.0 + 0.2 * (0.8 * 0.6 + 0.6 * 1.0 + 0.8 * 1.0) + np.pi * 0.01 * 2.4 + 4 / 3 * np.pi * 0.001

@@ -12,8 +12,8 @@ import warp as wp
 from lumisplat.device.structs.scene import WRAP_CLAMP, WRAP_MIRROR, WRAP_REPEAT, TextureData
 from lumisplat.renderer.scene.assets import pack_textures
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.sampling.surface_points import wrapped
-from lumisplat.scene.textures import TextureWrap
+from lumisplat.scene.materials import TextureWrap
+from lumisplat.scene.ops.surface_points import wrapped
 from support.probes import probe_texture_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]

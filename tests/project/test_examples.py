@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
+from lumisplat.scene.ops.mesh_sampling import gaussians_from_mesh
 from support.files.rig_files import BEND, TubeRig
 from support.kinds import expect_kind
 from support.scenes.raster_scenes import random_gaussians

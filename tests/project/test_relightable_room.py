@@ -95,7 +95,7 @@ def test_a_room_is_what_our_paths_see(tool: ModuleType, made: Path, ball: Path) 
     for one in room.meshes:
         material: Any = replace(one.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
         matt.append(ls.MeshInstance(replace(one.mesh, material=material), one.world_from_object))
-    views = ls.io.load_photographs(made).held_out
+    views = ls.io.load_training_images(made).held_out
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=256, max_bounces=15, background=None, aovs=("albedo",))
     renderer = ls.create_renderer(config, "cpu")
     for light, pictures in {"lamps": "test", "relit/window": "relit/window", "relit/evening": "relit/evening"}.items():

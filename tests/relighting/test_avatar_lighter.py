@@ -18,7 +18,7 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.relighting import avatar_lighter
 from lumisplat.relighting.probe_transfer import sun_beyond
 from lumisplat.scene.lights import Light
-from lumisplat.scene.sampling.mesh_sampling import sample_surface
+from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.shadow_maps import casters_and_receivers
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 from support.scenes.light_room import captured, lamp

@@ -12,15 +12,14 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.relighting.delight import delight as steps
-from lumisplat.relighting.delight.albedo_fit import AlikeAlbedos, Light, SkyCells, first_light
-from lumisplat.relighting.delight.delight import MaterialEstimate, is_white, lamps_of
-from lumisplat.relighting.delight.incident import IncidentRays, SurfacePoints, agreed_sides
-from lumisplat.relighting.delight.neighbours import Smoother, neighbours_of
+from lumisplat.relighting import delight as steps
+from lumisplat.relighting.albedo_fit import AlikeAlbedos, Light, SkyCells, first_light
+from lumisplat.relighting.capture_measures import measure_surface
+from lumisplat.relighting.delight import MaterialEstimate, emitters_of, is_white
+from lumisplat.relighting.incident import IncidentRays, Smoother, SurfacePoints, agreed_sides, neighbours_of
 from lumisplat.relighting.irradiance import Irradiance
-from lumisplat.relighting.surface_measure import measure_surface
+from lumisplat.scene.ops.neighbours import cross_pairs
 from lumisplat.scene.primitives import box, plane, sphere
-from lumisplat.scene.sampling.blue_noise import cross_pairs
 from support.kinds import expect_kind
 from support.scenes.path_scenes import quad
 
@@ -34,10 +33,10 @@ def colored(gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
     return replace(gaussians, sh=sh[:, None].astype(np.float32), albedo=None, roughness=None, normals=None)
 
 
-def incident_of(gaussians: ls.Gaussians, normals: np.ndarray, cells: SkyCells, lamps: np.ndarray) -> Irradiance:
+def incident_of(gaussians: ls.Gaussians, normals: np.ndarray, cells: SkyCells, emitters: np.ndarray) -> Irradiance:
     """What shines on the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, renderer, 0).incident(normals, lamps, cells, lambda _label, _share: None)
+    return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, cells)
 
 
 @pytest.fixture(scope="module")
@@ -140,14 +139,14 @@ def test_light_of_an_open_sky_and_of_a_white_furnace(ball: tuple[ls.Gaussians, n
 
 def test_a_lamp_lights_by_its_area_and_distance() -> None:
     """A small lamp above a floor: cos cos area / (pi d^2), and what is below a screen is dark."""
-    lamp = ls.transform(ls.gaussians_from_mesh(ls.plane(0.2), 60), _lifted(2.0))
+    emitter = ls.transform(ls.gaussians_from_mesh(ls.plane(0.2), 60), _lifted(2.0))
     floor = ls.gaussians_from_mesh(ls.plane(2.0), 200)
-    both = ls.merge([colored(lamp, np.ones((lamp.count, 3))), colored(floor, np.full((floor.count, 3), 0.3))])
-    normals = np.concatenate([-np.abs(np.asarray(lamp.normals)), np.abs(np.asarray(floor.normals))]).astype(float)
-    groups = lamps_of(both, is_white(both, normals))
-    assert (groups[: lamp.count] == 0).all()
-    assert (groups[lamp.count :] == -1).all()
-    shares = incident_of(both, normals, SkyCells.even(4), groups).lamps[lamp.count :, 0]
+    both = ls.merge([colored(emitter, np.ones((emitter.count, 3))), colored(floor, np.full((floor.count, 3), 0.3))])
+    normals = np.concatenate([-np.abs(np.asarray(emitter.normals)), np.abs(np.asarray(floor.normals))]).astype(float)
+    groups = emitters_of(both, is_white(both, normals))
+    assert (groups[: emitter.count] == 0).all()
+    assert (groups[emitter.count :] == -1).all()
+    shares = incident_of(both, normals, SkyCells.even(4), groups).emitters[emitter.count :, 0]
     way = np.array((0.0, 2.0, 0.0)) - floor.means
     distance = np.linalg.norm(way, axis=1)
     expected = (way[:, 1] / distance) ** 2 / distance**2
@@ -165,19 +164,19 @@ def test_the_light_of_which_albedos_agree_is_found() -> None:
     """A sky and a lamp that are known, surfaces of two albedos: both are found, to what the prior leaves."""
     cells = SkyCells.even(4)
     sky = RNG.random((900, 16)) * cells.solid_angles
-    lamps = RNG.random((900, 1))
+    emitters = RNG.random((900, 1))
     true = Light(np.full((16, 3), (0.8, 1.0, 1.3)), np.array([[6.0, 4.0, 2.0]]))
-    incident = Irradiance(np.full((900, 3), 0.1), sky.astype(np.float32), lamps.astype(np.float32))
+    incident = Irradiance(np.full((900, 3), 0.1), sky.astype(np.float32), emitters.astype(np.float32))
     albedo = np.where((np.arange(900) < 450)[:, None], (0.7, 0.4, 0.2), (0.2, 0.3, 0.6))
-    outgoing = albedo * incident.total(true.sky, true.lamps)
+    outgoing = albedo * incident.total(true.sky, true.emitters)
     rng = np.random.default_rng(0)
     pairs = np.concatenate([rng.integers(0, 450, (6000, 2)), rng.integers(450, 900, (6000, 2))])
     fit = AlikeAlbedos(outgoing, incident, pairs, cells)
     light = fit.solved(first_light(outgoing, incident))
-    found = outgoing / incident.total(light.sky, light.lamps)
+    found = outgoing / incident.total(light.sky, light.emitters)
     ratio = found / albedo
     assert (ratio.std(axis=0) / ratio.mean(axis=0)).max() < 0.02
-    assert np.allclose(light.lamps[0] / light.sky.mean(axis=0), true.lamps[0] / true.sky.mean(axis=0), rtol=0.1)
+    assert np.allclose(light.emitters[0] / light.sky.mean(axis=0), true.emitters[0] / true.sky.mean(axis=0), rtol=0.1)
 
 
 def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -401,7 +400,18 @@ def test_what_has_no_clear_surface_is_announced(capture: ls.Gaussians, fault: st
 
     with pytest.raises(KeyboardInterrupt):
         ls.delight(capture, device="cpu", progress=report)
-    assert [record.message for record in caplog.records] == [remark] and stop == ["finding surfaces"]
+    assert [record.message for record in caplog.records] == [remark] and stop == ["delighting, finding sides"]
+
+
+def test_progress_is_one_line_over_all_stages(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """It never goes back, names each stage, and ends at 1."""
+    reported: list[tuple[str, float]] = []
+    ls.delight(ball[0], ls.inverse.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
+    ours = [(label, share) for label, share in reported if label.startswith("delighting")]
+    shares = [share for _, share in ours]
+    assert shares == sorted(shares) and shares[-1] == 1.0 and len(set(shares)) > 100
+    stages = dict.fromkeys(label.partition(", ")[2] for label, _ in ours)
+    assert list(stages)[:3] == ["finding sides", "tracing the light", "finding the light"]
 
 
 @pytest.mark.parametrize("count", [64, 300, 3000])

@@ -9,9 +9,10 @@ import lumisplat as ls
 from lumisplat.constants import SPREAD_SHARE
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
-from lumisplat.relighting.delight.albedo_fit import Light, SkyCells
-from lumisplat.relighting.delight.neighbours import neighbours_of, normal_variances
-from lumisplat.relighting.delight.roughness_fit import (
+from lumisplat.relighting.albedo_fit import Light, SkyCells
+from lumisplat.relighting.incident import neighbours_of, normal_variances
+from lumisplat.relighting.irradiance import Irradiance
+from lumisplat.relighting.roughness_fit import (
     BIN_RINGS,
     BIN_SECTORS,
     ROUGHNESS_GRID,
@@ -23,11 +24,10 @@ from lumisplat.relighting.delight.roughness_fit import (
     bin_samples,
     bins_of,
     frames_of,
-    kept_by_harmonics,
+    sh_projection,
     widened,
 )
-from lumisplat.relighting.irradiance import Irradiance
-from lumisplat.scene.sampling.blue_noise import cross_pairs
+from lumisplat.scene.ops.neighbours import cross_pairs
 from support.oracles import bsdf_oracle
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -78,10 +78,10 @@ def test_frames_and_bins_agree() -> None:
 def test_harmonics_keep_what_they_can_show(lobes: Lobes) -> None:
     """Degree 1 comes through to the ridge; a function of degree 6 hardly does; degree 0 keeps the mean alone."""
     low = sh_basis(lobes.views, 1)[:, 1:]
-    assert np.abs(kept_by_harmonics(lobes.views, 3) @ low - low).max() < 0.02
+    assert np.abs(sh_projection(lobes.views, 3) @ low - low).max() < 0.02
     high = np.cos(12.0 * np.arctan2(lobes.views[:, 1], lobes.views[:, 0]))
-    assert np.square(kept_by_harmonics(lobes.views, 1) @ high).mean() < 0.1 * np.square(high).mean()
-    assert np.allclose(kept_by_harmonics(lobes.views, 0), 1.0 / len(lobes.views))
+    assert np.square(sh_projection(lobes.views, 1) @ high).mean() < 0.1 * np.square(high).mean()
+    assert np.allclose(sh_projection(lobes.views, 0), 1.0 / len(lobes.views))
 
 
 def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
@@ -96,7 +96,7 @@ def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
     incident = Irradiance(by_way.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_way)
     arriving = arriving_light(normals, cells, incident, light)
     assert arriving.shape == (9, BIN_RINGS * BIN_SECTORS, 3)
-    assert np.allclose(arriving.sum(axis=1), incident.total(light.sky, light.lamps), atol=2e-3)
+    assert np.allclose(arriving.sum(axis=1), incident.total(light.sky, light.emitters), atol=2e-3)
     local = np.einsum("nij,ki->nkj", frames_of(normals), cells.directions)
     mean = np.einsum("nqc,qk->nk", arriving, bin_samples().mean(axis=1))
     expected = np.einsum("nkc,nkj->nj", sky[..., None] * light.sky + np.swapaxes(by_way, 0, 1), local)

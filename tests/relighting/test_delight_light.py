@@ -13,9 +13,9 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions, panorama_lookup
 from lumisplat.math.sh import sh_basis
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.relighting.delight.albedo_fit import Light, SkyCells, first_light, with_typical_albedos
-from lumisplat.relighting.delight.delight import is_white, lamps_of
-from lumisplat.relighting.delight.incident import IncidentRays
+from lumisplat.relighting.albedo_fit import Light, SkyCells, first_light, with_typical_albedos
+from lumisplat.relighting.delight import emitters_of, is_white
+from lumisplat.relighting.incident import IncidentRays
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 
 LAMP, FLOOR = 60, 200
@@ -40,44 +40,44 @@ def lamp_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
     return both, np.where(down, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 
 
-def incident(gaussians: ls.Gaussians, normals: np.ndarray, lamps: np.ndarray) -> Irradiance:
+def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray) -> Irradiance:
     """What shines on the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, renderer, 0).incident(normals, lamps, SkyCells.even(8), lambda _label, _share: None)
+    return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, SkyCells.even(8))
 
 
 def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
     """What is a lamp is not seen as well: the floor sees it as white if it is none, and else nothing but the dark."""
     both, normals = lamp_over_floor()
-    groups = lamps_of(both, is_white(both, normals))
+    groups = emitters_of(both, is_white(both, normals))
     assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
     as_white, as_lamp = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
     assert as_white.observed[LAMP:].mean() > 0.03
     assert as_lamp.observed[LAMP:].mean() < 0.05 * as_white.observed[LAMP:].mean()
-    assert as_lamp.lamps[LAMP:, 0].min() > 0.0 and not as_white.lamps.size
+    assert as_lamp.emitters[LAMP:, 0].min() > 0.0 and not as_white.emitters.size
     # A lamp of the radiance that was captured shines as what was captured does: its Gaussians overlap.
-    assert np.isclose(as_lamp.lamps[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
+    assert np.isclose(as_lamp.emitters[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
     np.testing.assert_array_equal(as_lamp.sky, as_white.sky)
 
 
 def test_lamps_shine_on_one_side_and_cast_shadows() -> None:
     """What is below a screen is dark; above a lamp that faces down, as well."""
     both, normals = lamp_over_floor(screen=True)
-    groups = lamps_of(both, is_white(both, normals))
-    lit = incident(both, normals, groups).lamps[:, 0]
+    groups = emitters_of(both, is_white(both, normals))
+    lit = incident(both, normals, groups).emitters[:, 0]
     floor, screen = lit[LAMP : LAMP + FLOOR], lit[LAMP + FLOOR :]
     middle = np.abs(both.means[LAMP : LAMP + FLOOR, [0, 2]]).max(axis=1) < 0.4
     assert middle.sum() > 20 and floor[middle].max() < 0.02 * screen.max()
     above = replace(both, means=both.means + (0.0, 2.0, 0.0) * (groups < 0)[:, None])  # all but the lamp
     facing_it = np.tile([0.0, -1.0, 0.0], (both.count, 1))
-    assert not incident(above, facing_it, groups).lamps[LAMP:].any()
+    assert not incident(above, facing_it, groups).emitters[LAMP:].any()
 
 
 def test_what_does_not_show_is_no_lamp() -> None:
     """A white group of opacity 0, as formats with 8 bits have it, has no area from which light could come."""
     both, normals = lamp_over_floor()
     clear = replace(both, opacities=np.where(np.arange(both.count) < LAMP, 0.0, both.opacities))
-    assert (lamps_of(clear, is_white(clear, normals)) == -1).all()
+    assert (emitters_of(clear, is_white(clear, normals)) == -1).all()
 
 
 def test_a_sun_is_found_where_it_stands() -> None:
@@ -99,15 +99,15 @@ def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
-    outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.sky, true.lamps)
-    for start in (Light(5.0 * true.sky, true.lamps), Light(0.3 * true.sky, true.lamps)):
+    outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.sky, true.emitters)
+    for start in (Light(5.0 * true.sky, true.emitters), Light(0.3 * true.sky, true.emitters)):
         light = with_typical_albedos(start, outgoing, some)
-        lightest = (outgoing / some.total(light.sky, light.lamps)).max(axis=1)
+        lightest = (outgoing / some.total(light.sky, light.emitters)).max(axis=1)
         assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=1e-3)
         np.testing.assert_allclose(light.sky / true.sky, (light.sky / true.sky)[0, 0])
     grey = first_light(outgoing, some)
     assert np.ptp(grey.sky) == 0.0
-    lightest = (outgoing / some.total(grey.sky, grey.lamps)).max(axis=1)
+    lightest = (outgoing / some.total(grey.sky, grey.emitters)).max(axis=1)
     assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=0.01)
 
 
@@ -119,7 +119,7 @@ def test_surfaces_that_are_hidden_from_a_lamp_do_not_tell_how_bright_it_is() -> 
     hidden = np.arange(4000)[:, None] % 10 == 0
     found = lit * np.where(hidden, rng.uniform(0.1, 0.3, (4000, 1)), 1.0)
     some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), found.astype(np.float32))
-    assert first_light(outgoing, some).lamps == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
+    assert first_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
     # All Gaussians alike would have it that a lamp is brighter by far.
     wanted = (outgoing[:, 0] / 0.8 - 0.2) / found[:, 0]
     assert np.quantile(wanted, 0.95) > 60.0
@@ -132,7 +132,7 @@ def test_few_surfaces_beside_a_lamp_do_not_tell_how_bright_it_is() -> None:
     lit[:40], albedo[:40] = 2.0, 0.05
     some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), lit.astype(np.float32))
     outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
-    assert first_light(outgoing, some).lamps == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
+    assert first_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
 
 
 def test_the_image_of_a_sky_turns_with_its_light() -> None:

@@ -64,7 +64,7 @@ def show(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfi
     """Makes the true pictures anew."""
     renderer = ls.create_renderer(replace(config, background=None), "cpu")
     scene = relit_scene(ball, lights, (1.0, 1.0, 1.0), 0.5)
-    for view in ls.io.load_photographs(folder).held_out:
+    for view in ls.io.load_training_images(folder).held_out:
         write_png(folder / "relit" / "dusk" / f"{view.name}.png", over_black(renderer, scene, view.camera))
 
 
@@ -112,7 +112,7 @@ def test_masks_leave_lamps_out(folder, ball):
     """Nonsense where a mask is black changes no figure."""
     before = ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu")
     text = (folder / "transforms_test.json").read_text()
-    for view in ls.io.load_photographs(folder).held_out:
+    for view in ls.io.load_training_images(folder).held_out:
         mask = np.ones((32, 32, 3), np.float32)
         mask[12:18, 10:20] = 0.0
         write_png(folder / "truth" / f"{view.name}.png", mask)
@@ -136,11 +136,11 @@ def test_masks_leave_lamps_out(folder, ball):
 
 def test_grain_is_a_small_part_of_the_error_unless_it_is_wanted(folder, ball):
     """Three small lamps in a dark environment: 64 samples a pixel by default, also of a config that says nothing."""
-    lamps = np.full((16, 32, 3), 0.05, np.float32)
-    lamps[4, 3], lamps[6, 17], lamps[3, 25] = 60.0, 40.0, 50.0
+    file = np.full((16, 32, 3), 0.05, np.float32)
+    file[4, 3], file[6, 17], file[3, 25] = 60.0, 40.0, 50.0
     (folder / "relit" / "dusk.toml").unlink()
-    write_radiance(folder / "relit" / "dusk.exr", lamps)
-    show(folder, ball, (ls.LightEnvironment(lamps, visible=False),), replace(HYBRID, samples=256))
+    write_radiance(folder / "relit" / "dusk.exr", file)
+    show(folder, ball, (ls.LightEnvironment(file, visible=False),), replace(HYBRID, samples=256))
     default = ls.inverse.evaluate_materials(ball, folder, device="cpu")
     few = ls.inverse.evaluate_materials(ball, folder, config=replace(HYBRID, samples=8), device="cpu")
     print("grain, 64 samples:", default.relit["dusk"].psnr, "dB; 8:", few.relit["dusk"].psnr, "dB")

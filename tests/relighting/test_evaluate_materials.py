@@ -43,7 +43,7 @@ def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = 
 
 def region(folder: Path, view: str) -> np.ndarray:
     """Where the ball is."""
-    photographs = {photograph.name: photograph for photograph in ls.io.load_photographs(folder).held_out}
+    photographs = {photograph.name: photograph for photograph in ls.io.load_training_images(folder).held_out}
     alpha = photographs[view].alpha()
     assert alpha is not None
     return alpha >= 0.5
@@ -199,11 +199,11 @@ def test_what_a_set_lacks_is_said(folder, ball):
 
 def test_progress_is_told(folder, ball):
     """From 0 to 1, for layers and for relit pictures."""
-    told: list[tuple[str, float]] = []
-    ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: told.append(now))
-    assert told[0] == ("comparing layers", 0.0) and told[-1] == ("relighting", 1.0)
-    assert [done for label, done in told if label == "relighting"] == sorted(
-        done for label, done in told if label == "relighting"
+    stored: list[tuple[str, float]] = []
+    ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: stored.append(now))
+    assert stored[0] == ("comparing layers", 0.0) and stored[-1] == ("relighting", 1.0)
+    assert [done for label, done in stored if label == "relighting"] == sorted(
+        done for label, done in stored if label == "relighting"
     )
 
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.relighting.fitting.images import read_photographs
-from lumisplat.relighting.fitting.light_layers import LightLayers
+from lumisplat.relighting.fitting.light_layers import LightLayers, read_images
 from lumisplat.relighting.fitting.parameters import FitOptions, FitTask
 from lumisplat.relighting.fitting.power_fit import PowerFitter
 from lumisplat.relighting.fitting.search import slopes_of
@@ -162,7 +161,7 @@ def test_a_sun_turns():
 def test_slopes_are_those_of_finer_differences():
     """The derivative of each pixel by each coordinate: away from edges of shadows, half the step gives the same."""
     lamp = replace(three_lamps()[0], intensity=1.0)
-    scene, photographs = closed(lamp), read_photographs(view(), taken(closed(lamp), view()))
+    scene, photographs = closed(lamp), read_images(view(), taken(closed(lamp), view()))
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)
     fitter = PowerFitter(task, photographs, LightLayers(DIRECT, "cpu"))
     candidate = fitter.begin(task.scene, task.gains)

@@ -44,7 +44,7 @@ def test_the_same_shape_at_another_size_is_fine():
             device="cpu",
             environment_degree=None,
         )
-        assert fit.views[0].photograph.shape == (72, 96, 3)
+        assert fit.views[0].image.shape == (72, 96, 3)
 
 
 def test_photographs_without_light():

@@ -12,7 +12,7 @@ import lumisplat as ls
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting import sun_estimation
 from lumisplat.relighting.captured_surfaces import CapturedSurfaces, Shading, SolidCells
-from lumisplat.relighting.light_estimation import LAMP_SIGNIFICANCE
+from lumisplat.relighting.light_estimation import LIGHT_SIGNIFICANCE
 from support.kinds import expect_kind
 from support.scenes.lit_captures import lit_capture
 from support.scenes.lit_places import Point, meadow, room
@@ -144,7 +144,7 @@ def test_texture_larger_than_a_block_is_seldom_a_light() -> None:
     traces = shading.traces(rng.uniform(size=(150, 400))[blocks])
     significances = np.array([trace.significance for trace in traces])
     assert 0.8 < significances.std() < 1.25
-    assert (significances < LAMP_SIGNIFICANCE).all()
+    assert (significances < LIGHT_SIGNIFICANCE).all()
 
 
 def test_ways_end_at_solid_cells() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.up import up_vector, y_up_from
+from lumisplat.scene.placing import up_vector, y_up_from
 from support.scenes.raster_scenes import flat_sh
 
 UPS = ("y-down", "y-up", "z-up", "x-down", (0.3, -0.9, 0.2))

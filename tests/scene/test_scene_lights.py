@@ -50,6 +50,25 @@ def test_disks_move_with_what_they_belong_to() -> None:
     assert disk.radius == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(
+    ("light", "size"),
+    [
+        (ls.LightPoint((0, 3, 0), radius=0.25), 0.25),
+        (ls.LightSpot((0, 3, 0), (0, -1, 0), radius=0.25), 0.25),
+        (ls.LightSphere((0, 3, 0), 0.25), 0.25),
+        (ls.LightDisk((0, 3, 0), (0, -1, 0), 0.25), 0.25),
+        (ls.LightRect((0, 3, 0), (0.5, 0, 0), (0, 0, 0.5)), 0.5),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)
+def test_the_extent_of_a_light_is_scaled_with_what_it_belongs_to(light: Any, size: float) -> None:
+    """Of all that have an extent; intensity and position in the object are those of before."""
+    moved: Any = move_light(light, np.diag([2.0, 2.0, 2.0, 1.0]))
+    extent = np.linalg.norm(moved.edge_u) if isinstance(moved, ls.LightRect) else moved.radius
+    assert extent == pytest.approx(2.0 * size)
+    assert (moved.position, moved.intensity) == ((0.0, 6.0, 0.0), light.intensity)
+
+
 FLAT = [
     (ls.LightRect((0, 2, 0), (0.8, 0, 0), (0, 0, 0.6)), 0.48),
     (ls.LightDisk((0, 2, 0), (0, -1, 0), 0.4), math.pi * 0.16),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.triangles import check_triangles
+from lumisplat.scene.mesh import check_triangles
 
 CORNERS = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
 FACES = [[0, 1, 2]]

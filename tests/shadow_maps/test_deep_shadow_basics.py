@@ -14,7 +14,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.demo.shapes import icosphere
-from lumisplat.scene.sampling.mesh_sampling import sample_surface
+from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.shadow_maps import casters_and_receivers
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 

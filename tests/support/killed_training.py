@@ -17,9 +17,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from lumisplat.cli import main
-from lumisplat.training import run_folder, train
-from lumisplat.training.materials import find_materials
-from lumisplat.training.materials.material_fit import MaterialFit
+from lumisplat.training import find_materials, run_folder, train
+from lumisplat.training.material_fit import MaterialFit
 from lumisplat.training.trainer import Trainer
 
 

@@ -15,7 +15,7 @@ from support.oracles.particle_oracle import response
 CONFIG = TrainConfig(densification=Densification.ADAPTIVE, cap=100)
 
 
-def learnt(opacities: list[float], scales: list[float] | None = None) -> TrainedParameters:
+def parameters(opacities: list[float], scales: list[float] | None = None) -> TrainedParameters:
     """Gaussians with moments that are not 0."""
     count, rng = len(opacities), np.random.default_rng(1)
     o = np.array(opacities)
@@ -55,7 +55,7 @@ def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float, d
 
 def test_dead_gaussians_take_the_places_of_others() -> None:
     """Their number stays; who was copied, and who copied, has not moved yet; all others are untouched."""
-    before, after = learnt([0.9, 0.001, 0.5, 0.002]), learnt([0.9, 0.001, 0.5, 0.002])
+    before, after = parameters([0.9, 0.001, 0.5, 0.002]), parameters([0.9, 0.001, 0.5, 0.002])
     after = relocated(after, TrainConfig(), np.random.default_rng(0))
     assert after.count == 4 and (after.opacities > 0.005).all()
     for dead in (1, 3):
@@ -70,14 +70,14 @@ def test_dead_gaussians_take_the_places_of_others() -> None:
 def test_their_number_grows_to_the_cap_and_no_further() -> None:
     """By a twentieth at a time."""
     rng = np.random.default_rng(0)
-    assert grown(learnt([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
-    assert grown(learnt([0.5] * 100), TrainConfig(cap=102), rng).count == 102
-    assert grown(learnt([0.5] * 100), TrainConfig(cap=100), rng).count == 100
+    assert grown(parameters([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
+    assert grown(parameters([0.5] * 100), TrainConfig(cap=102), rng).count == 102
+    assert grown(parameters([0.5] * 100), TrainConfig(cap=100), rng).count == 100
 
 
 def test_small_ones_are_cloned_and_large_ones_split() -> None:
     """Where the loss pulls; a split one leaves two smaller ones within it."""
-    before = learnt([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
+    before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = Record(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
     after = multiplied(before, record, CONFIG, np.random.default_rng(0))
     assert after.count == 4 + 1 + 1
@@ -94,7 +94,7 @@ def test_small_ones_are_cloned_and_large_ones_split() -> None:
 
 def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
     """Only if it is asked for; the farther above its threshold, the sooner, whatever asks for more."""
-    before = learnt([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
+    before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = Record(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
     settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}
 
@@ -113,14 +113,14 @@ def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
 
 def test_transparent_and_oversized_ones_are_pruned() -> None:
     """All others stay, in their order."""
-    after = pruned(learnt([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
+    after = pruned(parameters([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
     np.testing.assert_allclose(after.opacities, [0.5, 0.4], rtol=1e-5)
-    assert pruned(learnt([0.5], [5.0]), extent=math.inf).count == 1
+    assert pruned(parameters([0.5], [5.0]), extent=math.inf).count == 1
 
 
 def test_a_reset_makes_all_almost_transparent() -> None:
     """Those that were more so stay; and nothing pulls them back by what was before."""
-    after = learnt([0.9, 0.006])
+    after = parameters([0.9, 0.006])
     reset(after)
     np.testing.assert_allclose(after.opacities, [0.01, 0.006], rtol=1e-4)
     assert not after.first["logits"].any() and after.first["means"].any()
@@ -132,7 +132,7 @@ def test_a_seed_gives_one_result(kind: Densification) -> None:
     config = TrainConfig(densification=kind, cap=200)
     record = Record(100, 1.0, np.linspace(0.0, 2e-3, 100), np.zeros(100))
     ones = [
-        densified(learnt([0.5, 0.003] * 50, [0.1] * 100), record, config, np.random.default_rng(seed))
+        densified(parameters([0.5, 0.003] * 50, [0.1] * 100), record, config, np.random.default_rng(seed))
         for seed in (0, 0, 1)
     ]
     assert all((ones[0].values[name] == ones[1].values[name]).all() for name in NAMES)

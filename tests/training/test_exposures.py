@@ -14,7 +14,7 @@ from lumisplat.device.structs.camera import PixelData
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures
-from lumisplat.training.photo_loss import PhotoLoss
+from lumisplat.training.losses import ImageLoss
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, cameras, known, known_learnt, views
 from training.test_photo_loss import ALPHA, ENTROPY, SIZE, SSIM, expected, images
@@ -38,7 +38,7 @@ def test_derivatives_by_exposures_colors_and_alphas() -> None:
     pixels = PixelData()
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))
-    loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
+    loss = ImageLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
     frame = ExposedFrame(launcher, buffers, exposure, BACKGROUND)
     found, gradient = loss.differentiate(SIZE, frame.of(pixels), loss.load(*wanted))
     gradient, by_exposure = frame.backward(pixels, gradient)

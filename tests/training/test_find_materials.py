@@ -15,8 +15,8 @@ from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting.irradiance import Irradiance
-from lumisplat.training.materials.lit_gaussians import ray_starts, traced_incident
-from lumisplat.training.materials.material_fit import fitted_sky, lit_white, near_pairs
+from lumisplat.training.lit_gaussians import ray_starts, traced_incident
+from lumisplat.training.material_fit import fitted_sky, lit_white, near_pairs
 from support.oracles.trace_oracle import trace_rays
 from support.scenes.lit_sphere import ball, matte, photographed
 

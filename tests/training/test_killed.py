@@ -18,7 +18,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.training import train
-from lumisplat.training.checkpoint import read_checkpoint
+from lumisplat.training.run_folder import read_checkpoint
 from support.scenes.training_scenes import folder_of
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}

@@ -18,7 +18,7 @@ from lumisplat.math.sh import even_directions
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.training.materials.lit_gaussians import IncidentRadiance, LitGaussians, Materials
+from lumisplat.training.lit_gaussians import IncidentRadiance, LitGaussians, Materials
 from support.oracles.bsdf_oracle import evaluate
 from support.oracles.lit_gaussian_oracle import Lit, lit_view, radiance
 from support.scenes.sphere import sphere_quadrature, unit

@@ -9,8 +9,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.sh import even_directions
-from lumisplat.training.materials.lit_gaussians import IncidentRadiance, Materials
-from lumisplat.training.materials.material_fit import MaterialFit
+from lumisplat.training.lit_gaussians import IncidentRadiance, Materials
+from lumisplat.training.material_fit import MaterialFit
 from lumisplat.training.views import TrainingView
 from support.scenes.lit_sphere import ball, matte, photographed
 
@@ -32,7 +32,7 @@ def fit(photographs: Path) -> MaterialFit:
     light = np.ones((COUNT, DIRECTIONS), np.float32), np.zeros((COUNT, DIRECTIONS, 3), np.float32)
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
     start = Materials(np.full((COUNT, 3), 0.5), np.full(COUNT, 0.5), normals.astype(np.float64), np.ones((12, 3)))
-    views = [TrainingView.of(one) for one in ls.io.load_photographs(photographs).training]
+    views = [TrainingView.of(one) for one in ls.io.load_training_images(photographs).training]
     config, incident = ls.config.MaterialsConfig(iterations=10), IncidentRadiance(directions, *light)
     return MaterialFit(capture, views, incident, start, config, device="cpu", threads=1, progress=None)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.training.materials import find_materials
+from lumisplat.training import find_materials
 from support.scenes.lit_sphere import ball, matte, photographed
 
 GREY = np.array([0.5, 0.4, 0.3])
@@ -154,7 +154,7 @@ def test_an_output_that_cannot_be_written_is_told_at_once(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before anything is read or found."""
-    monkeypatch.setattr(find_materials, "load_photographs", never)
+    monkeypatch.setattr(find_materials, "load_training_images", never)
     (tmp_path / "file").write_text("")
     (tmp_path / "b.environment.exr").mkdir()
     for output, problem in (

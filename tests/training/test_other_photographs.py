@@ -57,14 +57,14 @@ def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Pat
 def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
     """Each of its fields."""
     folder = write_transforms_photographs(tmp_path, ring_cameras(3))
-    photographs = ls.io.load_photographs(folder)
+    photographs = ls.io.load_training_images(folder)
     one = photographs.training[0]
     changes = changed_cameras(one.camera)
     assert set(changes) == {field.name for field in fields(ls.Camera)}
     for name, value in changes.items():
         other = replace(one, camera=replace(one.camera, **{name: value}))
         assert replace(photographs, training=(other, *photographs.training[1:])).fingerprint != photographs.fingerprint
-    assert ls.io.load_photographs(folder).fingerprint == photographs.fingerprint
+    assert ls.io.load_training_images(folder).fingerprint == photographs.fingerprint
 
 
 def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> None:
@@ -87,14 +87,14 @@ def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> N
 def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
     """Also if files have the size of before."""
     folder = write_transforms_photographs(tmp_path, ring_cameras(3))
-    found = [ls.io.load_photographs(folder).fingerprint]
+    found = [ls.io.load_training_images(folder).fingerprint]
     (folder / "masks").mkdir()
     for column in (3, 9):
         mask = np.full((30, 40), 255, np.uint8)
         mask[:, column] = 0
         Image.fromarray(mask).save(folder / "masks" / "view_1.png", compress_level=0)
-        found.append(ls.io.load_photographs(folder).fingerprint)
-    colored = replace(ls.io.load_photographs(folder), points=np.zeros((2, 3), np.float32))
+        found.append(ls.io.load_training_images(folder).fingerprint)
+    colored = replace(ls.io.load_training_images(folder), points=np.zeros((2, 3), np.float32))
     for shade in (0.0, 1.0):
         found.append(replace(colored, point_colors=np.full((2, 3), shade, np.float32)).fingerprint)
     assert len(set(found)) == 5
@@ -102,7 +102,7 @@ def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
 
 def test_a_photograph_that_is_gone_is_one_line(tmp_path: Path) -> None:
     """It is named."""
-    photographs = ls.io.load_photographs(write_transforms_photographs(tmp_path, ring_cameras(3)))
+    photographs = ls.io.load_training_images(write_transforms_photographs(tmp_path, ring_cameras(3)))
     photographs.training[1].path.unlink()
     with pytest.raises(ls.FormatError, match=r"view_2\.png: cannot be read: No such file"):
         _ = photographs.fingerprint

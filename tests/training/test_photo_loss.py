@@ -10,7 +10,7 @@ from scipy.ndimage import correlate1d
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.training.photo_loss import Loss, PhotoLoss
+from lumisplat.training.losses import ImageLoss, Loss
 
 SIZE = 23, 17
 """Width and height; the window of 11 pixels reaches across both borders at once."""
@@ -36,7 +36,7 @@ def differentiate(
 ) -> tuple[Loss, np.ndarray, np.ndarray]:
     """The loss of a frame, and its derivatives by colour and alpha."""
     launcher, buffers = Launcher("cpu", threads, parallel=parallel), Buffers("cpu")
-    loss = PhotoLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
+    loss = ImageLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
     pixels = PixelData()
     pixels.color = buffers.upload("color", wp.vec3, color.astype(np.float32).reshape(-1, 3))
     pixels.alpha = buffers.upload("alpha", wp.float32, alpha.astype(np.float32).reshape(-1))

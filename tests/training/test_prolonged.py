@@ -14,7 +14,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.training import train
-from lumisplat.training.checkpoint import read_checkpoint
+from lumisplat.training.run_folder import read_checkpoint
 from lumisplat.training.train import training_frame
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
@@ -32,7 +32,7 @@ def checkpoint_of(output: Path) -> Path:
 def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """From its checkpoint, by the rates of the new number; one line says so, and it leaves what it should."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
-    photographs = ls.io.load_photographs(folder, background="black")
+    photographs = ls.io.load_training_images(folder, background="black")
     ls.train(photographs, SHORT, output=output, device="cpu")
     state, _ = read_checkpoint(checkpoint_of(output), SHORT, photographs.fingerprint)
     frame, views = training_frame(photographs), [TrainingView.of(one) for one in photographs.training]

@@ -22,12 +22,12 @@ from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_l
 def test_largest_weights_are_those_of_frames(threads: int) -> None:
     """Each Gaussian's weight in each pixel is a feature that it alone has; one that no camera sees has none."""
     given = views(3, 45)
-    learnt = known_learnt().rows(np.arange(30))
-    learnt.values["means"][4] = (0.0, 50.0, 0.0)
-    learnt.values["logits"][5] = -4.0
+    parameters = known_learnt().rows(np.arange(30))
+    parameters.values["means"][4] = (0.0, 50.0, 0.0)
+    parameters.values["logits"][5] = -4.0
     config = ls.TrainConfig(cap=30, sh_degree=1)
     one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu", threads=threads)
-    one._place(TrainedParameters.new(learnt.values))
+    one._place(TrainedParameters.new(parameters.values))
     found = one.largest_weights()
     renderer, expected = ls.DifferentiableRenderer(ls.RenderConfig(), "cpu"), np.zeros(30)
     for view in given:
@@ -62,11 +62,11 @@ def test_largest_weights_of_rays_are_those_of_frames(
             replace(view, camera=replace(view.camera, camera_from_world_end=end))
             for view, end in zip(given, ends, strict=True)
         ]
-    learnt = known_learnt().rows(np.arange(8))
-    learnt.values["means"][4] = (0.0, 50.0, 0.0)
+    parameters = known_learnt().rows(np.arange(8))
+    parameters.values["means"][4] = (0.0, 50.0, 0.0)
     config = ls.TrainConfig(cap=8, sh_degree=1, **settings)
     one = Trainer(given, config, points=known().means[:8], device="cpu", threads=2)
-    one._place(TrainedParameters.new(learnt.values))
+    one._place(TrainedParameters.new(parameters.values))
     found, expected = one.largest_weights(), np.zeros(8)
     renderer = ls.create_renderer(ls.RenderConfig(**frames, lighting=False), "cpu")
     for number in range(8):

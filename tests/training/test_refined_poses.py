@@ -176,7 +176,7 @@ def test_bits_do_not_depend_on_threads() -> None:
         for _ in range(config.iterations):
             one.step()
         state = one.checkpoint
-        found.append({**state.learnt.values, **state.of_photographs, "weights": one.largest_weights()})
+        found.append({**state.parameters.values, **state.per_image, "weights": one.largest_weights()})
     for other in found[1:]:
         for name, values in found[0].items():
             np.testing.assert_array_equal(other[name], values, err_msg=name)

@@ -13,10 +13,10 @@ from bench import known_surfaces
 import lumisplat as ls
 from lumisplat.constants import SURFACE_ALPHA
 from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.training.backends import TrainingRaster
 from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.surface_kernels import SURFACE_SPREAD, SURFACE_VARIANCE_MIN
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.training_raster import TrainingRaster
 from lumisplat.training.views import Picture, TrainingView
 from support.oracles.gradient_oracle import Loss, Parameters, differences, surfaces
 from support.oracles.smoothness_oracle import smoothness
@@ -169,8 +169,8 @@ def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
     expected = np.zeros_like(scales)
     expected[np.arange(len(scales)), scales.argmin(axis=1)] = FLATNESS / (len(scales) * one.around.extent)
     np.testing.assert_allclose(found["scales"], expected, rtol=1e-5)
-    one._place(one._learnt().rows(np.arange(len(scales))))
-    means = one._learnt().values
+    one._place(one._parameters().rows(np.arange(len(scales))))
+    means = one._parameters().values
     means["means"][3] = (0.0, 0.0, -9.0)  # behind the camera
     one._place(TrainedParameters.new(means))
     _, found = found_by(one)

@@ -16,7 +16,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.training import train
-from lumisplat.training.initial import Surroundings, neighbour_distances
+from lumisplat.training.parameters import Surroundings, neighbour_distances
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
 from support.scenes.training_scenes import BACKGROUND, cameras, folder_of, known, views
@@ -32,7 +32,7 @@ def trainer(config: ls.TrainConfig = CONFIG, threads: int | None = None, count: 
 def arrays(of: Trainer) -> dict[str, np.ndarray]:
     """Everything that the next step depends on."""
     state = of.checkpoint
-    parts = {"values": state.learnt.values, "first": state.learnt.first, "second": state.learnt.second}
+    parts = {"values": state.parameters.values, "first": state.parameters.first, "second": state.parameters.second}
     return {f"{part}.{name}": values for part, held in parts.items() for name, values in held.items()}
 
 
@@ -125,19 +125,19 @@ def test_what_is_written_makes_the_same_training_again(tmp_path: Path) -> None:
     """From the settings of its folder alone, the same bits."""
     folder, outputs = folder_of(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
     config = replace(CONFIG, iterations=6, seed=3, rates=ls.config.LearningRates(sh=0.004))
-    first = ls.io.load_photographs(
+    first = ls.io.load_training_images(
         os.path.relpath(folder), scale=0.5, hold_out=4, background="#1a334d", allow_outside=True
     )
     ls.train(first, config, output=outputs[0], device="cpu")
     told = tomllib.loads((tmp_path / "a.training" / "settings.toml").read_text())
     assert list(told) == ["photographs", "train"] and told["photographs"]["folder"] == str(folder)
-    again = ls.io.load_photographs(**told["photographs"])
+    again = ls.io.load_training_images(**told["photographs"])
     rates = ls.config.LearningRates(**told["train"].pop("rates"))
     ls.train(again, ls.TrainConfig(**told["train"], rates=rates), output=outputs[1], device="cpu")
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
     assert again.read_from == first.read_from and len(again.held_out) == 3
-    see_through = ls.io.load_photographs(folder)
-    assert ls.io.load_photographs(folder, background="transparent").read_from == see_through.read_from
+    see_through = ls.io.load_training_images(folder)
+    assert ls.io.load_training_images(folder, background="transparent").read_from == see_through.read_from
     ls.train(see_through, config, output=tmp_path / "c.ply", device="cpu")
     assert 'background = "transparent"' in (tmp_path / "c.training" / "settings.toml").read_text()
     ls.train(replace(first, read_from=None), config, output=tmp_path / "d.ply", device="cpu")

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.io.training_images.loading import count_places, count_poses
-from lumisplat.training.initial import enough_points
+from lumisplat.io.training_images.loading import count_poses, count_positions
+from lumisplat.training.parameters import enough_points
 from support.files.photograph_files import write_transforms_photographs
 from support.scenes.training_scenes import cameras, folder_of
 
@@ -89,11 +89,11 @@ def test_places_and_poses_are_told_apart() -> None:
         eyes = scale * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         ahead = [ls.Camera.look_at(eye, eye + np.array((0.0, 0.0, scale))) for eye in eyes]
         aside = [ls.Camera.look_at(eye, eye + np.array((0.3 * scale, 0.0, scale))) for eye in eyes]
-        assert (count_places([*ahead, *aside]), count_poses([*ahead, *aside])) == (3, 6)
+        assert (count_positions([*ahead, *aside]), count_poses([*ahead, *aside])) == (3, 6)
         again = [*ahead, *aside, *ahead]
-        assert (count_places(again), count_poses(again)) == (3, 6)
-        assert (count_places([ahead[0]] * 4), count_poses([ahead[0]] * 4)) == (1, 1)
-        assert (count_places([ahead[1], aside[1]]), count_poses([ahead[1], aside[1]])) == (1, 2)
+        assert (count_positions(again), count_poses(again)) == (3, 6)
+        assert (count_positions([ahead[0]] * 4), count_poses([ahead[0]] * 4)) == (1, 1)
+        assert (count_positions([ahead[1], aside[1]]), count_poses([ahead[1], aside[1]])) == (1, 2)
 
 
 def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path) -> None:

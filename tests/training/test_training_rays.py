@@ -59,7 +59,7 @@ def test_what_is_compared_is_what_every_renderer_shows() -> None:
     check_frame(one, camera)
     state = one.checkpoint
     fewer = {name: values[:50] for name, values in state.record.items()}
-    one.restore(replace(state, learnt=state.learnt.rows(np.arange(50)), record=fewer))
+    one.restore(replace(state, parameters=state.parameters.rows(np.arange(50)), record=fewer))
     check_frame(one, camera)
     one.step()
     check_frame(one, camera)
@@ -100,9 +100,9 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
     for one in made:
         for _ in range(40):
             one.step()
-    first = made[0].checkpoint.learnt
+    first = made[0].checkpoint.parameters
     for other in made[1:]:
-        for name, values in other.checkpoint.learnt.values.items():
+        for name, values in other.checkpoint.parameters.values.items():
             np.testing.assert_array_equal(values, first.values[name], err_msg=name)
 
 
@@ -112,7 +112,7 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known(), kernel_degree=4), some)]
     folder = tmp_path / "set"
     write_transforms_photographs(folder, some, frames)
-    view = ls.io.load_photographs(folder, straighten=False).training[3]
+    view = ls.io.load_training_images(folder, straighten=False).training[3]
     assert view.camera.model is ls.CameraModel.FISHEYE and view.camera.is_distorted
     np.testing.assert_allclose(view.pixels(), frames[4], atol=0.003)
     mask = view.mask()

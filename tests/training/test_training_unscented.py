@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.runtime.buffers import device_array
-from lumisplat.training.initial import Surroundings, random_points
+from lumisplat.training.parameters import Surroundings, random_points
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
 from support.files.photograph_files import write_transforms_photographs
@@ -66,7 +66,7 @@ def test_what_is_compared_is_what_every_renderer_shows() -> None:
     check_frame(one, camera)
     state = one.checkpoint
     fewer = {name: values[:50] for name, values in state.record.items()}
-    one.restore(replace(state, learnt=state.learnt.rows(np.arange(50)), record=fewer))
+    one.restore(replace(state, parameters=state.parameters.rows(np.arange(50)), record=fewer))
     check_frame(one, camera)
     one.step()
     check_frame(one, camera)
@@ -125,9 +125,9 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
     for one in made:
         for _ in range(40):
             one.step()
-    first = made[0].checkpoint.learnt
+    first = made[0].checkpoint.parameters
     for other in made[1:]:
-        for name, values in other.checkpoint.learnt.values.items():
+        for name, values in other.checkpoint.parameters.values.items():
             np.testing.assert_array_equal(values, first.values[name], err_msg=name)
 
 
@@ -141,7 +141,10 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     black = replace(FRAMES, background=(0.0, 0.0, 0.0))
     asset = ls.load(tmp_path / "a.ply")
     assert isinstance(asset, ls.Gaussians)
-    shown, photograph = seen(asset, some[:1], black)[0], ls.io.load_photographs(folder, straighten=False).held_out[0]
+    shown, photograph = (
+        seen(asset, some[:1], black)[0],
+        ls.io.load_training_images(folder, straighten=False).held_out[0],
+    )
     assert photograph.camera.is_distorted
     found = ls.metrics.psnr(np.clip(shown, 0.0, 1.0), photograph.pixels())
     assert result.score.of_views[photograph.name] == pytest.approx(found, abs=0.05)

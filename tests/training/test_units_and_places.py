@@ -24,14 +24,14 @@ def moved(camera: ls.Camera, unit: float, place: np.ndarray) -> ls.Camera:
     return replace(camera, camera_from_world=pose)
 
 
-def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.Photographs:
+def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
     """A ring of cameras around points, as COLMAP would have written it."""
     cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
     known = unit * POINTS + place if points else POINTS[:0]
-    return ls.io.load_photographs(write_colmap_photographs(folder, cameras, known), hold_out=3)
+    return ls.io.load_training_images(write_colmap_photographs(folder, cameras, known), hold_out=3)
 
 
-def trained(photographs: ls.io.Photographs, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
+def trained(photographs: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
     """What comes of it."""
     return ls.train(photographs, config, device="cpu")
 

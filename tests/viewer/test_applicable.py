@@ -14,11 +14,9 @@ from test_viewer import camera, eventually, lit_scene, settled
 
 import lumisplat as ls
 from lumisplat.renderer.checks import check_projection
-from lumisplat.viewer.frames.renderers import frame_config
-from lumisplat.viewer.panels.controls import shown_settings
-from lumisplat.viewer.panels.settings import SettingsPanel
-from lumisplat.viewer.state.applicable import shown_views, unused_settings
-from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.frames.loop import frame_config
+from lumisplat.viewer.panels.controls import SettingsPanel, shown_settings
+from lumisplat.viewer.session import Options, Session, State, shown_views, unused_settings
 from lumisplat.viewer.words import page_words
 from support.viewer.page_client import PageClient
 

@@ -20,7 +20,7 @@ from PIL import Image
 from test_viewer import HEIGHT, LAMP, PATIENCE_S, difference, document_in, eventually, lamp_id, lit_scene
 
 import lumisplat as ls
-from lumisplat.viewer.state.flight import keys_of
+from lumisplat.viewer.panels.video import keys_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]

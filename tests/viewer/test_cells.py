@@ -22,8 +22,7 @@ from test_viewer import HEIGHT, UP, difference, eventually, lit_scene, page_thre
 import lumisplat as ls
 from lumisplat.viewer import notebook as notebook_cells
 from lumisplat.viewer.frames.page import Shown
-from lumisplat.viewer.notebook import CellScreen, Notebook
-from lumisplat.viewer.orbit import ELEVATION_MAX, Hand, Orbit
+from lumisplat.viewer.notebook import ELEVATION_MAX, CellScreen, Notebook, Orbit, PointerControl
 
 WIDGET = "application/vnd.jupyter.widget-view+json"
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
@@ -38,17 +37,17 @@ def seen_at(orbit: Orbit, point: Any) -> np.ndarray:
     return np.array([camera.fx * x / z, camera.fy * y / z]) / 100.0
 
 
-def hand(orbit: Orbit | None = None) -> Hand:
+def hand(orbit: Orbit | None = None) -> PointerControl:
     """A hand on a frame of 640 x 360."""
-    return Hand(orbit or Orbit.of(EYE, TARGET, UP, 0.8), 1.0, 640.0, 360.0)
+    return PointerControl(orbit or Orbit.of(EYE, TARGET, UP, 0.8), 1.0, 640.0, 360.0)
 
 
-def pressed(mouse: Hand, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()) -> Any:
+def pressed(mouse: PointerControl, across: float, down: float, button: int = 1, modifiers: tuple[str, ...] = ()) -> Any:
     """What a drag from the middle of the frame gives."""
     held: dict[str, Any] = {"button": button, "modifiers": modifiers}
-    mouse.feel({"type": "pointer_down", "x": 320.0, "y": 180.0, **held})
-    mouse.feel({"type": "pointer_move", "x": 320.0 + across, "y": 180.0 + down, **held})
-    return mouse.feel({"type": "pointer_up", "x": 320.0 + across, "y": 180.0 + down, **held})
+    mouse.handle({"type": "pointer_down", "x": 320.0, "y": 180.0, **held})
+    mouse.handle({"type": "pointer_move", "x": 320.0 + across, "y": 180.0 + down, **held})
+    return mouse.handle({"type": "pointer_up", "x": 320.0 + across, "y": 180.0 + down, **held})
 
 
 @pytest.mark.parametrize("up", [UP, TILTED])
@@ -134,20 +133,20 @@ def test_other_buttons_and_shift_move(button: int, modifiers: tuple[str, ...]) -
 def test_a_press_without_a_way_is_a_click() -> None:
     """At its share of the frame as it is now; a drag is none, nor is another button, nor a release without a press."""
     mouse = hand()
-    mouse.feel({"type": "resize", "width": 960.0, "height": 240.0})
+    mouse.handle({"type": "resize", "width": 960.0, "height": 240.0})
     assert mouse.aspect == 4.0 and pressed(mouse, 0.0, 0.0) == (320.0 / 960.0, 180.0 / 240.0)
     assert pressed(mouse, 30.0, 0.0) is None and pressed(mouse, 0.0, 0.0, button=2) is None
-    assert mouse.feel({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
+    assert mouse.handle({"type": "pointer_up", "x": 1.0, "y": 1.0, "button": 1, "modifiers": ()}) is None
 
 
 def test_moves_without_a_press_and_unknown_events_do_nothing() -> None:
     """Keys and pointers that pass by leave the camera alone; the wheel does not."""
     mouse = hand()
     start = mouse.orbit
-    mouse.feel({"type": "pointer_move", "x": 5.0, "y": 9.0, "button": 0, "modifiers": ()})
-    mouse.feel({"type": "key_down", "key": "a", "modifiers": ()})
+    mouse.handle({"type": "pointer_move", "x": 5.0, "y": 9.0, "button": 0, "modifiers": ()})
+    mouse.handle({"type": "key_down", "key": "a", "modifiers": ()})
     assert mouse.orbit == start
-    mouse.feel({"type": "wheel", "dy": 100.0})
+    mouse.handle({"type": "wheel", "dy": 100.0})
     assert mouse.orbit.distance > start.distance and mouse.orbit.target == start.target
 
 
@@ -362,7 +361,7 @@ def test_what_is_closed_leaves_no_thread(what: str, notebook: Any) -> None:
         viewer.show(ls.Scene())
     viewer.close()
     assert "closed" in line_of(viewer) and viewer.url not in line_of(viewer)
-    assert not viewer._session.errors or cell.tell not in viewer._session.errors
+    assert not viewer._session.errors or cell.notify not in viewer._session.errors
     eventually(
         lambda: not [t for t in set(threading.enumerate()) - threads if t.name.startswith("lumisplat")],
         "a thread is left",

@@ -11,11 +11,12 @@ import pytest
 from test_viewer import lit_scene
 
 import lumisplat as ls
-from lumisplat.viewer.panels.video import keys_html, video_cameras
-from lumisplat.viewer.state.flight import (
+from lumisplat.viewer.panels.video import (
     Key,
     camera_of,
+    keys_html,
     keys_of,
+    video_cameras,
     with_key,
     with_key_moved,
     without_flight,

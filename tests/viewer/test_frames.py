@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step
-from lumisplat.viewer.frames.page import page_depth, split_picture
+from lumisplat.viewer.frames.loop import THREAD, Renderers, frame_config
+from lumisplat.viewer.frames.page import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step, page_depth, split_picture
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.frames.renderers import THREAD, Renderers, frame_config
 from lumisplat.viewer.frames.shown_scenes import Levels
-from lumisplat.viewer.gizmos_and_picking.overlays import box_outline, draw_outlines, light_outline
-from lumisplat.viewer.gizmos_and_picking.picking import picked
-from lumisplat.viewer.state.scene_extent import Extent, world_corners
+from lumisplat.viewer.overlays import box_outline, draw_outlines, light_outline
+from lumisplat.viewer.picking import picked
+from lumisplat.viewer.scene_extent import Extent, world_corners
 from lumisplat.viewer.thresholds import DEPTH_STRIDE, LEVEL_GAUSSIANS_MIN
 
 FACING = ls.Camera.look_at((0.0, 0.0, -4.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), width=160, height=90)
@@ -39,7 +38,7 @@ def costs(full: float) -> dict[Step, float]:
 
 def test_steps_leave_out_gaussians_first_and_pixels_second() -> None:
     """Each is coarser than the one before; pixels go once there is a level of a quarter."""
-    assert BY_GAUSSIANS[0].is_full and BY_GAUSSIANS[1] == Step(1, 1.0) and BY_GAUSSIANS[2].scale < 1.0
+    assert BY_GAUSSIANS[0] == Step(0, 1.0) and BY_GAUSSIANS[1] == Step(1, 1.0) and BY_GAUSSIANS[2].scale < 1.0
     for finer, coarser in itertools.pairwise(BY_GAUSSIANS):
         assert coarser.level >= finer.level and coarser.scale <= finer.scale and coarser != finer
     assert all(step.level == 0 for step in BY_PIXELS)
@@ -57,7 +56,7 @@ def test_a_pace_keeps_its_budget_and_wastes_little(full: float) -> None:
 
 def test_a_pace_does_not_flicker() -> None:
     """Where two steps are on both sides of the budget, it seldom changes between them."""
-    taken = paced({step: 45.0 if step.is_full else 25.0 for step in BY_GAUSSIANS}, 40.0, 400)[50:]
+    taken = paced({step: 45.0 if step == BY_GAUSSIANS[0] else 25.0 for step in BY_GAUSSIANS}, 40.0, 400)[50:]
     changes = sum(a != b for a, b in itertools.pairwise(taken))
     assert changes <= 0.06 * len(taken)
 

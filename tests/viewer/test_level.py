@@ -14,10 +14,10 @@ from test_viewer import HEIGHT, settled
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import ASPECT, FirstView
-from lumisplat.viewer.outliner.adding import with_sky
-from lumisplat.viewer.outliner.level_panel import ground_normal
-from lumisplat.viewer.state.session import Session
-from lumisplat.viewer.state.sun import sun_angles
+from lumisplat.viewer.panels.adding import with_sky
+from lumisplat.viewer.panels.inspector import sun_angles
+from lumisplat.viewer.panels.outliner import ground_normal
+from lumisplat.viewer.session import Session
 from support.files.hdr_files import write_hdr
 from support.viewer.page_client import PageClient
 

@@ -13,7 +13,7 @@ from PIL import Image
 from test_viewer import HEIGHT, camera, cloud, eventually, lit_scene, settled
 
 import lumisplat as ls
-from lumisplat.viewer.output import capture_page
+from lumisplat.viewer.panels.background_jobs import capture_page
 from support.viewer.page_client import PageClient
 
 CONFIG = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
@@ -102,11 +102,11 @@ def test_work_can_be_cancelled_and_other_work_waits(viewer: ls.Viewer, page: Pag
     """A picture of a great many samples ends when it is told to; while it goes on, no other is begun."""
     page.choose("samples per pixel", 60000, folder="images")
     page.press("render image")
-    eventually(lambda: bool(viewer._loop._errands), "it did not begin")
+    eventually(lambda: bool(viewer._loop._background), "it did not begin")
     page.press("render image")
     eventually(lambda: any("cancel it" in note for note in page.notes()), "nobody was told")
     page.press("cancel")
-    eventually(lambda: not viewer._loop._errands, "it did not end")
+    eventually(lambda: not viewer._loop._background, "it did not end")
     assert not page.downloads()
 
 
@@ -119,7 +119,7 @@ def test_work_that_is_not_done_does_not_keep_a_viewer_open() -> None:
         settled(viewer, page)
         page.choose("samples per pixel", 60000, folder="images")
         page.press("render image")
-        eventually(lambda: bool(viewer._loop._errands), "it did not begin")
+        eventually(lambda: bool(viewer._loop._background), "it did not begin")
         viewer.close()
     assert not viewer._loop._thread.is_alive()
 

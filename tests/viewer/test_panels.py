@@ -18,37 +18,41 @@ from lumisplat.config.checks import Range
 from lumisplat.config.setting import Setting, frozen, given
 from lumisplat.io.load_save import USD
 from lumisplat.scene.checks import UNIT_COLOR
-from lumisplat.viewer.colors import color_of_temperature, linear_from_picked, picked_from_linear
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.gizmos_and_picking.gizmo import Drag, dragged, grip_of
-from lumisplat.viewer.gizmos_and_picking.overlays import grid_outline, with_insets
-from lumisplat.viewer.outliner import adding
-from lumisplat.viewer.outliner.adding import AddPanel, free_name, light_tables, with_sky
-from lumisplat.viewer.outliner.inspector import (
-    crop_ends,
-    crop_reach,
-    crop_table,
-    cropped,
-    light_fields,
-    look_of,
-    put_field,
-)
-from lumisplat.viewer.outliner.outliner import on_ground, tree_html
+from lumisplat.viewer.gizmo import Drag, dragged, grip_of
+from lumisplat.viewer.overlays import grid_outline, with_insets
+from lumisplat.viewer.panels import adding
+from lumisplat.viewer.panels.adding import AddPanel, free_name, light_tables, with_sky
 from lumisplat.viewer.panels.buttons import plain
 from lumisplat.viewer.panels.controls import (
+    color_of_temperature,
     from_shown,
     hint_of,
     label_of,
+    linear_from_picked,
+    picked_from_linear,
     shown_number,
     shown_settings,
     to_shown,
     unrounded,
 )
 from lumisplat.viewer.panels.files import command_line
+from lumisplat.viewer.panels.inspector import (
+    crop_ends,
+    crop_reach,
+    crop_table,
+    cropped,
+    direction_of_angles,
+    direction_of_hour,
+    light_fields,
+    look_of,
+    put_field,
+    sun_angles,
+)
+from lumisplat.viewer.panels.outliner import on_ground, tree_html
 from lumisplat.viewer.panels.viewing import selected_ball
-from lumisplat.viewer.state.scene_extent import Boxes, Extent, pose_of, world_corners
-from lumisplat.viewer.state.session import Options, Session, State, within_memory
-from lumisplat.viewer.state.sun import direction_of_angles, direction_of_hour, sun_angles
+from lumisplat.viewer.scene_extent import Boxes, Extent, pose_of, world_corners
+from lumisplat.viewer.session import Options, Session, State, within_memory
 from support.files.hdr_files import write_hdr
 from support.scenes.raster_scenes import random_gaussians
 

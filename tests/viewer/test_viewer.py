@@ -25,7 +25,7 @@ from lumisplat.viewer.frames.page import BrowserScreen, Page
 from lumisplat.viewer.frames.pose import Pose
 from lumisplat.viewer.panels.files import command_line
 from lumisplat.viewer.server import event_queue
-from lumisplat.viewer.state.session import State
+from lumisplat.viewer.session import State
 from support.viewer.page_client import PageClient
 
 HEIGHT = 90

@@ -118,12 +118,12 @@ def bake(
     viewer.enter(scene, _extent(scene), progress)
     if not viewer.is_lit:
         raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
-    together = sum(one.gaussians.count for one in scene.splats if is_relit(one))
-    ways = SampleRays.room(together, directions)
+    joint = sum(one.gaussians.count for one in scene.splats if is_relit(one))
+    ways = SampleRays.room(joint, directions)
     baker = _Baker(viewer, settings, progress, scene.gaussian_count, ways)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
     back = LocalFrame(-frame.origin)
-    return back.scene(Scene(baker.seen_together(scene, splats), up=scene.up))
+    return back.scene(Scene(baker.fitted_together(scene, splats), up=scene.up))
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,20 +197,20 @@ class _Baker:
         baked = replace(instance.gaussians, sh=read_only_view(joined), albedo=None, roughness=None, metallic=None)
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
 
-    def seen_together(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
+    def fitted_together(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
         """The sets, with harmonics of relit ones changed such that blends of them show what frames do."""
         if not self.ways_put:
             return splats
         terms = (self.settings.degree + 1) ** 2
         config = replace(self.settings.config, samples=self.settings.samples)
-        together = JointShFit(scene, config, self.settings.exposure, self.viewer.launcher)
+        joint = JointShFit(scene, config, self.settings.exposure, self.viewer.launcher)
         known = np.zeros((scene.gaussian_count, terms, 3))
         firsts = np.cumsum([0, *(one.gaussians.count for one in splats)])
         rows = [slice(*ends) for ends in itertools.pairwise(firsts)]
         relit = [is_relit(one) for one in scene.splats]
         for row, one in itertools.compress(zip(rows, splats, strict=True), relit):
             known[row] = one.gaussians.sh
-        changed = together.changed(known, self.ways, self.progress).astype(np.float32)
+        changed = joint.changed(known, self.ways, self.progress).astype(np.float32)
         return [
             replace(one, gaussians=replace(one.gaussians, sh=read_only_view(changed[row]))) if is_one else one
             for one, row, is_one in zip(splats, rows, relit, strict=True)

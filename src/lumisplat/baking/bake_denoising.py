@@ -69,10 +69,10 @@ def denoised_by_rays(halves: Doubles, found: Doubles, base: Doubles, seen: SeenW
     both = found.sum(axis=0)
     own = np.where(found > 0.0, halves / np.maximum(found, 1e-12), halves.sum(axis=0) / np.maximum(both, 1e-12))
     own = np.where(both > 0.0, own, shared)
-    told = (found > 0.0).all(axis=0).astype(np.float64)  # by the difference of halves, where each has met something
+    is_known = (found > 0.0).all(axis=0).astype(np.float64)  # by the difference of halves, where each has met something
     least = np.maximum(base, SHARED_COLOR_MIN)
     unlike, difference = (own - shared).mean(axis=0) / least, 0.5 * (own[0] - own[1]) / least
-    squares = told * np.stack([np.square(one).sum(axis=1) for one in (difference, unlike)], axis=1)
+    squares = is_known * np.stack([np.square(one).sum(axis=1) for one in (difference, unlike)], axis=1)
     noise, spread = seen.mean_of(squares).T
     kept = np.clip(slope * (1.0 - noise / np.maximum(spread, 1e-300)), 0.0, 1.0)[:, None]
     return shared + seen.blended(kept) / weight * (own - shared)

@@ -24,10 +24,10 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.materials import is_relit, material_of, shading_overrides
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.lights import AreaLight, Light
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.ops.colors import base_colors
+from lumisplat.scene.ops.neighbours import morton_order
 from lumisplat.scene.scene import Scene, SplatInstance
 
 RAYS_A_DIRECTION = 2

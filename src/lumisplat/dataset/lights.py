@@ -15,11 +15,11 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import axis_rotation, multiply_quaternions, quaternions_from_matrices
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightPoint
 
-_LAMP_TRIES = 32
+_LIGHT_TRIES = 32
 """Places that are tried for a lamp in a scene's free space; the last one is taken anyway."""
-_LAMP_NEAREST = 0.25
+_LIGHT_NEAREST = 0.25
 """Lamps nearer to the middle than this share of the diagonal are as bright as if they were so far away."""
-_LAMP_ROOM = 0.01
+_LIGHT_ROOM = 0.01
 """Free space around a lamp, as a share of the diagonal."""
 
 
@@ -61,7 +61,7 @@ class Lighter:
         which, sky = draws.unit(), draws.between(config.sky)
         sky_color = self._color(draws)
         suns = [self._sun(draws, number) for number in range(draws.whole(self._suns))]
-        lamps = [self._lamp(draws, number) for number in range(draws.whole(config.lamps))]
+        lamps = [self._point_light(draws, number) for number in range(draws.whole(config.lamps))]
         lights = [self._turned(light, angle, brightness) for light in self._own if not self._is_replaced(light)]
         if self._environments:
             chosen = self._environments[int(which * len(self._environments))]
@@ -100,9 +100,9 @@ class Lighter:
             name=f"sun {number}",
         )
 
-    def _lamp(self, draws: Draws, number: int) -> LightPoint:
-        position = self._lamp_place(draws)
-        distance = max(float(np.linalg.norm(position - self._space.middle)), _LAMP_NEAREST * self._space.diagonal)
+    def _point_light(self, draws: Draws, number: int) -> LightPoint:
+        position = self._light_position(draws)
+        distance = max(float(np.linalg.norm(position - self._space.middle)), _LIGHT_NEAREST * self._space.diagonal)
         return LightPoint(
             position=tuple(position),
             color=self._color(draws),
@@ -110,7 +110,7 @@ class Lighter:
             name=f"lamp {number}",
         )
 
-    def _lamp_place(self, draws: Draws) -> Doubles:
+    def _light_position(self, draws: Draws) -> Doubles:
         """Above and around the scene, or in the upper half of its free space."""
         space = self._space
         if self._where is PosePlaces.DOME:
@@ -118,11 +118,11 @@ class Lighter:
             direction += (abs(direction @ space.up) - direction @ space.up) * space.up
             return space.middle + draws.between((0.6, 1.2)) * space.diagonal * direction
         place = space.middle
-        for _ in range(_LAMP_TRIES):
+        for _ in range(_LIGHT_TRIES):
             place = space.low + draws.units(3) * (space.high - space.low)
             height = space.bottom + draws.between((0.5, 0.95)) * (space.top - space.bottom)
             place = place + (height - place @ space.up) * space.up
-            if space.is_free(place, _LAMP_ROOM * space.diagonal):
+            if space.is_free(place, _LIGHT_ROOM * space.diagonal):
                 break
         return place
 

@@ -16,7 +16,7 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.camera import Camera, camera_pose
 from lumisplat.scene.ops.views import frame_camera
-from lumisplat.scene.up import front_vector
+from lumisplat.scene.placing import front_vector
 
 _TRIES = 200
 """Poses of a view that are tried."""

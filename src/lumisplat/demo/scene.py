@@ -23,10 +23,10 @@ from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.lights import Light, LightEnvironment, LightPoint, LightSpot
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.mesh_sampling import gaussians_from_mesh
-from lumisplat.scene.sampling.surface_points import surface_area
+from lumisplat.scene.ops.mesh_sampling import gaussians_from_mesh
+from lumisplat.scene.ops.surface_points import surface_area
+from lumisplat.scene.placing import up_vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import up_vector
 
 DAYLIGHT = Daylight(sun_direction=(-1.0, 0.52, 0.36))
 """The light in which the demo's capture was taken: through the window on the left."""

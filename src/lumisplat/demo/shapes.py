@@ -14,8 +14,7 @@ import numpy.typing as npt
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import matrix_4x4
 from lumisplat.math.transforms import transform_points
-from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.triangles import area_vectors, sum_at_vertices
+from lumisplat.scene.mesh import Mesh, area_vectors, sum_at_vertices
 
 _Floats = npt.NDArray[np.floating]
 

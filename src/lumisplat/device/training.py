@@ -6,7 +6,7 @@ from lumisplat.device.structs import struct
 
 
 @struct
-class LearntSplats:
+class SplatParameters:
     """Parameters of Gaussians as they are learnt, unbounded; or their moments. An element a Gaussian."""
 
     means: wp.array[wp.vec3]
@@ -64,7 +64,7 @@ class SplatRecord:
 
 
 @struct
-class Photograph:
+class TargetImage:
     """A photograph on the device, an element a pixel."""
 
     color: wp.array[wp.vec3]
@@ -201,17 +201,17 @@ class MaterialGradient:
 
 
 @wp.func
-def share_of(photograph: Photograph, i: int) -> float:
+def share_of(target: TargetImage, i: int) -> float:
     """How much a pixel counts, 0..1."""
-    if photograph.weight.shape[0] > 0:
-        return photograph.weight[i]
+    if target.weight.shape[0] > 0:
+        return target.weight[i]
     return 1.0
 
 
 @wp.func
-def counted(shown: wp.vec3, photograph: Photograph, i: int) -> wp.vec3:
-    """What a frame shows where it counts, the photograph elsewhere."""
-    return wp.lerp(photograph.color[i], shown, share_of(photograph, i))
+def counted(shown: wp.vec3, target: TargetImage, i: int) -> wp.vec3:
+    """What a frame shows where it counts, the target elsewhere."""
+    return wp.lerp(target.color[i], shown, share_of(target, i))
 
 
 @wp.func

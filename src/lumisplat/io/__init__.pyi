@@ -80,14 +80,14 @@ from lumisplat.io.load_save import (
     save_config as save_config,
 )
 from lumisplat.io.training_images.loading import (
-    Photograph as Photograph,
+    TrainingImage as TrainingImage,
 )
 from lumisplat.io.training_images.loading import (
-    Photographs as Photographs,
+    TrainingImages as TrainingImages,
 )
 from lumisplat.io.training_images.loading import (
-    load_photographs as load_photographs,
+    load_training_images as load_training_images,
 )
 from lumisplat.io.training_images.poses import find_poses as find_poses
 from lumisplat.io.training_images.video_frames import extract_frames as extract_frames
-from lumisplat.scene.animation.sequence import GaussianSequence as GaussianSequence
+from lumisplat.scene.animation.actors import GaussianSequence as GaussianSequence

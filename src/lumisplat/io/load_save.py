@@ -23,10 +23,9 @@ if TYPE_CHECKING:
     from lumisplat.io.ply import PlyHeader
     from lumisplat.io.splats.columns import SplatColumns
     from lumisplat.math.arrays import FloatArray
-    from lumisplat.scene.animation.actors import Animation
+    from lumisplat.scene.animation.actors import Animation, GaussianSequence
     from lumisplat.scene.animation.camera_path import CameraPath
     from lumisplat.scene.animation.rig import Rig
-    from lumisplat.scene.animation.sequence import GaussianSequence
     from lumisplat.scene.camera import Camera
     from lumisplat.scene.gaussians import Gaussians
     from lumisplat.scene.mesh import Mesh

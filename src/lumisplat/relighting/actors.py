@@ -19,10 +19,9 @@ from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.progress import Progress
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment, PlacedLight, facing_irradiance
-from lumisplat.scene.local_frame import rendered_frame
+from lumisplat.scene.local_frame import PlacedGaussians, distance_from_body, rendered_frame
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.colors import Subject, scale_light_of
-from lumisplat.scene.ops.world_space import PlacedGaussians, distance_from_body
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_lights
 from lumisplat.shadow_maps.casters_and_receivers import Content, MeshesAsGaussians
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap

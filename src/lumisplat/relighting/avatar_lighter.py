@@ -41,7 +41,7 @@ class _LightRoles:
     """They cast the shadows of actors; None: lights have to be estimated."""
     on_meshes: tuple[Light, ...]
     """They light meshes in frames that are lit for actors."""
-    are_kept: bool
+    as_captured: bool
     """Whether the scene's own lights are in all frames, because they light something in it."""
 
     @classmethod
@@ -122,7 +122,7 @@ class AvatarLighter:
         self._probes = ProbeCache(scene, background, device, progress)
         suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
         self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
-        self._receivers = _receivers(scene, self._roles.are_kept)
+        self._receivers = _receivers(scene, self._roles.as_captured)
         self._shadows: ActorShadows | None = None
         """Of the receivers, once shadows were needed."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
@@ -180,7 +180,7 @@ class AvatarLighter:
     def _keeps_lights(self, actors: list[PlacedActor]) -> bool:
         """Whether the scene's lights stay in the frame: they light something in it, or an actor that reflects."""
         reflecting = any(isinstance(actor, SplatInstance) and not emits_capture_only(actor) for actor in actors)
-        return self._roles.are_kept or (reflecting and bool(self.scene.lights))
+        return self._roles.as_captured or (reflecting and bool(self.scene.lights))
 
     def _darken(self, casting: list[PlacedActor]) -> list[SplatInstance]:
         """The scene's sets in the shadow of casters and of the scene's own meshes."""

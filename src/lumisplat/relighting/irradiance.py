@@ -59,21 +59,21 @@ class Irradiance:
     """Of what the capture shows, without its lamps, shape (N, 3)."""
     sky: FloatArray
     """Of each of K cells of a sky of radiance 1, shape (N, K)."""
-    lamps: FloatArray
+    emitters: FloatArray
     """Of each of L lamps of radiance 1, shape (N, L)."""
     ways: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
     """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
     by_way: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
     """The share of ``observed`` that comes from each, shape (W, N, 3)."""
 
-    def total(self, sky: Doubles | FloatArray, lamps: Doubles) -> Doubles:
+    def total(self, sky: Doubles | FloatArray, emitters: Doubles) -> Doubles:
         """That of a sky and lamps, shape (N, 3).
 
         Args:
             sky: Radiances, shape (K, 3); float32 are multiplied as such, in half the memory.
-            lamps: Likewise, shape (L, 3).
+            emitters: Likewise, shape (L, 3).
         """
-        return self.observed + self.sky @ sky + self.lamps @ lamps
+        return self.observed + self.sky @ sky + self.emitters @ emitters
 
 
 BLOCK = 4096
@@ -130,7 +130,7 @@ def _before(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 def lit_evenly(incident: Irradiance) -> Doubles:
     """Irradiance over pi of the sky and lamps, each of radiance 1, shape (N,)."""
-    return incident.sky.sum(axis=1, dtype=np.float64) + incident.lamps.sum(axis=1, dtype=np.float64)
+    return incident.sky.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
 
 
 def even_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
@@ -147,6 +147,17 @@ def even_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> 
         return 1.0
     wanted = (outgoing[rows] / ALBEDO_HIGH - incident.observed[rows]).max(axis=1) / lit[rows]
     return max(weighted_quantile(wanted, weights[rows], LIGHTEST), SKY_LEAST)
+
+
+def chroma_similarity(differences: Doubles, width: float) -> Doubles:
+    """How likely pairs of surfaces have one albedo by their chromaticity, 0..1, shape (P, 1).
+
+    Args:
+        differences: Of the logarithms of their albedos, shape (P, 3).
+        width: Standard deviation of the largest difference of chromaticity.
+    """
+    chroma = differences - differences.mean(axis=1, keepdims=True)
+    return np.exp(-0.5 * np.square(np.abs(chroma).max(axis=1, keepdims=True) / width))
 
 
 def typical_albedo_factor(outgoing: Doubles, observed: Doubles, lit: Doubles, weights: Doubles) -> float:

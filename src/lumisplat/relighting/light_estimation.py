@@ -64,17 +64,17 @@ far are the places with which a lamp's own is compared."""
 TRACE_CASING = 1.5
 """What is nearer to a lamp than this, in sizes of an emitter, does not shadow it: it hangs in its own shade."""
 
-LAMP_SIGNIFICANCE = 4.0
+LIGHT_SIGNIFICANCE = 4.0
 """Least ratio of a lamp's factor to its standard error: by chance, one of 64 candidates comes to it in one
 capture of 500."""
 
-LAMP_DOUBT = 2.0
+LIGHT_DOUBT = 2.0
 """Factor on the evidence that is asked of what is low, or broad."""
 
-LAMP_ELSEWHERE = 0.6
+LIGHT_ELSEWHERE = 0.6
 """Least share of what a lamp beside the candidate explains: the light of a lamp is brightest around itself."""
 
-LAMP_CANDIDATES = 64
+LIGHT_CANDIDATES = 64
 """Bright places that are tested as lamps, the best by `estimate_lights`' score."""
 
 _log = logging.getLogger("lumisplat")
@@ -187,7 +187,9 @@ def estimate_lights(
     candidates = _candidates(evidence, settings, sizes.emitter)
     if settings.evidence > 0.0:
         surfaces = captured_surfaces(splats, worlds, middle, SURFACE_REACH * sizes.extent)
-        chosen, shares = _lamps(evidence, candidates, surfaces, sizes, center=middle, count=count, settings=settings)
+        chosen, shares = _point_lights(
+            evidence, candidates, surfaces, sizes, center=middle, count=count, settings=settings
+        )
     else:
         chosen = _choose(evidence, candidates, count, settings.weakest, sizes.separation)
         shares = np.zeros(chosen.size)
@@ -207,7 +209,7 @@ def estimate_lights(
     )
 
 
-def _lamps(
+def _point_lights(
     evidence: Evidence,
     candidates: _Candidates,
     surfaces: CapturedSurfaces,
@@ -220,8 +222,8 @@ def _lamps(
     """Which candidates light their surroundings, the brightest first, and how much of the light there they explain."""
     # Broad ones, too, such as a lamp close to a ceiling that it makes as bright as itself.
     everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
-    bright = _choose(evidence, everything, LAMP_CANDIDATES, settings.weakest, sizes.emitter)
-    lamps = _lamps_among(
+    bright = _choose(evidence, everything, LIGHT_CANDIDATES, settings.weakest, sizes.emitter)
+    lights = _lights_among(
         evidence.means[candidates.rows[bright]],
         candidates.is_compact[bright],
         surfaces,
@@ -231,8 +233,8 @@ def _lamps(
         count=count,
         evidence=settings.evidence,
     )
-    order = np.argsort(-candidates.weights[bright[lamps.rows]], kind="stable")
-    return bright[lamps.rows[order]], lamps.shares[order]
+    order = np.argsort(-candidates.weights[bright[lights.rows]], kind="stable")
+    return bright[lights.rows[order]], lights.shares[order]
 
 
 def _nothing_found(center: Doubles, radius: float, stands_out: bool) -> str:
@@ -437,7 +439,7 @@ def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lamps:
+class FoundLights:
     """Bright things that light their surroundings, in the order in which they were found."""
 
     rows: Rows
@@ -446,7 +448,7 @@ class Lamps:
     """Share of what nothing else explains that each explains, shape (k,)."""
 
 
-def _lamps_among(
+def _lights_among(
     places: Doubles,
     is_compact: Flags,
     surfaces: CapturedSurfaces,
@@ -456,7 +458,7 @@ def _lamps_among(
     separation: float,
     count: int,
     evidence: float,
-) -> Lamps:
+) -> FoundLights:
     """The candidates whose light is seen on the surfaces around, found one after the other.
 
     Each step takes the candidate that explains most of what is left. It must explain ``evidence`` of it, significantly,
@@ -475,11 +477,11 @@ def _lamps_among(
     """
     directions = even_directions(TRACE_DIRECTIONS)
     if not len(places) or surfaces.luminance.size < TRACE_SURFACES_MIN:
-        return Lamps(np.zeros(0, np.int64), np.zeros(0))
+        return FoundLights(np.zeros(0, np.int64), np.zeros(0))
     cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)
     shading = Shading.of(surfaces, directions, cosines)
-    lights = [_lamp_light(surfaces, place, emitter) for place in places]
-    doubt = np.where(_is_low(places, surfaces, center, emitter) | ~is_compact, LAMP_DOUBT, 1.0)
+    lights = [_cosines_to(surfaces, place, emitter) for place in places]
+    doubt = np.where(_is_low(places, surfaces, center, emitter) | ~is_compact, LIGHT_DOUBT, 1.0)
     left = np.ones(len(places), np.bool_)
     found: list[tuple[int, float]] = []
     while len(found) < count and left.any():
@@ -488,22 +490,22 @@ def _lamps_among(
         if traces[best].share < evidence:
             break
         left[best] = False
-        if _is_lamp(traces[best], doubt[best], evidence) and _is_there(shading, places[best], traces[best], emitter):
+        if _is_light(traces[best], doubt[best], evidence) and _is_there(shading, places[best], traces[best], emitter):
             found.append((best, traces[best].share))
             left &= np.linalg.norm(places - places[best], axis=1) >= separation
             shading = shading.with_light(lights[best][0])
-    return Lamps(np.array([row for row, _ in found], np.int64), np.array([share for _, share in found]))
+    return FoundLights(np.array([row for row, _ in found], np.int64), np.array([share for _, share in found]))
 
 
-def _is_lamp(trace: Trace, doubt: float, evidence: float) -> bool:
-    return trace.share >= doubt * evidence and trace.significance >= LAMP_SIGNIFICANCE
+def _is_light(trace: Trace, doubt: float, evidence: float) -> bool:
+    return trace.share >= doubt * evidence and trace.significance >= LIGHT_SIGNIFICANCE
 
 
 def _is_there(shading: Shading, place: Doubles, trace: Trace, emitter: float) -> bool:
     """Whether a lamp at this place explains the light about as well as one a few sizes beside it."""
     steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
-    beside = [_trace(shading, *_lamp_light(shading.surfaces, place + step, emitter)).share for step in steps]
-    return trace.share >= LAMP_ELSEWHERE * max(beside)
+    beside = [_trace(shading, *_cosines_to(shading.surfaces, place + step, emitter)).share for step in steps]
+    return trace.share >= LIGHT_ELSEWHERE * max(beside)
 
 
 def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
@@ -515,7 +517,7 @@ def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitte
     return (places - center) @ (down / length) > -emitter
 
 
-def _lamp_light(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> tuple[Doubles, Flags]:
+def _cosines_to(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> tuple[Doubles, Flags]:
     """Irradiance of surfaces by a lamp of 1 at an emitter's distance, and which of them count, shape (M,) each.
 
     What is near may be the lamp itself, and is bright where a bright patch is taken for a lamp.

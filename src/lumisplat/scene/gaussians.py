@@ -28,8 +28,8 @@ from lumisplat.math.arrays import (
 from lumisplat.math.transforms import transform_points
 from lumisplat.scene.camera import Camera, camera_pose
 from lumisplat.scene.checks import take_scene_fields
-from lumisplat.scene.light_aims import to_vector
-from lumisplat.scene.up import Vector, up_vector, up_vector_or_none
+from lumisplat.scene.lights import to_vector
+from lumisplat.scene.placing import Vector, up_vector, up_vector_or_none
 
 SH_DEGREE_FROM_COUNT = {1: 0, 4: 1, 9: 2, 16: 3}
 
@@ -128,8 +128,8 @@ class Gaussians:
         kernel = f", kernel_degree={self.kernel_degree}" if self.kernel_degree != KERNEL_DEGREE else ""
         bounds = box_text(*self.bounds())
         about = f", origin=({', '.join(f'{value:.12g}' for value in self.origin)})" if any(self.origin) else ""
-        told = f"bounds={bounds}{about}{antialiased}{kernel}{extras}"
-        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}, {told})"
+        details = f"bounds={bounds}{about}{antialiased}{kernel}{extras}"
+        return f"Gaussians(count={self.count}, sh_degree={self.sh_degree}, {details})"
 
     @property
     def count(self) -> int:

@@ -21,9 +21,81 @@ from lumisplat.config.checks import Range
 from lumisplat.config.setting import frozen, given
 from lumisplat.constants import LIGHT_DISTANCE_MIN
 from lumisplat.errors import SceneError
-from lumisplat.math.arrays import Doubles, Flags, FloatArray, float_array, host_array, unit_vector
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, finite_numbers, float_array, host_array, unit_vector
 from lumisplat.scene.checks import COLOR, Vector, take_scene_fields
-from lumisplat.scene.light_aims import facing_edges, to_vector, towards, vector
+
+
+def vector(name: str, values: npt.ArrayLike) -> Vector:
+    """Three finite numbers.
+
+    Raises:
+        SceneError: They are something else.
+    """
+    array = float_array(name, values)
+    if array.shape != (3,):
+        raise SceneError(f"{name} has shape {array.shape}, expected three numbers")
+    x, y, z = (float(v) for v in np.asarray(host_array(values), dtype=np.float64))
+    return x, y, z
+
+
+def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
+    """Converts a field to three finite numbers, see `vector`."""
+    return vector(name, values)
+
+
+def direction_of(name: str, values: npt.ArrayLike) -> Vector:
+    """A unit vector.
+
+    Raises:
+        SceneError: The values have no length, or are not three finite numbers.
+    """
+    given = np.array(vector(name, values))
+    if np.linalg.norm(given) == 0.0:
+        raise SceneError(f"{name} has no length")
+    x, y, z = (float(v) for v in unit_vector(given))
+    return x, y, z
+
+
+def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.ArrayLike | None) -> Vector:
+    """The unit direction that is given, or that from a start to a target.
+
+    Raises:
+        SceneError: Both are given, or neither, or the target is at the start.
+    """
+    is_given = bool(np.any(np.asarray(vector("direction", direction)) != 0.0))
+    if target is None:
+        if not is_given:
+            raise SceneError(f"direction has no length: {kind} needs one, or a target")
+        return direction_of("direction", direction)
+    if is_given:
+        raise SceneError(f"direction and target of {kind} are both given: choose one of them")
+    along = np.subtract(vector("target", target), start)
+    if not along.any():
+        raise SceneError(f"target of {kind} is where it stands: they must be apart")
+    return direction_of("direction", along)
+
+
+def facing_edges(
+    position: Vector, edges: tuple[Vector, Vector], target: npt.ArrayLike | None, size: npt.ArrayLike | None
+) -> tuple[Vector, Vector]:
+    """Edges of a rectangle that faces a target: ``edge_u`` level with y along the vertical.
+
+    Raises:
+        SceneError: Only one of both is given, edges are given too, or the size is not positive.
+    """
+    if target is None or size is None:
+        raise SceneError("target and size of a rect go together: where it faces, and how large it is")
+    if np.any(edges):
+        raise SceneError("edge_u and target of a rect are both given: choose the edges, or the target and the size")
+    sizes = finite_numbers(size, (2,))
+    if sizes is None or not (sizes > 0.0).all():
+        raise SceneError(f"size is {size}, expected two positive numbers, width and height")
+    forward = np.array(towards("a rect", (0.0, 0.0, 0.0), position, target))
+    # Level with y; straight up or down, with z.
+    across = np.cross((0.0, 1.0, 0.0) if abs(forward[1]) < 0.999999 else (0.0, 0.0, 1.0), forward)
+    across /= np.linalg.norm(across)
+    return vector("edge_u", sizes[0] * across), vector("edge_v", sizes[1] * np.cross(forward, across))
+
 
 RIGHT_ANGLE = math.pi / 2.0 + 1e-6
 """Largest angle from an axis, radians."""
@@ -443,7 +515,9 @@ def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles
 
 
 def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
-    """Moves a light with the thing that it belongs to; the scale changes neither its intensity nor its range.
+    """Moves a light with the object that it belongs to.
+
+    Its extent is scaled; its intensity and its range stay, as in glTF.
 
     Args:
         light: Any light; environments stay as they are.
@@ -453,7 +527,7 @@ def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light
     changes: dict[str, Any] = {
         name: linear @ getattr(light, name) for name in ("direction", "edge_u", "edge_v") if hasattr(light, name)
     }
-    if isinstance(light, LightDisk):
+    if isinstance(light, RoundLight):
         changes["radius"] = light.radius * float(np.cbrt(np.linalg.det(linear)))
     if isinstance(light, PlacedLight):
         changes["position"] = linear @ light.position + world_from_light[:3, 3]

@@ -22,8 +22,7 @@ from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.placing import PlacedInstance, Placing
-from lumisplat.scene.up import UP_AXES, up_vector, up_vector_or_none, y_up_from
+from lumisplat.scene.placing import UP_AXES, PlacedInstance, Placing, up_vector, up_vector_or_none, y_up_from
 
 BULK_TAIL = 0.02
 """Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold

@@ -33,7 +33,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.lights import LightDirectional, PlacedLight
-from lumisplat.scene.ops.world_space import PlacedGaussians
+from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 # Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)

@@ -18,9 +18,9 @@ from lumisplat.math.arrays import Doubles, float_array
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.scene.animation.rigged_gaussians import Binding, bind_surface, deform_gaussians
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.local_frame import ZERO, PlacedGaussians, placed_gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.world_space import ZERO, PlacedGaussians, placed_gaussians
-from lumisplat.scene.sampling.mesh_sampling import sample_surface
+from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene

@@ -23,8 +23,7 @@ from lumisplat.progress import Progress
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import LightDirectional
-from lumisplat.scene.local_frame import LocalFrame, rendered_frame
-from lumisplat.scene.ops.world_space import PlacedGaussians, distance_from_body
+from lumisplat.scene.local_frame import LocalFrame, PlacedGaussians, distance_from_body, rendered_frame
 from lumisplat.scene.scene import Scene
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 from lumisplat.shadow_maps.atlas import (

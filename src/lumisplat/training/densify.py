@@ -67,60 +67,60 @@ class Record:
 
 
 def densified(
-    learnt: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
+    parameters: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
     """What there is after a change.
 
     Args:
-        learnt: What there is before.
+        parameters: What there is before.
         record: What is known of it.
         config: Settings.
         rng: Random numbers.
     """
     if config.densification is Densification.MCMC:
-        return grown(relocated(learnt, config, rng), config, rng)
-    learnt = multiplied(learnt, record, config, rng)
-    learnt = pruned(learnt, record.extent if record.iteration > TOO_LARGE_AFTER else math.inf)
+        return grown(relocated(parameters, config, rng), config, rng)
+    parameters = multiplied(parameters, record, config, rng)
+    parameters = pruned(parameters, record.extent if record.iteration > TOO_LARGE_AFTER else math.inf)
     if record.iteration % RESET_EVERY == 0:
-        reset(learnt)
-    return learnt
+        reset(parameters)
+    return parameters
 
 
 # --- Markov chain Monte Carlo (Kheradmand et al. 2024) ---
 
 
-def relocated(learnt: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
+def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
     """Dead Gaussians take the places of others, which share what they show with them."""
-    opacities = learnt.opacities
+    opacities = parameters.opacities
     dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)
     if dead.size == 0 or alive.size == 0:
-        return learnt
+        return parameters
     sources = alive[rng.choice(alive.size, dead.size, p=opacities[alive] / opacities[alive].sum())]
-    share(learnt, sources, config.kernel_degree)
-    for values in learnt.values.values():
+    share(parameters, sources, config.kernel_degree)
+    for values in parameters.values.values():
         values[dead] = values[sources]
-    learnt.still(np.union1d(dead, sources))
-    return learnt
+    parameters.still(np.union1d(dead, sources))
+    return parameters
 
 
-def grown(learnt: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
+def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
     """A few per cent more of them, at the places of others, up to a number."""
-    more = min(config.cap, max(learnt.count + 1, int(GROWTH * learnt.count))) - learnt.count
+    more = min(config.cap, max(parameters.count + 1, int(GROWTH * parameters.count))) - parameters.count
     if more <= 0:
-        return learnt
-    opacities = learnt.opacities
-    sources = rng.choice(learnt.count, more, p=opacities / opacities.sum())
-    share(learnt, sources, config.kernel_degree)
-    learnt.still(np.unique(sources))
-    return learnt.joined(learnt.fresh(sources))
+        return parameters
+    opacities = parameters.opacities
+    sources = rng.choice(parameters.count, more, p=opacities / opacities.sum())
+    share(parameters, sources, config.kernel_degree)
+    parameters.still(np.unique(sources))
+    return parameters.joined(parameters.fresh(sources))
 
 
-def share(learnt: TrainedParameters, sources: Indices, degree: int) -> None:
+def share(parameters: TrainedParameters, sources: Indices, degree: int) -> None:
     """Makes Gaussians such that each, with as many copies of itself as it is listed, shows what it showed alone."""
     unique, counts = np.unique(sources, return_counts=True)
-    opacity, factor = shared(learnt.opacities[unique], counts + 1, degree)
-    learnt.values["logits"][unique] = np.log(opacity / (1.0 - opacity))
-    learnt.values["log_scales"][unique] += np.log(factor)[:, None].astype(np.float32)
+    opacity, factor = shared(parameters.opacities[unique], counts + 1, degree)
+    parameters.values["logits"][unique] = np.log(opacity / (1.0 - opacity))
+    parameters.values["log_scales"][unique] += np.log(factor)[:, None].astype(np.float32)
 
 
 def shared(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> tuple[Doubles, Doubles]:
@@ -149,34 +149,36 @@ def narrowing(degree: int, power: int) -> float:
 
 
 def multiplied(
-    learnt: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
+    parameters: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
     """Small Gaussians at which the loss pulls, or whose normals it turns, are cloned, large ones are split in two."""
     wanted = record.wanted(config)
-    strongest = np.argsort(-wanted, kind="stable")[: max(config.cap - learnt.count, 0)]
-    chosen = np.zeros(learnt.count, bool)
+    strongest = np.argsort(-wanted, kind="stable")[: max(config.cap - parameters.count, 0)]
+    chosen = np.zeros(parameters.count, bool)
     chosen[strongest] = wanted[strongest] > 1.0
-    is_large = learnt.scales.max(axis=1) > SPLIT_SCALE * record.extent
+    is_large = parameters.scales.max(axis=1) > SPLIT_SCALE * record.extent
     cloned, split = np.flatnonzero(chosen & ~is_large), np.flatnonzero(chosen & is_large)
-    halves = learnt.fresh(np.concatenate([split, split]))
+    halves = parameters.fresh(np.concatenate([split, split]))
     scales = halves.scales
     axes = matrices_from_quaternions(halves.values["rotations"].astype(np.float64))
     offsets = np.einsum("nij,nj->ni", axes, scales * rng.normal(size=scales.shape))
     halves.values["means"][:] += offsets
     halves.values["log_scales"][:] = np.log(scales / SPLIT_SHRINKS)
-    kept = np.ones(learnt.count, bool)
+    kept = np.ones(parameters.count, bool)
     kept[split] = False
-    return learnt.rows(kept).joined(learnt.fresh(cloned)).joined(halves)
+    return parameters.rows(kept).joined(parameters.fresh(cloned)).joined(halves)
 
 
-def pruned(learnt: TrainedParameters, extent: float) -> TrainedParameters:
+def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:
     """Without those that are transparent, or too large for the scene."""
-    return learnt.rows((learnt.opacities >= DEAD_OPACITY) & (learnt.scales.max(axis=1) <= TOO_LARGE * extent))
+    return parameters.rows(
+        (parameters.opacities >= DEAD_OPACITY) & (parameters.scales.max(axis=1) <= TOO_LARGE * extent)
+    )
 
 
-def reset(learnt: TrainedParameters) -> None:
+def reset(parameters: TrainedParameters) -> None:
     """Makes all almost transparent: what the photographs need comes back, and the rest is pruned."""
-    logits = learnt.values["logits"]
+    logits = parameters.values["logits"]
     np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1.0 - RESET_OPACITY))), out=logits)
-    learnt.first["logits"][:] = 0.0
-    learnt.second["logits"][:] = 0.0
+    parameters.first["logits"][:] = 0.0
+    parameters.second["logits"][:] = 0.0

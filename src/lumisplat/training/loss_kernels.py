@@ -12,7 +12,7 @@ import math
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
-from lumisplat.device.training import LossGrid, LossMaps, LossWeights, Photograph, counted, share_of
+from lumisplat.device.training import LossGrid, LossMaps, LossWeights, TargetImage, counted, share_of
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -74,7 +74,7 @@ def run_of(item: int, grid: LossGrid):
 
 
 @wp.kernel
-def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], photograph: Photograph, maps_out: LossMaps):
+def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: TargetImage, maps_out: LossMaps):
     """Item = run: what SSIM compares, blurred along the row."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
@@ -87,8 +87,8 @@ def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], photograph: 
         wanted_squared = wp.vec3(0.0)
         for k in range(TAPS):
             i = row + mirrored(x + k - REACH, width)
-            p = counted(color[i], photograph, i)
-            q = photograph.color[i]
+            p = counted(color[i], target, i)
+            q = target.color[i]
             w = WINDOW[k]
             shown += w * p
             squared += w * wp.cw_mul(p, p)
@@ -171,7 +171,7 @@ def differentiate_rows(
     weights: LossWeights,
     color: wp.array[wp.vec3],
     alpha: wp.array[float],
-    photograph: Photograph,
+    target: TargetImage,
     maps: LossMaps,
     by_color_out: wp.array[wp.vec3],
     by_alpha_out: wp.array[float],
@@ -193,19 +193,19 @@ def differentiate_rows(
             by_square += w * maps.squared[i]
             by_product += w * maps.product[i]
         i = y * width + x
-        q = photograph.color[i]
-        p = counted(color[i], photograph, i)
+        q = target.color[i]
+        p = counted(color[i], target, i)
         by_ssim = by_mean + 2.0 * wp.cw_mul(p, by_square) + wp.cw_mul(q, by_product)
-        share = share_of(photograph, i)
+        share = share_of(target, i)
         error = color[i] - q
         gradient = weights.l1 * wp.vec3(slope(error[0]), slope(error[1]), slope(error[2])) - weights.ssim * by_ssim
         by_color_out[i] = share * gradient
         magnitude = wp.abs(error[0]) + wp.abs(error[1]) + wp.abs(error[2])
         sums += share * wp.vec4(magnitude, wp.dot(error, error), 0.0, 0.0)
         by_alpha_out[i] = 0.0
-        if photograph.alpha.shape[0] > 0:
-            missed = alpha[i] - photograph.alpha[i]
-            wanted = photograph.alpha[i]
+        if target.alpha.shape[0] > 0:
+            missed = alpha[i] - target.alpha[i]
+            wanted = target.alpha[i]
             by_alpha = weights.alpha * slope(missed) + weights.entropy * slope_of_entropy(alpha[i], wanted)
             by_alpha_out[i] = share * by_alpha
             sums[2] = sums[2] + share * wp.abs(missed)

@@ -7,7 +7,7 @@ from lumisplat.device.math.random import draw, sample_key_of
 from lumisplat.device.structs.gradients import GaussianGradient, SplatGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.training import LearntSplats, NoiseData, SplatRecord, StepRates
+from lumisplat.device.training import NoiseData, SplatParameters, SplatRecord, StepRates
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -53,14 +53,14 @@ def wxyz_of(rotation: wp.quat) -> wp.vec4:
 
 
 @wp.kernel
-def activate(start: int, learnt: LearntSplats, gaussians_out: GaussianData):
+def activate(start: int, parameters: SplatParameters, gaussians_out: GaussianData):
     """Item = Gaussian: what is drawn of what is learnt; means and harmonics are the same."""
     i = start + wp.tid()
-    q = wp.normalize(learnt.rotations[i])
-    s = learnt.log_scales[i]
+    q = wp.normalize(parameters.rotations[i])
+    s = parameters.log_scales[i]
     gaussians_out.rotations[i] = wp.quat(q[1], q[2], q[3], q[0])
     gaussians_out.scales[i] = wp.vec3(wp.exp(s[0]), wp.exp(s[1]), wp.exp(s[2]))
-    gaussians_out.opacities[i] = sigmoid(learnt.logits[i])
+    gaussians_out.opacities[i] = sigmoid(parameters.logits[i])
 
 
 @wp.kernel
@@ -69,9 +69,9 @@ def update(
     rates: StepRates,
     gradient: GaussianGradient,
     gaussians: GaussianData,
-    learnt_inout: LearntSplats,
-    first_inout: LearntSplats,
-    second_inout: LearntSplats,
+    parameters_inout: SplatParameters,
+    first_inout: SplatParameters,
+    second_inout: SplatParameters,
 ):
     """Item = Gaussian: the chain rule from what is drawn to what is learnt, the moments, and a step."""
     i = start + wp.tid()
@@ -81,9 +81,9 @@ def update(
     v = BETA_2 * second_inout.means[i] + (1.0 - BETA_2) * wp.cw_mul(by_mean, by_mean)
     first_inout.means[i] = m
     second_inout.means[i] = v
-    learnt_inout.means[i] = learnt_inout.means[i] - step3_of(rates, rates.means, m, v)
+    parameters_inout.means[i] = parameters_inout.means[i] - step3_of(rates, rates.means, m, v)
 
-    raw = learnt_inout.rotations[i]
+    raw = parameters_inout.rotations[i]
     by_rotation = wxyz_of(gradient.rotations[i]) / wp.length(raw)
     m4 = BETA_1 * first_inout.rotations[i] + (1.0 - BETA_1) * by_rotation
     v4 = BETA_2 * second_inout.rotations[i] + (1.0 - BETA_2) * wp.cw_mul(by_rotation, by_rotation)
@@ -91,14 +91,14 @@ def update(
     second_inout.rotations[i] = v4
     for k in range(4):
         raw[k] = raw[k] - step_of(rates, rates.rotations, m4[k], v4[k])
-    learnt_inout.rotations[i] = raw
+    parameters_inout.rotations[i] = raw
 
     by_log_scale = wp.cw_mul(gradient.scales[i] + wp.vec3(rates.by_scale), gaussians.scales[i])
     m = BETA_1 * first_inout.log_scales[i] + (1.0 - BETA_1) * by_log_scale
     v = BETA_2 * second_inout.log_scales[i] + (1.0 - BETA_2) * wp.cw_mul(by_log_scale, by_log_scale)
     first_inout.log_scales[i] = m
     second_inout.log_scales[i] = v
-    learnt_inout.log_scales[i] = learnt_inout.log_scales[i] - step3_of(rates, rates.log_scales, m, v)
+    parameters_inout.log_scales[i] = parameters_inout.log_scales[i] - step3_of(rates, rates.log_scales, m, v)
 
     opacity = gaussians.opacities[i]
     by_logit = (gradient.opacities[i] + rates.by_opacity) * opacity * (1.0 - opacity)
@@ -106,17 +106,17 @@ def update(
     v1 = BETA_2 * second_inout.logits[i] + (1.0 - BETA_2) * by_logit * by_logit
     first_inout.logits[i] = m1
     second_inout.logits[i] = v1
-    learnt_inout.logits[i] = learnt_inout.logits[i] - step_of(rates, rates.logits, m1, v1)
+    parameters_inout.logits[i] = parameters_inout.logits[i] - step_of(rates, rates.logits, m1, v1)
 
     for k in range(rates.sh_active):
-        j = i * learnt_inout.sh_count + k
+        j = i * parameters_inout.sh_count + k
         by_sh = gradient.sh[j]
         m = BETA_1 * first_inout.sh[j] + (1.0 - BETA_1) * by_sh
         v = BETA_2 * second_inout.sh[j] + (1.0 - BETA_2) * wp.cw_mul(by_sh, by_sh)
         first_inout.sh[j] = m
         second_inout.sh[j] = v
         rate = wp.where(k == 0, rates.sh, rates.sh_rest)
-        learnt_inout.sh[j] = learnt_inout.sh[j] - step3_of(rates, rate, m, v)
+        parameters_inout.sh[j] = parameters_inout.sh[j] - step3_of(rates, rate, m, v)
 
 
 @wp.func
@@ -129,14 +129,14 @@ def standard_normal(key: wp.uint32) -> wp.vec3:
 
 
 @wp.kernel
-def explore(start: int, noise: NoiseData, gaussians: GaussianData, learnt_inout: LearntSplats):
+def explore(start: int, noise: NoiseData, gaussians: GaussianData, parameters_inout: SplatParameters):
     """Item = Gaussian: moves it at random within its own shape, the more transparent it is, the farther."""
     i = start + wp.tid()
     gate = noise.strength * sigmoid(SLOPE * (OPACITY_KEPT - gaussians.opacities[i]))
     if gate > 0.0:
         axes = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
         step = axes * (wp.transpose(axes) * standard_normal(sample_key_of(i, noise.iteration, noise.seed)))
-        learnt_inout.means[i] = learnt_inout.means[i] + gate * step
+        parameters_inout.means[i] = parameters_inout.means[i] + gate * step
 
 
 @wp.kernel

@@ -1,13 +1,15 @@
-"""The folder beside a capture: what a training needs to resume, its curve, and figures on held-out images."""
+"""The folder beside a capture: the state from which a training resumes, its curve, and figures on held-out images."""
 
 from __future__ import annotations
 
 import json
+import logging
 import math
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from enum import Enum
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,23 +20,25 @@ from PIL import Image, ImageDraw
 from lumisplat.config import RasterConfig, RenderConfig, TrainConfig
 from lumisplat.errors import FormatError
 from lumisplat.io import save_cameras
+from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.scene_toml.toml_table import toml_text
-from lumisplat.io.training_images.loading import Photograph, ReadFrom
+from lumisplat.io.training_images.loading import ReadFrom, TrainingImage
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene
-from lumisplat.training.photo_loss import Loss
+from lumisplat.training.losses import Loss
+from lumisplat.training.parameters import NAMES, TrainedParameters
 
 _LEFT = (
     *("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews"),
     *("light.npz", "materials"),
 )
 """What a training leaves, and finding materials, beside what tells that they have."""
-_TELLS = ("settings.toml", "materials.npz")
+_MARKERS = ("settings.toml", "materials.npz")
 """What is removed last of all."""
 
 
@@ -78,12 +82,12 @@ class RunFolder:
 
     def _empty(self) -> None:
         """Removes what an earlier training has left, and nothing else; last of all what tells that it has."""
-        told = [self.path / name for name in _TELLS]
-        if any(self.path.iterdir()) and not any(path.exists() for path in told):
+        stored = [self.path / name for name in _MARKERS]
+        if any(self.path.iterdir()) and not any(path.exists() for path in stored):
             raise FormatError(self.path, "is no folder of a training: it is not removed")
         for path in (found for pattern in _LEFT for found in self.path.glob(pattern)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
-        for path in told:
+        for path in stored:
             path.unlink(missing_ok=True)
 
     def write_settings(self, config: TrainConfig, read_from: ReadFrom | None) -> None:
@@ -96,12 +100,12 @@ class RunFolder:
 
     def write_curve(self, curve: Curve) -> None:
         """Writes the numbers of a curve."""
-        _write(self.path / "curve.json", json.dumps(curve.told))
+        _write(self.path / "curve.json", json.dumps(curve.stored))
 
     def write_exposures(self, exposures: dict[str, Doubles]) -> None:
         """Writes how photographs were exposed: three rows of four numbers each, by name."""
-        told = {name: exposure.tolist() for name, exposure in exposures.items()}
-        _write(self.path / "exposures.json", json.dumps(told, indent=2) + "\n")
+        stored = {name: exposure.tolist() for name, exposure in exposures.items()}
+        _write(self.path / "exposures.json", json.dumps(stored, indent=2) + "\n")
 
     def write_poses(self, cameras: Sequence[Camera]) -> None:
         """Writes cameras that have moved; those of more than one model in a file each, as a file holds one model."""
@@ -116,8 +120,8 @@ class RunFolder:
         with atomic_write(self.path / "curve.png") as temporary:
             curve.picture().save(temporary, format="PNG")
         if score is not None:
-            told = {"psnr": score.psnr, "views": score.of_views, "gaussians": gaussians.count}
-            _write(self.path / "metrics.json", json.dumps(told, indent=2) + "\n")
+            stored = {"psnr": score.psnr, "views": score.of_views, "gaussians": gaussians.count}
+            _write(self.path / "metrics.json", json.dumps(stored, indent=2) + "\n")
             held_out.write_pairs(gaussians, self.path / "held out")
 
 
@@ -168,7 +172,7 @@ class HeldOut:
 
     def __init__(
         self,
-        photographs: Sequence[Photograph],
+        photographs: Sequence[TrainingImage],
         device: str,
         threads: int | None,
         config: TrainConfig | None = None,
@@ -201,7 +205,7 @@ class HeldOut:
             progress("measuring", 1.0)
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
 
-    def shown(self, gaussians: Gaussians, photograph: Photograph) -> FloatArray:
+    def shown(self, gaussians: Gaussians, photograph: TrainingImage) -> FloatArray:
         """What a capture shows in place of a photograph, 0..1, shape (H, W, 3)."""
         assert self._renderer is not None
         frame = self._renderer.render(Scene([gaussians]), photograph.camera)
@@ -225,7 +229,7 @@ def file_name(name: str) -> str:
     return "".join(char if char.isalnum() or char in "-_." else f"%{ord(char):02X}" for char in name)
 
 
-def masked_psnr(shown: FloatArray, photograph: Photograph) -> float:
+def masked_psnr(shown: FloatArray, photograph: TrainingImage) -> float:
     """PSNR over the pixels that count, by how much they do, dB."""
     squared = ((shown - photograph.pixels()) ** 2).mean(axis=2)
     return decibels(float(np.average(squared, weights=photograph.mask())))
@@ -261,15 +265,15 @@ class Curve:
     _count: int = 0
 
     @classmethod
-    def of(cls, told: dict[str, Any]) -> Curve:
-        """Returns the curve that `told` has kept.
+    def of(cls, stored: dict[str, Any]) -> Curve:
+        """Returns the curve that `stored` has kept.
 
         Raises:
             ValueError: Steps or errors are none that a training can have.
         """
-        measured = [(int(step), float(value)) for step, value in told["measured"]]
-        steps, squared = [int(step) for step in told["steps"]], [float(value) for value in told["squared"]]
-        curve = cls(steps, squared, measured, float(told["sum"]), int(told["count"]))
+        measured = [(int(step), float(value)) for step, value in stored["measured"]]
+        steps, squared = [int(step) for step in stored["steps"]], [float(value) for value in stored["squared"]]
+        curve = cls(steps, squared, measured, float(stored["sum"]), int(stored["count"]))
         ascending = all(a < b for a, b in pairwise([0, *steps]))
         sound = all(0.0 <= error < math.inf for error in (*squared, curve._sum))
         sound &= all(step > 0 and not math.isnan(value) for step, value in measured)
@@ -278,7 +282,7 @@ class Curve:
         return curve
 
     @property
-    def told(self) -> dict[str, Any]:
+    def stored(self) -> dict[str, Any]:
         """All of it, as JSON has it, to the bit; ``sum`` and ``count`` are of the steps since the last point."""
         points = {"steps": self.steps, "squared": self.squared, "measured": self.measured}
         return points | {"sum": self._sum, "count": self._count}
@@ -307,8 +311,8 @@ class Curve:
         """The curve: blue what was learnt from, orange what was held out."""
         image = Image.new("RGB", SIZE, "white")
         draw = ImageDraw.Draw(image)
-        learnt = [(float(step), decibels(error)) for step, error in zip(self.steps, self.squared, strict=True)]
-        lines = [[point for point in line if math.isfinite(point[1])] for line in (learnt, self.measured)]
+        training = [(float(step), decibels(error)) for step, error in zip(self.steps, self.squared, strict=True)]
+        lines = [[point for point in line if math.isfinite(point[1])] for line in (training, self.measured)]
         points = [point for line in lines for point in line]
         if not points:
             return image
@@ -368,3 +372,156 @@ def round_step(least: float) -> int:
 def decibels(squared: float) -> float:
     """PSNR of a mean squared error; infinite of none."""
     return -10.0 * math.log10(squared) if squared > 0.0 else math.inf
+
+
+_log = logging.getLogger("lumisplat")
+
+VERSION = 6
+_PARTS = ("values", "first", "second")
+RECORD = ("motion", "turns", "frames")
+"""What a `SplatRecord` has."""
+_PER_IMAGE = "photographs."
+_MAY_CHANGE = ("iterations", "prune_below")
+"""Settings with others of which training goes on: what is done stays, and what comes goes by the new ones."""
+BEGIN_ANEW = "remove it, or overwrite it (--overwrite, overwrite=True), to begin anew"
+_KIND = f"a checkpoint of a training: {BEGIN_ANEW}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Checkpoint:
+    """Everything that the next step depends on, but for settings and photographs."""
+
+    iteration: int
+    """Steps that were made."""
+    parameters: TrainedParameters
+    record: dict[str, FloatArray]
+    """What was noted of each Gaussian since their number changed last."""
+    per_image: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
+    """What was learnt of photographs beside what they show."""
+
+
+def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, photographs: str) -> None:
+    """Writes a checkpoint, which appears complete or not at all.
+
+    Args:
+        path: The file, .npz.
+        checkpoint: The state.
+        curve: How it went so far.
+        config: Settings of the training.
+        photographs: What tells its photographs from others.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    arrays: dict[str, Any] = {f"record.{name}": checkpoint.record[name] for name in RECORD}
+    for part in _PARTS:
+        arrays |= {f"{part}.{name}": getattr(checkpoint.parameters, part)[name] for name in NAMES}
+    arrays |= {f"{_PER_IMAGE}{name}": values for name, values in checkpoint.per_image.items()}
+    stored = {
+        "version": VERSION,
+        "iteration": checkpoint.iteration,
+        "settings": plain_settings(config),
+        "photographs": photographs,
+        "curve": curve.stored,
+    }
+    write_state(path, arrays, stored)
+
+
+def write_state(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
+    """Writes arrays and, as JSON, what is known about them; the file, .npz, appears complete or not at all.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    with atomic_write(path) as temporary, temporary.open("wb") as file:
+        np.savez(file, about=np.array(json.dumps(about)), **arrays)
+
+
+def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[Checkpoint, Curve]:
+    """Reads a checkpoint of the same settings and photographs, and how it went until then.
+
+    Raises:
+        FormatError: It cannot be read, or is of others; names the first setting that differs.
+    """
+    try:
+        arrays = read_arrays(path, _KIND)
+        stored = json.loads(str(arrays.pop("about")))
+        check_same(path, stored, config, photographs)
+        count = len(arrays["values.means"])
+        coefficients = (config.sh_degree + 1) ** 2
+        shapes = {"means": (3,), "rotations": (4,), "log_scales": (3,), "logits": (), "sh": (coefficients, 3)}
+        parts = (
+            {name: checked_array(arrays, f"{part}.{name}", (count, *shapes[name]), np.float32) for name in NAMES}
+            for part in _PARTS
+        )
+        record = {name: checked_array(arrays, f"record.{name}", (count,), np.float32) for name in RECORD}
+        per_image = {
+            name.removeprefix(_PER_IMAGE): checked_array(arrays, name, array.shape, np.float64)
+            for name, array in arrays.items()
+            if name.startswith(_PER_IMAGE)
+        }
+        state = Checkpoint(int(stored["iteration"]), TrainedParameters(*parts), record, per_image)
+        if state.iteration < 0 or count == 0:
+            raise ValueError("no state of a training")
+        return state, Curve.of(stored["curve"])
+    except FormatError:  # of others, or unreadable
+        raise
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):
+        raise _damaged(path) from None
+
+
+def check_images(path: Path, checkpoint: Checkpoint, now: Checkpoint) -> None:
+    """Raises a FormatError unless a checkpoint has what a training learns of each image, in the same shapes."""
+    shapes = [{name: array.shape for name, array in state.per_image.items()} for state in (checkpoint, now)]
+    if shapes[0] != shapes[1]:
+        raise _damaged(path)
+
+
+def _damaged(path: Path) -> FormatError:
+    return FormatError(path, f"is damaged, or not {_KIND}")
+
+
+def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, photographs: str) -> None:
+    """Raises a FormatError unless a checkpoint is of these settings and photographs."""
+    if stored["version"] != VERSION:
+        raise FormatError(path, f"is a checkpoint of version {stored['version']}, expected {VERSION}: {BEGIN_ANEW}")
+    settings = plain_settings(config)
+    for name in dict.fromkeys([*settings, *stored["settings"]]):
+        if name in _MAY_CHANGE:
+            continue
+        before, now = stored["settings"].get(name), settings.get(name)
+        if before != now:
+            raise FormatError(
+                path, f"is of a training with {name} {before}, not {now}: use the settings of before, or overwrite it"
+            )
+    if stored["photographs"] != photographs:
+        raise FormatError(
+            path,
+            "is of a training with other photographs, others held out or another background: use those of before, or "
+            "overwrite it",
+        )
+    _check_steps(path, int(stored["iteration"]), int(stored["settings"]["iterations"]), config.iterations)
+
+
+def _check_steps(path: Path, done: int, before: int, now: int) -> None:
+    """Raises a FormatError if more steps are done than are asked for; logs how training goes on if others were."""
+    if done > now:
+        raise FormatError(
+            path,
+            f"has {done:,} steps already, TrainConfig.iterations is {now:,}: ask for as many or more, or overwrite it",
+        )
+    if before != now:
+        _log.warning(
+            "%s: goes on from step %s of %s to step %s: rates and what depends on the share of steps that are done "
+            "go by the new number, so that the result is not that of %s steps in one go",
+            path,
+            *(f"{steps:,}" for steps in (done, before, now, now)),
+        )
+
+
+def plain_settings(config: TrainConfig) -> dict[str, Any]:
+    """Settings as JSON has them; groups by dotted names."""
+    settings = asdict(config)
+    rates: dict[str, Any] = settings.pop("rates")
+    plain = {name: value.value if isinstance(value, Enum) else value for name, value in settings.items()}
+    return plain | {f"rates.{name}": value for name, value in rates.items()}

@@ -1,8 +1,9 @@
 """Terms of the loss on the surfaces of a frame, and their derivatives.
 
 Features of a Gaussian are its view depth, the square of that, and its normal; depths are in units of the scene's extent
-and from a depth in the middle of the scene, so that variances keep their digits. The equations are in
-docs/method/training.md#surfaces.
+and from a depth in the middle of the scene, so that variances keep their digits. Normals are smooth but for
+edges of the image (Gao et al. 2024): their differences are Sobel's, over 8, and pixels at borders have none. The
+equations are in docs/method/training.md#surfaces.
 """
 
 import warp as wp
@@ -13,7 +14,7 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.training import Photograph, SplatRecord, SurfaceMaps, SurfaceTerms, share_of
+from lumisplat.device.training import SmoothnessMaps, SplatRecord, SurfaceMaps, SurfaceTerms, TargetImage, share_of
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -91,9 +92,21 @@ def surface_at(
 
 
 @wp.func
+def is_inner(view: CameraData, x: int, y: int) -> bool:
+    """Whether a pixel has neighbours on all sides."""
+    return x >= 1 and y >= 1 and x < view.width - 1 and y < view.height - 1
+
+
+@wp.func
+def normal_at(sums: wp.array2d[float], i: int) -> wp.vec3:
+    """The three features of an item that are its normal."""
+    return wp.vec3(sums[i, 2], sums[i, 3], sums[i, 4])
+
+
+@wp.func
 def has_normal(view: CameraData, alpha: wp.array[float], x: int, y: int) -> bool:
     """Whether depths around a pixel say how its surface is turned."""
-    if x < 1 or y < 1 or x >= view.width - 1 or y >= view.height - 1:
+    if not is_inner(view, x, y):
         return False
     i = y * view.width + x
     least = wp.min(wp.min(alpha[i - 1], alpha[i + 1]), wp.min(alpha[i - view.width], alpha[i + view.width]))
@@ -101,11 +114,11 @@ def has_normal(view: CameraData, alpha: wp.array[float], x: int, y: int) -> bool
 
 
 @wp.kernel
-def compare(
+def compare_surfaces(
     start: int,
     camera: wp.array[CameraData],
     terms: SurfaceTerms,
-    photograph: Photograph,
+    target: TargetImage,
     alpha: wp.array[float],
     sums: wp.array2d[float],
     maps_out: SurfaceMaps,
@@ -116,7 +129,7 @@ def compare(
     view = camera[0]
     x = i % view.width
     y = i // view.width
-    share = share_of(photograph, i)
+    share = share_of(target, i)
     a = alpha[i]
     by_depth = float(0.0)
     by_square = float(0.0)
@@ -144,7 +157,7 @@ def compare(
         if length > AREA_MIN:
             weight = share * terms.normals
             away = area / length
-            shown = wp.vec3(sums[i, 2], sums[i, 3], sums[i, 4])
+            shown = normal_at(sums, i)
             found[0] = weight * (a + wp.dot(shown, away))
             by_normal = weight * away
             by_alpha += weight
@@ -162,7 +175,7 @@ def compare(
 
 
 @wp.kernel
-def gather(
+def gather_surfaces(
     start: int,
     camera: wp.array[CameraData],
     terms: SurfaceTerms,
@@ -210,7 +223,7 @@ def add_by_features(
     by_depth = (by_features[i, 0] + 2.0 * depth * by_features[i, 1]) * terms.per_unit
     forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
     gradient_inout.means[i] = gradient_inout.means[i] + by_depth * forward
-    by_normal = wp.vec3(by_features[i, 2], by_features[i, 3], by_features[i, 4])
+    by_normal = normal_at(by_features, i)
     by_turn = wp.cross(normal_of(view, gaussians, i), by_normal)
     # A turn by w moves the quaternion q by half of (w, 0) q.
     q = gaussians.rotations[i]
@@ -231,7 +244,7 @@ def note_turns(
     """Item = Gaussian: how strongly the terms of a frame turn its normal, over all pixels, if it was drawn."""
     i = start + wp.tid()
     if is_listed(rects[i]):
-        by_normal = wp.vec3(by_features[i, 2], by_features[i, 3], by_features[i, 4])
+        by_normal = normal_at(by_features, i)
         turn = wp.length(wp.cross(normal_of(camera[0], gaussians, i), by_normal))
         record_inout.turns[i] = record_inout.turns[i] + counted * turn
 
@@ -247,3 +260,91 @@ def flatten(
         k = shortest_axis(gaussians.scales[i])
         by_scale[k] = by_scale[k] + weight
         gradient_inout.scales[i] = by_scale
+
+
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
+
+
+@wp.func
+def tap(along: int, across: int) -> float:
+    """Sobel's weight of a neighbour so many pixels along the direction of the difference, and across it."""
+    return 0.125 * float(along * (2 - wp.abs(across)))
+
+
+@wp.func
+def evenness(change: wp.vec3) -> float:
+    """How little of an edge a photograph has where its colour changes so, 0..1."""
+    total = wp.exp(-wp.abs(change[0])) + wp.exp(-wp.abs(change[1])) + wp.exp(-wp.abs(change[2]))
+    return total / 3.0
+
+
+@wp.func
+def signs(v: wp.vec3) -> wp.vec3:
+    """Derivatives of magnitudes; 0 at 0."""
+    found = wp.vec3(0.0)
+    for c in range(3):
+        found[c] = wp.where(v[c] > 0.0, 1.0, wp.where(v[c] < 0.0, -1.0, 0.0))
+    return found
+
+
+@wp.func
+def magnitude(v: wp.vec3) -> float:
+    """Sum of magnitudes."""
+    return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
+
+
+@wp.kernel
+def compare_smoothness(
+    start: int,
+    camera: wp.array[CameraData],
+    weight: float,
+    target: TargetImage,
+    sums: wp.array2d[float],
+    maps_out: SmoothnessMaps,
+):
+    """Item = pixel: its term, and the derivatives by its differences."""
+    i = start + wp.tid()
+    view = camera[0]
+    x = i % view.width
+    y = i // view.width
+    term = float(0.0)
+    across = wp.vec3(0.0)
+    down = wp.vec3(0.0)
+    if is_inner(view, x, y):
+        color_across = wp.vec3(0.0)
+        color_down = wp.vec3(0.0)
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                j = i + dy * view.width + dx
+                normal = normal_at(sums, j)
+                color = target.color[j]
+                across += tap(dx, dy) * normal
+                down += tap(dy, dx) * normal
+                color_across += tap(dx, dy) * color
+                color_down += tap(dy, dx) * color
+        share = weight * share_of(target, i) / 3.0
+        along_x = share * evenness(color_across)
+        along_y = share * evenness(color_down)
+        term = along_x * magnitude(across) + along_y * magnitude(down)
+        across = along_x * signs(across)
+        down = along_y * signs(down)
+    maps_out.terms[i] = term
+    maps_out.across[i] = across
+    maps_out.down[i] = down
+
+
+@wp.kernel
+def gather_smoothness(start: int, camera: wp.array[CameraData], maps: SmoothnessMaps, by_sums_inout: wp.array2d[float]):
+    """Item = pixel: derivatives by its normals, from the differences that it is part of."""
+    i = start + wp.tid()
+    view = camera[0]
+    x = i % view.width
+    y = i // view.width
+    by_normal = wp.vec3(0.0)
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            if is_inner(view, x + dx, y + dy):
+                j = i + dy * view.width + dx
+                by_normal += tap(-dx, -dy) * maps.across[j] + tap(-dy, -dx) * maps.down[j]
+    for k in range(3):
+        by_sums_inout[i, 2 + k] = by_sums_inout[i, 2 + k] + by_normal[k]

@@ -17,7 +17,7 @@ from lumisplat.config.checks import check_kind, check_positive, check_whole
 from lumisplat.constants import KERNEL_DEGREE
 from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io import save
-from lumisplat.io.training_images.loading import Photographs, load_photographs
+from lumisplat.io.training_images.loading import TrainingImages, load_training_images
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress, say_nothing
 from lumisplat.runtime.interrupts import interrupts_held
@@ -25,9 +25,16 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.scene.ops.views import first_view_of, up_of_cameras
-from lumisplat.training.checkpoint import check_images, read_checkpoint, write_checkpoint
-from lumisplat.training.initial import enough_points, say_if_few
-from lumisplat.training.run_folder import Curve, HeldOut, HeldOutScore, RunFolder
+from lumisplat.training.parameters import enough_points, warn_if_few_positions
+from lumisplat.training.run_folder import (
+    Curve,
+    HeldOut,
+    HeldOutScore,
+    RunFolder,
+    check_images,
+    read_checkpoint,
+    write_checkpoint,
+)
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
 
@@ -42,7 +49,7 @@ _log = logging.getLogger("lumisplat")
 CAPTURES = (".ply", ".spz")
 CHECKPOINT_EVERY_S = 60.0
 """Seconds between two checkpoints."""
-TELL_EVERY_S = 0.5
+PROGRESS_EVERY_S = 0.5
 MEASURE_AT = (100, 200, 500)
 """Steps after which what is held out is measured, too: whether poses are right shows early."""
 MEASURE_EVERY = 1000
@@ -72,7 +79,7 @@ class TrainResult:
 
 
 def train(
-    photographs: Photographs | str | os.PathLike[str],
+    photographs: TrainingImages | str | os.PathLike[str],
     config: TrainConfig | None = None,
     *,
     output: str | os.PathLike[str] | None = None,
@@ -94,13 +101,13 @@ def train(
     with a checkpoint; pressed once more, at once.
 
     Args:
-        photographs: A folder, or what `lumisplat.io.load_photographs` has read; then ``scale``, ``hold_out`` and
+        photographs: A folder, or what `lumisplat.io.load_training_images` has read; then ``scale``, ``hold_out`` and
             ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``,
             or ``config.projection`` is ``UNSCENTED``.
         config: Settings; None: the defaults.
         output: The capture, .ply or .spz; None: it is returned alone.
-        scale: As of `lumisplat.io.load_photographs`.
-        hold_out: As of `lumisplat.io.load_photographs`.
+        scale: As of `lumisplat.io.load_training_images`.
+        hold_out: As of `lumisplat.io.load_training_images`.
         background: Behind the Gaussians, and behind what is transparent in photographs.
         stop_after: Seconds of training, without the compilation of kernels, after which it ends before all steps are
             made.
@@ -127,9 +134,9 @@ def train(
         raise ConfigError(f"output is {output}, expected a file that ends in {' or '.join(CAPTURES)}")
     if output is not None and Path(output).suffix.lower() == ".spz" and config.kernel_degree != KERNEL_DEGREE:
         raise ConfigError(f"output is {output}, which cannot say its kernel degree of {config.kernel_degree}: use .ply")
-    if not isinstance(photographs, Photographs):
+    if not isinstance(photographs, TrainingImages):
         straighten = not config.keeps_lenses
-        photographs = load_photographs(
+        photographs = load_training_images(
             photographs, scale=scale, hold_out=hold_out, background=background, straighten=straighten
         )
     folder = None if output is None else RunFolder.of(Path(output))
@@ -148,7 +155,7 @@ class _Run:
 
     def __init__(
         self,
-        photographs: Photographs,
+        photographs: TrainingImages,
         config: TrainConfig,
         folder: RunFolder | None,
         *,
@@ -162,7 +169,7 @@ class _Run:
         """The frame in which Gaussians are learnt."""
         views = [replace(view, camera=self._frame.camera(view.camera)) for view in views]
         cameras = [view.camera for view in views]
-        say_if_few(cameras)
+        warn_if_few_positions(cameras)
         known = None if photographs.points is None else self._frame.points(photographs.points)
         points, colors = enough_points(known, photographs.point_colors, cameras, config)
         self._trainer = Trainer(
@@ -199,14 +206,14 @@ class _Run:
     def work(self, stop_after: float | None, preview: int | None) -> None:
         """Makes the steps that are left, or those for which there is time."""
         trainer, total = self._trainer, self._config.iterations
-        saved = told = self._begun = time.monotonic()
+        saved = reported = self._begun = time.monotonic()
         with interrupts_held() as is_interrupted:
             while trainer.iteration < total and not is_interrupted():
                 loss = trainer.step()
                 self._curve.add(trainer.iteration, loss)
                 now = time.monotonic()
-                if now - told >= TELL_EVERY_S:
-                    told = now
+                if now - reported >= PROGRESS_EVERY_S:
+                    reported = now
                     self._progress(self._line(now), trainer.iteration / total)
                 if is_measured(trainer.iteration) and trainer.iteration < total:
                     self._curve.measure(trainer.iteration, self._held_out.psnr(self._gaussians()))
@@ -224,9 +231,9 @@ class _Run:
 
     def finish(self, output: Path | None) -> TrainResult:
         """Writes the capture, and measures it."""
-        learnt, pruned = self._pruned()
+        trained, pruned = self._pruned()
         exposures, cameras = self._exposures(), self._cameras()
-        gaussians = _oriented(learnt, cameras or tuple(photograph.camera for photograph in self._photographs.training))
+        gaussians = _oriented(trained, cameras or tuple(photograph.camera for photograph in self._photographs.training))
         score = self._held_out.score(gaussians, self._progress)
         if score is not None:
             self._curve.measure(self._trainer.iteration, score.psnr)
@@ -293,7 +300,7 @@ class _Run:
         return self._photographs.fingerprint
 
 
-def training_frame(photographs: Photographs) -> LocalFrame:
+def training_frame(photographs: TrainingImages) -> LocalFrame:
     """Returns the frame in which Gaussians are learnt: about the cameras, in a unit in which all sets are alike.
 
     What comes of a training does not depend on the unit of a scene, nor on where its zero is.

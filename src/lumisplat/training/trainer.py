@@ -20,7 +20,7 @@ from lumisplat.config import (
 from lumisplat.constants import ADAM_BETA_1, ADAM_BETA_2
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
-from lumisplat.device.training import NoiseData, Photograph, SplatRecord, StepRates
+from lumisplat.device.training import NoiseData, SplatRecord, StepRates, TargetImage
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
@@ -33,19 +33,21 @@ from lumisplat.training import (
     exposure_kernels,
     loss_kernels,
     optimizer_kernels,
-    smoothness_kernels,
     surface_kernels,
     weight_kernels,
 )
-from lumisplat.training.checkpoint import RECORD, Checkpoint
+from lumisplat.training.backends import TrainingRaster, TrainingRays, TrainingUnscented
 from lumisplat.training.densify import Record, densified
 from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures, Poses
-from lumisplat.training.geometry_regularizers import SurfaceLoss
-from lumisplat.training.initial import Surroundings, first_gaussians, random_points
-from lumisplat.training.parameters import DeviceParameters, TrainedParameters
-from lumisplat.training.photo_loss import Loss, PhotoLoss
-from lumisplat.training.ray_backends import TrainingRays, TrainingUnscented
-from lumisplat.training.training_raster import TrainingRaster
+from lumisplat.training.losses import ImageLoss, Loss, SurfaceLoss
+from lumisplat.training.parameters import (
+    DeviceParameters,
+    Surroundings,
+    TrainedParameters,
+    first_gaussians,
+    random_points,
+)
+from lumisplat.training.run_folder import RECORD, Checkpoint
 from lumisplat.training.views import Lesson, TrainingView
 
 SURFACES_AFTER = 0.23
@@ -111,10 +113,10 @@ class Trainer:
         self._raster = raster_of(config)(self._launcher, self._buffers, settings)
         own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
-            own += [surface_kernels, smoothness_kernels, *FeatureChannels.modules()]
+            own += [surface_kernels, *FeatureChannels.modules()]
         self._launcher.load([*self._raster.modules(), *own], progress)
         of_alpha = {"alpha": config.alpha, "entropy": config.mask_entropy}
-        self._loss = PhotoLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
+        self._loss = ImageLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
         self._surfaces = self._surface_loss()
         self._device_splats = DeviceParameters(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
@@ -140,7 +142,7 @@ class Trainer:
 
     def gaussians(self) -> Gaussians:
         """What has been learnt so far."""
-        return self._learnt().gaussians(self.config)
+        return self._parameters().gaussians(self.config)
 
     def largest_weights(self) -> FloatArray:
         """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,)."""
@@ -156,16 +158,16 @@ class Trainer:
     def checkpoint(self) -> Checkpoint:
         """The state."""
         record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in RECORD}
-        of_photographs = {name: values for learnt in self._corrections for name, values in learnt.state.items()}
-        return Checkpoint(self.iteration, self._learnt(), record, of_photographs)
+        per_image = {name: values for correction in self._corrections for name, values in correction.state.items()}
+        return Checkpoint(self.iteration, self._parameters(), record, per_image)
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Goes on from a state."""
-        self._place(checkpoint.learnt)
+        self._place(checkpoint.parameters)
         for name, values in checkpoint.record.items():
             device_array(getattr(self._record, name)).assign(values)
-        for learnt in self._corrections:
-            learnt.restore(checkpoint.of_photographs)
+        for correction in self._corrections:
+            correction.restore(checkpoint.per_image)
         self.iteration = checkpoint.iteration
 
     def step(self) -> Loss:
@@ -175,10 +177,10 @@ class Trainer:
             DivergedError: The loss is not finite.
         """
         lesson = self._lesson()
-        photograph = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
+        target = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
         pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
-        loss, by_pixels = self._compare(lesson, pixels, photograph)
-        gradient = self._backward(pixels, photograph, by_pixels)
+        loss, by_pixels = self._compare(lesson, pixels, target)
+        gradient = self._backward(pixels, target, by_pixels)
         if self.poses is not None and self._done >= POSES_AFTER:
             rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
             self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
@@ -213,9 +215,9 @@ class Trainer:
     @property
     def _corrections(self) -> list[Exposures | Poses]:
         """What is learnt of photographs beside what they show."""
-        return [learnt for learnt in (self.exposures, self.poses) if learnt is not None]
+        return [correction for correction in (self.exposures, self.poses) if correction is not None]
 
-    def _compare(self, lesson: Lesson, pixels: PixelData, photograph: Photograph) -> tuple[Loss, PixelGradient]:
+    def _compare(self, lesson: Lesson, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
         """The loss of a frame, and its derivatives by pixels; the exposure of the photograph moves.
 
         Raises:
@@ -225,7 +227,7 @@ class Trainer:
         if self.exposures is not None:
             exposure = self.exposures.values[lesson.number]
             exposed = ExposedFrame(self._launcher, self._buffers, exposure, lesson.background)
-        loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, photograph)
+        loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, target)
         if not np.isfinite(loss.total):
             raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
         if self.exposures is not None and exposed is not None:
@@ -234,14 +236,14 @@ class Trainer:
             self.exposures.move(lesson.number, by_exposure, rate)
         return loss, gradient
 
-    def _backward(self, pixels: PixelData, photograph: Photograph, gradient: PixelGradient) -> GaussianGradient:
+    def _backward(self, pixels: PixelData, target: TargetImage, gradient: PixelGradient) -> GaussianGradient:
         """Derivatives by Gaussians, also those of terms on surfaces, given those of the photograph by pixels."""
         raster = self._raster
         if not isinstance(raster, TrainingRaster):
             return raster.backward(pixels, gradient)
         surfaces = self._surfaces if self._done >= SURFACES_AFTER else None
         if surfaces is not None:
-            raster.compare_surfaces(surfaces, pixels, photograph, counted=self._loss.counted, gradient=gradient)
+            raster.compare_surfaces(surfaces, pixels, target, counted=self._loss.counted, gradient=gradient)
         record = self._record if self.config.grow_turn > 0.0 else None
         by_gaussians = raster.backward(pixels, gradient, surfaces, record)
         if self.config.flatness > 0.0:
@@ -318,36 +320,36 @@ class Trainer:
         frames = np.maximum(frames, 1.0).astype(np.float64)
         record = Record(self.iteration, self.around.extent, motion / frames, turns / frames)
         rng = np.random.default_rng([self.config.seed, 2, self.iteration])
-        learnt = densified(self._learnt(), record, self.config, rng)
-        if learnt.count == 0:
+        parameters = densified(self._parameters(), record, self.config, rng)
+        if parameters.count == 0:
             raise DivergedError(
                 f"training stopped at step {self.iteration:,}: no Gaussian is left that is neither transparent nor "
                 "larger than a tenth of the extent of the cameras: use mcmc"
             )
-        self._place(learnt)
+        self._place(parameters)
 
-    def _learnt(self) -> TrainedParameters:
+    def _parameters(self) -> TrainedParameters:
         """What the device has.
 
         Raises:
             DivergedError: Some of it is not finite.
         """
-        learnt = self._device_splats.download()
-        for name, values in learnt.values.items():
-            bad = int((~np.isfinite(values.reshape(learnt.count, -1))).any(axis=1).sum())
+        parameters = self._device_splats.download()
+        for name, values in parameters.values.items():
+            bad = int((~np.isfinite(values.reshape(parameters.count, -1))).any(axis=1).sum())
             if bad:
                 raise DivergedError(
-                    f"training stopped at step {self.iteration:,}: {name} of {bad:,} of {learnt.count:,} Gaussians are "
-                    "not finite"
+                    f"training stopped at step {self.iteration:,}: {name} of {bad:,} of {parameters.count:,} Gaussians "
+                    "are not finite"
                 )
-        return learnt
+        return parameters
 
-    def _place(self, learnt: TrainedParameters) -> None:
+    def _place(self, parameters: TrainedParameters) -> None:
         """Goes on with parameters from the host."""
-        self._device_splats.upload(learnt)
-        self._count = learnt.count
-        self._raster.place(learnt.gaussians(self.config), self._device_splats.values)
-        self._record = self._buffers.struct("training.record", SplatRecord, learnt.count)
+        self._device_splats.upload(parameters)
+        self._count = parameters.count
+        self._raster.place(parameters.gaussians(self.config), self._device_splats.values)
+        self._record = self._buffers.struct("training.record", SplatRecord, parameters.count)
         for name in RECORD:
             device_array(getattr(self._record, name)).zero_()
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from lumisplat.io.training_images.loading import Photograph
+from lumisplat.io.training_images.loading import TrainingImage
 from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.camera import Camera
 
@@ -71,7 +71,7 @@ class TrainingView:
     """Display-referred sRGB over which these are where they are transparent."""
 
     @classmethod
-    def of(cls, photograph: Photograph) -> TrainingView:
+    def of(cls, photograph: TrainingImage) -> TrainingView:
         """That of a photograph of a set."""
 
         def read() -> Picture:

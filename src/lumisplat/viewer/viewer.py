@@ -19,23 +19,22 @@ import lumisplat as ls
 from lumisplat.viewer.frames.loop import RenderLoop
 from lumisplat.viewer.frames.page import BrowserScreen, Page, Picture
 from lumisplat.viewer.frames.pose import ASPECT, FirstView, Pose, look_through
-from lumisplat.viewer.gizmos_and_picking.gizmo import Gizmo
-from lumisplat.viewer.gizmos_and_picking.overlays import decorated
-from lumisplat.viewer.gizmos_and_picking.picking import select
+from lumisplat.viewer.frames.shown_scenes import Progress
+from lumisplat.viewer.gizmo import Gizmo
 from lumisplat.viewer.notebook import Bundle, Notebook
-from lumisplat.viewer.outliner.outliner import Outliner
-from lumisplat.viewer.output import Studio
-from lumisplat.viewer.panels.background_jobs import BackgroundJobs, JobContext
+from lumisplat.viewer.overlays import decorated
+from lumisplat.viewer.panels.background_jobs import BackgroundJobs, JobContext, Studio
 from lumisplat.viewer.panels.buttons import add_buttons
 from lumisplat.viewer.panels.files import FilesPanel, PicturesPanel
-from lumisplat.viewer.panels.notifications import QUIET_LOG, Notifications
+from lumisplat.viewer.panels.outliner import Outliner
 from lumisplat.viewer.panels.rendering import RenderingPanel
-from lumisplat.viewer.panels.status import StatusPanel
+from lumisplat.viewer.panels.status import QUIET_LOG, Notifications, StatusPanel
 from lumisplat.viewer.panels.video import VideoPanel
 from lumisplat.viewer.panels.viewing import Timeline, ViewPanel, Viewpoints
+from lumisplat.viewer.picking import select
 from lumisplat.viewer.server.event_queue import pressed
 from lumisplat.viewer.server.page_server import PageServer
-from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.session import Options, Session, State
 from lumisplat.viewer.thresholds import INTERRUPT_S
 
 if TYPE_CHECKING:
@@ -44,7 +43,6 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("lumisplat")
 
-Progress = Callable[[str, float], None]
 _STEEP = 0.94
 """Cosine of the angle between a line of sight and the vertical, about 20 degrees, below which no picture is upright."""
 
@@ -178,7 +176,7 @@ class Viewer:
         add_buttons(gui, ["undo", "redo"], self._step)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Scene"):
-            self._things = Outliner(gui, self._session, self._pages, self._notifications.tell)
+            self._things = Outliner(gui, self._session, self._pages, self._notifications.notify)
         with tabs.add_tab("Light"):
             RenderingPanel(gui, self._session)
         with tabs.add_tab("View"):
@@ -225,7 +223,7 @@ class Viewer:
     def _step(self, direction: str) -> None:
         moved = self._session.undo() if direction == "undo" else self._session.redo()
         if not moved:
-            self._notifications.tell(direction, f"there is nothing to {direction}")
+            self._notifications.notify(direction, f"there is nothing to {direction}")
 
     def _load(self, load: Load) -> None:
         try:
@@ -349,7 +347,7 @@ class Viewer:
             return
         seen = select(self._session, page.frame, across, down, is_level=not page.frames_at_rest)
         if seen is not None:
-            self._notifications.tell(*seen)
+            self._notifications.notify(*seen)
 
 
 def _import_ahead() -> None:

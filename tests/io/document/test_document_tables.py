@@ -17,7 +17,7 @@ import lumisplat as ls
 from lumisplat.io.document.tables import light_table
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.toml_table import TomlTable, toml_text
-from lumisplat.scene.up import up_vector
+from lumisplat.scene.placing import up_vector
 from support.kinds import expect_kind
 
 SIGNED = st.floats(-1e3, 1e3)

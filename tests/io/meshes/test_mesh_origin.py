@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.meshes.mesh_ply import write_ply_mesh
-from lumisplat.scene.ops.world_space import placed_mesh
+from lumisplat.scene.local_frame import placed_mesh
 
 UTM = np.array([500123.0, 5400987.0, 312.0])
 CORNERS = np.array([[0.0, 0.0, 0.0], [1.5, 0.0, 0.1], [1.6, 1.25, 0.2], [0.05, 1.3, 0.3]])

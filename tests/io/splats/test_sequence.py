@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.animation.sequence import SEQUENCE_FRAMES_KEPT, GaussianSequence
+from lumisplat.scene.animation.actors import SEQUENCE_FRAMES_KEPT, GaussianSequence
 from support.scenes.raster_scenes import random_gaussians
 
 

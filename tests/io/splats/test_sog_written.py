@@ -18,7 +18,7 @@ from PIL import Image
 import lumisplat as ls
 from lumisplat.errors import FormatError
 from lumisplat.io.splats.sog import encode, fit_codebook, palette_size
-from lumisplat.scene.editing.morton import morton_order
+from lumisplat.scene.ops.neighbours import morton_order
 from support.files.splat_files import capture, load_gaussians
 
 FIELDS = ("means", "rotations_wxyz", "scales", "opacities", "sh")

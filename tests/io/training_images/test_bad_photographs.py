@@ -45,7 +45,7 @@ def colmap(tmp_path) -> Path:
 def refusal(folder: Path, **options: Any) -> str:
     """What is said about a folder that is refused, on one line."""
     with pytest.raises(ls.FormatError) as caught:
-        ls.io.load_photographs(folder, **options)
+        ls.io.load_training_images(folder, **options)
     assert "\n" not in str(caught.value)
     return str(caught.value).replace(str(folder.parent), "")
 
@@ -57,7 +57,7 @@ def test_folders_without_photographs(tmp_path):
         "sparse model of COLMAP in sparse/0; for photographs without poses, find_poses (--poses colmap) makes one"
     )
     with pytest.raises(ls.errors.MissingFileError, match="nowhere: no such folder"):
-        ls.io.load_photographs(tmp_path / "nowhere")
+        ls.io.load_training_images(tmp_path / "nowhere")
     (tmp_path / "transforms.json").write_text('{"frames": []}')
     assert "transforms.json: lists no photographs: expected 'frames'" in refusal(tmp_path)
     (tmp_path / "transforms.json").write_text("[1, 2]")
@@ -134,7 +134,7 @@ def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
     """No picture at all, and one that is cut off, are found at once, an empty one when its pixels are asked for."""
     blender = write_blender_photographs(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
     with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: it shows nothing to learn from"):
-        ls.io.load_photographs(blender).held_out[0].pixels()
+        ls.io.load_training_images(blender).held_out[0].pixels()
     image = nerfstudio / "images" / "view_1.png"
     whole = image.read_bytes()
     image.write_bytes(whole[: len(whole) // 2])
@@ -147,7 +147,7 @@ def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
 
 def test_a_photograph_that_has_gone_since(nerfstudio):
     """Its file is named when its pixels are asked for; those that were decoded are still there."""
-    views = ls.io.load_photographs(nerfstudio, hold_out=0).training
+    views = ls.io.load_training_images(nerfstudio, hold_out=0).training
     views[0].pixels()
     shutil.rmtree(nerfstudio / "images")
     views[0].pixels()
@@ -172,7 +172,7 @@ def test_a_photograph_that_has_gone_since(nerfstudio):
 def test_settings_are_checked_first(options, message):
     """Before the folder is looked at."""
     with pytest.raises(ls.ConfigError, match=message):
-        ls.io.load_photographs("nowhere", **cast(Any, options))
+        ls.io.load_training_images("nowhere", **cast(Any, options))
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 30, 51, 58, -1, -8])
@@ -248,7 +248,7 @@ def test_damaged_points_are_refused_or_read(colmap, places, cut):
 def test_damaged_models_are_refused_or_read(colmap, places, cut):
     """Random bytes of images.bin."""
     path = colmap / "sparse/0/images.bin"
-    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_photographs(colmap))
+    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_training_images(colmap))
 
 
 @CHECKED
@@ -256,7 +256,7 @@ def test_damaged_models_are_refused_or_read(colmap, places, cut):
 def test_damaged_transforms_are_refused_or_read(nerfstudio, places, cut):
     """Random bytes of transforms.json."""
     path = nerfstudio / "transforms.json"
-    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_photographs(nerfstudio))
+    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_training_images(nerfstudio))
 
 
 VALUES = st.recursive(
@@ -274,4 +274,4 @@ def test_other_values_in_transforms_are_refused_or_read(nerfstudio, key, value, 
     path = nerfstudio / "transforms.json"
     content = json.loads(path.read_text())
     (content if shared else content["frames"][1])[key] = value
-    survives(path, json.dumps(content).encode(), lambda: ls.io.load_photographs(nerfstudio))
+    survives(path, json.dumps(content).encode(), lambda: ls.io.load_training_images(nerfstudio))

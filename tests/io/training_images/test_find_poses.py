@@ -132,7 +132,7 @@ def test_the_fox_stands_where_it_stood(tmp_path, data_dir):
     for camera in found:
         between = camera.camera_from_world[:3, :3] @ turn.T @ known[camera.name].camera_from_world[:3, :3].T
         assert np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))) < 1.5
-    read = ls.io.load_photographs(tmp_path)
+    read = ls.io.load_training_images(tmp_path)
     assert read.points is not None and len(read.points) > 500
 
 

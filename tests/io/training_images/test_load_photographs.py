@@ -47,7 +47,7 @@ def test_every_layout_gives_the_same_views(tmp_path, layout):
     else:
         model = {"colmap sparse": "sparse", "colmap bare": "."}.get(layout, "sparse/0")
         write_colmap_photographs(tmp_path, cameras, POINTS, text="text" in layout, model=model)
-    found = ls.io.load_photographs(tmp_path, hold_out=0)
+    found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert [view.name for view in found.training] == [camera.name for camera in cameras]
     assert not found.held_out
     for view, camera in zip(found.training, cameras, strict=True):
@@ -60,13 +60,13 @@ def test_every_layout_gives_the_same_views(tmp_path, layout):
 @pytest.mark.parametrize("text", [False, True])
 def test_points_of_colmap_are_where_to_begin(tmp_path, text):
     """Positions and colours, whatever the length of their tracks; other layouts have none."""
-    found = ls.io.load_photographs(write_colmap_photographs(tmp_path / "c", ring_cameras(), POINTS, text=text))
+    found = ls.io.load_training_images(write_colmap_photographs(tmp_path / "c", ring_cameras(), POINTS, text=text))
     assert found.points is not None and found.point_colors is not None
     np.testing.assert_allclose(found.points, POINTS, rtol=1e-6)
     np.testing.assert_allclose(found.point_colors, point_colors(7) / 255.0, atol=1e-6)
-    none = ls.io.load_photographs(write_colmap_photographs(tmp_path / "n", ring_cameras(), POINTS[:0], text=text))
+    none = ls.io.load_training_images(write_colmap_photographs(tmp_path / "n", ring_cameras(), POINTS[:0], text=text))
     assert none.points is None and none.point_colors is None
-    assert ls.io.load_photographs(write_transforms_photographs(tmp_path / "t", ring_cameras())).points is None
+    assert ls.io.load_training_images(write_transforms_photographs(tmp_path / "t", ring_cameras())).points is None
 
 
 def test_every_eighth_by_name_is_held_out(tmp_path):
@@ -75,7 +75,7 @@ def test_every_eighth_by_name_is_held_out(tmp_path):
     write_transforms_photographs(tmp_path, cameras[::-1])
     names = [camera.name for camera in cameras]
     for step, held in ((8, names[::8]), (3, names[::3]), (0, []), (50, names[:1])):
-        found = ls.io.load_photographs(tmp_path, hold_out=step)
+        found = ls.io.load_training_images(tmp_path, hold_out=step)
         assert [view.name for view in found.held_out] == held
         assert [view.name for view in found.training] == [name for name in names if name not in held]
 
@@ -85,14 +85,14 @@ def test_blender_says_itself_what_is_held_out(tmp_path):
     cameras = ring_cameras(6, 16, 12)
     parts = {"train": cameras[:3], "test": cameras[3:5], "val": cameras[4:]}
     write_blender_photographs(tmp_path, parts)
-    found = ls.io.load_photographs(tmp_path)
+    found = ls.io.load_training_images(tmp_path)
     assert [view.name for view in found.training] == ["view_0", "view_1", "view_2"]
     assert [view.path.parent.name for view in found.held_out] == ["test", "test"]
     (tmp_path / "transforms_test.json").unlink()
-    assert [view.path.parent.name for view in ls.io.load_photographs(tmp_path).held_out] == ["val", "val"]
-    assert not ls.io.load_photographs(tmp_path, hold_out=0).held_out
+    assert [view.path.parent.name for view in ls.io.load_training_images(tmp_path).held_out] == ["val", "val"]
+    assert not ls.io.load_training_images(tmp_path, hold_out=0).held_out
     (tmp_path / "transforms_val.json").unlink()
-    assert [view.path.parent.name for view in ls.io.load_photographs(tmp_path).held_out] == ["train"]
+    assert [view.path.parent.name for view in ls.io.load_training_images(tmp_path).held_out] == ["train"]
 
 
 def test_transparent_pixels_lie_over_the_background(tmp_path):
@@ -100,7 +100,7 @@ def test_transparent_pixels_lie_over_the_background(tmp_path):
     camera = ring_cameras(3, 16, 12)
     write_blender_photographs(tmp_path, {"train": camera}, alpha=102 / 255)
     for background, behind in ((None, 0.0), ("transparent", 0.0), ("white", 1.0), ((0.0, 0.5, 1.0), (0.0, 0.5, 1.0))):
-        view = ls.io.load_photographs(tmp_path, background=background, hold_out=0).training[0]
+        view = ls.io.load_training_images(tmp_path, background=background, hold_out=0).training[0]
         expected = 0.4 * photograph(camera[0]) + 0.6 * np.array(behind)
         np.testing.assert_allclose(view.pixels(), expected, atol=2 * BYTE)
         alpha = view.alpha()
@@ -114,7 +114,7 @@ def test_smaller_photographs_are_means_over_areas(tmp_path, scale, size):
     cameras = ring_cameras(2)
     noise = [np.random.default_rng(k).uniform(size=(30, 40, 3)) for k in range(2)]
     write_transforms_photographs(tmp_path, cameras, noise)
-    view = ls.io.load_photographs(tmp_path, scale=scale, hold_out=0).training[0]
+    view = ls.io.load_training_images(tmp_path, scale=scale, hold_out=0).training[0]
     assert (view.camera.width, view.camera.height) == size
     assert same_view(view.camera, cameras[0].scaled(*size))
     bytes_of = read_texture(view.path) / 255.0
@@ -138,11 +138,11 @@ def test_what_is_black_in_a_mask_does_not_count(tmp_path, place):
     Image.fromarray(grey).save(tmp_path / name)
     if place == "mask_path":
         change_frame(tmp_path / "transforms.json", 0, mask_path=name)
-    first, second = ls.io.load_photographs(tmp_path, hold_out=0).training[:2]
+    first, second = ls.io.load_training_images(tmp_path, hold_out=0).training[:2]
     mask = first.mask()
     assert mask is not None and second.mask() is None
     np.testing.assert_array_equal(mask, grey > 0)
-    half = ls.io.load_photographs(tmp_path, hold_out=0, scale=1 / 3).training[0].mask()
+    half = ls.io.load_training_images(tmp_path, hold_out=0, scale=1 / 3).training[0].mask()
     assert half is not None
     assert half[5, 6] == pytest.approx(0.5, abs=2 * BYTE) and half[9, 12] == 0.0 and half[0, 0] == 1.0
 
@@ -161,7 +161,7 @@ def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, sca
         pixels = np.array(Image.open(image).convert("RGB"))
         pixels[hidden > 0] = painted
         Image.fromarray(pixels).save(image)
-        views.append(ls.io.load_photographs(tmp_path / name, hold_out=0, scale=scale).training[0])
+        views.append(ls.io.load_training_images(tmp_path / name, hold_out=0, scale=scale).training[0])
     mask = views[0].mask()
     assert mask is not None and ((mask > 0.0) & (mask < 1.0)).any()
     counts = mask > 0.01
@@ -172,7 +172,7 @@ def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, sca
 def test_the_scene_is_where_the_cameras_look(tmp_path):
     """1.1 times the radius of the ring of training cameras, and its middle."""
     write_transforms_photographs(tmp_path, ring_cameras(6, 8, 6))
-    found = ls.io.load_photographs(tmp_path, hold_out=0)
+    found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert found.extent == pytest.approx(3.3)
     np.testing.assert_allclose(found.target, (1.0, 2.0, 3.0), atol=1e-9)
 
@@ -185,11 +185,11 @@ def test_parallel_cameras_look_at_their_middle(tmp_path):
     pose[0, 3] += 2.0
     moved[1] = replace(moved[1], camera_from_world=pose)
     write_transforms_photographs(tmp_path / "a", moved)
-    found = ls.io.load_photographs(tmp_path / "a", hold_out=0)
+    found = ls.io.load_training_images(tmp_path / "a", hold_out=0)
     np.testing.assert_allclose(found.target, 0.5 * (moved[0].eye + moved[1].eye), atol=1e-9)
     assert found.extent == pytest.approx(1.1)
     write_transforms_photographs(tmp_path / "b", [moved[0], replace(moved[0], name="m2")])
-    still = ls.io.load_photographs(tmp_path / "b", hold_out=0)
+    still = ls.io.load_training_images(tmp_path / "b", hold_out=0)
     assert still.extent == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(still.target, moved[0].eye, atol=1e-9)
 
@@ -212,7 +212,7 @@ def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
     original = module.read_texture
     monkeypatch.setattr(module, "read_texture", lambda path: read.append(path.stem) or original(path))
     size = 40 * 30 * 3
-    found = ls.io.load_photographs(tmp_path, hold_out=0, cache_bytes=2 * size + 100)
+    found = ls.io.load_training_images(tmp_path, hold_out=0, cache_bytes=2 * size + 100)
     cache = found.training[0]._cache
     first = [view.pixels() for view in found.training]
     assert len(read) == 5 and cache.held == 2 * size
@@ -223,7 +223,7 @@ def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
         np.testing.assert_array_equal(view.pixels(), before)
         assert cache.held <= cache.limit
     assert len(read) > 9
-    none = ls.io.load_photographs(tmp_path, hold_out=0, cache_bytes=0)
+    none = ls.io.load_training_images(tmp_path, hold_out=0, cache_bytes=0)
     del read[:]
     none.training[0].pixels()
     none.training[0].pixels()
@@ -240,7 +240,7 @@ def test_missing_photographs_are_left_out(tmp_path, caplog):
         for k in (1, 3, 4, 6):
             (folder / "images" / f"view_{k}.png").unlink()
         caplog.clear()
-        found = ls.io.load_photographs(folder, hold_out=0)
+        found = ls.io.load_training_images(folder, hold_out=0)
         assert [view.name for view in found.training] == ["view_0", "view_2", "view_5", "view_7"]
         assert "4 of 8 photographs are not in" in caplog.text
         assert "view_1.png, " in caplog.text and "view_4.png, ...): left out" in caplog.text
@@ -250,8 +250,8 @@ def test_undistortion_is_said_once(tmp_path, caplog):
     """One line for all photographs, and none without a lens."""
     lens: dict[str, Any] = {"distortion": (0.05, -0.02, 0.0, 0.0, 0.001, 0.0)}
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
-        ls.io.load_photographs(write_transforms_photographs(tmp_path / "bent", ring_cameras(4, **lens)))
-        ls.io.load_photographs(write_transforms_photographs(tmp_path / "straight", ring_cameras(4)))
+        ls.io.load_training_images(write_transforms_photographs(tmp_path / "bent", ring_cameras(4, **lens)))
+        ls.io.load_training_images(write_transforms_photographs(tmp_path / "straight", ring_cameras(4)))
     (line,) = (record.getMessage() for record in caplog.records)
     assert line.endswith(
         "/bent/transforms.json: 4 photographs of distorting lenses are straightened: resampled as of pinholes"
@@ -267,7 +267,7 @@ def test_photographs_in_folders_have_names_of_their_own(tmp_path):
         write_png(tmp_path / "images" / side / "a.png", photograph(cameras[0]))
     for index, side in enumerate(("right", "left")):
         change_frame(tmp_path / "transforms.json", index, file_path=f"images/{side}/a.png")
-    views = ls.io.load_photographs(tmp_path, hold_out=0).training
+    views = ls.io.load_training_images(tmp_path, hold_out=0).training
     assert [(view.name, view.path.parent.name) for view in views] == [("a", "left"), ("a_2", "right")]
 
 
@@ -277,8 +277,8 @@ def test_files_may_name_photographs_outside_if_trusted(tmp_path):
     write_png(tmp_path / "outer.png", photograph(ring_cameras(2, 8, 6)[0]))
     change_frame(folder / "transforms.json", 0, file_path="../outer.png")
     with pytest.raises(ls.FormatError, match=r"names '../outer.png', which is not in its folder"):
-        ls.io.load_photographs(folder)
-    assert len(ls.io.load_photographs(folder, allow_outside=True, hold_out=0).training) == 2
+        ls.io.load_training_images(folder)
+    assert len(ls.io.load_training_images(folder, allow_outside=True, hold_out=0).training) == 2
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg"])
@@ -293,7 +293,7 @@ def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension)
             (tmp_path / "images" / f"{camera.name}.png").rename(tmp_path / "images" / f"{camera.name}{extension}")
         Image.new("L", (8, 6), 255).save(tmp_path / "masks" / f"{camera.name}.png")
     ls.save_cameras(tmp_path / "transforms.json", cameras)
-    views = ls.io.load_photographs(tmp_path, hold_out=0).training
+    views = ls.io.load_training_images(tmp_path, hold_out=0).training
     assert [(view.name, view.path) for view in views] == [
         (camera.name, tmp_path / "images" / f"{camera.name}{extension}") for camera in cameras
     ]
@@ -306,7 +306,7 @@ def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension)
 def test_the_fox(data_dir):
     """50 photographs of a phone: 7 held out, as others split them; straightened, with few pixels missing."""
     folder = Path(data_dir) / "photos" / "fox"
-    found = ls.io.load_photographs(folder, scale=0.5)
+    found = ls.io.load_training_images(folder, scale=0.5)
     listed = json.loads((folder / "transforms.json").read_text())["frames"]
     assert (len(found.training), len(found.held_out)) == (len(listed) - 7, 7)
     view = found.held_out[0]

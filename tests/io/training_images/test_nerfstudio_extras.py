@@ -43,7 +43,7 @@ def test_points_are_where_to_begin(tmp_path: Path, caplog: pytest.LogCaptureFixt
     """With bytes, floats, or without colours; where they are not there, a line says so."""
     folder = folder_with(tmp_path / "set", ply_file_path="./sparse_pc.ply")
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert ls.io.load_photographs(folder).points is None
+        assert ls.io.load_training_images(folder).points is None
     assert "sparse_pc.ply is not there" in caplog.text.replace("'", "").replace('"', "").replace("./", "")
     for colors, expected in (
         (BYTES, BYTES / 255.0),
@@ -51,16 +51,16 @@ def test_points_are_where_to_begin(tmp_path: Path, caplog: pytest.LogCaptureFixt
         (None, 0.5 + 0.0 * POINTS),
     ):
         write_points(folder / "sparse_pc.ply", POINTS, colors)
-        found = ls.io.load_photographs(folder)
+        found = ls.io.load_training_images(folder)
         assert found.points is not None and found.point_colors is not None
         np.testing.assert_allclose(found.points, POINTS, rtol=1e-6)
         np.testing.assert_allclose(found.point_colors, expected, atol=1e-6)
     write_points(folder / "sparse_pc.ply", np.where(POINTS > 1.0, np.nan, POINTS))
     with pytest.raises(ls.FormatError, match="not finite"):
-        ls.io.load_photographs(folder)
+        ls.io.load_training_images(folder)
     folder_with(folder, ply_file_path="../other.ply")
     with pytest.raises(ls.FormatError, match="not in its folder"):
-        ls.io.load_photographs(folder)
+        ls.io.load_training_images(folder)
 
 
 @pytest.mark.parametrize(
@@ -79,10 +79,10 @@ def test_what_is_held_out_is_what_the_file_says(
     """Frames by their paths, in any spelling; without a word, every eighth."""
     splits = {f"{part}_filenames": [f"./images/view_{k}.png" for k in numbers] for part, numbers in given.items()}
     folder = folder_with(tmp_path / "set", **splits)
-    found = ls.io.load_photographs(folder)
+    found = ls.io.load_training_images(folder)
     assert names(found.training) == training and names(found.held_out) == held_out
     if "train" in given:
-        all_of_it = ls.io.load_photographs(folder, hold_out=0)
+        all_of_it = ls.io.load_training_images(folder, hold_out=0)
         assert names(all_of_it.training) == training and not all_of_it.held_out
 
 
@@ -91,5 +91,5 @@ def test_splits_that_are_none_are_refused(tmp_path: Path) -> None:
     for value, problem in (("all", "expected a list of the file_path of frames"), (["a.png"], "none of the frames")):
         folder = folder_with(tmp_path / str(len(value)), train_filenames=value)
         with pytest.raises(ls.FormatError, match=problem):
-            ls.io.load_photographs(folder)
+            ls.io.load_training_images(folder)
         assert json.loads((folder / "transforms.json").read_text())["train_filenames"] == value

@@ -27,7 +27,7 @@ def test_pinholes_see_the_world_where_it_is(tmp_path, lens, scale):
     """Taken through the lens, straightened, and compared with what the pinhole's own rays see, to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
     folder = write_transforms_photographs(tmp_path, cameras, [_large(camera) for camera in cameras])
-    for view in ls.io.load_photographs(folder, hold_out=0, scale=scale).training:
+    for view in ls.io.load_training_images(folder, hold_out=0, scale=scale).training:
         assert view.camera.model is ls.CameraModel.PINHOLE and not view.camera.is_distorted
         mask = view.mask()
         counts = np.ones(view.pixels().shape[:2], bool) if mask is None else mask > 0.0
@@ -69,7 +69,7 @@ def test_what_a_lens_does_not_show_does_not_count(tmp_path):
         folder = write_transforms_photographs(
             tmp_path / name, ring_cameras(2, 60, 45, **LENSES[name] | {"fx": 40.0, "fy": 40.0})
         )
-        masks[name] = ls.io.load_photographs(folder, hold_out=0).training[0].mask()
+        masks[name] = ls.io.load_training_images(folder, hold_out=0).training[0].mask()
     assert masks["barrel"] is None
     cushion = masks["cushion"]
     assert cushion is not None and set(np.unique(cushion)) == {0.0, 1.0}
@@ -81,7 +81,7 @@ def test_beyond_the_fold_a_lens_shows_nothing(tmp_path):
     folder = write_transforms_photographs(
         tmp_path, ring_cameras(2, 120, 90, fx=60.0, fy=60.0, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
     )
-    mask = ls.io.load_photographs(folder, hold_out=0).training[0].mask()
+    mask = ls.io.load_training_images(folder, hold_out=0).training[0].mask()
     assert mask is not None
     x, y = np.meshgrid(np.arange(120) + 0.5 - 60.7, np.arange(90) + 0.5 - 44.6)
     reach = 60.0 * np.sqrt(1.0 / (3.0 * 0.45))

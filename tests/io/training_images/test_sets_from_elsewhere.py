@@ -36,7 +36,7 @@ def test_masks_are_found_by_the_names_that_programs_give_them(tmp_path: Path, na
     (tmp_path / folder).mkdir()
     for k in range(3):
         Image.fromarray(HALF).save(tmp_path / folder / name.format(f"view_{k}"))
-    for view in ls.io.load_photographs(tmp_path, hold_out=0).training:
+    for view in ls.io.load_training_images(tmp_path, hold_out=0).training:
         mask = view.mask()
         assert mask is not None
         np.testing.assert_array_equal(mask, HALF > 0)
@@ -53,7 +53,7 @@ def test_a_mask_may_lie_beside_its_image_or_in_a_folder_like_that_of_the_image(t
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     Image.fromarray(HALF).save(tmp_path / "masks/left/view_0_mask.png")
     Image.fromarray(HALF).save(tmp_path / "images/view_1.png.mask.png")
-    masks = {view.name: view.mask() for view in ls.io.load_photographs(tmp_path, hold_out=0).training}
+    masks = {view.name: view.mask() for view in ls.io.load_training_images(tmp_path, hold_out=0).training}
     assert masks["view_0"] is not None and masks["view_1"] is not None and masks["view_2"] is None
 
 
@@ -64,11 +64,11 @@ def test_masks_that_match_no_image_or_some_only_are_counted_in_a_line(
     write_colmap_photographs(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / "masks").mkdir()
     Image.fromarray(HALF).save(tmp_path / "masks" / "other_7.png")
-    assert ls.io.load_photographs(tmp_path, hold_out=0).training[0].mask() is None
+    assert ls.io.load_training_images(tmp_path, hold_out=0).training[0].mask() is None
     assert "masks is ignored: none of its 1 files (other_7.png) is named after an image" in caplog.text
     caplog.clear()
     Image.fromarray(HALF).save(tmp_path / "masks" / "view_0.png")
-    ls.io.load_photographs(tmp_path, hold_out=0)
+    ls.io.load_training_images(tmp_path, hold_out=0)
     assert "masks has masks of 1 of 3 images" in caplog.text
 
 
@@ -83,7 +83,7 @@ def test_a_test_file_without_its_images_does_not_stop_training(
     if not has_val:
         shutil.rmtree(tmp_path / "val")
         (tmp_path / "transforms_val.json").unlink()
-    found = ls.io.load_photographs(tmp_path)
+    found = ls.io.load_training_images(tmp_path)
     assert [view.path.parent.name for view in found.held_out] == ["val" if has_val else "train"]
     assert len(found.training) == (4 if has_val else 3)
     said = "those of transforms_val.json are held out" if has_val else "some of those to learn from are held out"
@@ -95,13 +95,13 @@ def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, cap
     cameras = ring_cameras(7, 16, 12)
     for model, part in (("sparse/0", cameras[:2]), ("sparse/2", cameras[4:]), ("sparse/10", cameras[2:4])):
         write_colmap_photographs(tmp_path, part, POINTS, model=model, text=model == "sparse/2")
-    found = ls.io.load_photographs(tmp_path, hold_out=0)
+    found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert [view.name for view in found.training] == ["view_4", "view_5", "view_6"]
     assert "has 3 models: 2 with 3 images is taken, and 0 with 2, 10 with 2 are left out" in caplog.text
     assert "4 of 7 images have no pose (view_0.png, view_1.png, view_2.png, ...)" in caplog.text
     assert [camera.name for camera in ls.load_cameras(tmp_path)] == ["view_4", "view_5", "view_6"]
     (tmp_path / "sparse/2/images.txt").write_bytes(b"\x00\xff")  # a damaged model is none to take
-    assert len(ls.io.load_photographs(tmp_path, hold_out=0).training) == 2
+    assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 2
 
 
 def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -112,7 +112,7 @@ def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCap
     del content["frames"][2]
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     Image.fromarray(HALF).resize((16, 12)).save(tmp_path / "images/view_0.png.mask.png")
-    assert len(ls.io.load_photographs(tmp_path, hold_out=0).training) == 3
+    assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 3
     assert "1 of 4 images have no pose (view_2.png)" in caplog.text
 
 
@@ -136,7 +136,7 @@ def test_backslashes_are_slashes_where_no_file_has_that_name(tmp_path: Path, lay
             content["train_filenames"] = [frame["file_path"] for frame in content["frames"][:2]]
             content["test_filenames"] = ["images/view_2.png"]
         (tmp_path / "transforms.json").write_text(json.dumps(content))
-    found = ls.io.load_photographs(tmp_path, hold_out=2 if layout == "split" else 0)
+    found = ls.io.load_training_images(tmp_path, hold_out=2 if layout == "split" else 0)
     assert [view.name for view in (*found.training, *found.held_out)] == ["view_0", "view_1", "view_2"]
 
 
@@ -146,7 +146,7 @@ def test_a_file_whose_name_has_a_backslash_is_that_file(tmp_path: Path) -> None:
     (tmp_path / "images/view_0.png").rename(tmp_path / "images/a\\view_0.png")
     listed = tmp_path / "sparse/0/images.txt"
     listed.write_text(listed.read_text().replace(" view_0", " a\\view_0"))
-    assert len(ls.io.load_photographs(tmp_path, hold_out=0).training) == 2
+    assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 2
 
 
 def test_backslashes_do_not_lead_out_of_the_folder(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_backslashes_do_not_lead_out_of_the_folder(tmp_path: Path) -> None:
     content["frames"][0]["file_path"] = "..\\view_0.png"
     (tmp_path / "set/transforms.json").write_text(json.dumps(content))
     with pytest.raises(ls.FormatError, match="not in its folder"):
-        ls.io.load_photographs(tmp_path / "set")
+        ls.io.load_training_images(tmp_path / "set")
 
 
 def _marked(text: bytes) -> bytes:
@@ -185,7 +185,7 @@ def test_text_of_colmap_may_have_a_mark_and_may_lack_points(tmp_path: Path, chan
         file.write_bytes(
             change(file.read_bytes()) if name == "images" or change in (_marked, _wide) else file.read_bytes()
         )
-    found = ls.io.load_photographs(tmp_path, hold_out=0)
+    found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert [view.name for view in found.training] == ["view_0", "view_1", "view_2", "view_3"]
     assert found.points is not None and len(found.points) == len(POINTS)
 
@@ -199,7 +199,7 @@ def test_distortion_beyond_any_lens_is_one_line(tmp_path: Path, value: float, mo
     packed = struct.pack(f"<QiiQQ{len(values)}d", 1, 1, model, 16, 12, *values)
     (tmp_path / "sparse/0/cameras.bin").write_bytes(packed)
     with pytest.raises(ls.FormatError, match=r"images.bin: image 1 \(view_0.png\): camera distortion is"):
-        ls.io.load_photographs(tmp_path)
+        ls.io.load_training_images(tmp_path)
 
 
 def test_distortion_that_moves_no_point_is_none(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.scene.placing import y_up_from
 from lumisplat.scene.primitives import box
-from lumisplat.scene.up import y_up_from
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import capture
 from support.files.usd_files import usd_core, validation_messages, write_usda

@@ -16,7 +16,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.usd.scene import shows_one_capture
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import Light
-from lumisplat.scene.up import y_up_from
+from lumisplat.scene.placing import y_up_from
 from support.files.splat_files import capture
 from support.files.usd_files import EXTENSIONS, usd_core, validation_messages
 from support.kinds import expect_kind

@@ -10,8 +10,8 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.demo import shapes
+from lumisplat.scene.ops.neighbours import pairs_of_about
 from lumisplat.scene.ops.normals import NORMAL_NEIGHBOURS, _pairs_within
-from lumisplat.scene.sampling.blue_noise import pairs_of_about
 from support.kinds import present
 from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians, similarity
 from support.scenes.sphere import unit

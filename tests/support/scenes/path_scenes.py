@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 import lumisplat as ls
 from lumisplat.demo.shapes import sphere
-from lumisplat.scene.sampling.surface_points import face_areas_and_normals, stratified_points
+from lumisplat.scene.ops.surface_points import face_areas_and_normals, stratified_points
 
 Doubles = npt.NDArray[np.float64]
 

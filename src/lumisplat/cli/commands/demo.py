@@ -129,7 +129,7 @@ def lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start
 @contextmanager
 def _few_samples() -> Generator[None]:
     """Inside the block, nothing warns of few samples: the demo has chosen them."""
-    log = logging.getLogger("lumisplat.grain")
+    log = logging.getLogger("lumisplat.noise")
     level = log.level
     log.setLevel(logging.ERROR)
     try:

@@ -137,7 +137,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             raise ls.ConfigError(f"{counted(len(captures), 'capture')} given, expected one with --materials")
         if self.output is not None:
             inside = self.output.resolve().is_relative_to(folder.resolve())
-            check_report(self.output, _files_of(ls.io.load_photographs(folder)) if inside else ())
+            check_report(self.output, _files_of(ls.io.load_training_images(folder)) if inside else ())
         found = self.environment or captures[0].with_suffix(".environment.exr")
         light = ls.io.load_radiance(found) if self.environment or found.is_file() else None
         config = None if self.pipeline is None else ls.RenderConfig(pipeline=ls.Pipeline(self.pipeline))
@@ -164,9 +164,9 @@ class Evaluate(LoadingCommand, DeviceCommand):
 
     def _views(
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
-    ) -> Sequence[ls.io.Photograph]:
+    ) -> Sequence[ls.io.TrainingImage]:
         """The photographs that are held out."""
-        photographs = ls.io.load_photographs(
+        photographs = ls.io.load_training_images(
             folder,
             scale=self.scale,
             hold_out=self.hold_out,
@@ -181,12 +181,12 @@ class Evaluate(LoadingCommand, DeviceCommand):
         return photographs.held_out
 
 
-def _files_of(photographs: ls.io.Photographs) -> list[Path]:
+def _files_of(photographs: ls.io.TrainingImages) -> list[Path]:
     """Of all: those of a folder for training may have the names of those that are held out in another."""
     return [view.path for view in (*photographs.training, *photographs.held_out)]
 
 
-def _common_scales(views: Sequence[ls.io.Photograph]) -> int:
+def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
     """How many scales of MS-SSIM suit all photographs; fewer than five are said."""
     smallest = min((view.camera for view in views), key=lambda camera: min(camera.width, camera.height))
     scales = ls.metrics.ms_ssim_scales(smallest.height, smallest.width)

@@ -142,7 +142,7 @@ class Train(DeviceCommand):
             ls.io.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
         config = self._config()
         try:
-            photographs = ls.io.load_photographs(
+            photographs = ls.io.load_training_images(
                 self.folder,
                 scale=self.scale,
                 hold_out=self.hold_out,
@@ -173,7 +173,7 @@ class Train(DeviceCommand):
     def _materials(
         self,
         result: ls.training.TrainResult,
-        photographs: ls.io.Photographs,
+        photographs: ls.io.TrainingImages,
         config: ls.config.MaterialsConfig,
         report: Report,
     ) -> ls.inverse.FoundMaterials | None:
@@ -266,7 +266,7 @@ _SH_C0 = 0.28209479177387814
 
 
 def _write_materials(
-    folder: Path, found: ls.inverse.FoundMaterials, photographs: ls.io.Photographs, device: str
+    folder: Path, found: ls.inverse.FoundMaterials, photographs: ls.io.TrainingImages, device: str
 ) -> None:
     """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures."""
     import numpy as np

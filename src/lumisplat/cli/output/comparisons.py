@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 class Comparison:
     """The figures of one view."""
 
-    view: ls.io.Photograph
+    view: ls.io.TrainingImage
     figures: Figures
     share: float
     """How much of the photograph was compared, 0..1."""
@@ -36,7 +36,7 @@ class Comparison:
     """Why figures are missing."""
 
 
-def compare(view: ls.io.Photograph, frame: ls.Frame, scales: int) -> Comparison:
+def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparison:
     """Compares a photograph with a frame of its camera, where its mask is at least half.
 
     Args:
@@ -67,7 +67,7 @@ def compare(view: ls.io.Photograph, frame: ls.Frame, scales: int) -> Comparison:
     return Comparison(view, figures, float(region.mean()), problems)
 
 
-def write_side_by_side(view: ls.io.Photograph, frame: ls.Frame, path: Path) -> None:
+def write_side_by_side(view: ls.io.TrainingImage, frame: ls.Frame, path: Path) -> None:
     """Writes photograph, picture and difference, from left to right; what does not count has no difference.
 
     Raises:
@@ -76,7 +76,7 @@ def write_side_by_side(view: ls.io.Photograph, frame: ls.Frame, path: Path) -> N
     write_beside(path, [(view.pixels(), frame.pixels_srgb())], _region(view))
 
 
-def _region(view: ls.io.Photograph) -> npt.NDArray[np.bool_]:
+def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
     """Where a photograph counts, shape (H, W)."""
     import numpy as np
 

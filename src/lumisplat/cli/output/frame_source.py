@@ -10,7 +10,7 @@ from typing import Protocol
 import lumisplat as ls
 from lumisplat.cli.output.console import Report, counted
 
-_log = logging.getLogger("lumisplat.grain")  # as that of grain that lights are known for
+_log = logging.getLogger("lumisplat.noise")  # as that of the noise of known lights
 
 GRAIN = 0.1
 """Noise of a frame of paths above which a line says what helps: 5 % of the pixels are off by a tenth or more."""

@@ -21,8 +21,8 @@ from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.animation.actors import Actor, Instance
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.lights import Light, LightEnvironment
+from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector
 
 EntryKind = Literal["splats", "meshes", "actors", "lights", "environment"]
 """The heading of an entry in a scene file."""

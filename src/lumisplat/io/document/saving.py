@@ -27,11 +27,11 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
+from lumisplat.scene.local_frame import placed_mesh
 from lumisplat.scene.materials import MaterialPbr, texture_names
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.world_space import placed_mesh
+from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector
 
 
 @dataclass(slots=True)

@@ -23,8 +23,8 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.scene.editing.transform import transform, under_affine
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import display_sh
+from lumisplat.scene.placing import y_up_from
 from lumisplat.scene.scene import SplatInstance, check_similarity
-from lumisplat.scene.up import y_up_from
 
 _log = logging.getLogger("lumisplat")
 

@@ -25,8 +25,7 @@ from lumisplat.io.gltf.textures import (
     texture_extension,
 )
 from lumisplat.math.arrays import Doubles
-from lumisplat.scene.materials import AlphaMode, Material, MaterialPbr, MaterialSimple, wraps_of
-from lumisplat.scene.textures import Texture, WrapPair
+from lumisplat.scene.materials import AlphaMode, Material, MaterialPbr, MaterialSimple, Texture, WrapPair, wraps_of
 
 if TYPE_CHECKING:
     import pygltflib

@@ -38,10 +38,10 @@ from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import FlatLight, Light, LightEnvironment
+from lumisplat.scene.local_frame import placed_mesh
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.ops.world_space import placed_mesh
+from lumisplat.scene.placing import y_up_from
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import y_up_from
 
 _log = logging.getLogger("lumisplat")
 

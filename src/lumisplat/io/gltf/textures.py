@@ -12,7 +12,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.source import TextureBytes
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.images.texture import decode_texture
-from lumisplat.scene.textures import TextureWrap, WrapPair
+from lumisplat.scene.materials import TextureWrap, WrapPair
 
 if TYPE_CHECKING:
     import pygltflib

@@ -16,9 +16,8 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.checks import with_checked
 from lumisplat.scene.local_frame import needed_origin
 from lumisplat.scene.materials import Material, texture_names
-from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.triangles import area_vectors, check_triangles, describe_problems, sum_at_vertices
-from lumisplat.scene.up import Vector
+from lumisplat.scene.mesh import Mesh, area_vectors, check_triangles, describe_problems, sum_at_vertices
+from lumisplat.scene.placing import Vector
 
 _log = logging.getLogger("lumisplat")
 

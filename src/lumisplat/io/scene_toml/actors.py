@@ -42,9 +42,9 @@ from lumisplat.scene.animation.keyframes import Keyframes
 from lumisplat.scene.animation.rigged_gaussians import bind_gaussians
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.mesh_sampling import gaussians_from_instances
+from lumisplat.scene.ops.mesh_sampling import gaussians_from_instances
+from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector
 
 ACTOR_KEYS = {
     "path": TEXT,

@@ -56,9 +56,9 @@ from lumisplat.scene.lights import Light, move_light
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.insertion import lowest
 from lumisplat.scene.ops.normals import smooth_normals
+from lumisplat.scene.placing import Vector
 from lumisplat.scene.primitives import box, plane, sphere
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector
 
 _SHAPES = ("box", "plane", "sphere")
 

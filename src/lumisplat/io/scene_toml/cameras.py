@@ -48,7 +48,7 @@ from lumisplat.io.scene_toml.toml_table import (
 )
 from lumisplat.scene.animation.camera_path import CameraPath
 from lumisplat.scene.camera import Camera, CameraModel
-from lumisplat.scene.up import Vector, up_vector
+from lumisplat.scene.placing import Vector, up_vector
 
 _SIZE = {"width": WHOLE, "height": WHOLE}
 _FILE_KEYS = {"path": TEXT, **PLACEMENT, **_SIZE, "exposure": NUMBER}

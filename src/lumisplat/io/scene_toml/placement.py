@@ -32,9 +32,8 @@ from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.insertion import insertion
-from lumisplat.scene.placing import Placing, placed
+from lumisplat.scene.placing import Placing, Vector, placed, up_vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.up import Vector, up_vector
 
 _log = logging.getLogger("lumisplat")
 
@@ -84,7 +83,7 @@ def keep_saved_places(document: TomlTable) -> None:
                 )
 
 
-def say_unturned(document: TomlTable, up: Vector) -> None:
+def warn_if_not_turned(document: TomlTable, up: Vector) -> None:
     """Says of meshes and actors of files that they lie as in their files, where y is not up, though they have a place.
 
     Files that a program saved mean it, and so does who writes ``upright = false``.

@@ -28,7 +28,7 @@ from lumisplat.io.splats.orientation import (
 )
 from lumisplat.math.arrays import FloatArray, read_only_view
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.up import Vector
+from lumisplat.scene.placing import Vector
 
 LOGIT_MAX = 20.0
 """Opacities are written as logits of at most this size: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""

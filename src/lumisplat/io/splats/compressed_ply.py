@@ -30,8 +30,8 @@ from lumisplat.io.splats.columns import (
 )
 from lumisplat.io.splats.orientation import orientation_of_comments, without_orientation
 from lumisplat.io.splats.splat_ply import antialiased_from_comments, comments_with_settings, kernel_degree_from_comments
-from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.neighbours import morton_order
 
 _log = logging.getLogger("lumisplat")
 

@@ -21,8 +21,8 @@ from lumisplat.errors import SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.light_aims import vector
-from lumisplat.scene.up import Vector, up_vector
+from lumisplat.scene.lights import vector
+from lumisplat.scene.placing import Vector, up_vector
 
 _log = logging.getLogger("lumisplat")
 

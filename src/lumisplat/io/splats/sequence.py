@@ -8,7 +8,7 @@ from pathlib import Path
 
 from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.source import PathLike, readable
-from lumisplat.scene.animation.sequence import GaussianSequence
+from lumisplat.scene.animation.actors import GaussianSequence
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene

@@ -42,8 +42,8 @@ from lumisplat.io.splats.columns import (
     warn_losses,
 )
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
-from lumisplat.scene.editing.morton import morton_order
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.neighbours import morton_order
 
 _log = logging.getLogger("lumisplat")
 

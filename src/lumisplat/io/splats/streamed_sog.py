@@ -34,8 +34,8 @@ from lumisplat.io.splats.sog import (
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.editing.decimate import decimate
-from lumisplat.scene.editing.morton import sort_morton
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians
+from lumisplat.scene.ops.neighbours import sort_morton
 
 SOG_CHUNK_COUNT = 512 * 1024
 """Gaussians of a capture of a streamed SOG, about, and at most of a leaf: what splat-transform takes, 7 MB."""

@@ -55,7 +55,7 @@ class Listed:
     """The ``file_path`` of its frame, in its shortest spelling."""
 
 
-def transforms_photographs(path: Path, *, may_lack_all: bool = False) -> list[Listed]:
+def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[Listed]:
     """Lists the images of a ``transforms.json``; those that are missing are left out, and a log line names them.
 
     Args:
@@ -97,7 +97,7 @@ def _shortest_name(name: str) -> str:
     return str(PurePosixPath(name.replace("\\", "/")))
 
 
-def colmap_photographs(model: Path, folder: Path) -> list[Listed]:
+def colmap_images(model: Path, folder: Path) -> list[Listed]:
     """The photographs of a sparse model; those that are missing are left out, and a log line names them.
 
     Args:

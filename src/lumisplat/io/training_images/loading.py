@@ -28,11 +28,11 @@ from lumisplat.io.images.texture import check_undamaged, image_size, read_textur
 from lumisplat.io.training_images.listing import (
     Listed,
     Splits,
-    colmap_photographs,
+    colmap_images,
     nerfstudio_points,
     report_without_pose,
     some_names,
-    transforms_photographs,
+    transforms_images,
 )
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.distortion import distort, distortion_reach
@@ -40,7 +40,7 @@ from lumisplat.math.resampling import area_mean, cubic_samples
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.local_frame import camera_extent
 
-PHOTOGRAPH_CACHE_BYTES = 1 << 30
+IMAGE_CACHE_BYTES = 1 << 30
 """Memory for photographs that have been decoded, by default: 520 of 960 x 720, and more would not fit beside a trainer
 on small machines."""
 
@@ -72,7 +72,7 @@ def camera_target(cameras: Sequence[Camera]) -> Doubles:
     return middle + inverse @ np.einsum("nij,nj->i", across, eyes - middle)
 
 
-def count_places(cameras: Sequence[Camera]) -> int:
+def count_positions(cameras: Sequence[Camera]) -> int:
     """From how many places cameras see, those that are as good as the same counted once."""
     return len(_different(cameras, turned=False))
 
@@ -99,7 +99,7 @@ def _different(cameras: Sequence[Camera], *, turned: bool) -> list[int]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Photograph:
+class TrainingImage:
     """A photograph as its camera sees it. Its pixels are decoded when they are asked for, and kept for a while.
 
     Every method reads the files if their contents are no longer kept, and raises `FormatError` if that fails.
@@ -158,7 +158,7 @@ class Photograph:
 
 @dataclass(frozen=True, slots=True)
 class ReadFrom:
-    """From where photographs were read, and how: the arguments of `load_photographs` that make the same ones again."""
+    """The arguments of `load_training_images` that read the same images again."""
 
     folder: Path
     """Its absolute path."""
@@ -170,12 +170,12 @@ class ReadFrom:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Photographs:
-    """Photographs of a scene with poses, as `load_photographs` reads them."""
+class TrainingImages:
+    """Images of a scene with poses, as `load_training_images` reads them."""
 
-    training: tuple[Photograph, ...]
+    training: tuple[TrainingImage, ...]
     """Those to learn from, at least one, ordered by name."""
-    held_out: tuple[Photograph, ...]
+    held_out: tuple[TrainingImage, ...]
     """Those to measure with, ordered by name; there may be none."""
     points: Doubles | None
     """Points of the scene that COLMAP has found, world space, shape (N, 3); None: there are none."""
@@ -234,16 +234,16 @@ class _Wanted:
     straight: bool
 
 
-def load_photographs(
+def load_training_images(
     folder: PathLike,
     *,
     scale: float = 1.0,
     hold_out: int = HOLD_OUT,
     background: str | Sequence[float] | None = None,
     straighten: bool = True,
-    cache_bytes: int = PHOTOGRAPH_CACHE_BYTES,
+    cache_bytes: int = IMAGE_CACHE_BYTES,
     allow_outside: bool = False,
-) -> Photographs:
+) -> TrainingImages:
     """Finds the photographs of a folder and their poses; pixels are decoded when they are asked for.
 
     The first that is there counts: ``transforms_train.json`` (Blender, NeRF-synthetic; what is held out are the
@@ -302,7 +302,7 @@ def load_photographs(
         held = set_of(found.held_out)
     cameras = [view.camera for view in views]
     points, colors = found.points or (None, None)
-    return Photographs(
+    return TrainingImages(
         training=tuple(views),
         held_out=tuple(held),
         points=points,
@@ -321,10 +321,10 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         raise FormatError(folder, f"is a file, expected the folder that holds {_EXPECTED}")
     train = folder / "transforms_train.json"
     if train.is_file():
-        return _Found(train, transforms_photographs(train), _held_out(folder) if with_held_out else None)
+        return _Found(train, transforms_images(train), _held_out(folder) if with_held_out else None)
     if (folder / "transforms.json").is_file():
         file = folder / "transforms.json"
-        listed = transforms_photographs(file)
+        listed = transforms_images(file)
         report_without_pose(file, folder, listed)
         learnt, held_out = Splits.of(file).divide(file, listed, holds_out=with_held_out)
         return _Found(file, learnt, held_out, nerfstudio_points(file))
@@ -335,7 +335,7 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
             f"has no photographs with poses: expected {_EXPECTED} in sparse/0; for photographs without poses, "
             "find_poses (--poses colmap) makes one",
         )
-    listed = colmap_photographs(model, folder)
+    listed = colmap_images(model, folder)
     report_without_pose(model, folder, listed)
     return _Found(model, listed, points=read_colmap_points(model))
 
@@ -346,7 +346,7 @@ def _held_out(folder: Path) -> list[Listed] | None:
     Some exporters write a test file and leave its images to be rendered: a log line says what is held out then.
     """
     files = [path for name in ("test", "val") if (path := folder / f"transforms_{name}.json").is_file()]
-    lists = [transforms_photographs(path, may_lack_all=True) for path in files]
+    lists = [transforms_images(path, may_lack_all=True) for path in files]
     found = next((number for number, listed in enumerate(lists) if listed), None)
     lacking = files[:found]
     if lacking:
@@ -378,7 +378,7 @@ def find_model(folder: Path) -> Path | None:
     return next((path for path in (*models, sparse, folder) if is_colmap(path)), None)
 
 
-def _views(file: Path, wanted: _Wanted, cache: _PixelCache, listed: Sequence[Listed]) -> list[Photograph]:
+def _views(file: Path, wanted: _Wanted, cache: _PixelCache, listed: Sequence[Listed]) -> list[TrainingImage]:
     """The photographs of a file, in the order of their names, smaller by a factor."""
     for photograph in listed:
         _check(file, photograph)
@@ -387,12 +387,12 @@ def _views(file: Path, wanted: _Wanted, cache: _PixelCache, listed: Sequence[Lis
     bent = sum(is_bent(camera) for camera in cameras)
     if bent and wanted.straight:
         _log.warning("%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, bent)
-    views: list[Photograph] = []
+    views: list[TrainingImage] = []
     for camera, photograph in zip(cameras, ordered, strict=True):
         lens = _smaller(camera, wanted.scale)
         source = Source(lens, photograph.image, photograph.mask, straightens=wanted.straight)
         seen = pinhole_of(lens) if wanted.straight else lens
-        views.append(Photograph(camera.name, seen, photograph.image, wanted.background, source, cache))
+        views.append(TrainingImage(camera.name, seen, photograph.image, wanted.background, source, cache))
     return views
 
 

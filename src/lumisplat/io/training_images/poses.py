@@ -408,7 +408,7 @@ def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | 
     """Finds where photographs were taken from, and writes a sparse model of COLMAP beside them.
 
     Photographs of one size are taken for those of one lens, with one focal length. COLMAP sees large ones at a
-    thousand pixels; the poses are of the files as they are, which `load_photographs` makes smaller itself. What has
+    thousand pixels; the poses are of the files as they are, which `load_training_images` makes smaller itself. What has
     been found is kept in ``poses.unfinished`` in the folder until all is: after an interruption, the same call goes on.
 
     Args:
@@ -432,7 +432,7 @@ def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | 
     names = _photographs(folder)
     if (folder / "sparse").exists():
         raise FormatError(
-            folder / "sparse", "is there already: load_photographs reads it; remove it to find poses anew"
+            folder / "sparse", "is there already: load_training_images reads it; remove it to find poses anew"
         )
     try:
         pycolmap: Any = import_module("pycolmap")

@@ -19,8 +19,16 @@ from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import StageWriter, UsdFile, asset_bytes, asset_name, prim_name, shortest, value
 from lumisplat.math.arrays import Doubles, FloatArray, finite_numbers
 from lumisplat.math.color import encode_srgb
-from lumisplat.scene.materials import AlphaMode, Material, MaterialPbr, MaterialSimple, wraps_of
-from lumisplat.scene.textures import Texture, TextureWrap, WrapPair
+from lumisplat.scene.materials import (
+    AlphaMode,
+    Material,
+    MaterialPbr,
+    MaterialSimple,
+    Texture,
+    TextureWrap,
+    WrapPair,
+    wraps_of,
+)
 
 _WRAP_MODES = {"repeat": TextureWrap.REPEAT, "mirror": TextureWrap.MIRROR, "clamp": TextureWrap.CLAMP}
 """Others are black beyond the edges, or left to the image, which says nothing."""

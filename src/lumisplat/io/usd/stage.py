@@ -29,8 +29,8 @@ from lumisplat.io.usd.library import check_layers, pxr
 from lumisplat.io.usd.process import allow_asset
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import axis_rotation
-from lumisplat.scene.textures import Texture
-from lumisplat.scene.up import Vector, up_vector, y_up_from
+from lumisplat.scene.materials import Texture
+from lumisplat.scene.placing import Vector, up_vector, y_up_from
 
 _log = logging.getLogger("lumisplat")
 

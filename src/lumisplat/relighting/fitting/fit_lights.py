@@ -15,15 +15,12 @@ from lumisplat.config.checks import check_kind, check_whole, enum_member
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Pace, Progress, say_nothing
-from lumisplat.relighting.fitting.identifiability import certainty_of
-from lumisplat.relighting.fitting.images import read_photographs
-from lumisplat.relighting.fitting.light_layers import LightLayers
-from lumisplat.relighting.fitting.normal_equations import huber_cost
+from lumisplat.relighting.capture_measures import surface_remark
+from lumisplat.relighting.fitting.light_layers import LightLayers, read_images
 from lumisplat.relighting.fitting.parameters import Exposure, FitOptions, FitTask
-from lumisplat.relighting.fitting.power_fit import PowerFitter
-from lumisplat.relighting.fitting.results import LightFit, result_of
+from lumisplat.relighting.fitting.power_fit import PowerFitter, huber_cost
+from lumisplat.relighting.fitting.results import LightFit, certainty_of, result_of
 from lumisplat.relighting.fitting.search import elsewhere, search
-from lumisplat.relighting.surface_measure import surface_remark
 from lumisplat.renderer.checks import check_scene
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
@@ -139,7 +136,7 @@ def fit_lights(
         exposure=exposure,
     )
     curve = enum_member("tone_map", tone_map, ToneMap)
-    views = read_photographs(cameras, photographs, masks, linear=linear, tone_map=curve)
+    views = read_images(cameras, photographs, masks, linear=linear, tone_map=curve)
     report = progress or say_nothing
     for instance in scene.splats:
         if instance.material is not None and (remark := surface_remark(instance.gaussians, device=device)) is not None:

@@ -2,22 +2,204 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import Pipeline, RasterStrategy, RenderConfig
-from lumisplat.errors import ConfigError
+from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, ToneMap
+from lumisplat.errors import ConfigError, SceneError, check_instance
 from lumisplat.frame.frame import Frame
-from lumisplat.math.arrays import Doubles, Flags, IntArray
-from lumisplat.relighting.fitting.images import FitPhotograph
+from lumisplat.io.images.radiance import LINEAR, read_picture, read_radiance
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
+from lumisplat.math.resampling import area_mean
+from lumisplat.math.tone_map import remove_tone_map
 from lumisplat.renderer.renderer import Renderer, create_renderer
+from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import Light, LightPoint
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
+
+CLIPPED_ABOVE = 0.995
+"""Display value from which on a pixel may be clipped: 254 of 255 and above."""
+
+_ASPECT_ERROR = 0.51
+"""Pixels by which the height of a photograph may miss the camera's aspect ratio."""
+_WHOLE = 1.0 - 1e-4
+"""Share of its own pixels that count from which on a larger pixel counts."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FitImage:
+    """A photograph at its own size."""
+
+    camera: Camera
+    """Of the photograph's size."""
+    light: Doubles
+    """Linear Rec.709, exposed, shape (H, W, 3)."""
+    counts: Flags
+    """Which channels of which pixels are fitted, shape (H, W, 3)."""
+    label: str
+    """What messages call it."""
+    clipped: int
+    """Pixels that are left out, as they are at the end of the range."""
+    masked: int
+    """Pixels that a mask leaves out."""
+    full_size: int
+    """Pixels of the photograph as it was given."""
+
+    def scaled(self, longest: int) -> FitImage:
+        """The photograph with at most so many pixels along its longer side; a pixel counts if all of it does."""
+        height, width = self.light.shape[:2]
+        factor = longest / max(height, width)
+        if factor >= 1.0:
+            return self
+        size = max(1, round(factor * width)), max(1, round(factor * height))
+        return FitImage(
+            camera=self.camera.scaled(*size),
+            light=area_mean(self.light, *size).astype(np.float64),
+            counts=area_mean(self.counts.astype(np.float32), *size) >= _WHOLE,
+            label=self.label,
+            clipped=self.clipped,
+            masked=self.masked,
+            full_size=self.full_size,
+        )
+
+
+def read_images(
+    cameras: Camera | Sequence[Camera],
+    images: Any,
+    masks: Any = None,
+    *,
+    linear: bool | None = None,
+    tone_map: ToneMap = ToneMap.NONE,
+) -> list[FitImage]:
+    """The photographs of cameras.
+
+    Args:
+        cameras: One, or one a photograph.
+        images: As of `lumisplat.fit_lights`.
+        masks: One a photograph, (H, W): what is at least half white counts; None, also in place of one: all does.
+        linear: Whether arrays hold linear light; None: arrays and pictures are display-referred, EXR and HDR linear.
+        tone_map: What display colours went through.
+
+    Raises:
+        SceneError: Numbers or sizes do not match, values are not finite, or nothing counts.
+        FormatError: A file cannot be read.
+    """
+    views = [cameras] if isinstance(cameras, Camera) else list(cameras)
+    given = [images] if _is_one(images) else list(images)
+    covers = [None] * len(given) if masks is None else [masks] if _is_one(masks) else list(masks)
+    for view in views:
+        check_instance(view, Camera, "cameras holds something else, expected a Camera")
+    if not given or len(views) != len(given):
+        raise SceneError(f"there are {len(views)} cameras and {len(given)} photographs, expected one camera for each")
+    if len(covers) != len(given):
+        raise SceneError(f"there are {len(given)} photographs and {len(covers)} masks, expected one for each, or None")
+    rows = zip(range(len(given)), views, given, covers, strict=True)
+    return [
+        _read(number if len(given) > 1 else None, view, one, cover, linear=linear, tone_map=tone_map)
+        for number, view, one, cover in rows
+    ]
+
+
+def _path_of(given: Any) -> Path | None:
+    """The path, if it is one."""
+    return Path(cast("str", given)) if isinstance(given, str | os.PathLike) else None
+
+
+def _is_one(images: Any) -> bool:
+    """Whether this is one picture: a path, or an array of three axes; else it is a sequence of them."""
+    if _path_of(images) is not None:
+        return True
+    return not isinstance(images, list | tuple) and np.ndim(images) < 4
+
+
+def _read(
+    number: int | None, camera: Camera, image: Any, mask: Any, *, linear: bool | None, tone_map: ToneMap
+) -> FitImage:
+    path = _path_of(image)
+    label = "the photograph" if number is None else f"photograph {number}"
+    label = label if path is None else str(path)
+    if path is not None:
+        is_linear = path.suffix.lower() in LINEAR
+        values: npt.NDArray[Any] = read_radiance(path) if is_linear else read_picture(path)
+    else:
+        is_linear, values = bool(linear), np.asarray(image)
+    values = _checked(label, values)
+    camera = _fitting(label, camera, values.shape[1], values.shape[0])
+    counts: Flags = np.ones(values.shape, np.bool_)
+    if not is_linear:
+        bright = values >= CLIPPED_ABOVE
+        counts = (values > 0.0) & ~(bright if tone_map is ToneMap.NONE else bright.any(axis=2, keepdims=True))
+    clipped = int(np.count_nonzero(~counts.all(axis=2)))
+    light = np.maximum(values, 0.0) if is_linear else remove_tone_map(values, tone_map)
+    masked = 0
+    if mask is not None:
+        shown = _mask(label, mask, values.shape[:2])
+        masked = int(np.count_nonzero(~shown))
+        counts = counts & shown[..., None]
+    if not light.any():
+        raise SceneError(f"{label} is black: there is no light in it to be explained")
+    if not counts.any():
+        why = "is clipped or masked" if masked else f"is clipped, at 0 or at {CLIPPED_ABOVE} and above"
+        raise SceneError(f"{label}: every pixel {why}, so that nothing is left to fit; expose it otherwise")
+    return FitImage(
+        camera=camera,
+        light=np.asarray(light, np.float64),
+        counts=counts,
+        label=label,
+        clipped=clipped,
+        masked=masked,
+        full_size=camera.width * camera.height,
+    )
+
+
+def _checked(label: str, values: npt.NDArray[Any]) -> FloatArray:
+    """An image of numbers: bytes become 0..1."""
+    if values.dtype.kind not in "fu" or values.ndim != 3 or values.shape[2] != 3 or not values.size:
+        raise SceneError(f"{label} is an array {values.shape} of {values.dtype}, expected (H, W, 3), float or uint8")
+    if values.dtype.kind == "u":
+        return (values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)).astype(np.float32)
+    bad = int(np.count_nonzero(~np.isfinite(values).all(axis=2)))
+    if bad:
+        raise SceneError(f"{label} has {bad:,} pixels that are NaN or infinite: mend them, or mask them with 0 instead")
+    return values.astype(np.float32)
+
+
+def _fitting(label: str, camera: Camera, width: int, height: int) -> Camera:
+    """The camera at the size of its photograph.
+
+    Raises:
+        SceneError: The aspect ratio is another.
+    """
+    if abs(height - width * camera.height / camera.width) > _ASPECT_ERROR * max(1.0, height / camera.height):
+        raise SceneError(
+            f"{label} is {width} x {height}, and its camera {camera.name or 'without a name'} {camera.width} x "
+            f"{camera.height}, of another shape: crop the picture, or give the camera that took it"
+        )
+    return camera.scaled(width, height)
+
+
+def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
+    """Where a photograph counts, shape (H, W).
+
+    Raises:
+        SceneError: The mask has another size.
+    """
+    values: npt.NDArray[Any] = np.asarray(mask) if _path_of(mask) is None else read_picture(mask)
+    if values.dtype == np.uint8:
+        values = values / 255.0
+    if values.ndim == 3:
+        values = values.mean(axis=2)
+    if values.shape != size:
+        raise SceneError(f"the mask of {label} has shape {values.shape}, expected {size}, as the photograph")
+    return values >= 0.5
+
 
 FIT_SAMPLES_OF_PATHS = 64
 """Samples a pixel of paths, for each light: with them, 128 x 96 pixels know a lamp's light to some thousandths."""
@@ -81,23 +263,23 @@ class LightLayers:
         """By view: the things of the last scene, and which pixels are on one surface."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
-    def shown(self, scene: Scene, photographs: Sequence[FitPhotograph]) -> Flags:
+    def shown(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
         """Which pixels show what lights light, shape (N,)."""
-        frames = self._frames(0, _with_lights(scene, ()), photographs)
+        frames = self._frames(0, _with_lights(scene, ()), images)
         weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
         return np.concatenate(weights) < _KEPT
 
-    def picture(self, scene: Scene, lights: Sequence[Light], photographs: Sequence[FitPhotograph]) -> Doubles:
+    def picture(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
         """Linear light of a scene under these lights alone, what shines by itself included, shape (2, N, 3)."""
-        return self._both(_with_lights(scene, lights), photographs, self._whole)
+        return self._both(_with_lights(scene, lights), images, self._whole)
 
-    def alone(self, scene: Scene, light: Light, photographs: Sequence[FitPhotograph], fixed: Doubles) -> Doubles:
+    def alone(self, scene: Scene, light: Light, images: Sequence[FitImage], fixed: Doubles) -> Doubles:
         """Linear light that one light adds.
 
         Args:
             scene: The scene.
             light: The light.
-            photographs: Say which pixels.
+            images: Say which pixels.
             fixed: The picture without lights.
 
         Returns:
@@ -105,27 +287,27 @@ class LightLayers:
         """
         lit = _with_lights(scene, (light,))
         if self.is_path:  # its own layer: what else shines would only bring noise
-            return self._both(lit, photographs, self._own)
-        return self._both(lit, photographs, self._whole) - fixed
+            return self._both(lit, images, self._own)
+        return self._both(lit, images, self._whole) - fixed
 
-    def _both(self, scene: Scene, photographs: Sequence[FitPhotograph], layer: Layer) -> Doubles:
+    def _both(self, scene: Scene, images: Sequence[FitImage], layer: Layer) -> Doubles:
         """A layer rendered with two seeds; a single time, if it is not random."""
-        first = self._frames(0, scene, photographs)
+        first = self._frames(0, scene, images)
         rows = self._rows(scene, first, layer)
         second = rows
         if self._is_random or any(frame.samples > 1 for frame in first):
-            second = self._rows(scene, self._frames(1, scene, photographs), layer)
+            second = self._rows(scene, self._frames(1, scene, images), layer)
         self._rendered()
         return np.stack([rows, second])
 
     def _rows(self, scene: Scene, frames: Sequence[Frame], layer: Layer) -> Doubles:
         return np.concatenate([layer(scene, frame).reshape(-1, 3) for frame in frames])
 
-    def _frames(self, half: int, scene: Scene, photographs: Sequence[FitPhotograph]) -> list[Frame]:
+    def _frames(self, half: int, scene: Scene, images: Sequence[FitImage]) -> list[Frame]:
         while len(self._renderers) <= half:
             seed = (self.config.seed + 7919 * len(self._renderers)) % 2**32
             self._renderers.append(create_renderer(replace(self.config, seed=seed), self._device))
-        return [self._renderers[half].render(scene, replace(one.camera, exposure=0.0)) for one in photographs]
+        return [self._renderers[half].render(scene, replace(one.camera, exposure=0.0)) for one in images]
 
     def _whole(self, scene: Scene, frame: Frame) -> Doubles:
         """All light, what has bounced averaged."""

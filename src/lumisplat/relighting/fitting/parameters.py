@@ -306,8 +306,8 @@ class FitTask:
         if fits_exposure and options.intensities and not shines():
             unknown[0] = False  # else all lights could be twice as strong, and the exposure a stop less
         every = isinstance(options.base_colors, bool) or len(base_colors) == len(base_colors_of(start, True))
-        lamps = [start.lights[number] for number in lights]
-        placed = [lamp.position for lamp in lamps if isinstance(lamp, PlacedLight)]
+        fitted = [start.lights[number] for number in lights]
+        placed = [light.position for light in fitted if isinstance(light, PlacedLight)]
         places = np.array(placed, np.float64).reshape(-1, 3)
         return cls(
             scene=start,

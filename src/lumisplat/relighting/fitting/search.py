@@ -13,9 +13,16 @@ from lumisplat.constants import DAMPING_MAX, DAMPING_START
 from lumisplat.math.arrays import Doubles, Rows
 from lumisplat.math.nonnegative import bounded_least_squares, nonnegative_least_squares
 from lumisplat.relighting.fitting.light_layers import unit
-from lumisplat.relighting.fitting.normal_equations import Columns, huber_cost, lifted, normal_equations, spread_of
 from lumisplat.relighting.fitting.parameters import BaseColor, LightParameter, colors_of, with_base_colors
-from lumisplat.relighting.fitting.power_fit import Candidate, PowerFitter
+from lumisplat.relighting.fitting.power_fit import (
+    Candidate,
+    Columns,
+    PowerFitter,
+    huber_cost,
+    lifted,
+    normal_equations,
+    spread_of,
+)
 from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
@@ -110,9 +117,7 @@ def _slope_of_paint(fitter: PowerFitter, lit: Scene, paint: BaseColor) -> Double
     color = colors_of(lit, [paint])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
     lights = [light for light in lit.lights if light.enabled]
-    before, after = (
-        fitter.layers.picture(with_base_colors(lit, {paint: end}), lights, fitter.photographs) for end in ends
-    )
+    before, after = (fitter.layers.picture(with_base_colors(lit, {paint: end}), lights, fitter.images) for end in ends)
     return (after - before) / (ends[1] - ends[0])
 
 
@@ -258,7 +263,7 @@ def elsewhere(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
     for number, lights in choices.items():
         first[number] = len(pictures)
         for light in lights:
-            rows = fitter.layers.alone(candidate.scene, unit(light), fitter.photographs, candidate.fixed)
+            rows = fitter.layers.alone(candidate.scene, unit(light), fitter.images, candidate.fixed)
             pictures.append(rows.mean(axis=0))
     gram, moments = _products(fitter, candidate, np.array(pictures))
     chosen = dict.fromkeys(movable, 0)

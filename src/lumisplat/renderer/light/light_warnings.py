@@ -12,7 +12,7 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.scene.scene import Scene
 
 _log = logging.getLogger("lumisplat")
-_noise_log = logging.getLogger("lumisplat.grain")  # of its own, so that it can be silenced alone
+_noise_log = logging.getLogger("lumisplat.noise")  # of its own, so that it can be silenced alone
 
 
 class LightWarnings:

@@ -46,11 +46,10 @@ from lumisplat.scene.lights import (
     PlacedLight,
     RoundLight,
 )
-from lumisplat.scene.materials import MaterialPbr, wraps_of
+from lumisplat.scene.materials import MaterialPbr, WrapPair, wraps_of
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.surface_points import wrapped
+from lumisplat.scene.ops.surface_points import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
-from lumisplat.scene.textures import WrapPair
 
 ENVIRONMENT_SHARE_MIN = 4
 """Least share of a texel or row that is not black, in those steps: each can be sampled."""

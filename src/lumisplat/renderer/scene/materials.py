@@ -14,10 +14,9 @@ from lumisplat.device.structs.shading import BSDF_PBR, BSDF_SIMPLE, MaterialData
 from lumisplat.math.reflectance import albedo_curve, mean_fresnel
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.lights import LightEnvironment
-from lumisplat.scene.materials import Color, Material, MaterialPbr, MaterialSimple, wraps_of
+from lumisplat.scene.materials import Color, Material, MaterialPbr, MaterialSimple, TextureWrap, WrapPair, wraps_of
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from lumisplat.scene.textures import TextureWrap, WrapPair
 
 TextureFirst = Callable[[np.ndarray], int]
 

@@ -26,7 +26,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 from lumisplat.runtime.struct_tables import table_dtype
-from lumisplat.scene.editing.morton import morton_codes
+from lumisplat.scene.ops.neighbours import morton_codes
 
 # Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
 

@@ -23,8 +23,7 @@ from lumisplat.math.transforms import (
 )
 from lumisplat.scene.animation.keyframes import check_time
 from lumisplat.scene.materials import Material
-from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.triangles import check_triangles
+from lumisplat.scene.mesh import Mesh, check_triangles
 
 _Floats = npt.NDArray[np.floating]
 

@@ -13,7 +13,7 @@ from lumisplat.scene.animation.rig import Rig
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.mesh_sampling import SurfaceSamples, sample_surfaces
+from lumisplat.scene.ops.mesh_sampling import SurfaceSamples, sample_surfaces
 
 RIG_HIDDEN_AREA = 1e-4
 """Area of a posed triangle, relative to that at rest, below which its Gaussians vanish: scaled to a hundredth, or so

@@ -17,8 +17,8 @@ from lumisplat.constants import SCALE_MIN, SH_C0
 from lumisplat.math.arrays import Doubles, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions, quaternions_from_matrices
 from lumisplat.scene.checks import check_argument, check_whole
-from lumisplat.scene.editing.morton import morton_codes
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.neighbours import morton_codes
 
 DECIMATE_NEIGHBOURS = 4
 """Next ones along a Morton curve, in each direction, with which a Gaussian may be merged. More make passes slower, and

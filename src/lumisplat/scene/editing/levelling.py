@@ -16,8 +16,8 @@ from lumisplat.math.transforms import rotation_between
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.editing.transform import transform
 from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.placing import UP_AXES, Vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
-from lumisplat.scene.up import UP_AXES, Vector, up_vector
 
 _SAMPLES = 8_000
 """Gaussians of which planes are judged."""

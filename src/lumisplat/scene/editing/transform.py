@@ -1,16 +1,18 @@
-"""Moves, turns and scales captures for good, colours included, also by any affine transform.
+"""Moves, turns and scales captures for good, colours included, joins them, and changes the degree of their SH.
 
 Files scale captures by factors that differ along the axes, as instances do not.
 """
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import SCALE_MIN
+from lumisplat.constants import SCALE_MIN, SH_DEGREE_MAX
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, FloatArray, finite_numbers, matrix_4x4, read_only_view
 from lumisplat.math.sh import sh_rotation
@@ -21,8 +23,8 @@ from lumisplat.math.transforms import (
     rotation_from_degrees,
     transform_points,
 )
-from lumisplat.scene.checks import check_argument, check_positive
-from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians, moved_orientation
+from lumisplat.scene.checks import check_argument, check_positive, check_whole, items_of
+from lumisplat.scene.gaussians import SH_DEGREE_FROM_COUNT, Gaussians, merge_gaussians, moved_orientation
 from lumisplat.scene.local_frame import needed_origin
 from lumisplat.scene.scene import check_similarity
 
@@ -147,3 +149,59 @@ def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
     with np.errstate(over="ignore", under="ignore"):  # what is too large is refused
         arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
         return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old))
+
+
+_log = logging.getLogger("lumisplat")
+
+
+def merge(captures: Iterable[Gaussians]) -> Gaussians:
+    """Joins captures in the same coordinates into one, in their order.
+
+    Harmonics of lower degree are filled up with zeros. Normals and materials are kept if all captures have them; a log
+    line names those that are not. The comments are those of the first capture.
+
+    Args:
+        captures: At least one. `transform` places them first.
+
+    Raises:
+        SceneError: There is none, only some are antialiased, or their kernel degrees differ.
+    """
+    sets: list[Gaussians] = []
+    for one in items_of("captures", captures):
+        check_argument("merge", one, Gaussians, "a list of Gaussians", ": a scene keeps meshes and captures together")
+        sets.append(one)  # pyright: ignore[reportArgumentType]
+    if not sets:
+        raise SceneError("merge takes at least one capture, got none")
+    merged = merge_gaussians(sets)
+    lost = sorted({name for one in sets for name in one.arrays()} - merged.arrays().keys())
+    if lost:
+        _log.warning("merge: not all captures have %s: left out", ", ".join(lost))
+    return merged
+
+
+def limit_sh_degree(gaussians: Gaussians, degree: int, *, pad: bool = False) -> Gaussians:
+    """Leaves out the harmonics above a degree, or adds zeros up to it; degree 0 is one colour for all directions.
+
+    The mean of a Gaussian's colour over all directions stays, as harmonics above degree 0 have mean 0 (but for colours
+    that are clipped at black).
+
+    Args:
+        gaussians: The capture.
+        degree: Highest degree that is kept, 0..3.
+        pad: Add coefficients of zero to captures of a lower degree: some importers want 45 ``f_rest``, degree 3.
+
+    Returns:
+        ``gaussians`` itself if there is nothing to leave out or to add.
+
+    Raises:
+        SceneError: ``degree`` is no whole number from 0 to 3.
+    """
+    check_argument("limit_sh_degree", gaussians, Gaussians, "Gaussians")
+    check_whole("degree", degree, 0, SH_DEGREE_MAX)
+    missing = (degree + 1) ** 2 - gaussians.sh.shape[1]
+    if pad and missing > 0:
+        return replace(gaussians, sh=read_only_view(np.pad(gaussians.sh, ((0, 0), (0, missing), (0, 0)))))
+    if missing >= 0:
+        return gaussians
+    # A copy: a view would keep the memory of what is left out.
+    return replace(gaussians, sh=read_only_view(gaussians.sh[:, : (degree + 1) ** 2].copy()))

@@ -23,10 +23,9 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.lights import move_light
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.placing import front_turn
-from lumisplat.scene.sampling.surface_points import stratified_points
+from lumisplat.scene.ops.surface_points import stratified_points
+from lumisplat.scene.placing import Vector, front_turn, up_vector, y_up_from
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, bulk_extent
-from lumisplat.scene.up import Vector, up_vector, y_up_from
 
 _log = logging.getLogger("lumisplat")
 

@@ -24,9 +24,8 @@ from lumisplat.math.arrays import Doubles, Flags, FloatArray, read_only_view
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.sampling.blue_noise import Pairs, cross_pairs, pairs_of_about
-from lumisplat.scene.triangles import area_vectors
+from lumisplat.scene.mesh import Mesh, area_vectors
+from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, pairs_of_about
 
 # Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
 

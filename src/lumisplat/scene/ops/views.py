@@ -16,8 +16,8 @@ from lumisplat.math.arrays import Doubles, finite_numbers
 from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.checks import check_argument, check_positive, check_whole
+from lumisplat.scene.placing import Vector, front_vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
-from lumisplat.scene.up import Vector, front_vector, up_vector
 
 FRAMING_FARTHEST = 1e17
 """How far a scene may reach from the origin, in its units: a camera may stand at up to 1e18."""

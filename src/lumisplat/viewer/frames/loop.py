@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import logging
 import math
 import threading
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Generator, Hashable
+from collections.abc import Callable, Collection, Generator, Hashable
 from dataclasses import dataclass, replace
 
 import lumisplat as ls
-from lumisplat.viewer.frames.pace import BY_GAUSSIANS, BY_PIXELS, Pace, Step, first_step
-from lumisplat.viewer.frames.page import Page, Picture, Shown, page_depth, picture_of, split_picture
+from lumisplat.viewer.frames.page import (
+    BY_GAUSSIANS,
+    BY_PIXELS,
+    Pace,
+    Page,
+    Picture,
+    Shown,
+    Step,
+    first_step,
+    page_depth,
+    picture_of,
+    split_picture,
+)
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.frames.renderers import THREAD, Progress, Renderers, frame_config
-from lumisplat.viewer.frames.shown_scenes import Levels, ShownScenes
-from lumisplat.viewer.state.session import Options, Session, State
+from lumisplat.viewer.frames.shown_scenes import Levels, Progress, ShownScenes
+from lumisplat.viewer.session import Options, Session, State
 from lumisplat.viewer.thresholds import (
     BEFORE_SAMPLES,
     NOISE_AT_REST,
@@ -27,6 +39,84 @@ from lumisplat.viewer.thresholds import (
     SAMPLES_AT_REST,
     SETTLED_S,
 )
+
+THREAD = "lumisplat frames"
+"""Name of the thread that renders."""
+
+_noise_log = logging.getLogger("lumisplat.noise")
+
+
+def frame_config(config: ls.RenderConfig, view: str) -> ls.RenderConfig:
+    """Settings of one sample of a frame, with the images that a view needs.
+
+    Args:
+        config: The settings of the scene.
+        view: ``color``, or one of `lumisplat.Frame.VIEWS`.
+    """
+    needed = ls.Frame.NEEDS.get(view)
+    samples = None if config.pipeline.is_sequence else 1
+    limits = {"samples": samples, "noise": None, "time_limit": None, "adaptive": None}
+    return replace(config, **limits, aovs=() if needed is None else (needed,))
+
+
+class Renderers:
+    """Holds the renderers of the present settings.
+
+    Args:
+        device: As of `lumisplat.create_renderer`.
+        progress: Likewise.
+    """
+
+    def __init__(self, device: str, progress: Progress) -> None:
+        self._device, self._progress = device, progress
+        self._held: dict[Hashable, ls.Renderer] = {}
+        _noise_log.addFilter(self._is_news)
+
+    def of(self, use: Hashable, config: ls.RenderConfig) -> ls.Renderer:
+        """Returns the renderer of a use, with these settings; the scene stays on its device when they change.
+
+        Raises:
+            DeviceError: There is no such device, or it is out of memory.
+        """
+        held = self._held.get(use)
+        if held is None:
+            held = self._held[use] = ls.create_renderer(config, self._device, progress=self._progress, compiles=False)
+        elif held.config != config:
+            held.reconfigure(config)
+            _return_freed_memory()
+        return held
+
+    def has(self, use: Hashable, config: ls.RenderConfig) -> bool:
+        """Whether a use has a renderer with settings already."""
+        held = self._held.get(use)
+        return held is not None and held.config == config
+
+    def close(self) -> None:
+        """Forgets all of them."""
+        self._held.clear()
+        _noise_log.removeFilter(self._is_news)
+
+    def keep(self, uses: Collection[Hashable]) -> None:
+        """Frees the renderers of all other uses."""
+        if gone := self._held.keys() - set(uses):
+            for use in gone:
+                self.drop(use)
+            _return_freed_memory()
+
+    def drop(self, use: Hashable) -> None:
+        """Frees the renderer of a use."""
+        self._held.pop(use, None)
+
+    def _is_news(self, record: logging.LogRecord) -> bool:
+        """Whether a line about grain is worth a log: that the first of many samples is grainy is not."""
+        return record.threadName != THREAD
+
+
+def _return_freed_memory() -> None:
+    """Returns to the system what renderers have freed: glibc keeps blocks of up to 32 MiB, of other sizes each time."""
+    with contextlib.suppress(OSError, AttributeError):  # only glibc has this
+        ctypes.CDLL(None).malloc_trim(0)
+
 
 _log = logging.getLogger("lumisplat")
 
@@ -80,8 +170,8 @@ class RenderLoop:
         """Makes the scenes of frames; for the thread of the loop alone."""
         self._scenes_before = ShownScenes(self._levels, device, progress, session.report)
         self._pages: list[Page] = []
-        self._errands: deque[Generator[None]] = deque()
-        self._errand_waited = False
+        self._background: deque[Generator[None]] = deque()
+        self._background_waited = False
         """Whether a view at rest had the last turn, while there was an errand."""
         self._is_open = True
         self._thread = threading.Thread(target=self._run, name=THREAD, daemon=True)
@@ -105,14 +195,14 @@ class RenderLoop:
             self._renderers.drop(page)
         page.close()
 
-    def do(self, errand: Generator[None]) -> None:
+    def do(self, steps: Generator[None]) -> None:
         """Does something long, such as a video: a step of it each time that no view moves, in turns with views at rest.
 
         Args:
-            errand: Its steps. Whatever it raises is reported, and ends it; it is closed if the loop ends before it.
+            steps: Its steps. Whatever it raises is reported, and ends it; it is closed if the loop ends before it.
         """
         with self._session.changed:
-            self._errands.append(errand)
+            self._background.append(steps)
             self._session.changed.notify_all()
 
     def thumbnail(self, camera: ls.Camera, show: Callable[[Picture], object]) -> None:
@@ -168,13 +258,13 @@ class RenderLoop:
         while True:
             with self._session.changed:
                 job = None
-                while self._is_open and (job := self._next_job()) is None and not self._errands:
+                while self._is_open and (job := self._next_job()) is None and not self._background:
                     self._session.changed.wait(self._time_to_rest())
                 if not self._is_open:
                     break
-                errand = self._turn_of_errand(job)
-            if errand is not None:
-                self._step(errand)
+                steps = self._background_turn(job)
+            if steps is not None:
+                self._step(steps)
                 continue
             assert job is not None
             self._renderers.keep(self._uses(job))
@@ -188,27 +278,27 @@ class RenderLoop:
                 pass
             except Exception as error:  # a frame that fails must not end the session
                 self._give_up(job, error)
-        for errand in self._errands:
-            errand.close()
+        for steps in self._background:
+            steps.close()
 
-    def _turn_of_errand(self, job: _Job | None) -> Generator[None] | None:
+    def _background_turn(self, job: _Job | None) -> Generator[None] | None:
         """The errand whose turn it is; None: it is that of the job. The lock is held."""
-        if not self._errands or (job is not None and (job.moves or not self._errand_waited)):
-            self._errand_waited = bool(self._errands)
+        if not self._background or (job is not None and (job.moves or not self._background_waited)):
+            self._background_waited = bool(self._background)
             return None
-        self._errand_waited = False
-        return self._errands[0]
+        self._background_waited = False
+        return self._background[0]
 
-    def _step(self, errand: Generator[None]) -> None:
+    def _step(self, steps: Generator[None]) -> None:
         """Does the next step of an errand."""
         try:
-            next(errand)
+            next(steps)
             return
         except StopIteration:
             pass
         except Exception as error:  # an errand that fails must not end the session
             self._report(error)
-        self._errands.popleft()
+        self._background.popleft()
 
     def _give_up(self, job: _Job, error: Exception) -> None:
         """Leaves a page as it is until something changes, and says why."""

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.state.scene_extent import Extent
+from lumisplat.viewer.scene_extent import Extent
 
 if TYPE_CHECKING:
     import viser

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 import lumisplat as ls
-from lumisplat.viewer.frames.renderers import Progress
 from lumisplat.viewer.thresholds import (
     GAUSSIANS_AT_ONCE,
     LEVEL_BLOCK,
@@ -25,6 +24,9 @@ from lumisplat.viewer.thresholds import (
     LEVEL_GAUSSIANS_MIN,
     LEVEL_PATIENCE_S,
 )
+
+Progress = Callable[[str, float], None]
+"""Receives what is being done and the fraction done, 0..1."""
 
 
 @dataclass(eq=False)

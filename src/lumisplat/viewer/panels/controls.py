@@ -1,20 +1,78 @@
-"""A control for each setting, and between the two the words and numbers that people see."""
+"""Makes a control for each setting of a dataclass, and converts between values and the words and colours shown."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
+from enum import Enum
 from functools import partial
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 import lumisplat as ls
 from lumisplat.config.setting import Setting, settings_of
-from lumisplat.viewer.colors import linear_from_picked, picked_from_linear
 from lumisplat.viewer.server.event_queue import chosen
 from lumisplat.viewer.words import label
 
 if TYPE_CHECKING:
     import viser
+    from _typeshed import DataclassInstance
+
+
+Color = tuple[float, float, float]
+
+KELVIN_RANGE = (1500.0, 12000.0)
+"""From a candle to a blue sky, kelvins."""
+
+# Krystek 1985, "An algorithm to calculate correlated colour temperature", CIE 1960 (u, v), 1000 to 15000 K.
+_U = ((0.860117757, 1.54118254e-4, 1.28641212e-7), (1.0, 8.42420235e-4, 7.08145163e-7))
+_V = ((0.317398726, 4.22806245e-5, 4.20481691e-8), (1.0, -2.89741816e-5, 1.61456053e-7))
+
+_REC709_FROM_XYZ = (
+    (3.2404542, -1.5371385, -0.4985314),
+    (-0.9692660, 1.8760108, 0.0415560),
+    (0.0556434, -0.2040259, 1.0572252),
+)
+
+
+def color_of_temperature(kelvins: float) -> Color:
+    """The colour of a black body, linear Rec.709, its largest channel 1, none below 0.
+
+    Args:
+        kelvins: Its temperature, 1000 to 15000.
+    """
+    u, v = (_ratio(table, kelvins) for table in (_U, _V))
+    x, y = (3.0 * u / (2.0 * u - 8.0 * v + 4.0), 2.0 * v / (2.0 * u - 8.0 * v + 4.0))
+    xyz = (x / y, 1.0, (1.0 - x - y) / y)
+    channels = [max(sum(m * c for m, c in zip(row, xyz, strict=True)), 0.0) for row in _REC709_FROM_XYZ]
+    red, green, blue = (channel / max(channels) for channel in channels)
+    return red, green, blue
+
+
+def picked_from_linear(color: Color) -> tuple[int, int, int]:
+    """A linear colour as the bytes of a colour picker, sRGB; what is brighter than white is white."""
+    red, green, blue = (round(255.0 * _encoded(min(max(channel, 0.0), 1.0))) for channel in color)
+    return red, green, blue
+
+
+def linear_from_picked(picked: tuple[int, int, int]) -> Color:
+    """The bytes of a colour picker as a linear colour, rounded to five digits, as people write them."""
+    red, green, blue = (round(_decoded(channel / 255.0), 5) for channel in picked)
+    return red, green, blue
+
+
+def _ratio(table: tuple[tuple[float, ...], tuple[float, ...]], t: float) -> float:
+    above, below = (sum(factor * t**power for power, factor in enumerate(row)) for row in table)
+    return above / below
+
+
+def _encoded(linear: float) -> float:
+    return 12.92 * linear if linear <= 0.0031308 else 1.055 * math.pow(linear, 1.0 / 2.4) - 0.055
+
+
+def _decoded(encoded: float) -> float:
+    return encoded / 12.92 if encoded <= 0.04045 else math.pow((encoded + 0.055) / 1.055, 2.4)
+
 
 AUTO = "auto"
 """What people read and type for None."""
@@ -297,3 +355,103 @@ def _number_handle(gui: viser.GuiApi, field: Setting, shown: Any, hint: str | No
 def _step(span: float) -> float:
     """A thousandth of a range, as a power of ten."""
     return 10.0 ** math.floor(math.log10(span) - 2.5)
+
+
+Settings = TypeVar("Settings", bound="DataclassInstance")
+
+
+Put = Callable[[Callable[[Any], Any], "str | None"], None]
+"""Takes a change of settings."""
+
+
+class SettingsPanel(Generic[Settings]):
+    """Controls of one object of settings, in the present folder.
+
+    Args:
+        gui: Where.
+        settings: What they show at first.
+        put: Called with what makes new settings of the present ones, which raises a LumisplatError if a value is
+            refused, and the name of the field, None where each edit is undone on its own.
+        report: Told why a value is refused.
+        without: Fields that are shown elsewhere, or nowhere.
+        only: If given, these fields alone.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        settings: Settings,
+        put: Put,
+        report: Callable[[str], None],
+        *,
+        without: Collection[str] = (),
+        only: Collection[str] | None = None,
+    ) -> None:
+        self._put = put
+        self._controls: dict[str, Control] = {}
+        self._groups: dict[str, SettingsPanel[Any]] = {}
+        self._folders: dict[str, Any] = {}
+        """Of the groups."""
+        for field in shown_settings(type(settings)):
+            if field.name in without or (only is not None and field.name not in only):
+                continue
+            value = getattr(settings, field.name)
+            if field.kind == "group":
+                self._folders[field.name] = gui.add_folder(label_of(field), expand_by_default=False)
+                with self._folders[field.name]:
+                    self._groups[field.name] = SettingsPanel(gui, value, self._group_changed(field.name), report)
+            else:
+                offered = replace(field, choices=tuple(c for c in field.choices if _is_taken(settings, field, c)))
+                self._controls[field.name] = Control(gui, offered, value, self._field_changed(field), report)
+
+    def show(self, settings: Settings) -> None:
+        """Shows other settings."""
+        for name, control in self._controls.items():
+            control.show(getattr(settings, name))
+        for name, group in self._groups.items():
+            group.show(getattr(settings, name))
+
+    def set_visible(self, visible: bool) -> None:
+        """Shows or hides its own fields; groups have folders of their own."""
+        for control in self._controls.values():
+            for handle in control.handles:
+                set_if_changed(handle, "visible", visible)
+
+    def set_unused(self, unused: Mapping[str, str]) -> None:
+        """Disables controls that have no effect, and hides such groups.
+
+        Args:
+            unused: Names of fields, those in groups as ``group.field``, each with what would give it an effect.
+        """
+        for name, control in self._controls.items():
+            control.set_unused(unused.get(name))
+        for name, group in self._groups.items():
+            prefix = f"{name}."
+            group.set_unused({key.removeprefix(prefix): why for key, why in unused.items() if key.startswith(prefix)})
+        for name, folder in self._folders.items():
+            set_if_changed(folder, "visible", name not in unused)
+
+    def _field_changed(self, field: Setting) -> Callable[[Any], None]:
+        name = field.name
+        merge = name if field.kind in ("whole", "number", "color", "vector") else None
+
+        def put(value: Any) -> None:
+            self._put(lambda settings: replace(settings, **{name: value}), merge)
+
+        return put
+
+    def _group_changed(self, name: str) -> Put:
+        def put(change: Callable[[Any], Any], field: str | None) -> None:
+            merge = None if field is None else f"{name}.{field}"
+            self._put(lambda settings: replace(settings, **{name: change(getattr(settings, name))}), merge)
+
+        return put
+
+
+def _is_taken(settings: Any, field: Setting, choice: Enum) -> bool:
+    """Whether settings may have a choice of a field."""
+    try:
+        replace(settings, **{field.name: choice})
+    except ls.ConfigError:
+        return False
+    return True

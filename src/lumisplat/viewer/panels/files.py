@@ -15,11 +15,17 @@ import numpy as np
 import lumisplat as ls
 from lumisplat.viewer.frames.page import Page
 from lumisplat.viewer.frames.pose import Pose
-from lumisplat.viewer.output import capture_page, still_config
-from lumisplat.viewer.panels.background_jobs import JobContext, Steps, file_bytes, pose_of_page
-from lumisplat.viewer.panels.notifications import Notifications
+from lumisplat.viewer.panels.background_jobs import (
+    JobContext,
+    Steps,
+    capture_page,
+    file_bytes,
+    pose_of_page,
+    still_config,
+)
+from lumisplat.viewer.panels.status import Notifications
 from lumisplat.viewer.server.event_queue import pressed
-from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.session import Session
 
 if TYPE_CHECKING:
     import viser
@@ -74,7 +80,7 @@ class FilesPanel:
             self._session.report(str(error))
             return
         self._overwrite.value = False
-        self._notifications.tell(
+        self._notifications.notify(
             "saved", f"{target}{f', without {left_out} things that could not be read' * bool(left_out)}"
         )
 

@@ -7,11 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import lumisplat as ls
-from lumisplat.viewer.panels.controls import set_unused
-from lumisplat.viewer.panels.settings import SettingsPanel
+from lumisplat.viewer.panels.controls import SettingsPanel, set_unused
 from lumisplat.viewer.server.event_queue import chosen
-from lumisplat.viewer.state.applicable import unused_settings
-from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.session import Session, unused_settings
 
 if TYPE_CHECKING:
     import viser

@@ -1,22 +1,26 @@
-"""What is being done: progress, how fine the picture is, where the time goes."""
+"""Shows progress, the quality of the image and the time of its stages, and notifications for a while."""
 
 from __future__ import annotations
 
+import contextlib
 import html
+import logging
 import time
+from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import lumisplat as ls
-from lumisplat.viewer.frames.pace import Step
-from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.page import Page, Step
 from lumisplat.viewer.panels.buttons import plain
 from lumisplat.viewer.thresholds import LEVEL_FRACTIONS
+from lumisplat.viewer.words import page_words
 
 if TYPE_CHECKING:
     import viser
+
 
 _EVERY_S = 0.25
 _FRAMES = 100
@@ -137,3 +141,67 @@ def stage_table(stats: Any) -> str:
     rows = sorted(stats.stage_ms.items(), key=lambda item: -item[1])[:10]
     lines = ["| stage | ms |", "| --- | ---: |", *(f"| {name} | {ms:.1f} |" for name, ms in rows)]
     return "\n".join([*lines, f"| Gaussians seen | {stats.visible_count:,} |"])
+
+
+QUIET_LOG = logging.getLogger("lumisplat.pages")
+"""For lines that those at the machine read, and pages do not."""
+_LOG = logging.getLogger("lumisplat")
+
+_SHOWN_S = 8.0
+_AGAIN_S = 2.0
+"""A line that comes again and again is told anew after so long a pause."""
+_WAITING_MAX = 10
+"""Notifications that wait for the first page, at most: the last ones."""
+
+
+class Notifications:
+    """Shows notifications on all pages, for a while. Those that nobody was there for wait for the next page.
+
+    Args:
+        server: Has the pages.
+    """
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._last: tuple[str, str] | None = None
+        self._shown_at = 0.0
+        self._waiting: deque[tuple[str, str, bool]] = deque(maxlen=_WAITING_MAX)
+        # A handler would keep lines off the terminal, where they go as long as there is none.
+        _LOG.addFilter(self._show_warning)
+
+    def notify(self, title: str, body: str, *, is_problem: bool = False) -> None:
+        """Shows a note on all pages."""
+        now, before, self._last = time.monotonic(), self._last, (title, body)
+        is_new, self._shown_at = before != self._last or now - self._shown_at > _AGAIN_S, now
+        if not is_new:
+            return
+        clients = list(self._server.get_clients().values())
+        for client in clients:
+            _show(client, title, body, is_problem=is_problem)
+        if not clients:
+            self._waiting.append((title, body, is_problem))
+
+    def problem(self, body: str) -> None:
+        """Shows why something could not be done."""
+        self.notify("that did not work", body, is_problem=True)
+
+    def open(self, client: viser.ClientHandle) -> None:
+        """Shows a new page what nobody was there for."""
+        while self._waiting:
+            title, body, is_problem = self._waiting.popleft()
+            _show(client, title, body, is_problem=is_problem)
+
+    def close(self) -> None:
+        """Ends with the viewer."""
+        _LOG.removeFilter(self._show_warning)
+
+    def _show_warning(self, record: logging.LogRecord) -> bool:
+        """Tells pages what is logged of scenes and frames, such as odd colours; errors are told where they happen."""
+        if record.levelno == logging.WARNING:
+            self.notify("note", page_words(record.getMessage()))
+        return True
+
+
+def _show(client: viser.ClientHandle, title: str, body: str, *, is_problem: bool) -> None:
+    with contextlib.suppress(RuntimeError):  # it has just gone
+        client.add_notification(title, body, auto_close_seconds=_SHOWN_S, color="red" if is_problem else None)

@@ -12,9 +12,9 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.viewer.frames.pose import look_through
+from lumisplat.viewer.scene_extent import Extent, pose_of, world_corners
 from lumisplat.viewer.server.event_queue import chosen, pressed
-from lumisplat.viewer.state.scene_extent import Extent, pose_of, world_corners
-from lumisplat.viewer.state.session import Session
+from lumisplat.viewer.session import Session
 from lumisplat.viewer.thresholds import BUDGETS_MS, HEIGHTS, PLAY_STEPS_PER_S
 
 if TYPE_CHECKING:

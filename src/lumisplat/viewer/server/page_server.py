@@ -81,7 +81,7 @@ class PageServer:
     def close(self) -> None:
         """Closes the port and all pages' connections; what they have just asked for is dropped without a word."""
         loop = self.viser.get_event_loop()
-        loop.set_exception_handler(_say_nothing)
+        loop.set_exception_handler(_ignore)
         self._is_open = False
         asyncio.run_coroutine_threadsafe(_drop_what_was_asked_for(), loop).result()
         with _quiet():
@@ -172,7 +172,7 @@ async def _drop_what_was_asked_for() -> None:
     await asyncio.gather(*asked, return_exceptions=True)
 
 
-def _say_nothing(_: object, context: dict[str, Any]) -> None:
+def _ignore(_: object, context: dict[str, Any]) -> None:
     """In place of `_report`, once nobody is there to read it."""
 
 

@@ -1,1 +1,0 @@
-"""Materials and light of a capture, found from what it shows alone."""

@@ -1,0 +1,317 @@
+"""Fits roughness from highlights: which roughness explains the colours of a capture from all sides.
+
+Reflection lobes are tabulated, the same for every Gaussian in its own frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from lumisplat.constants import RADIANCE_LEAST, RIDGE, SPREAD_SHARE
+from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_view
+from lumisplat.math.color import decode_srgb, encode_srgb
+from lumisplat.math.sh import even_directions, sh_basis
+from lumisplat.relighting import lobe_kernels
+from lumisplat.relighting.albedo_fit import Light, SkyCells
+from lumisplat.relighting.incident import normal_variances
+from lumisplat.relighting.irradiance import Irradiance
+from lumisplat.runtime.buffers import Buffers
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.colors import colors_along
+from lumisplat.scene.ops.neighbours import Pairs
+
+ROUGHNESS_UNKNOWN = 0.8
+"""Roughness of Gaussians whose highlights say nothing."""
+
+ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
+"""Roughnesses that are tried: below the first one, harmonics of degree 3 show the same."""
+
+ROUGHNESS_ROWS = 2048
+"""Gaussians that are tried at once: some 100 MB."""
+
+LOBE_VIEWS = 96
+"""Views of the upper hemisphere in which colours are compared. With 24, what harmonics cannot keep of a sharp highlight
+turns up in what they do, and roughness 0.3 is found as 0.4; with 48, as 0.33."""
+
+VIEW_COSINE_LEAST = 0.2
+"""Cosine between normal and view, from which on they are: nobody sees Gaussians edge-on."""
+
+BIN_RINGS = 8
+"""Rings of equal solid angle into which the light above a Gaussian is sorted."""
+
+BIN_SECTORS = 20
+"""Equal sectors of each: bins are 11 degrees wide."""
+
+BIN_SAMPLES = 4
+"""Times as many directions of each bin are integrated over."""
+
+ALBEDO_STEPS = 4
+"""Steps of Gauss-Newton to the albedo that goes with a roughness."""
+
+HIGHLIGHT_NOISE = 0.008
+"""Error of captured colours, display-referred, that is expected at least: 2 of 255."""
+
+LIKE_ALBEDO = 0.1
+"""Difference of albedo, natural logarithm, of neighbours that may be of one material."""
+
+LIKE_NORMALS = 4
+"""Exponent of the cosine between their normals."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Roughness:
+    """What highlights tell of N Gaussians."""
+
+    value: FloatArray
+    """0..1, shape (N,)."""
+    sureness: FloatArray
+    """By how much highlights narrow down what it may be, 0..1: at 0, it is `ROUGHNESS_UNKNOWN`; shape (N,)."""
+
+    @staticmethod
+    def unknown(count: int) -> Roughness:
+        """Of Gaussians that look the same from everywhere."""
+        value = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
+        return Roughness(value, read_only_view(np.zeros(count, np.float32)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoughnessFit:
+    """Of surfaces of ior 1.5 without metal, under light that is known.
+
+    For each roughness of a grid, albedo is such that colours come as near to the captured ones as they can, display
+    values, clipped, and through harmonics of the capture's degree. What is left, of neighbours that are alike together,
+    is how unlikely the roughness is.
+    """
+
+    gaussians: Gaussians
+    normals: Doubles
+    """Unit, shape (N, 3)."""
+    near: Pairs
+    """Neighbours, in both orders."""
+    lobes: Lobes
+
+    def found(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
+        """Roughness of each Gaussian.
+
+        Args:
+            arriving: Irradiance over pi from each bin of its hemisphere, shape (N, Q, 3).
+            tried: Called after some Gaussians, with their number.
+        """
+        variances = normal_variances(self.gaussians, self.normals, self.near)
+        parts: list[tuple[Doubles, Doubles]] = []
+        for rows in np.array_split(np.arange(len(arriving)), -(-len(arriving) // ROUGHNESS_ROWS)):
+            parts.append(self._misfits(rows, arriving[rows].astype(np.float64), widened(variances[rows])))
+            tried(len(rows))
+        misfit, albedo = (np.concatenate(values) for values in zip(*parts, strict=True))
+        likely = self._likely(self._pooled(misfit, np.median(albedo, axis=1)))
+        grid = np.array(ROUGHNESS_GRID)
+        mean = likely @ grid
+        variance = np.maximum(likely @ np.square(grid) - np.square(mean), 0.0)
+        sure = np.clip(1.0 - variance / grid.var(), 0.0, 1.0)
+        value = ROUGHNESS_UNKNOWN + sure * (mean - ROUGHNESS_UNKNOWN)
+        return Roughness(read_only_view(value.astype(np.float32)), read_only_view(sure.astype(np.float32)))
+
+    def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles]:
+        """Of each roughness: mean squared error and albedo, shapes (n, R), (n, R, 3)."""
+        lobes, compared = self.lobes, self.lobes.compared
+        captured = self._captured(rows)
+        linear = decode_srgb(captured)
+        misfits: list[Doubles] = []
+        albedos: list[Doubles] = []
+        for matt_table, highlight_table in zip(lobes.matt, lobes.highlight, strict=True):
+            matt, highlight = (np.tensordot(table, arriving, (1, 1)) for table in (matt_table, highlight_table))
+            most = ((linear - highlight) / np.maximum(matt, RADIANCE_LEAST))[compared]
+            albedo = np.clip(np.median(most, axis=0), 0.0, 1.0)
+            for _ in range(ALBEDO_STEPS):
+                error, slope = self._errors(albedo * matt + highlight, captured)
+                by_albedo = np.tensordot(lobes.projection, slope * matt, (1, 0))[compared]
+                move = (error * by_albedo).sum(axis=0) / np.maximum(np.square(by_albedo).sum(axis=0), 1e-9)
+                albedo = np.clip(albedo - move, 0.0, 1.0)
+            error, _ = self._errors(albedo * matt + highlight, captured)
+            misfits.append(np.square(error).mean(axis=(0, 2)))
+            albedos.append(albedo)
+        return np.einsum("nrs,ns->nr", wider, np.stack(misfits, axis=1)), wider @ np.stack(albedos, axis=1)
+
+    def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
+        """Of display values that harmonics keep, in the views that are compared; slopes of the encoding in all."""
+        shown, slope = _displayed(linear)
+        projection = np.tensordot(self.lobes.projection, shown - 0.5, (1, 0)) + 0.5
+        return (projection - captured)[self.lobes.compared], slope
+
+    def _captured(self, rows: Rows) -> Doubles:
+        """Colours in the views, display-referred, shape (M, n, 3)."""
+        some = self.gaussians.subset(rows)
+        ways = np.einsum("nij,mj->mni", frames_of(self.normals[rows]), self.lobes.views)
+        return np.array([np.clip(colors_along(some, -way), 0.0, 1.0) for way in ways], dtype=np.float64)
+
+    def _pooled(self, misfit: Doubles, albedo: Doubles) -> Doubles:
+        """Means over neighbours that face the same way and have about the same albedo, shape (N, R)."""
+        first, second = self.near.first, self.near.second
+        logs = np.log(np.maximum(albedo, RADIANCE_LEAST))
+        apart = np.abs(logs[first] - logs[second]).max(axis=1) / LIKE_ALBEDO
+        facing = np.maximum(np.einsum("ij,ij->i", self.normals[first], self.normals[second]), 0.0)
+        weights = np.exp(-0.5 * np.square(apart)) * facing**LIKE_NORMALS
+        total = np.bincount(first, weights, len(misfit))
+        sums = [np.bincount(first, weights * column[second], len(misfit)) for column in misfit.T]
+        return np.stack(sums, axis=1) / total[:, None]
+
+    def _likely(self, misfit: Doubles) -> Doubles:
+        """Probability of each roughness, shape (N, R): the error of the best one is noise, of what harmonics hold."""
+        least = misfit.min(axis=1, keepdims=True)
+        held = (self.gaussians.sh_degree + 1) ** 2 - 1
+        likely = np.exp(-0.5 * held * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
+        return likely / likely.sum(axis=1, keepdims=True)
+
+
+def widened(variances: Doubles) -> Doubles:
+    """Shares of what each roughness of the grid shows where a surface turns, shape (N, R, R): that of rougher ones.
+
+    Slopes of microfacets have a variance of alpha^2 / 2 along an axis, and those of the surface add theirs (Toksvig
+    2005): alpha^2 + 2 variances. Between roughnesses of the grid, what they show is interpolated by cubics (Lagrange).
+
+    Args:
+        variances: Of normals within Gaussians, radians^2 along an axis, shape (N,).
+    """
+    grid = np.array(ROUGHNESS_GRID)
+    rougher = np.minimum((grid**4 + 2.0 * variances[:, None]) ** 0.25, grid[-1])
+    first = np.clip(np.searchsorted(grid, rougher, side="right") - 2, 0, len(grid) - 4)
+    shares = np.zeros((*rougher.shape, len(grid)))
+    for one in range(4):
+        others = [grid[first + other] for other in range(4) if other != one]
+        share = np.prod([(rougher - other) / (grid[first + one] - other) for other in others], axis=0)
+        np.put_along_axis(shares, (first + one)[..., None], share[..., None], axis=2)
+    return shares
+
+
+def arriving_light(normals: Doubles, cells: SkyCells, incident: Irradiance, light: Light) -> FloatArray:
+    """Irradiance over pi from each bin of the hemispheres of Gaussians, shape (N, Q, 3).
+
+    Args:
+        normals: Unit, shape (N, 3).
+        cells: Of the sky.
+        incident: Light with what the capture shows in each direction.
+        light: That was found.
+    """
+    frames, rows = frames_of(normals), np.arange(len(normals))
+    arriving = np.zeros((len(normals), BIN_RINGS * BIN_SECTORS, 3), np.float32)
+
+    def add(directions: Doubles, irradiance: FloatArray | Doubles, k: int) -> None:
+        arriving[rows, bins_of(np.einsum("nij,i->nj", frames, directions[k]))] += irradiance
+
+    for k in range(len(incident.by_way)):
+        add(incident.ways, incident.by_way[k], k)
+    for k in range(len(cells)):
+        add(cells.directions, incident.sky[:, k, None] * light.sky[k], k)
+    return arriving
+
+
+def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
+    """Display values, and their derivatives; what is above 1 is clipped."""
+    inside = np.clip(linear, RADIANCE_LEAST, 1.0)
+    shown = np.asarray(encode_srgb(inside), np.float64)
+    # Of the encoding's power: 1.055 / 2.4 x^(1 / 2.4 - 1) is (shown + 0.055) / (2.4 x).
+    slope = np.where(inside <= 0.0031308, 12.92, (shown + 0.055) / (2.4 * inside))
+    return shown, np.where(linear < 1.0, slope, 0.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lobes:
+    """Tables for R roughnesses, M views and Q bins of directions, around a normal that is z."""
+
+    views: Doubles
+    """Unit, shape (M, 3)."""
+    matt: Doubles
+    """Radiance to a view of the matt part of a surface of albedo 1, by the irradiance over pi from a bin, (R, M, Q)."""
+    highlight: Doubles
+    """That of the highlight, likewise."""
+    projection: Doubles
+    """What harmonics of the capture's degree keep of colours, shape (M, M)."""
+
+    @staticmethod
+    def of(degree: int) -> Lobes:
+        """For captures of a degree. Tables are made on the CPU: they are small, and the same everywhere."""
+        launcher = Launcher("cpu")
+        buffers, samples, views = Buffers("cpu"), bin_samples(), _views()
+        shape = len(ROUGHNESS_GRID), len(views), len(samples)
+        inputs = [
+            buffers.get("lobes.roughness", wp.float32, shape[0]),
+            buffers.get("lobes.views", wp.vec3, shape[1]),
+            buffers.get("lobes.samples", wp.vec3, samples.shape[:2]),
+        ]
+        for array, values in zip(inputs, (np.array(ROUGHNESS_GRID), views, samples), strict=True):
+            array.assign(values.astype(np.float32))
+        tables = [buffers.get(f"lobes.{name}", wp.float32, int(np.prod(shape))) for name in ("matt", "highlight")]
+        spread = SPREAD_SHARE**2 * 2.0 * np.pi / (shape[2] * BIN_SAMPLES**2)
+        launcher.load([lobe_kernels])
+        launcher.run_banded(lobe_kernels.tabulate_lobes, int(np.prod(shape)), spread, *inputs, *tables)
+        matt, highlight = (table.numpy().reshape(shape).astype(np.float64) for table in tables)
+        return Lobes(views, matt, highlight, sh_projection(views, degree))
+
+    @property
+    def compared(self) -> Flags:
+        """Views whose colours are compared: not the grazing ones, shape (M,)."""
+        return self.views[:, 2] > VIEW_COSINE_LEAST
+
+    def in_even_light(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
+        """What most views see in even light of radiance 1: of the matt part of a surface of albedo 1, and mirrored.
+
+        Args:
+            roughness: 0..1, shape (N,).
+
+        Returns:
+            Radiances, shape (N,) both.
+        """
+        cosines = bin_samples()[..., 2].mean(axis=1)
+        shares = cosines / cosines.sum()
+        matt, mirrored = (
+            np.median((table @ shares)[:, self.compared], axis=1) for table in (self.matt, self.highlight)
+        )
+        return np.interp(roughness, ROUGHNESS_GRID, matt), np.interp(roughness, ROUGHNESS_GRID, mirrored)
+
+
+def frames_of(normals: Doubles) -> Doubles:
+    """Rotations that take z to the normals, world from local, shape (N, 3, 3) (Duff et al. 2017)."""
+    x, y, z = normals.T
+    sign = np.where(z >= 0.0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    across = np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=1)
+    along = np.stack([b, sign + y * y * a, -y], axis=1)
+    return np.stack([across, along, normals], axis=2)
+
+
+def bins_of(directions: Doubles) -> Rows:
+    """The bin of each direction above the horizon, local, shape (N,): rings of equal height in equal sectors."""
+    ring = np.clip(directions[:, 2] * BIN_RINGS, 0, BIN_RINGS - 1).astype(int)
+    sector = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) * BIN_SECTORS).astype(int)
+    return ring * BIN_SECTORS + sector % BIN_SECTORS
+
+
+def bin_samples() -> Doubles:
+    """Directions spread evenly over each bin, unit, shape (Q, S, 3)."""
+    within = (np.arange(BIN_SAMPLES) + 0.5) / BIN_SAMPLES
+    height = (np.arange(BIN_RINGS)[:, None] + within) / BIN_RINGS
+    angle = 2.0 * np.pi * (np.arange(BIN_SECTORS)[:, None] + within) / BIN_SECTORS
+    z = np.repeat(np.repeat(height[:, None, :, None], BIN_SECTORS, axis=1), BIN_SAMPLES, axis=3)
+    phi = np.broadcast_to(angle[None, :, None, :], z.shape)
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(phi), radius * np.sin(phi), z], axis=-1).reshape(-1, BIN_SAMPLES**2, 3)
+
+
+def sh_projection(views: Doubles, degree: int) -> Doubles:
+    """From colours less 0.5 in views to those of the harmonics nearest to them, as `bake` fits them, (M, M)."""
+    basis = sh_basis(views, degree)
+    level = np.floor(np.sqrt(np.arange((degree + 1) ** 2) + 0.5))
+    shares = 4.0 * np.pi / len(views) * basis.T
+    return basis @ np.linalg.solve(shares @ basis + RIDGE * np.diag((level * (level + 1.0)) ** 2), shares)
+
+
+def _views() -> Doubles:
+    """Even views of the upper hemisphere."""
+    around = even_directions(2 * LOBE_VIEWS)
+    return around[around[:, 2] > 0.0]

@@ -1,0 +1,245 @@
+"""Samples surfaces of meshes: points stratified by area, points along creases, and base colours.
+
+Creases are sharp and open edges. A colour is averaged over the area that one sample represents.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from lumisplat.math.arrays import Doubles, IntArray
+from lumisplat.math.color import decode_srgb
+from lumisplat.scene.materials import TextureWrap, WrapPair, wraps_of
+from lumisplat.scene.mesh import Mesh, area_vectors
+
+# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
+
+SAMPLING_SPACINGS_PER_DIAGONAL = 300
+"""Without a count, neighbours are about this fraction of the bounding box's diagonal apart: detail against number, some
+70,000 to 100,000 Gaussians for a compact object."""
+
+SAMPLING_DEFAULT_COUNTS = (1_000, 1_000_000)
+"""Bounds of the default count."""
+
+CREASE_COSINE = 0.77
+"""Faces whose normals make a smaller cosine than this meet at a crease (about 40 degrees)."""
+
+_Floats = npt.NDArray[np.floating]
+_Ints = npt.NDArray[np.integer]
+
+
+class SurfacePoints(NamedTuple):
+    """M points on triangles."""
+
+    positions: Doubles
+    """Shape (M, 3)."""
+    faces: npt.NDArray[np.integer]
+    """Triangle of each point, shape (M,)."""
+    weights: Doubles
+    """Barycentric coordinates, shape (M, 3)."""
+
+    def at(self, rows: npt.NDArray[np.integer]) -> SurfacePoints:
+        """The points that ``rows`` selects."""
+        return SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
+
+
+def face_areas_and_normals(mesh: Mesh) -> tuple[Doubles, Doubles]:
+    """Areas of the triangles, shape (F,), and their unit normals (0 without an area), shape (F, 3)."""
+    vectors = area_vectors(mesh.positions, mesh.indices)
+    doubled = np.linalg.norm(vectors, axis=1)
+    normals = np.divide(vectors, doubled[:, None], out=np.zeros_like(vectors), where=doubled[:, None] > 0.0)
+    return 0.5 * doubled, normals
+
+
+def surface_area(mesh: Mesh) -> float:
+    """Sum of the areas of all triangles, square scene units."""
+    return float(face_areas_and_normals(mesh)[0].sum())
+
+
+def default_count(meshes: Sequence[Mesh]) -> int:
+    """Number of Gaussians for which neighbours are 1/300 of the diagonal of the meshes' bounding box apart."""
+    corners = [mesh.positions[mesh.indices].reshape(-1, 3).astype(np.float64) for mesh in meshes]
+    highest, lowest = (np.array([extreme(c, axis=0) for c in corners]) for extreme in (np.max, np.min))
+    diagonal = float(np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0)))
+    ideal = sum(map(surface_area, meshes)) / (diagonal / SAMPLING_SPACINGS_PER_DIAGONAL) ** 2
+    return int(np.clip(math.ceil(ideal), *SAMPLING_DEFAULT_COUNTS))
+
+
+def stratified_points(mesh: Mesh, areas: Doubles, count: int, rng: np.random.Generator) -> SurfacePoints:
+    """Points stratified by area over the triangles, and by the R2 sequence (Roberts 2018) within each triangle."""
+    cumulative = np.cumsum(areas)
+    strata: Doubles = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
+    faces = np.minimum(np.searchsorted(cumulative, strata, side="right"), np.flatnonzero(areas)[-1])
+    plastic = 1.3247179572447460
+    steps = np.arange(count)[:, None] * np.array([1.0 / plastic, 1.0 / plastic**2])
+    jitter = 0.7 * rng.random((count, 2)) / np.sqrt(np.bincount(faces, minlength=areas.size)[faces])[:, None]
+    uv = (steps + jitter) % 1.0
+    uv = np.where(uv.sum(axis=1, keepdims=True) > 1.0, 1.0 - uv, uv)
+    weights = np.concatenate([1.0 - uv.sum(axis=1, keepdims=True), uv], axis=1)
+    positions = interpolate_vertices(mesh.positions.astype(np.float64), mesh.indices[faces], weights)
+    return SurfacePoints(positions, faces, weights)
+
+
+def interpolate_vertices(
+    values: npt.NDArray[np.floating], corners: npt.NDArray[np.integer], weights: npt.NDArray[np.floating]
+) -> Doubles:
+    """Interpolates vertex values, shape (V, D), at points on triangles.
+
+    Args:
+        values: Shape (V, D).
+        corners: Vertices of the triangle of each point, shape (M, 3).
+        weights: Barycentric coordinates of the points, shape (M, 3).
+
+    Returns:
+        Shape (M, D).
+    """
+    interpolated = np.zeros((len(corners), values.shape[1]))
+    for corner in range(3):
+        interpolated += weights[:, corner, None] * values[corners[:, corner]]
+    return interpolated
+
+
+class CreasePoints(NamedTuple):
+    """C points along creases."""
+
+    positions: npt.NDArray[np.float64]
+    """Shape (C, 3)."""
+    directions: npt.NDArray[np.float64]
+    """Unit direction of the edge at each point, shape (C, 3)."""
+
+
+def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: float, *, limit: int) -> CreasePoints:
+    """Points at most ``spacing`` apart along all open, non-manifold and sharp edges.
+
+    Args:
+        mesh: The mesh; vertices at equal positions count as one.
+        face_normals: Unit normals, shape (F, 3); zero for faces without area.
+        spacing: Largest distance between neighbours on an edge, scene units, > 0.
+        limit: Largest number of points; ``spacing`` grows to keep it.
+    """
+    start, end = _crease_edges(mesh, face_normals)
+    lengths: npt.NDArray[np.float64] = np.linalg.norm(end - start, axis=1)
+    spacing = max(spacing, float(lengths.sum()) / limit)
+    counts = np.ceil(lengths / spacing).astype(np.int64)
+    edge = np.repeat(np.arange(counts.size), counts)
+    step = np.arange(edge.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    along = (step + 0.5) / counts[edge]
+    positions = start[edge] + (end - start)[edge] * along[:, None]
+    # Dense meshes have many short edges: one point per voxel is enough.
+    _, rows = np.unique(np.floor(positions / (0.5 * spacing)).astype(np.int64), axis=0, return_index=True)
+    return CreasePoints(positions[rows], ((end - start) / lengths[:, None])[edge[rows]])
+
+
+def welded_indices(mesh: Mesh) -> IntArray:
+    """Triangles over unique positions: vertices that were split for normals or uvs are joined again, shape (F, 3)."""
+    _, unique_from_vertex = np.unique(mesh.positions, axis=0, return_inverse=True)
+    return unique_from_vertex.reshape(-1).astype(np.int32)[mesh.indices]
+
+
+def _crease_edges(
+    mesh: Mesh, face_normals: npt.NDArray[np.floating]
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Start and end points of the open, non-manifold and sharp edges, shape (E, 3) each."""
+    faces = np.flatnonzero(np.linalg.norm(face_normals, axis=1) > 0.5)
+    corners = welded_indices(mesh)[faces]
+    ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    vertices = np.concatenate([mesh.indices[faces][:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    normals = np.tile(face_normals[faces], (3, 1))
+    key = ends.min(axis=1).astype(np.int64) * (corners.max() + 1) + ends.max(axis=1)
+    order = np.argsort(key, kind="stable")
+    _, starts, counts = np.unique(key[order], return_index=True, return_counts=True)
+    one, other = order[starts], order[starts + (counts == 2)]
+    cosines = np.einsum("ij,ij->i", normals[one], normals[other])
+    sharp = one[(counts != 2) | (cosines < CREASE_COSINE)]
+    start, end = (mesh.positions[vertices[sharp, k]].astype(np.float64) for k in (0, 1))
+    has_length = (start != end).any(axis=1)
+    return start[has_length], end[has_length]
+
+
+def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
+    """Linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3).
+
+    Args:
+        mesh: The mesh.
+        faces: Triangle of each point, shape (M,).
+        weights: Barycentric coordinates of each point, shape (M, 3).
+        width: Width over which the texture is averaged, scene units.
+    """
+    corners = mesh.indices[faces]
+    colors = np.tile(np.asarray(mesh.material.base_color), (faces.size, 1))
+    if mesh.colors is not None:
+        colors *= interpolate_vertices(mesh.colors, corners, weights)
+    texture = mesh.material.base_color_texture
+    if texture is not None and mesh.uvs is not None:
+        level = _texture_levels(mesh, mesh.uvs, texture.shape[0] * texture.shape[1], width)[faces]
+        wraps = wraps_of(mesh.material, "base_color_texture")
+        colors *= _filter_texture(texture, interpolate_vertices(mesh.uvs, corners, weights), level, wraps)
+    return np.clip(colors, 0.0, 1.0)
+
+
+def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) -> _Floats:
+    """For each face, the pyramid level whose texels are ``width`` wide on average over both directions, shape (F,)."""
+    area = np.linalg.norm(area_vectors(mesh.positions, mesh.indices), axis=1)
+    p, q, r = uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
+    uv_area = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    texels2 = width**2 * texel_count * uv_area / np.where(area > 0.0, area, np.inf)
+    return 0.5 * np.log2(np.maximum(texels2, 1.0))
+
+
+def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: WrapPair) -> _Floats:
+    """Trilinear lookup of a texture, linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
+    image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
+    colors, step = np.zeros((uvs.shape[0], 3)), 0
+    while True:
+        last = max(image.shape[:2]) == 1
+        share = np.maximum(1.0 - np.abs((np.minimum(level, step) if last else level) - step), 0.0)
+        used = np.flatnonzero(share)
+        colors[used] += share[used, None] * _bilinear(image, uvs[used], wraps)
+        if last or step >= level.max():
+            return colors
+        image, step = _halve(_halve(image, 0), 1), step + 1
+
+
+def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
+    """Bilinear lookup of an image, shape (M, 3)."""
+    height, width = image.shape[:2]
+    x = wrapped(uvs[:, 0], wraps[0]) * width - 0.5
+    y = wrapped(uvs[:, 1], wraps[1]) * height - 0.5
+    left, top = np.floor(x), np.floor(y)
+    right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
+    columns = [_neighbour(left.astype(np.int64) + k, width, wraps[0]) for k in (0, 1)]
+    rows = [_neighbour(top.astype(np.int64) + k, height, wraps[1]) for k in (0, 1)]
+    upper, lower = (image[r, columns[0]] * (1.0 - right_share) + image[r, columns[1]] * right_share for r in rows)
+    return upper * (1.0 - bottom_share) + lower * bottom_share
+
+
+def _neighbour(texels: _Ints, size: int, wrap: TextureWrap) -> _Ints:
+    """Texels next to an edge: across it in the same texture, or those at the edge."""
+    return texels % size if wrap is TextureWrap.REPEAT else np.clip(texels, 0, size - 1)
+
+
+def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
+    """Texture coordinates within the texture, 0..1."""
+    if wrap is TextureWrap.CLAMP:
+        return np.clip(coordinates, 0.0, 1.0)
+    if wrap is TextureWrap.MIRROR:
+        return 1.0 - np.abs(coordinates % 2.0 - 1.0)
+    return coordinates % 1.0
+
+
+def _halve(image: _Floats, axis: int) -> _Floats:
+    """Halves the number of rows or columns, to at least one; each is the mean over its share, also of odd numbers."""
+    size = int(image.shape[axis])
+    half = max(size // 2, 1)
+    image = np.moveaxis(image, axis, 0)
+    edges = np.linspace(0.0, size, half + 1)
+    before = np.minimum(edges.astype(np.int64), size - 1)
+    sums = np.concatenate([np.zeros_like(image[:1], dtype=np.float64), np.cumsum(image, axis=0, dtype=np.float64)])
+    at_edges = sums[before] + (edges - before)[:, None, None] * (sums[before + 1] - sums[before])
+    means = np.diff(at_edges, axis=0) * (half / size)
+    return np.moveaxis(means, 0, axis).astype(np.float32)

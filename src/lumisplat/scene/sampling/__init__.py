@@ -1,1 +1,0 @@
-"""From meshes to Gaussians: blue-noise points on surfaces, and the discs around them."""

@@ -1,0 +1,347 @@
+"""Host passes that draw the Gaussians that are trained, by three ways to primary hits, and differentiate the frames.
+
+All of it stays on the device.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from lumisplat.config import RenderConfig
+from lumisplat.config.checks import Color
+from lumisplat.device.structs.camera import PixelData
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient
+from lumisplat.device.structs.rays import GaussianHits
+from lumisplat.device.structs.scene import GaussianData
+from lumisplat.device.training import SplatParameters, SplatRecord, SurfaceMaps, TargetImage
+from lumisplat.math.arrays import Doubles
+from lumisplat.renderer.film import traced_pixel_kernels
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.gradients.feature_channels import FeatureChannels
+from lumisplat.renderer.gradients.ray_backward import RayBackward, RaySums
+from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
+from lumisplat.renderer.gradients.splat_backward import SplatBackward
+from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
+from lumisplat.renderer.raster.binning import binning_of
+from lumisplat.renderer.raster.mesh_raster import MeshRaster
+from lumisplat.renderer.raster.splat_raster import SplatRaster, raster_table
+from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import FramePlan
+from lumisplat.renderer.splat_gradients import pose_gradient
+from lumisplat.renderer.trace.camera_rays import CameraRays
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import RayTracer
+from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
+from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
+from lumisplat.runtime.kernel_cache import KernelModule
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.training import optimizer_kernels, surface_kernels, weight_kernels
+from lumisplat.training.losses import SurfaceLoss
+
+
+class _Backend:
+    """Has the one Gaussian set that is drawn, whose means and harmonics are those of the parameters."""
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._scene = DeviceScene(launcher, buffers, config)
+        self._known: tuple[Gaussians, int, RenderConfig] | None = None
+        self._shown: tuple[Scene, FramePlan]
+        """Scene and plan of the last frame, kept until what is known of them changes."""
+
+    def place(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
+        """Draws other Gaussians from now on.
+
+        Args:
+            gaussians: As many as the parameters, with as many harmonics. What is drawn later is written to its arrays.
+            parameters: Has their means and harmonics.
+        """
+        self._gaussians, self._parameters = gaussians, parameters
+
+    @property
+    def data(self) -> GaussianData:
+        """The Gaussians that are drawn; there after the first frame."""
+        return self._scene.assets[0].data
+
+    def _sync(self, camera: Camera, sh_degree: int) -> Scene:
+        """Uploads the scene of a frame, and returns it."""
+        known = self._gaussians, sh_degree, self._config
+        if self._known != known:
+            scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
+            self._known, self._shown = known, (scene, FramePlan.of(self._config, scene))
+        scene, plan = self._shown
+        self._launcher.stage_ms = {}
+        self._scene.sync(scene, camera, plan)
+        return scene
+
+    def _share_parameters(self) -> None:
+        """Draws the means and harmonics of the parameters, in place of copies in each step."""
+        self.data.means, self.data.sh = self._parameters.means, self._parameters.sh
+
+    def _activate(self) -> None:
+        self._launcher.run_banded(optimizer_kernels.activate, self._gaussians.count, self._parameters, self.data)
+
+    def _pixels_of_rays(self, count: int, hits: GaussianHits, background: Color) -> PixelData:
+        pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
+        inputs = (*self._scene.image_size, wp.vec3(*background), hits, pixels)
+        self._launcher.run_banded(traced_pixel_kernels.show_rays, count, *inputs)
+        return pixels
+
+
+class TrainingRaster(_Backend):
+    """Rasterises one Gaussian set as ellipses.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of unlit, sorted raster frames.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        super().__init__(launcher, buffers, config)
+        binning = binning_of(launcher, buffers)
+        meshes = MeshRaster(launcher, buffers, binning)
+        self._splats = SplatRaster(launcher, buffers, config, binning)
+        self._unlit = UnlitRaster(
+            launcher, buffers, binning=binning, meshes=meshes, splats=self._splats, finds_depth=False
+        )
+        self._backward = SplatBackward(launcher, buffers)
+        self.by_splat: DeviceArray
+        """Derivatives by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
+
+    def modules(self) -> list[KernelModule]:
+        """The kernel modules of frames and their derivatives."""
+        return [*self._unlit.modules(has_meshes=False), *self._backward.modules()]
+
+    def place(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
+        """As of the other backends; no pass of this one reads the scene's table of sets."""
+        super().place(gaussians, parameters)
+        self._is_placed = True
+
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
+        """The pixels of a frame.
+
+        Args:
+            camera: A pinhole.
+            sh_degree: Of colours.
+            background: Display-referred sRGB behind the Gaussians.
+        """
+        if background != self._config.background:
+            self._config = replace(self._config, background=background)
+            assign_table(self._splats.settings, raster_table(self._config))
+        self._sync(camera, sh_degree)
+        if self._is_placed:
+            self._share_parameters()
+            self._is_placed = False
+        self._activate()
+        return self._unlit.draw(self._scene).data
+
+    def compare_surfaces(
+        self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, counted: float, gradient: PixelGradient
+    ) -> SurfaceMaps:
+        """As `SurfaceLoss.differentiate`, of the last frame."""
+        return surfaces.differentiate(self._scene, self.drawn, pixels, target, counted=counted, gradient=gradient)
+
+    def backward(
+        self,
+        pixels: PixelData,
+        gradient: PixelGradient,
+        surfaces: SurfaceLoss | None = None,
+        record: SplatRecord | None = None,
+    ) -> GaussianGradient:
+        """Derivatives by the Gaussians of the last frame.
+
+        Args:
+            pixels: Of the last frame.
+            gradient: Derivatives by these.
+            surfaces: What was compared of its surfaces, if anything.
+            record: Receives how strongly these turn normals; None: nobody asks.
+        """
+        self.by_splats(pixels, gradient)
+        by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
+        by_gaussians = self._backward.gaussians(self._scene, self.drawn, self.by_splat, 0)
+        if surfaces is not None and by_features is not None:
+            surfaces.add_by_features(self._scene, by_features, by_gaussians)
+            if record is not None:
+                surfaces.note_turns(self._scene, self.drawn, by_features, record)
+        return by_gaussians
+
+    def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
+        """Derivatives by the splats of the last frame, ``SplatGradient``, alone; undefined where none was drawn.
+
+        Args:
+            pixels: Of the last frame.
+            gradient: Derivatives by these.
+        """
+        self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
+        return self.by_splat
+
+    def flatten(self, weight: float, gradient: GaussianGradient) -> None:
+        """Adds the derivatives of the mean least scale of what was drawn, times a weight."""
+        count = self._gaussians.count
+        inputs = (weight / count, self.drawn.splats.rects, self.data, gradient)
+        self._launcher.run_banded(surface_kernels.flatten, count, *inputs)
+
+    def channels(self) -> FeatureChannels:
+        """What shows further features of the last frame."""
+        return FeatureChannels(self._launcher, self._buffers, self._unlit, self._backward)
+
+    def add_largest_weights(self, largest: DeviceArray) -> None:
+        """Notes with how much weight each Gaussian was blended at most in the last frame.
+
+        Args:
+            largest: The largest so far, shape (N,).
+        """
+        run, drawn, tiles = self._launcher.run_banded, self.drawn, math.prod(self._scene.tile_grid)
+        starts = self._backward.pair_starts(drawn)
+        pairs = self._buffers.get("weights.pairs", wp.float32, drawn.tiles.items.shape[0])
+        lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
+        run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, drawn.meshes, pairs)
+        run(weight_kernels.keep_largest, drawn.splats.count, starts, pairs, largest)
+
+    def by_pose(self, camera: Camera) -> Doubles:
+        """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4); after ``backward``.
+
+        Args:
+            camera: Of the last frame.
+        """
+        sums = self._backward.pose(self._scene, self.drawn, self.by_splat, 0)
+        return pose_gradient(sums, SplatInstance(self._gaussians), camera)
+
+    @property
+    def drawn(self) -> DrawnSplats:
+        """What the last frame was drawn from."""
+        assert self._unlit.drawn is not None
+        return self._unlit.drawn
+
+
+class TrainingRays(_Backend):
+    """Traces one Gaussian set, as `TrainingRaster` rasterises one: of any kernel degree, by any camera.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of unlit, sorted frames of rays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        super().__init__(launcher, buffers, config)
+        self._rays = CameraRays(launcher, buffers)
+        self._tracer = RayTracer(launcher, buffers, config)
+        self._backward = RayBackward(launcher, buffers, config)
+        self._hits: PrimaryHits
+        self._sums: RaySums
+
+    def modules(self) -> list[KernelModule]:
+        """As of `TrainingRaster`."""
+        plan = FramePlan.of(self._config, Scene())
+        modules = [*self._tracer.modules(plan), *self._rays.modules(), *self._scene.modules(plan)]
+        return [*modules, traced_pixel_kernels, *self._backward.modules()]
+
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
+        """The pixels of a frame, but for images other than colour and alpha.
+
+        Args:
+            camera: Of any kind.
+            sh_degree: Of colours.
+            background: Display-referred sRGB behind the Gaussians.
+        """
+        scene = self._sync(camera, sh_degree)
+        self._share_parameters()
+        self._activate()
+        with self._launcher.stage("refit"):
+            self._scene.bvh.refit(scene)
+        self._scene.begin_sample(0)
+        self._hits = self._tracer.find_hits(self._scene, self._rays.start(self._scene), "camera")
+        return self._pixels_of_rays(self._hits.count, self._hits.gaussians, background)
+
+    def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
+        """As of `TrainingRaster`."""
+        by_rays = self._backward.start_pixels(self._scene.image_size, self._hits.count, pixels, gradient)
+        self._sums = self._backward.begin(self._scene)
+        self._backward.add(self._scene, self._hits, by_rays, self._sums)
+        return self._sums.gaussians[0]
+
+    def add_largest_weights(self, largest: DeviceArray) -> None:
+        """As of `TrainingRaster`."""
+        nothing = np.zeros((0, 3), np.float32)  # the derivatives are of no interest
+        by_rays = self._backward.start_rays(self._hits.count, nothing, nothing[:, 0])
+        sums = replace(self._backward.begin(self._scene), largest=largest)
+        self._backward.add(self._scene, self._hits, by_rays, sums)
+
+    def by_pose(self, camera: Camera) -> Doubles:
+        """As of `TrainingRaster`."""
+        return pose_of_rays_gradient(self._sums.motions, [SplatInstance(self._gaussians)], camera)
+
+
+class TrainingUnscented(_Backend):
+    """Rasterises one Gaussian set along rays, as `TrainingRaster` does as ellipses: by any camera but apertures.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings of unlit, sorted frames of ``Projection.UNSCENTED``.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        super().__init__(launcher, buffers, config)
+        self._binning = binning_of(launcher, buffers)
+        self._rays = CameraRays(launcher, buffers)
+        self._raster = UnscentedRaster(launcher, buffers, config, self._binning)
+        self._backward = UnscentedBackward(launcher, buffers)
+
+    def modules(self) -> list[KernelModule]:
+        """As of `TrainingRaster`."""
+        modules = self._raster.modules(FramePlan.of(self._config, Scene()))
+        return [*modules, *self._rays.modules(), traced_pixel_kernels, *self._backward.modules()]
+
+    def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
+        """The pixels of a frame, but for images other than colour and alpha.
+
+        Args:
+            camera: A pinhole or a fisheye.
+            sh_degree: Of colours.
+            background: Display-referred sRGB behind the Gaussians.
+        """
+        self._sync(camera, sh_degree)
+        self._raster.begin_frame(camera)
+        self._share_parameters()
+        self._activate()
+        self._scene.begin_sample(0)
+        rays = self._rays.start(self._scene)
+        self._raster.find_hits(self._scene, rays)
+        while not self._binning.finish():
+            self._raster.find_hits(self._scene, rays)
+        return self._pixels_of_rays(len(rays.t_max), self._last_hits.hits, background)
+
+    def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
+        """As of `TrainingRaster`."""
+        by_splat = self._backward.splats(self._scene, self._last_hits, pixels, gradient)
+        return self._backward.gaussians(self._scene, self._last_hits, by_splat, 0)
+
+    def add_largest_weights(self, largest: DeviceArray) -> None:
+        """As of `TrainingRaster`."""
+        run, met, tiles = self._launcher.run_banded, self._last_hits, math.prod(self._scene.tile_grid)
+        starts = self._backward.pair_starts(met)
+        pairs = self._buffers.get("weights.pairs", wp.float32, met.tiles.items.shape[0])
+        lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items, met.rays, met.limits)
+        run(weight_kernels.find_largest_ray_weights, tiles, self._scene.camera, met.settings, *lists, pairs)
+        run(weight_kernels.keep_largest, met.splats.count, starts, pairs, largest)
+
+    def by_pose(self, camera: Camera) -> Doubles:
+        """As of `TrainingRaster`."""
+        return pose_of_rays_gradient(self._backward.motions(self._last_hits), [SplatInstance(self._gaussians)], camera)
+
+    @property
+    def _last_hits(self) -> SplatsOnRays:
+        """What the rays of the last frame hit."""
+        assert self._raster.met is not None
+        return self._raster.met

@@ -1,0 +1,255 @@
+"""Host pass: lights each Gaussian by incident radiance and normal, and returns gradients of its materials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from lumisplat.constants import SKY_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
+from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.progress import Progress
+from lumisplat.relighting.irradiance import Irradiance, radiance_met
+from lumisplat.renderer.renderer import Renderer
+from lumisplat.renderer.splat_gradients import DifferentiableRenderer
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.ops.neighbours import morton_order
+from lumisplat.scene.ops.normals import shortest_axes
+from lumisplat.scene.scene import Scene
+from lumisplat.training import material_gradient_kernels, material_kernels
+
+LIFT_SHORTEST = 4.0
+"""How far above a Gaussian rays begin, in its least scales, at which its own response is 3e-4."""
+
+LIFT_ALONG = 1.0
+"""The same in its middle scales: neighbours lie as far above its plane."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Materials:
+    """What N Gaussians are made of, and the sky."""
+
+    albedo: Doubles
+    """Linear, 0..1, shape (N, 3)."""
+    roughness: Doubles
+    """Above 0, at most 1, shape (N,)."""
+    normals: Doubles
+    """Unit, shape (N, 3)."""
+    sky: Doubles
+    """Radiance in K directions, shape (K, 3)."""
+
+
+class LitGaussians:
+    """Gaussians under what was traced for them.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        means: Of the Gaussians, shape (N, 3).
+        incident: What reaches them.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, means: FloatArray, incident: IncidentRadiance) -> None:
+        self._launcher, self._buffers = launcher, buffers
+        self._count, self._directions = incident.open.shape
+        self._materials, self._light = GaussianMaterials(), DirectionalLight()
+        self._materials.means = self._vectors("means", means)
+        self._light.directions = self._vectors("directions", incident.directions)
+        self._light.solid_angle = incident.solid_angle
+        self._light.spread = SPREAD_SHARE * SPREAD_SHARE * incident.solid_angle
+        for name, element in (("open", wp.float32), ("seen", wp.vec3)):
+            array = buffers.get(f"materials.{name}", element, (self._count, self._directions))
+            array.assign(getattr(incident, name))
+            setattr(self._light, name, array)
+        self._radiance = buffers.get("materials.radiance", wp.vec3, self._count)
+        self._by_radiance = buffers.get("materials.by_radiance", wp.vec3, self._count)
+        self._eye = wp.vec3()
+
+    def shade(self, materials: Materials, eye: Doubles, sh_out: DeviceArray) -> None:
+        """What they show to an eye.
+
+        Args:
+            materials: What they are made of.
+            eye: World space.
+            sh_out: Receives it, display-referred, as constant harmonics, shape (N,).
+        """
+        self._eye, on = wp.vec3(*eye), self._materials
+        on.normals, on.albedo = self._vectors("normals", materials.normals), self._vectors("albedo", materials.albedo)
+        on.roughness = self._buffers.upload("materials.roughness", wp.float32, _floats(materials.roughness))
+        self._light.sky = self._vectors("sky", materials.sky)
+        inputs = (self._eye, on, self._light, self._radiance, sh_out)
+        with self._launcher.stage("materials"):
+            self._launcher.run_banded(material_kernels.shade, self._count, *inputs)
+
+    def decode(self, rects: DeviceArray, by_splats: DeviceArray) -> None:
+        """Takes derivatives by the colours of splats of the last frame, for ``differentiate``.
+
+        Args:
+            rects: Of the splats.
+            by_splats: Derivatives of the loss by them.
+        """
+        inputs = (rects, by_splats, self._radiance, self._by_radiance)
+        self._launcher.run_banded(material_kernels.decode_gradients, self._count, *inputs)
+
+    def differentiate(self) -> Materials:
+        """Derivatives of the loss, in place of what they are by."""
+        run, get, count = self._launcher.run_banded, self._buffers.get, self._count
+        gradient = MaterialGradient()
+        gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
+        gradient.roughness = get("materials.by_roughness", wp.float32, count)
+        chunks = -(-count // SKY_CHUNK)
+        by_sky = get("materials.by_sky", wp.vec3, (chunks, self._directions))
+        inputs = (self._eye, self._materials, self._light, self._by_radiance)
+        with self._launcher.stage("materials: backward"):
+            run(material_gradient_kernels.differentiate, count, *inputs, gradient)
+            run(material_kernels.differentiate_sky, chunks, *inputs, by_sky)
+        parts = (gradient.albedo, gradient.roughness, gradient.normals)
+        albedo, roughness, normals = (np.array(part.numpy(), np.float64) for part in parts)
+        return Materials(albedo, roughness, normals, by_sky.numpy().sum(axis=0, dtype=np.float64))
+
+    @property
+    def radiance(self) -> Doubles:
+        """What was shown last, linear, shape (N, 3)."""
+        return np.array(self._radiance.numpy(), np.float64)
+
+    def _vectors(self, name: str, values: Doubles | FloatArray) -> DeviceArray:
+        return self._buffers.upload(f"materials.{name}", wp.vec3, _floats(values))
+
+
+def _floats(values: Doubles | FloatArray) -> FloatArray:
+    return np.ascontiguousarray(values, np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IncidentRadiance:
+    """Light on N Gaussians from K directions that stand for as much of the sphere each."""
+
+    directions: Doubles
+    """Unit, towards the light, shape (K, 3)."""
+    open: FloatArray
+    """Share of the sky that arrives, 0..1, shape (N, K)."""
+    seen: FloatArray
+    """Radiance of what blocks the rest, as it was captured, linear, in units of display white, shape (N, K, 3)."""
+
+    @property
+    def solid_angle(self) -> float:
+        """Of each direction, steradians."""
+        return 4.0 * np.pi / len(self.directions)
+
+    def irradiance(self, normals: Doubles) -> Irradiance:
+        """What shines on Gaussians with these normals, shape (N, 3), by cosines; there are no lamps."""
+        cosines = np.maximum(normals @ self.directions.T, 0.0).astype(np.float32)
+        shares = cosines * np.float32(self.solid_angle / np.pi)
+        return Irradiance(
+            observed=np.einsum("nk,nkc->nc", shares, self.seen).astype(np.float64),
+            sky=shares * self.open,
+            emitters=np.zeros((len(normals), 0), np.float32),
+        )
+
+
+def traced_incident(
+    gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Progress
+) -> IncidentRadiance:
+    """Follows a ray from each Gaussian into each direction above its horizon.
+
+    Rays go anywhere within the part of the sphere that a direction stands for: where the part is blocked by half,
+    every other Gaussian sees it. They begin above the Gaussian, as far as it is wide.
+
+    Args:
+        gaussians: The capture.
+        normals: Unit, towards the lit side, shape (N, 3).
+        directions: Evenly spread, unit, shape (K, 3).
+        renderer: Traces unlit rays.
+        seed: Of where rays go.
+        report: Called with what is being done and the fraction done, 0..1.
+    """
+    count, steps = gaussians.count, len(directions)
+    order = morton_order(gaussians.means)  # rays that go side by side are followed together
+    scene, rng = Scene([gaussians]), np.random.default_rng([seed, 6])
+    starts = ray_starts(gaussians, normals)
+    open_, seen = np.zeros((count, steps), np.float32), np.zeros((count, steps, 3), np.float32)
+    spread = np.sqrt(np.pi / steps)
+    for k, direction in enumerate(directions):
+        report("tracing light", k / steps)
+        ways = direction + spread * rng.uniform(-1.0, 1.0, (count, 3))
+        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        rows = order[normals[order] @ direction > 0.0]
+        hits = renderer.trace_rays(scene, starts[rows], ways[rows])
+        alpha = 1.0 - hits.transmittance
+        color = radiance_met(hits, alpha)
+        open_[rows, k], seen[rows, k] = hits.transmittance, alpha[:, None] * color
+    return IncidentRadiance(directions, open_, seen)
+
+
+def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
+    """Where rays begin: above each Gaussian, so far that it does not block its own, shape (N, 3)."""
+    scales = np.sort(gaussians.scales.astype(np.float64), axis=1)
+    lift = np.maximum(LIFT_SHORTEST * scales[:, 0], LIFT_ALONG * scales[:, 1])
+    return gaussians.means + lift[:, None] * normals
+
+
+def seen_normals(
+    gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Progress
+) -> tuple[Doubles, Doubles]:
+    """Unit normals towards the side that cameras see, and how much of all views each Gaussian is.
+
+    In each view, the surface of mean depth has a normal at each pixel; that of a Gaussian is the mean over all pixels
+    of all views, weighted as it is blended there. One that no surface shows has its shortest axis.
+
+    Args:
+        gaussians: The capture.
+        cameras: Pinholes.
+        renderer: Of raster frames.
+        report: Called with what is being done and the fraction done, 0..1.
+
+    Returns:
+        Normals, world space, shape (N, 3), and sums of the weights of blending over all pixels, shape (N,).
+    """
+    sums, towards = np.zeros((gaussians.count, 3)), np.zeros((gaussians.count, 3))
+    weights = np.zeros(gaussians.count)
+    for number, camera in enumerate(cameras):
+        report("finding normals", number / len(cameras))
+        frame = renderer.render(Scene([gaussians]), camera)
+        ways = camera.eye - gaussians.means.astype(np.float64)
+        depths = -(ways @ camera.camera_from_world[2, :3])
+        shown = renderer.render_features(np.column_stack([depths, np.zeros((len(depths), 2))]))
+        normals = surface_normals(camera, shown[..., 0], frame.alpha)
+        found = renderer.gradients(np.zeros_like(frame.color), dL_dfeatures=normals)
+        assert found.features is not None
+        sums += found.features
+        weights += found.weights
+        towards += (found.weights / np.linalg.norm(ways, axis=1))[:, None] * ways
+    axes = shortest_axes(gaussians)
+    axes *= np.where((axes * towards).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(length > 1e-6, sums / np.maximum(length, 1e-6), axes), weights
+
+
+def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:
+    """Of the surface of mean depth, towards the camera, unit, shape (H, W, 3); zero where there is none.
+
+    Args:
+        camera: A pinhole.
+        depth: Sums of view depths, premultiplied, shape (H, W).
+        alpha: Shape (H, W).
+    """
+    has = alpha > SURFACE_ALPHA
+    z = np.where(has, depth / np.where(has, alpha, 1.0), 0.0).astype(np.float64)
+    x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
+    rays = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], axis=-1)
+    points = z[..., None] * rays
+    across, down = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
+    whole = has[1:-1, 1:-1] & has[1:-1, 2:] & has[1:-1, :-2] & has[2:, 1:-1] & has[:-2, 1:-1]
+    area = -np.cross(across, down)
+    length = np.linalg.norm(area, axis=-1)
+    whole &= length > 0.0
+    normals = np.zeros((camera.height, camera.width, 3))
+    local = area / np.where(whole, length, 1.0)[..., None]
+    normals[1:-1, 1:-1] = np.where(whole[..., None], local @ camera.camera_from_world[:3, :3], 0.0)
+    return normals.astype(np.float32)

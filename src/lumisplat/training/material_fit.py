@@ -1,0 +1,430 @@
+"""Steps that refine materials and environment: Gaussians are lit, drawn and compared with an image.
+
+Neighbours are paired, so that similar Gaussians keep similar materials.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lumisplat.config import MaterialsConfig, TrainConfig
+from lumisplat.config.checks import Color
+from lumisplat.constants import RADIANCE_LEAST
+from lumisplat.device.structs.camera import PixelData
+from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.math.adam import Adam
+from lumisplat.math.arrays import Doubles, FloatArray, Rows
+from lumisplat.math.directions import panorama_directions
+from lumisplat.progress import Progress
+from lumisplat.relighting.irradiance import Irradiance, chroma_similarity, even_radiance, typical_albedo_factor
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
+from lumisplat.runtime.launcher import Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.training import loss_kernels, material_gradient_kernels, material_kernels, optimizer_kernels
+from lumisplat.training.backends import TrainingRaster
+from lumisplat.training.lit_gaussians import IncidentRadiance, LitGaussians, Materials
+from lumisplat.training.losses import ImageLoss, Loss
+from lumisplat.training.parameters import DeviceParameters, TrainedParameters
+from lumisplat.training.trainer import frame_settings
+from lumisplat.training.views import TrainingView
+
+LOGIT_MAX = 16.0
+"""Of opacities."""
+
+
+class ColoredGaussians:
+    """Gaussians whose geometry stays.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        gaussians: The capture.
+        background: Behind it, display-referred sRGB.
+        kernels: Further modules that are used.
+        progress: Told what is compiled.
+    """
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        buffers: Buffers,
+        gaussians: Gaussians,
+        background: Color,
+        *,
+        kernels: tuple[ModuleType, ...],
+        progress: Progress | None,
+    ) -> None:
+        flat = TrainConfig(sh_degree=0, antialiased=gaussians.antialiased, cap=gaussians.count)
+        settings = frame_settings(flat, background)
+        own = (optimizer_kernels, loss_kernels, *kernels)
+        self._raster = TrainingRaster(launcher, buffers, settings)
+        launcher.load([*self._raster.modules(), *own], progress)
+        self._drawn = DeviceParameters(buffers)
+        parameters = _unlit(gaussians)
+        self._drawn.upload(parameters)
+        self._raster.place(parameters.gaussians(flat), self._drawn.values)
+
+    @property
+    def sh(self) -> DeviceArray:
+        """Receives what each shows, as its constant harmonic, ``wp.vec3``, shape (N,)."""
+        return device_array(self._drawn.values.sh)
+
+    @property
+    def rects(self) -> DeviceArray:
+        """Of the splats of the last frame, ``TileRect``: what was not drawn is in none."""
+        return self._raster.drawn.splats.rects
+
+    def draw(self, camera: Camera, background: Color) -> PixelData:
+        """The pixels of a frame."""
+        return self._raster.draw(camera, 0, background)
+
+    def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
+        """Derivatives by the splats of the last frame, ``SplatGradient``; undefined where none was drawn."""
+        return self._raster.by_splats(pixels, gradient)
+
+
+def _unlit(gaussians: Gaussians) -> TrainedParameters:
+    """The Gaussians as training has them, with one colour each."""
+    with np.errstate(divide="ignore"):  # of 0 and 1
+        opacities = gaussians.opacities.astype(np.float64)
+        logits = np.log(opacities) - np.log1p(-opacities)
+    return TrainedParameters.new(
+        {
+            "means": gaussians.means,
+            "rotations": gaussians.rotations_wxyz,
+            "log_scales": np.log(gaussians.scales),
+            "logits": np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32),
+            "sh": np.zeros((gaussians.count, 1, 3), np.float32),
+        }
+    )
+
+
+SKY_PAIRS = 60_000
+"""Pairs of Gaussians by whose albedos the sky is found."""
+
+SKY_RATE = 0.05
+"""How far the logarithm of a radiance moves in the first step; it falls to 0."""
+
+SKY_SMOOTHNESS = 1e-3
+"""Weight of squared differences between neighbouring directions, beside the mean over pairs."""
+
+SKY_NEIGHBOURS = 6
+
+SKY_PRIOR = 1e-4
+"""Weight of the squared distance from where it begins, likewise."""
+
+SKY_SEEN = 0.02
+"""Share of the sky that Gaussians see at the median, below which there is none to be found: a closed room."""
+
+CHROMA_WIDTH = 0.15
+"""Difference of chromaticity, natural logarithm, of Gaussians that may have one albedo."""
+
+EDGE_WIDTH = 0.3
+"""Difference of albedo, natural logarithm, from which on it is rather an edge of a texture (Cauchy)."""
+
+ROUGHNESS_MIN = 0.1
+"""Least roughness that is found."""
+
+NEIGHBOURS = 6
+"""Gaussians near each, whose materials are compared with its own."""
+
+ALBEDO_RATE = 0.01
+
+ROUGHNESS_RATE = 0.02
+
+SKY_FINE_RATE = 0.005
+"""How far logits and logarithms move in the first step; from half of the steps on, rates fall to a tenth."""
+
+ALBEDO_SMOOTHNESS = 0.05
+"""Weight of squared differences, between neighbours, of what photographs change of the logarithms of albedos."""
+
+ROUGHNESS_SMOOTHNESS = 0.05
+"""Weight of squared differences between neighbours."""
+
+PHOTO_SSIM = 0.2
+"""Share of SSIM in the loss of photographs, as in training."""
+
+_ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
+_LOGIT_MAX = 7.0
+_MOVED = ("albedo", "roughness", "sky")
+"""Names of what moves."""
+
+
+class MaterialFit:
+    """Materials of Gaussians whose geometry stays.
+
+    Args:
+        gaussians: The capture.
+        views: The photographs.
+        incident: What was traced.
+        start: Where materials and sky begin.
+        config: Settings.
+        device: As of `lumisplat.create_renderer`.
+        threads: As of `lumisplat.create_renderer`.
+        progress: As of `lumisplat.create_renderer`.
+    """
+
+    def __init__(
+        self,
+        gaussians: Gaussians,
+        views: Sequence[TrainingView],
+        incident: IncidentRadiance,
+        start: Materials,
+        config: MaterialsConfig,
+        *,
+        device: str,
+        threads: int | None,
+        progress: Progress | None,
+    ) -> None:
+        self._views, self._config = views, config
+        launcher = Launcher(device, threads)
+        buffers = Buffers(launcher.device)
+        self._shown = ColoredGaussians(
+            launcher,
+            buffers,
+            gaussians,
+            views[0].background,
+            kernels=(material_kernels, material_gradient_kernels),
+            progress=progress,
+        )
+        self._loss = ImageLoss(launcher, buffers, ssim=PHOTO_SSIM, alpha=0.0)
+        self._lit = LitGaussians(launcher, buffers, gaussians.means, incident)
+        self._near, self._ring = near_pairs(gaussians.means), nearest_directions(incident.directions)
+        self._normals = start.normals
+        self._albedo: Doubles = _logits(start.albedo)
+        self._roughness: Doubles = _logits((start.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE)
+        self._sky: Doubles = np.log(np.maximum(start.sky, RADIANCE_LEAST))
+        self._first = np.log(_sigmoid(self._albedo))
+        self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._sky)]
+        self.iteration = 0
+        """Steps that were made."""
+
+    @property
+    def materials(self) -> Materials:
+        """What has been found so far."""
+        return materials_of({"albedo": self._albedo, "roughness": self._roughness, "sky": self._sky}, self._normals)
+
+    @property
+    def state(self) -> dict[str, Doubles]:
+        """What moves, and its moments: with the number of steps, all that the next step depends on."""
+        arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._sky}
+        for name, moments in zip(_MOVED, self._moments, strict=True):
+            arrays |= {f"{name}.first": moments.first, f"{name}.second": moments.second}
+        return arrays
+
+    def restore(self, state: dict[str, Doubles], iteration: int) -> None:
+        """Goes on from there.
+
+        Args:
+            state: As of ``state``, of a fit that began at the same materials.
+            iteration: Steps that were made until then.
+        """
+        self._albedo, self._roughness, self._sky = (state[name].copy() for name in _MOVED)
+        self._moments = [
+            Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), np.array(float(iteration)))
+            for name in _MOVED
+        ]
+        self.iteration = iteration
+
+    def step(self) -> Loss:
+        """Makes a step with the next photograph: all in turn, in another order each time."""
+        epoch, place = divmod(self.iteration, len(self._views))
+        order = np.random.default_rng([self._config.seed, 7, epoch]).permutation(len(self._views))
+        loss, gradient = self.differentiate(self._views[int(order[place])])
+        self._move(gradient)
+        self.iteration += 1
+        return loss
+
+    def differentiate(self, view: TrainingView) -> tuple[Loss, Materials]:
+        """How far what the Gaussians show is from a photograph, and the derivatives by what they are made of."""
+        picture, camera = view.read(), view.camera
+        photograph = self._loss.load(picture.color, picture.weight, None)
+        self._lit.shade(self.materials, camera.eye, self._shown.sh)
+        pixels = self._shown.draw(camera, view.background)
+        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, photograph)
+        by_splats = self._shown.by_splats(pixels, by_pixels)
+        self._lit.decode(self._shown.rects, by_splats)
+        return loss, self._lit.differentiate()
+
+    def _move(self, gradient: Materials) -> None:
+        """The chain rule to logits and logarithms, what neighbours say, and a step."""
+        now = self.materials
+        share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE
+        changes = np.log(now.albedo) - self._first
+        by_change = np.stack([self._near.square_term(changes[:, c])[1] for c in range(3)], axis=1)
+        by_albedo = gradient.albedo * now.albedo + ALBEDO_SMOOTHNESS * by_change
+        by_roughness = gradient.roughness + ROUGHNESS_SMOOTHNESS * self._near.square_term(now.roughness)[1]
+        by_sky = gradient.sky * now.sky + smoothness_gradient(self._sky, self._ring)
+        fall = 0.1 ** max(2.0 * self.iteration / self._config.iterations - 1.0, 0.0)
+        albedo, roughness, sky = self._moments
+        self._albedo += albedo.step(by_albedo * (1.0 - now.albedo), fall * ALBEDO_RATE)
+        self._roughness += roughness.step(
+            by_roughness * _ROUGHNESS_RANGE * share * (1.0 - share), fall * ROUGHNESS_RATE
+        )
+        self._sky += sky.step(by_sky, fall * SKY_FINE_RATE)
+        for logits in (self._albedo, self._roughness):
+            np.clip(logits, -_LOGIT_MAX, _LOGIT_MAX, out=logits)
+
+
+def materials_of(state: Mapping[str, Doubles], normals: Doubles) -> Materials:
+    """What the state of a fit says, with normals that stay."""
+    roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(state["roughness"])
+    return Materials(_sigmoid(state["albedo"]), roughness, normals, np.exp(state["sky"]))
+
+
+def _sigmoid(logits: Doubles) -> Doubles:
+    return 1.0 / (1.0 + np.exp(-logits))
+
+
+def _logits(shares: Doubles) -> Doubles:
+    least = 1.0 / (1.0 + math.exp(_LOGIT_MAX))
+    inside = np.clip(shares, least, 1.0 - least)
+    return np.log(inside / (1.0 - inside))
+
+
+def lit_white(white: Irradiance, sky: Doubles) -> Doubles:
+    """Radiance of white, matte Gaussians under a sky of radiances, shape (K, 3): shape (N, 3)."""
+    return np.maximum(white.total(sky.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
+
+
+def sees_sky(white: Irradiance) -> bool:
+    """Whether there is a sky to be found."""
+    return float(np.median(white.sky.sum(axis=1))) > SKY_SEEN
+
+
+def fitted_sky(
+    outgoing: Doubles,
+    white: Irradiance,
+    weights: Doubles,
+    directions: Doubles,
+    *,
+    steps: int,
+    rng: np.random.Generator,
+    report: Progress,
+) -> Doubles:
+    """Radiances of the sky in K directions, shape (K, 3).
+
+    The albedo of a matte surface is its radiance over that of a white one. What light does to a capture goes by its
+    normals and by what is open to the sky, what albedo does goes by neither: so of all skies that one is right under
+    which pairs of surfaces, anywhere, that may have one albedo, have it. A brighter sky over darker surfaces looks the
+    same: the lightest surfaces have a usual albedo.
+
+    Args:
+        outgoing: Radiance of Gaussians, shape (N, 3).
+        white: What shines on them.
+        weights: How often each is in a pair, shape (N,).
+        directions: Of the sky, shape (K, 3).
+        steps: How many are made.
+        rng: Chooses pairs.
+        report: Called with what is being done and the fraction done, 0..1.
+    """
+    if not sees_sky(white):
+        return np.ones((len(directions), 3))
+    start = np.full((len(directions), 3), np.log(even_radiance(outgoing, white, weights)))
+    chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
+    rows, compact = np.unique(chosen, return_inverse=True)
+    first, second = compact.reshape(2, SKY_PAIRS)
+    pairs, part = AlikePairs(first, second), Irradiance(white.observed[rows], white.sky[rows], white.emitters[rows])
+    shown = np.log(np.maximum(outgoing[rows], RADIANCE_LEAST))
+    neighbours = nearest_directions(directions)
+    moved, adam = start.copy(), Adam.still(start.shape)
+    for step in range(steps):
+        report("finding the sky", step / steps)
+        sky = np.exp(moved)
+        light = lit_white(part, sky)
+        _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
+        by_sky = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * sky
+        by_sky += smoothness_gradient(moved, neighbours) + SKY_PRIOR / len(directions) * (moved - start)
+        moved += adam.step(by_sky, SKY_RATE * (1.0 - step / steps))
+        moved += start.mean(axis=0) - moved.mean(axis=0)
+    sky = np.exp(moved)
+    lit = (white.sky @ sky.astype(np.float32)).astype(np.float64)
+    return typical_albedo_factor(outgoing, white.observed, lit, weights) * sky
+
+
+def nearest_directions(directions: Doubles) -> np.ndarray:
+    """The neighbours of each direction, shape (K, 6)."""
+    return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + SKY_NEIGHBOURS]
+
+
+def smoothness_gradient(log_sky: Doubles, neighbours: np.ndarray) -> Doubles:
+    """Derivatives of the roughness of a sky, shape (K, 3); neighbours are held where they are."""
+    return SKY_SMOOTHNESS / len(log_sky) * (log_sky[:, None] - log_sky[neighbours]).sum(axis=1)
+
+
+HEIGHT, WIDTH = 16, 32
+
+
+def sky_image(directions: Doubles, sky: Doubles) -> FloatArray:
+    """The image of a `LightEnvironment`, shape (16, 32, 3).
+
+    A pixel is the mean of the directions around it, by a Gaussian of half the angle between neighbours.
+
+    Args:
+        directions: Even, unit, shape (K, 3).
+        sky: Radiances, shape (K, 3).
+    """
+    ways = panorama_directions(HEIGHT, WIDTH).reshape(-1, 3)
+    sharpness = len(directions) / np.pi  # 1 / (half of the angle)^2
+    weights = np.exp(sharpness * (ways @ directions.T - 1.0))
+    image = weights @ sky / weights.sum(axis=1, keepdims=True)
+    return image.reshape(HEIGHT, WIDTH, 3).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AlikePairs:
+    """P pairs, each of two rows."""
+
+    first: Rows
+    """Shape (P,)."""
+    second: Rows
+
+    def albedo_term(self, log_albedo: Doubles) -> tuple[float, Doubles]:
+        """How much albedos differ, and the derivatives by their logarithms, shape (N, 3).
+
+        A difference of a pair counts as ``w^2 log(1 + (d / w)^2) / 2``, so that edges of textures count little, and
+        less the more the two differ in chromaticity; that weight is held as it is.
+        """
+        difference = log_albedo[self.first] - log_albedo[self.second]
+        alike = chroma_similarity(difference, CHROMA_WIDTH)
+        ratio = np.square(difference / EDGE_WIDTH)
+        share = 1.0 / max(len(self.first), 1)
+        term = float((alike * np.log1p(ratio)).sum() * 0.5 * EDGE_WIDTH**2 * share)
+        return term, self._scattered(alike * difference / (1.0 + ratio) * share, len(log_albedo))
+
+    def square_term(self, values: Doubles) -> tuple[float, Doubles]:
+        """Half the mean squared difference of a number, and the derivatives by it, shape (N,)."""
+        difference = values[self.first] - values[self.second]
+        share = 1.0 / max(len(self.first), 1)
+        return 0.5 * share * float(difference @ difference), self._scattered(difference[:, None] * share, len(values))[
+            :, 0
+        ]
+
+    def _scattered(self, by_difference: Doubles, count: int) -> Doubles:
+        """From derivatives by differences to those by what differs."""
+        columns = [
+            np.bincount(self.first, column, count) - np.bincount(self.second, column, count)
+            for column in by_difference.T
+        ]
+        return np.stack(columns, axis=1).astype(np.float64)
+
+
+def near_pairs(means: FloatArray) -> AlikePairs:
+    """Returns pairs of each Gaussian with its `NEIGHBOURS` nearest others, fewer if there are not as many."""
+    count = len(means)
+    most = min(NEIGHBOURS, count - 1)
+    if most < 1:
+        return AlikePairs(np.empty(0, np.int64), np.empty(0, np.int64))
+    _, near = cKDTree(means).query(means, k=most + 1, workers=-1)
+    own = np.arange(count)[:, None]
+    # Where means coincide, another may come before the Gaussian itself, and even push it off the list.
+    is_own = near == own
+    is_own[:, -1] |= ~is_own.any(axis=1)
+    return AlikePairs(np.repeat(own, most), near[~is_own].astype(np.int64))

@@ -1,1 +1,0 @@
-"""Materials and light from photographs, of a capture whose geometry stays."""

@@ -1,0 +1,278 @@
+"""The handle by which the selected thing is moved and turned on pages."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.viewer.scene_extent import Box, Extent, pose_of, scale_of
+from lumisplat.viewer.server.event_queue import in_turn
+from lumisplat.viewer.session import Session
+from lumisplat.viewer.thresholds import DRAG_ENDS_S
+
+if TYPE_CHECKING:
+    import viser
+
+
+Matrix = npt.NDArray[np.float64]
+
+_NODE = "/selected {}"
+"""Each has a number of its own: a page keeps the turn of one that was removed for the next one of its name."""
+_SIZE = 0.09
+"""Length of the handle's axes as a share of the scene's size, if what it holds is not larger."""
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Where a thing is held."""
+
+    world_from_grip: Matrix
+    """Rotation and translation, shape (4, 4)."""
+    moves: bool = True
+    turns: bool = True
+
+
+@dataclass(frozen=True)
+class Drag:
+    """What a hand moves."""
+
+    entry: ls.io.SceneEntry
+    """As it was when the drag began."""
+    start: Matrix
+    """``world_from_grip`` when it began."""
+    time: float = 0.0
+    """Of the animation, seconds."""
+
+
+def grip_of(entry: ls.io.SceneEntry, box: Box | None, extent: Extent, time: float = 0.0) -> Grip | None:
+    """Where an entry is held: in the middle of what it shows, or where a light is; None: of a sky, or of nothing.
+
+    Args:
+        entry: The entry.
+        box: Around what it shows, in its own coordinates.
+        extent: Of the scene: a sun is held on a dome around it.
+        time: Of the animation, seconds.
+    """
+    if entry.kind in ("lights", "environment"):
+        return _grip_of_light(entry.lights[0], extent)
+    pose = pose_of(entry, time)
+    if pose is None or box is None or (entry.kind == "actors" and "path" not in entry.table):
+        return None
+    grip = np.eye(4)
+    grip[:3, :3] = pose[:3, :3] / scale_of(pose)
+    grip[:3, 3] = pose[:3, :3] @ (0.5 * (box[0] + box[1])) + pose[:3, 3]
+    return Grip(grip)
+
+
+def _grip_of_light(light: Any, extent: Extent) -> Grip | None:
+    grip = np.eye(4)
+    match light:
+        case ls.LightDirectional():
+            grip[:3, 3] = np.array(extent.center) - extent.dome_radius * np.array(light.direction)
+        case ls.LightEnvironment():
+            return None
+        case _:
+            grip[:3, 3] = light.position
+            if light.aim_fields == ("direction",):
+                grip[:3, :3] = _rotation_to(light.direction)
+            elif light.aim_fields:
+                grip[:3, :3] = _rotation_of_edges(light.edge_u, light.edge_v)
+    return Grip(grip, turns=not isinstance(light, ls.LightDirectional) and bool(light.aim_fields))
+
+
+def moved(document: ls.io.SceneDocument, entry: ls.io.SceneEntry, move: Matrix, time: float) -> ls.io.SceneDocument:
+    """The document with a capture, a mesh or an actor moved in the world, as it stands at a time, seconds.
+
+    Raises:
+        SceneError: It has been removed.
+    """
+    motion = np.eye(4)
+    if entry.actor is not None and entry.actor.motion is not None:
+        motion = entry.actor.motion.at(time)
+    return document.placed(entry.id, np.linalg.inv(motion) @ move @ motion @ np.asarray(entry.world_from_file))
+
+
+def dragged(document: ls.io.SceneDocument, drag: Drag, now: Matrix, extent: Extent) -> ls.io.SceneDocument:
+    """The document with an entry moved as its grip was; an actor that moves takes its way with it.
+
+    Args:
+        document: The scene, whatever else has been edited since the drag began.
+        drag: What is dragged, from where.
+        now: ``world_from_grip`` now.
+        extent: Of the scene.
+
+    Raises:
+        FormatError: The entry cannot be there.
+        SceneError: It has been removed.
+    """
+    entry, number = drag.entry, drag.entry.id
+    move = now @ np.linalg.inv(drag.start)
+    if entry.kind not in ("lights", "environment"):
+        return moved(document, entry, move, drag.time)
+    light: Any = entry.lights[0]
+    if isinstance(light, ls.LightEnvironment):
+        return document
+    aims: dict[str, Any] = dict.fromkeys(light.aim_keys)
+    if isinstance(light, ls.LightDirectional):
+        direction = np.array(extent.center) - now[:3, 3]
+        return document.changed(number, **aims, direction=_listed(direction)) if direction.any() else document
+    if light.aim_fields == ("direction",):
+        aims["direction"] = _listed(now[:3, 2])
+    elif light.aim_fields:
+        aims |= {name: _listed(move[:3, :3] @ getattr(light, name)) for name in light.aim_fields}
+    return document.changed(number, **aims, position=_listed(now[:3, 3]))
+
+
+def _listed(vector: Any) -> list[float]:
+    return [float(x) for x in vector]
+
+
+def _rotation_to(direction: npt.ArrayLike) -> Matrix:
+    """A rotation whose z axis is a direction."""
+    z = np.asarray(direction, np.float64) / np.linalg.norm(np.asarray(direction))
+    x = np.cross(np.eye(3)[int(np.argmin(np.abs(z)))], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _rotation_of_edges(edge_u: npt.ArrayLike, edge_v: npt.ArrayLike) -> Matrix:
+    """A rotation with x along one edge and z along the side to which a rectangle shines."""
+    x = np.asarray(edge_u, np.float64)
+    z = np.cross(x, np.asarray(edge_v, np.float64))
+    x, z = x / np.linalg.norm(x), z / np.linalg.norm(z)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+class Gizmo:
+    """The handle of the selected entry, on all pages.
+
+    Args:
+        scene_api: The pages' scene.
+        session: Knows what is selected, and is edited.
+    """
+
+    def __init__(self, scene_api: viser.SceneApi, session: Session) -> None:
+        self._api, self._session = scene_api, session
+        self._handle: viser.TransformControlsHandle | None = None
+        self._handles = 0
+        """How many there were."""
+        self._held: tuple[int, Grip] | None = None
+        """Id of the entry that it is on, and where."""
+        self._drag: Drag | None = None
+        self._dragged_at = 0.0
+        session.on_change(self.follow)
+
+    @property
+    def node(self) -> str:
+        """The name of the last handle on pages."""
+        return _NODE.format(self._handles)
+
+    def follow(self) -> None:
+        """Goes to what is selected, and where that is now; a hand that drags it is not disturbed."""
+        with self._session.changed:
+            is_dragged = self._drag is not None and self._drag.entry.id == self._session.selected
+            if is_dragged and time.monotonic() - self._dragged_at < DRAG_ENDS_S:
+                return
+            self._drag = None
+            entry, time_now = self._session.selected_entry, self._session.options.time
+            grip = None
+            if entry is not None and not entry.hidden and entry.id not in self._session.locked:
+                grip = grip_of(entry, self._session.boxes.of(entry, time_now), self._session.extent, time_now)
+            if entry is None or grip is None:
+                self._remove()
+            else:
+                self._hold(entry, grip)
+
+    def _hold(self, entry: ls.io.SceneEntry, grip: Grip) -> None:
+        extent, matrix = self._session.extent, grip.world_from_grip
+        scale = extent.page_from_scene
+        position, wxyz = scale * matrix[:3, 3], _wxyz(matrix[:3, :3])
+        if self._handle is None or self._held is None or (self._held[0], self._held[1].turns) != (entry.id, grip.turns):
+            self._remove()
+            self._handles += 1
+            self._handle = self._api.add_transform_controls(
+                self.node,
+                scale=scale * max(_SIZE * extent.size, self._reach_of(entry)),
+                disable_rotations=not grip.turns,
+                position=position,
+                wxyz=wxyz,
+            )
+            callback: Any = in_turn(_move_of, self._on_update)
+            self._handle.on_update(callback)
+        elif not np.allclose(self._held[1].world_from_grip, matrix, atol=1e-9 * extent.size):
+            self._handle.position, self._handle.wxyz = position, np.array(wxyz)
+        self._held = entry.id, grip
+
+    def _on_update(self, move: tuple[str, Matrix]) -> None:
+        phase, place = move
+        if phase == "start":
+            self._begin()
+        elif phase == "update":
+            self._move(place)
+        else:
+            self._end(place)
+
+    def _begin(self) -> None:
+        """Starts a drag."""
+        with self._session.changed:
+            self._session.seal()
+            self._drag, self._dragged_at = self._new_drag(), time.monotonic()
+
+    def _move(self, place: Matrix) -> None:
+        """Moves what is held to where a page has the handle: ``world_from_grip`` in units of the page."""
+        with self._session.changed:
+            drag = self._drag or self._new_drag()
+            if drag is None or all(entry.id != drag.entry.id for entry in self._session.state.document.entries):
+                self._drag = None  # it was removed under the hand
+                return
+            self._dragged_at, extent, now = time.monotonic(), self._session.extent, place.copy()
+            now[:3, 3] /= extent.page_from_scene
+            name = f"drag {drag.entry.id}"
+            self._session.apply(lambda document: dragged(document, drag, now, extent), name, within=math.inf)
+
+    def _new_drag(self) -> Drag | None:
+        """A drag of what is held, from where it is."""
+        entry = self._session.selected_entry
+        if self._held is None or entry is None or entry.id != self._held[0]:
+            return None
+        return Drag(entry, self._held[1].world_from_grip, self._session.options.time)
+
+    def _end(self, place: Matrix) -> None:
+        with self._session.changed:
+            self._move(place)
+            self._drag, self._dragged_at = None, 0.0
+            self._session.seal()
+            self.follow()
+
+    def _reach_of(self, entry: ls.io.SceneEntry) -> float:
+        """Length at which axes come out of what an entry shows, scene units."""
+        size = self._session.boxes.size(entry, self._session.options.time)
+        return 0.0 if size is None else 0.6 * float(np.max(size))
+
+    def _remove(self) -> None:
+        if self._handle is not None:
+            self._handle.remove()
+        self._handle = self._held = None
+
+
+def _move_of(event: viser.TransformControlsEvent) -> tuple[str, Matrix]:
+    """The phase of a drag, and where the handle is, in units of the page."""
+    from viser import transforms
+
+    matrix = np.eye(4)
+    matrix[:3, :3] = transforms.SO3(np.asarray(event.target.wxyz)).normalize().as_matrix()
+    matrix[:3, 3] = np.asarray(event.target.position)
+    return event.phase, matrix
+
+
+def _wxyz(rotation: Matrix) -> tuple[float, float, float, float]:
+    from viser import transforms
+
+    w, x, y, z = (float(value) for value in transforms.SO3.from_matrix(rotation).wxyz)
+    return w, x, y, z

@@ -1,0 +1,282 @@
+"""Draws lines and insets over a frame: how large lights are and where they shine, the selection, the ground."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image, ImageDraw, ImageOps
+
+import lumisplat as ls
+from lumisplat.viewer.frames.page import Picture
+from lumisplat.viewer.scene_extent import pose_of, world_corners
+from lumisplat.viewer.session import Session
+
+_LIGHT_SIZE = 0.03
+"""Of marks of lights without a size, as a share of the scene's."""
+_POINT_SIZE = 0.008
+"""Of marks of points that were clicked, likewise."""
+_INSETS = ("depth", "normal")
+_INSET_SHARE = 0.22
+"""Height of an inset, as a share of the picture's."""
+_INSET_GAP = 8
+_INSET_FRAME = (110, 110, 110)
+
+
+def decorated(picture: Picture, frame: ls.Frame, session: Session) -> Picture:
+    """A picture with what the options of the session ask for."""
+    with session.changed:
+        options = session.options
+        outlines = _outlines(session) if options.outlines else []
+        if session.ground_points:
+            outlines.append(points_outline(session.ground_points, _POINT_SIZE * session.extent.size))
+        if options.grid:
+            outlines.append(_grid(session))
+    if outlines and len(picture) < options.height:  # lines of a view that moves are as fine as those of one at rest
+        size = round(picture.shape[1] * options.height / len(picture)), options.height
+        picture = np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.BILINEAR))
+    picture = draw_outlines(picture, frame, outlines)
+    return with_insets(picture, frame) if options.insets and options.view == "color" else picture
+
+
+def _outlines(session: Session) -> list[Outline]:
+    """Lines of all lights, and around what is selected."""
+    document, size = session.state.document, _LIGHT_SIZE * session.extent.size
+    lights = [entry for entry in document.entries if entry.kind == "lights" and not entry.hidden]
+    found = [light_outline(entry.lights[0], size, is_selected=entry.id == session.selected) for entry in lights]
+    selected = session.selected_entry
+    if selected in lights and isinstance(sun := selected.lights[0], ls.LightDirectional):
+        extent = session.extent
+        found.append(sun_outline(sun, extent.center, extent.dome_radius, session.scene.up_direction))
+    return [outline for outline in found if outline is not None] + _selection(session)
+
+
+def _selection(session: Session) -> list[Outline]:
+    """The box around the selected thing."""
+    entry, time = session.selected_entry, session.options.time
+    if entry is None or entry.hidden:
+        return []
+    box, pose = session.boxes.of(entry, time), pose_of(entry, time)
+    return [] if box is None or pose is None else [box_outline(world_corners(box, pose))]
+
+
+def _grid(session: Session) -> Outline:
+    """The ground: at the bottom of what was opened, at right angles to up."""
+    extent, up = session.extent, np.array(session.scene.up_direction)
+    return grid_outline(np.array(extent.center) - extent.height_below * up, up, 1.5 * extent.size)
+
+
+def with_insets(picture: Picture, frame: ls.Frame) -> Picture:
+    """A picture with small framed ones of its depth and its normals in the lower left corner, away from panels."""
+    height, width = picture.shape[:2]
+    rows, columns = round(_INSET_SHARE * height), round(_INSET_SHARE * width)
+    image = Image.fromarray(picture)
+    for number, view in enumerate(_INSETS):
+        inset = Image.fromarray((255.0 * frame.view(view) + 0.5).astype(np.uint8)).resize((columns, rows))
+        framed = ImageOps.expand(inset, border=1, fill=_INSET_FRAME)
+        image.paste(framed, (_INSET_GAP + number * (framed.width + _INSET_GAP), height - framed.height - _INSET_GAP))
+    return np.asarray(image)
+
+
+Points = npt.NDArray[np.float64]
+"""World positions along a line, shape (N, 3)."""
+
+_CIRCLE = 48
+_PIECES = 24
+"""Parts of a straight line that are seen or hidden each by itself."""
+_HIDDEN = 0.3
+"""Strength of lines behind what is in the frame."""
+_FARTHEST_PX = 1e5
+"""Lines that end farther outside of the picture are left out."""
+_SELECTED = (255, 176, 32)
+_OTHERS = (150, 150, 150)
+_GRID = (90, 110, 130)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Lines of one thing."""
+
+    lines: tuple[Points, ...]
+    color: tuple[int, int, int]
+
+
+def light_outline(light: Any, size: float, *, is_selected: bool) -> Outline | None:
+    """The lines of a light; None: of one that is nowhere, such as a sky.
+
+    Args:
+        light: The light.
+        size: Length that marks lights without a size of their own, scene units.
+        is_selected: Whether all of it is shown, else its place alone.
+    """
+    color = _SELECTED if is_selected else _OTHERS
+    match light:
+        case ls.LightDirectional() | ls.LightEnvironment():
+            return None
+        case ls.LightSpot():
+            lines = _ball(light.position, light.radius or 0.35 * size) + (_cone(light, size) if is_selected else ())
+        case ls.LightPoint() | ls.LightSphere():
+            lines = _ball(light.position, light.radius or 0.5 * size)
+            if is_selected and isinstance(light, ls.LightPoint) and math.isfinite(light.range):
+                lines += _ball(light.position, light.range)
+        case _:
+            lines = _flat(light)
+    return Outline(lines, color)
+
+
+def sun_outline(light: ls.LightDirectional, center: npt.ArrayLike, radius: float, up: npt.ArrayLike) -> Outline:
+    """The dome on which a sun is dragged: its horizon, the arc from there over the zenith, and the way of its light.
+
+    Args:
+        light: The sun.
+        center: Of the dome, world space.
+        radius: Of the dome, scene units.
+        up: Unit vector.
+    """
+    middle, vertical, towards = np.asarray(center, np.float64), np.asarray(up, np.float64), -np.array(light.direction)
+    level = towards - (towards @ vertical) * vertical
+    length = float(np.linalg.norm(level))
+    level = level / length if length > 1e-6 else _frame_about(vertical)[0]
+    angles = np.linspace(0.0, math.pi, _CIRCLE + 1)[:, None]
+    arc = middle + radius * (np.cos(angles) * level + np.sin(angles) * vertical)
+    sun = middle + radius * towards
+    ray = _straight(sun, middle)
+    lines = (_circle(middle, radius, vertical), arc, ray, *_ball(sun, 0.05 * radius))
+    return Outline(lines, _SELECTED)
+
+
+def points_outline(points: Sequence[npt.ArrayLike], size: float) -> Outline:
+    """Marks of points of a ground that were clicked, and the lines between them.
+
+    Args:
+        points: World positions.
+        size: Radius of the marks, scene units.
+    """
+    marks = [circle for point in points for circle in _ball(point, size)]
+    return Outline((*marks, *(_straight(a, b) for a, b in itertools.pairwise(points))), _SELECTED)
+
+
+def box_outline(corners: npt.ArrayLike) -> Outline:
+    """The edges of a box, by its corners as `world_corners` has them, shape (8, 3)."""
+    at = np.asarray(corners, np.float64)
+    pairs = [(a, a | 1 << axis) for a in range(8) for axis in range(3) if not a >> axis & 1]
+    return Outline(tuple(_straight(at[a], at[b]) for a, b in pairs), _SELECTED)
+
+
+def grid_outline(center: npt.ArrayLike, up: npt.ArrayLike, size: float) -> Outline:
+    """Lines on a ground, a power of ten apart, and stronger ones through its middle.
+
+    Args:
+        center: A point of the ground, world space.
+        up: Its unit normal.
+        size: Length of its sides, scene units.
+    """
+    step = 10.0 ** math.floor(math.log10(size / 4.0))
+    count = round(0.5 * size / step)
+    u, v = _frame_about(up)
+    middle, reach = np.asarray(center, np.float64), count * step
+    lines = [
+        _straight(middle + offset * step * a - reach * b, middle + offset * step * a + reach * b, 4 * _PIECES)
+        for a, b in ((u, v), (v, u))
+        for offset in range(-count, count + 1)
+    ]
+    return Outline(tuple(lines), _GRID)
+
+
+def draw_outlines(
+    picture: npt.NDArray[np.uint8], frame: ls.Frame, outlines: Sequence[Outline]
+) -> npt.NDArray[np.uint8]:
+    """The picture of a frame, of its size or a larger one, with lines on it, dimmed behind what is in the frame."""
+    if not outlines:
+        return picture
+    image, scale = Image.fromarray(picture), len(picture) / frame.camera.height
+    for outline in outlines:
+        mask = Image.new("L", image.size)  # lines that cross, or meet, are no stronger there
+        draw = ImageDraw.Draw(mask)
+        hidden, seen = (scale * pieces for pieces in _pieces(frame, outline.lines))
+        for strength, pieces in ((_HIDDEN, hidden), (1.0, seen)):
+            for ends in pieces.tolist():
+                draw.line(ends, fill=round(255 * strength))
+        image.paste(outline.color, mask=mask)
+    return np.asarray(image)
+
+
+def _pieces(frame: ls.Frame, lines: Sequence[Points]) -> tuple[Points, Points]:
+    """The parts of lines in the picture that are hidden and those that are seen: their ends, pixels, shape (N, 4)."""
+    camera, points = frame.camera, np.concatenate(lines)
+    local = points @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
+    depth = np.maximum(local[:, 2], camera.near)
+    pixels = local[:, :2] / depth[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    is_drawn = (local[:, 2] > camera.near) & (np.abs(pixels).max(axis=1) < _FARTHEST_PX)
+    is_seen = _is_seen(frame, pixels, np.linalg.norm(local, axis=1))
+    joined = is_drawn[:-1] & is_drawn[1:]
+    joined[np.cumsum([len(line) for line in lines])[:-1] - 1] = False  # one line ends, and the next one begins
+    seen, ends = is_seen[:-1] & is_seen[1:], np.hstack([pixels[:-1], pixels[1:]])
+    return ends[joined & ~seen], ends[joined & seen]
+
+
+def _is_seen(frame: ls.Frame, pixels: Points, distances: Points) -> npt.NDArray[np.bool_]:
+    """Whether nothing in the frame is nearer to the eye than points."""
+    height, width = frame.alpha.shape
+    x = np.clip(pixels[:, 0], 0, width - 1).astype(int)
+    y = np.clip(pixels[:, 1], 0, height - 1).astype(int)
+    return distances <= frame.depth[y, x]
+
+
+def _straight(start: npt.ArrayLike, end: npt.ArrayLike, pieces: int = _PIECES) -> Points:
+    return np.linspace(np.asarray(start, np.float64), np.asarray(end, np.float64), pieces + 1)
+
+
+def _circle(center: npt.ArrayLike, radius: float, axis: npt.ArrayLike) -> Points:
+    u, v = _frame_about(axis)
+    angles = np.linspace(0.0, 2.0 * math.pi, _CIRCLE + 1)[:, None]
+    return np.asarray(center) + radius * (np.cos(angles) * u + np.sin(angles) * v)
+
+
+def _frame_about(axis: npt.ArrayLike) -> tuple[Points, Points]:
+    """Two unit vectors at right angles to an axis and to each other."""
+    along = np.asarray(axis, np.float64)
+    along = along / np.linalg.norm(along)
+    other = np.eye(3)[int(np.argmin(np.abs(along)))]
+    u: Any = np.cross(along, other)
+    u /= np.linalg.norm(u)
+    v: Any = np.cross(along, u)
+    return u, v
+
+
+_UNIT_CIRCLES = tuple(_circle(np.zeros(3), 1.0, axis) for axis in np.eye(3))
+"""About each axis."""
+
+
+def _ball(center: npt.ArrayLike, radius: float) -> tuple[Points, ...]:
+    return tuple(np.asarray(center) + radius * circle for circle in _UNIT_CIRCLES)
+
+
+def _cone(light: ls.LightSpot, size: float) -> tuple[Points, ...]:
+    """To the end of a spot's range, or a few sizes: its outer cone, and a circle of its inner one."""
+    length = light.range if math.isfinite(light.range) else 6.0 * size
+    position, along = np.array(light.position), np.array(light.direction)
+    lines: list[Points] = []
+    for angle in (light.outer_angle, light.inner_angle):
+        if angle > 0.0:
+            reach = length * math.cos(angle)
+            lines.append(_circle(position + reach * along, length * math.sin(angle), along))
+    u, v = _frame_about(along)
+    for side in (u, -u, v, -v):
+        edge = math.cos(light.outer_angle) * along + math.sin(light.outer_angle) * side
+        lines.append(_straight(position, position + length * edge))
+    return tuple(lines)
+
+
+def _flat(light: Any) -> tuple[Points, ...]:
+    """The boundary of a light in a plane, and where it shines."""
+    corners, normal, center = light.boundary(), light.area_vector, np.array(light.position)
+    normal = 0.25 * normal / math.sqrt(np.linalg.norm(normal))
+    pieces = max(1, 4 * _PIECES // len(corners))
+    sides = (_straight(a, b, pieces) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True))
+    return (*sides, _straight(center, center + normal))

@@ -1,0 +1,214 @@
+"""Adds scene objects: lights, simple shapes, files beside the scene, and files that a page uploads."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.frames.pose import Pose
+from lumisplat.viewer.panels.background_jobs import pose_of_page
+from lumisplat.viewer.server.event_queue import in_turn
+from lumisplat.viewer.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+
+_NOTHING = "nothing"
+_SKIES = (".hdr", ".exr")
+_CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog")
+_READABLE = (*_CAPTURES, ".obj", ".stl", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", *_SKIES)
+_LIGHTS = ("point", "spot", "directional", "sphere", "rect", "disk")
+_SHAPES = ("box", "sphere", "plane")
+_UPLOADS = "uploads"
+"""Folder beside the scene."""
+_NAME_MAX = 100
+"""Longest name of an uploaded file, characters."""
+_LIGHT_AT = (-0.45, -0.7, 0.5)
+"""Where new lamps are in the picture of the page that asks for them, -1..1 across and down, and as a share of the
+distance to what it looks at: near enough to the middle not to be behind the panel."""
+_BRIGHTNESS = 3.0
+"""Irradiance of new lamps at what the page looks at."""
+
+
+class AddPanel:
+    """Controls that add entries, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the entries.
+        pages: Open pages by the id of their connection.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page]) -> None:
+        self._session, self._pages = session, pages
+        self._what = gui.add_dropdown("what", [*(f"{kind} light" for kind in _LIGHTS), "environment", *_SHAPES])
+        add: Any = in_turn(lambda event: (event, str(self._what.value)), self._add)
+        gui.add_button("add").on_click(add)
+        hint = "Captures, meshes, and images of the sky."
+        self._file = gui.add_dropdown("file beside the scene", [_NOTHING], hint=hint)
+        hint = "It moves by its own clip, takes on the light of its place, and casts shadows on captures."
+        self._moves = gui.add_checkbox("as an actor", False, hint=hint)
+        add_file: Any = in_turn(lambda _: (str(self._file.value), bool(self._moves.value)), self._add_file)
+        gui.add_button("add the file").on_click(add_file)
+        upload = gui.add_upload_button("upload a file", mime_type=",".join(_READABLE), hint="And add it.")
+        add_upload: Any = in_turn(lambda event: (event.target.value, bool(self._moves.value)), self._add_upload)
+        upload.on_upload(add_upload)
+
+    def list_files(self) -> None:
+        """Lists the files beside the scene file."""
+        self._file.options = [_NOTHING, *sorted(path.name for path in self._beside())]
+
+    @property
+    def _folder(self) -> Path:
+        return self._session.state.document.file.absolute().parent
+
+    def _beside(self) -> list[Path]:
+        try:
+            return [path for path in self._folder.iterdir() if path.suffix.lower() in _READABLE and path.is_file()]
+        except OSError:
+            return []
+
+    def _add(self, asked: tuple[Any, str]) -> None:
+        """Adds a light where the page sees it, a sky, or a shape on the ground."""
+        event, kind = asked[0], asked[1].removesuffix(" light")
+        pose = pose_of_page(self._pages, event)
+        if pose is None:
+            return
+        tables = light_tables(pose, np.array(self._session.scene.up_direction))
+        if kind == "environment":
+            self._insert("environment", {"color": [1.0, 1.0, 1.0], "visible": False})
+        elif kind in tables:
+            self._insert("lights", {"type": kind, **tables[kind]})
+        elif kind in _SHAPES:
+            self._insert("meshes", {"shape": kind, "size": 0.1 * self._session.extent.size})
+
+    def _add_file(self, asked: tuple[str, bool]) -> None:
+        """Adds a file beside the scene: one of those that are there, whatever a page says; perhaps as an actor."""
+        name, moves = asked
+        for path in self._beside():
+            if path.name == name:
+                self._insert_file(path, moves=moves)
+
+    def _add_upload(self, asked: tuple[Any, bool]) -> None:
+        """Keeps an uploaded file beside the scene, under a plain name that is free; adds it, perhaps as an actor."""
+        file, moves = asked
+        suffix = Path(file.name).suffix.lower()
+        if suffix not in _READABLE or suffix == ".gltf":
+            self._session.report(f"{Path(file.name).name}: is no capture, mesh or image of a sky that is one file")
+            return
+        target = free_name(self._folder / _UPLOADS, Path(file.name).name)
+        try:
+            target.parent.mkdir(exist_ok=True)
+            target.write_bytes(file.content)
+        except OSError as error:
+            self._session.report(f"{target}: cannot be written: {error.strerror}")
+            return
+        if not self._insert_file(target, moves=moves):
+            target.unlink(missing_ok=True)
+
+    def _insert_file(self, path: Path, *, moves: bool) -> bool:
+        """Adds what a file holds; the image of a sky becomes that of the environment."""
+        name = path.relative_to(self._folder).as_posix()
+        kind, table = _kind_of(path), {"path": name}
+        if kind == "environment":
+            return self._session.apply(lambda document: self._selected(*with_sky(document, name)))
+        done = self._insert("actors" if moves else kind, table)
+        self._moves.value = False
+        return done
+
+    def _insert(self, kind: Any, table: dict[str, Any]) -> bool:
+        """Adds an entry and selects it; a mesh or an actor stands beside what is there, as of `SceneDocument.added`."""
+
+        def insert(document: ls.io.SceneDocument) -> ls.io.SceneDocument:
+            scene = document.scene()
+            is_first = kind == "meshes" and not (scene.splats or scene.meshes)
+            return self._selected(*document.added(kind, {**table, "upright": True} if is_first else table))
+
+        return self._session.apply(insert)
+
+    def _selected(self, document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
+        """The document; one of its entries is selected when it is shown."""
+        self._session.selected = number
+        return document
+
+
+def light_tables(pose: Pose, up: Any) -> dict[str, dict[str, Any]]:
+    """New lights, by type: half-way to what a page looks at, in its picture to the upper left, and as bright there.
+
+    Args:
+        pose: Where the page looks from.
+        up: Unit vector, shape (3,).
+    """
+    camera, target = pose.camera(2), np.array(pose.target)
+    sideways, down, forward = camera.camera_from_world[:3, :3]
+    reach = _LIGHT_AT[2] * pose.focus
+    slopes = _LIGHT_AT[0] * pose.aspect * sideways + _LIGHT_AT[1] * down
+    place = camera.eye + reach * (forward + math.tan(0.5 * pose.fov_y) * slopes)
+    distance = float(np.linalg.norm(target - place))
+    at, towards, slanted = _listed(place), _listed((target - place) / distance), forward - 2.0 * up
+    intensity, size = _BRIGHTNESS * distance**2, 0.15 * distance
+    radius = 0.5 * size
+    return {
+        "point": {"position": at, "intensity": intensity, "radius": 0.1 * size},
+        "spot": {"position": at, "direction": towards, "intensity": intensity, "radius": 0.1 * size},
+        "directional": {"direction": _listed(slanted), "intensity": _BRIGHTNESS, "angle_degrees": 0.27},
+        "sphere": {"position": at, "radius": radius, "intensity": intensity / (math.pi * radius**2)},
+        "rect": {"position": at, "target": list(pose.target), "size": [size, size], "intensity": intensity / size**2},
+        "disk": {
+            "position": at,
+            "direction": towards,
+            "radius": radius,
+            "intensity": intensity / (math.pi * radius**2),
+        },
+    }
+
+
+def _listed(vector: Any) -> list[float]:
+    return [float(x) for x in vector]
+
+
+def with_sky(document: ls.io.SceneDocument, path: str) -> tuple[ls.io.SceneDocument, int]:
+    """The document with an image as its environment, in place of that which it has, and the id of that entry.
+
+    Raises:
+        FormatError: The image cannot be read.
+    """
+    sky = next((entry for entry in document.entries if entry.kind == "environment"), None)
+    upright = {"rotation_wxyz": upright_rotation(document.scene().up_direction)}
+    if sky is None:
+        return document.added("environment", {"path": path, **upright})
+    turn = {} if "path" in sky.table or "rotation_wxyz" in sky.table else upright
+    return document.changed(sky.id, path=path, **turn), sky.id
+
+
+def upright_rotation(up: tuple[float, float, float]) -> list[float]:
+    """The rotation, a quaternion, after which the upper edge of an environment's image is up."""
+    from viser import transforms
+
+    standing = ls.MeshInstance(ls.box(1.0), up=up).transform[:3, :3]
+    return _listed(transforms.SO3.from_matrix(standing).wxyz)
+
+
+def free_name(folder: Path, name: str) -> Path:
+    """A path in a folder that does not exist, of a plain name like the given one."""
+    plain = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "upload"
+    stem, dot, rest = plain[-_NAME_MAX:].partition(".")
+    path = folder / f"{stem}{dot}{rest}"
+    number = 2
+    while path.exists():
+        path = folder / f"{stem}_{number}{dot}{rest}"
+        number += 1
+    return path
+
+
+def _kind_of(path: Path) -> Any:
+    """The heading of a file's entry."""
+    return "environment" if path.suffix.lower() in _SKIES else ls.io.SceneDocument.kind_of(path)

@@ -1,0 +1,540 @@
+"""Edits the selected object: its transform, material, light, also by angles of a sun, and the crop box of a capture."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.config.setting import Range, Setting
+from lumisplat.viewer.panels.controls import KELVIN_RANGE, Control, color_of_temperature, set_if_changed, shown_settings
+from lumisplat.viewer.scene_extent import scale_of
+from lumisplat.viewer.server.event_queue import chosen
+from lumisplat.viewer.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+
+_WHITE_K = 6500.0
+"""Temperature that is shown of a light whose colour is not of a temperature that was chosen here."""
+_SUN = (
+    Setting(
+        "azimuth_degrees",
+        "number",
+        "About the vertical, counter-clockwise seen from above; 0 is the front.",
+        range=Range(0.0, 360.0),
+    ),
+    Setting("elevation_degrees", "number", "Above the horizon.", range=Range(-90.0, 90.0)),
+    Setting("hour", "number", "Solar time at the equinox, 45° north, with south in front.", range=Range(0.0, 24.0)),
+)
+"""Fields of suns in place of their direction."""
+_CAPTURE_LOOKS: dict[str, dict[str, Any]] = {
+    "as captured": {"material": None, "shadow_catcher": None},
+    "relit, PBR": {"material": {"type": "pbr"}, "shadow_catcher": None},
+    "relit, simple": {"material": {"type": "simple"}, "shadow_catcher": None},
+    "shadow catcher": {"material": None, "shadow_catcher": True},
+}
+"""How a capture is shaded, and the keys of its entry that make it so."""
+_MESH_LOOKS: dict[str, dict[str, Any]] = {
+    "as in the file": {"material": None},
+    "PBR": {"material": {"type": "pbr"}},
+    "simple": {"material": {"type": "simple"}},
+}
+"""Types of a mesh's material."""
+_CAPTURE_HINT = (
+    "as captured: its colours are what it emits. relit: lights illuminate a material. shadow catcher: as captured, "
+    "with the shadows of other objects."
+)
+_MESH_HINT = "Its colours and numbers are below."
+_WITHOUT = ("name", "wrap_u", "wrap_v", "normal_scale", "occlusion_strength")
+"""Fields of materials that textures alone use, or that are shown elsewhere."""
+
+
+def light_fields(light: Any, up: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> list[tuple[Setting, Any]]:
+    """The fields of a light by their keys in a scene file, with their values; angles in degrees, suns by theirs.
+
+    Args:
+        light: The light.
+        up: Of the scene.
+    """
+    found: list[tuple[Setting, Any]] = []
+    kind = cast("type[Any]", type(light))
+    for field in shown_settings(kind):
+        value = getattr(light, field.name)
+        if field.name.endswith("angle"):
+            degrees = replace(field, name=f"{field.name}_degrees", range=Range(0.0, 90.0))
+            found.append((degrees, math.degrees(value)))
+        elif field.name == "direction" and isinstance(light, ls.LightDirectional):
+            found += zip(_SUN, (round(angle, 2) for angle in sun_angles(value, up)), strict=True)
+        else:
+            found.append((field, value))
+    return found
+
+
+def look_of(entry: ls.io.SceneEntry) -> str:
+    """How a capture or a mesh looks."""
+    if not entry.splats:
+        given = entry.table.get("material")
+        if given is None:
+            return "as in the file"
+        return "simple" if isinstance(entry.meshes[0].mesh.material, ls.MaterialSimple) else "PBR"
+    splat = entry.splats[0]
+    if splat.shadow_catcher:
+        return "shadow catcher"
+    if splat.material is None:
+        return "as captured"
+    return "relit, PBR" if isinstance(splat.material, ls.MaterialPbr) else "relit, simple"
+
+
+class Inspector:
+    """Controls of the selected entry, made anew for each.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the entry.
+        folder: Where they are.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, folder: viser.GuiFolderHandle) -> None:
+        self._gui, self._session, self._folder = gui, session, folder
+        self._shown: tuple[Any, ...] | None = None
+        """What the set of controls depends on, but for those of the material."""
+        self._material_shown: tuple[Any, ...] = ()
+        """What those of the material depend on."""
+        self._controls: dict[str, Control] = {}
+        self._parts: list[Any] = []
+        self._material: Any = None
+        """The folder of the material, which stays while its entry is selected, open or closed as people have it."""
+        self._material_parts: list[Any] = []
+        self._crop: Crop | None = None
+        self._followers: list[Callable[[ls.io.SceneEntry], None]] = []
+        """Bring controls that stand for something else to where their entry is."""
+        folder.visible = False
+        session.on_change(self.show)
+
+    def show(self) -> None:
+        """Shows what is selected."""
+        entry = self._session.selected_entry
+        fields = [] if entry is None else self._fields(entry)
+        of_material = [field for field in fields if _is_of_material(field[0])]
+        others = [field for field in fields if not _is_of_material(field[0])]
+        names = None if entry is None else (entry.id, entry.kind, [field.name for field, _ in others])
+        if names != self._shown:
+            self._rebuild(entry, others)
+            self._shown, self._material_shown = names, ()
+        if entry is None:
+            return
+        of = tuple(field for field, _ in of_material)
+        if of != self._material_shown:
+            self._rebuild_material(entry, of_material)
+            self._material_shown = of
+        is_locked = entry.id in self._session.locked
+        for field, value in fields:
+            self._controls[field.name].show(value)
+            self._controls[field.name].set_unused("Locked: unlock it in the list." if is_locked else None)
+        if self._crop is not None:
+            self._crop.show()
+        for follow in self._followers:
+            follow(entry)
+
+    def _rebuild(self, entry: ls.io.SceneEntry | None, fields: list[tuple[Setting, Any]]) -> None:
+        for part in reversed(self._parts):
+            part.remove()
+        self._parts, self._controls, self._crop, self._followers = [], {}, None, []
+        self._material, self._material_parts = None, []
+        self._folder.visible = entry is not None
+        if entry is None:
+            return
+        with self._folder:
+            self._parts += self._add_fields(entry, fields)
+            if entry.kind == "lights":
+                self._add_temperature(entry)
+            elif entry.kind == "environment":
+                self._add_turn(entry)
+            elif entry.splats or entry.meshes:
+                self._add_look(entry)
+            if entry.splats:
+                self._crop = Crop(self._gui, self._session, entry.id)
+                self._parts.append(self._crop.folder)
+            if entry.splats or entry.meshes:
+                self._material = self._gui.add_folder("material", expand_by_default=False)
+                self._parts.append(self._material)
+
+    def _rebuild_material(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> None:
+        """Makes the controls of another type of material, in the same folder."""
+        for part in reversed(self._material_parts):
+            part.remove()
+        self._controls = {name: each for name, each in self._controls.items() if not _is_of_material(each.field)}
+        self._material_parts = []
+        if self._material is None:
+            return
+        self._material.visible = bool(fields)
+        with self._material:
+            self._material_parts = self._add_fields(entry, fields)
+
+    def _add_fields(self, entry: ls.io.SceneEntry, fields: list[tuple[Setting, Any]]) -> list[Any]:
+        """Adds controls of fields, and returns them."""
+        handles: list[Any] = []
+        for field, value in fields:
+            control = Control(self._gui, field, value, self._putter(entry, field), self._session.report)
+            self._controls[field.name] = control
+            handles += control.handles
+        return handles
+
+    def _fields(self, entry: ls.io.SceneEntry) -> list[tuple[Setting, Any]]:
+        """The fields of an entry, with their values."""
+        if entry.kind in ("lights", "environment"):
+            return light_fields(entry.lights[0], self._session.scene.up_direction)
+        fields: list[tuple[Setting, Any]] = [(_text("name"), entry.name), (_flag("hidden"), entry.hidden)]
+        if entry.world_from_file is not None:
+            fields += _placement(np.asarray(entry.world_from_file))
+        material: Any = None
+        if entry.splats:
+            if stored := entry.splats[0].gaussians.sh_degree:
+                fields.append((_whole("sh_degree", 0, stored), min(entry.splats[0].sh_degree, stored)))
+            material = entry.splats[0].material
+        elif entry.meshes:
+            material = entry.meshes[0].mesh.material
+        if material is not None:
+            kind = cast("type[Any]", type(material))
+            own = [field for field in shown_settings(kind) if field.name not in _WITHOUT]
+            fields += [(replace(field, name=f"material.{field.name}"), getattr(material, field.name)) for field in own]
+        return fields
+
+    def _putter(self, entry: ls.io.SceneEntry, field: Setting) -> Callable[[Any], None]:
+        number, name = entry.id, field.name
+        merge = f"{number} {name}" if field.kind in ("whole", "number", "color", "vector") else None
+
+        def put(value: Any) -> None:
+            self._session.apply(lambda document: put_field(document, number, name, value), merge=merge)
+
+        return put
+
+    def _add_look(self, entry: ls.io.SceneEntry) -> None:
+        number = entry.id
+        looks, hint = (_CAPTURE_LOOKS, _CAPTURE_HINT) if entry.splats else (_MESH_LOOKS, _MESH_HINT)
+        label = "shading" if entry.splats else "material type"
+        dropdown = self._gui.add_dropdown(label, list(looks), initial_value=look_of(entry), hint=hint)
+
+        def change(look: str) -> None:
+            if look in looks:
+                self._session.apply(lambda document: document.changed(number, **looks[look]))
+
+        def follow(now: ls.io.SceneEntry) -> None:
+            set_if_changed(dropdown, "value", look_of(now))
+
+        dropdown.on_update(chosen(str, change))
+        self._followers.append(follow)
+        self._parts.append(dropdown)
+
+    def _add_temperature(self, entry: ls.io.SceneEntry) -> None:
+        number, (low, high) = entry.id, KELVIN_RANGE
+        slider = self._gui.add_slider("temperature (K)", low, high, 50.0, _WHITE_K, hint="Colour of a black body.")
+
+        def change(kelvins: float) -> None:
+            color = _rounded_color(kelvins)
+            self._session.apply(lambda document: document.changed(number, color=color), merge=f"{number} kelvin")
+
+        def follow(now: ls.io.SceneEntry) -> None:
+            color: Any = getattr(now.lights[0], "color", ())
+            if list(color) != _rounded_color(float(slider.value)):
+                slider.value = _WHITE_K
+
+        slider.on_update(chosen(float, change))
+        self._followers.append(follow)
+        self._parts.append(slider)
+
+    def _add_turn(self, entry: ls.io.SceneEntry) -> None:
+        number = entry.id
+        slider = self._gui.add_slider("rotation (°)", -180.0, 180.0, 1.0, 0.0, hint="About the vertical.")
+        start = _sky_rotation(entry)
+        """Of the sky where the slider is in the middle."""
+
+        def change(degrees: float) -> None:
+            keys = {"rotation_wxyz": turned_about(start, self._session.scene.up_direction, degrees)}
+            self._session.apply(lambda document: document.changed(number, **keys), merge=f"{number} turn")
+
+        def follow(now: ls.io.SceneEntry) -> None:
+            nonlocal start
+            turned = turned_about(start, self._session.scene.up_direction, float(slider.value))
+            if not np.allclose(turned, _sky_rotation(now), atol=1e-9):
+                start = _sky_rotation(now)
+                slider.value = 0.0
+
+        slider.on_update(chosen(float, change))
+        self._followers.append(follow)
+        self._parts.append(slider)
+
+
+def put_field(document: ls.io.SceneDocument, number: int, name: str, value: Any) -> ls.io.SceneDocument:
+    """The document with another value of a field of an entry, as the inspector names them.
+
+    Raises:
+        LumisplatError: The value is refused.
+    """
+    entry = document.entry(number)
+    if name.startswith("material."):
+        material = dict(document.material(number)) | {name.removeprefix("material."): _plain(value)}
+        shown = entry.splats[0].material if entry.splats else entry.meshes[0].mesh.material
+        material.setdefault("type", "pbr" if isinstance(shown, ls.MaterialPbr) else "simple")
+        return document.changed(number, material=material)
+    if name in ("position", "rotation_degrees", "scale") and entry.kind not in ("lights", "environment"):
+        return document.placed(number, _moved(np.asarray(entry.world_from_file), name, value))
+    if name in (field.name for field in _SUN):
+        sun: Any = entry.lights[0]
+        up = document.scene().up_direction
+        azimuth, elevation, _ = sun_angles(sun.direction, up)
+        if name == "hour":
+            direction = direction_of_hour(value, up)
+        elif name == "azimuth_degrees":
+            direction = direction_of_angles(value, elevation, up)
+        else:
+            direction = direction_of_angles(azimuth, value, up)
+        at = [round(float(x), 6) for x in direction]
+        return document.changed(number, direction=at, position=None, target=None)
+    if name == "hidden":
+        return document.changed(number, hidden=True if value else None)
+    return document.changed(number, **_without_words(entry, name), **{name: _plain(value)})
+
+
+def _without_words(entry: ls.io.SceneEntry, name: str) -> dict[str, Any]:
+    """Keys that say in words what a field says: where a light looks, and how large it is."""
+    light: Any = entry.lights[0] if entry.kind == "lights" else None
+    if light is None or name not in light.aim_fields:
+        return {}
+    others = {key: _plain(tuple(getattr(light, key))) for key in light.aim_fields if key != name}
+    return dict.fromkeys(light.aim_keys) | others
+
+
+def turned_about(wxyz: tuple[float, ...], axis: tuple[float, float, float], degrees: float) -> list[float]:
+    """A rotation followed by a turn about an axis, world space."""
+    from viser import transforms
+
+    turn = transforms.SO3.exp(np.array(axis) * math.radians(degrees))
+    turned = turn @ transforms.SO3(np.array(wxyz))
+    w, x, y, z = (float(turned.wxyz[place]) for place in range(4))
+    return [w, x, y, z]
+
+
+def _placement(matrix: Any) -> list[tuple[Setting, Any]]:
+    """Position, turns about x, y and z, and scale of a similarity."""
+    from viser import transforms
+
+    scale = scale_of(matrix)
+    angles = transforms.SO3.from_matrix(matrix[:3, :3] / scale).as_rpy_radians()
+    degrees = tuple(math.degrees(float(angle)) for angle in (angles.roll, angles.pitch, angles.yaw))
+    return [
+        (Setting("position", "vector", "World position of its origin, scene units."), tuple(matrix[:3, 3])),
+        (Setting("rotation_degrees", "vector", "Turns about the world's x, then y, then z axis."), degrees),
+        (Setting("scale", "number", "Uniform scale factor.", range=Range(1e-6)), scale),
+    ]
+
+
+def _moved(matrix: Any, name: str, value: Any) -> Any:
+    """A similarity with another position, rotation or scale.
+
+    Raises:
+        ConfigError: The scale is not above 0.
+    """
+    from viser import transforms
+
+    moved = np.array(matrix)
+    scale = scale_of(moved)
+    if name == "position":
+        moved[:3, 3] = value
+    elif name == "scale":
+        if not 0.0 < value < math.inf:
+            raise ls.ConfigError(f"scale is {value:g}, expected more than 0")
+        moved[:3, :3] *= value / scale
+    else:
+        moved[:3, :3] = scale * transforms.SO3.from_rpy_radians(*np.radians(value)).as_matrix()
+    return moved
+
+
+def _sky_rotation(entry: ls.io.SceneEntry) -> tuple[float, ...]:
+    sky: Any = entry.lights[0]
+    return tuple(float(x) for x in sky.rotation_wxyz)
+
+
+def _rounded_color(kelvins: float) -> list[float]:
+    """The colour of a black body, five digits, as people write them."""
+    return [round(channel, 5) for channel in color_of_temperature(kelvins)]
+
+
+def _plain(value: Any) -> Any:
+    """A value as a table of a scene file has it."""
+    if isinstance(value, tuple):
+        return [float(x) for x in cast("tuple[float, ...]", value)]
+    return value.value if hasattr(value, "value") else value
+
+
+def _is_of_material(field: Setting) -> bool:
+    return field.name.startswith("material.")
+
+
+def _text(name: str) -> Setting:
+    return Setting(name, "text", "")
+
+
+def _flag(name: str) -> Setting:
+    return Setting(name, "flag", "")
+
+
+def _whole(name: str, low: int, high: int) -> Setting:
+    return Setting(name, "whole", "", range=Range(low, high))
+
+
+_MARGIN = 0.25
+"""How far sliders reach beyond the bulk of a capture, as a share of its size along the axis."""
+_STEPS = 400
+
+Ends = npt.NDArray[np.float64]
+"""Lowest and highest values, shape (2, 3)."""
+
+
+class Crop:
+    """Controls of a capture's crop box, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the capture.
+        number: Id of its entry.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, number: int) -> None:
+        self._session, self._number = session, number
+        self._everything, self._reach = crop_reach(session.state.document, number, session)
+        self.folder = gui.add_folder("crop", expand_by_default=False)
+        with self.folder:
+            self._sliders = [self._slider(gui, axis) for axis in range(3)]
+            self._numbers = gui.add_markdown("")
+        self.show()
+
+    def show(self) -> None:
+        """Shows the box that the capture has now."""
+        ends = crop_ends(self._session.state.document.entry(self._number), self._reach)
+        for axis, slider in enumerate(self._sliders):
+            slider.value = (float(ends[0, axis]), float(ends[1, axis]))
+        self._numbers.content = crop_table(ends)
+
+    def _slider(self, gui: viser.GuiApi, axis: int) -> Any:
+        low, high = (float(end) for end in self._reach[:, axis])
+        hint = "In the file's own coordinates; at its ends a slider leaves out nothing."
+        step = (high - low) / _STEPS
+        slider = gui.add_multi_slider(f"crop {'xyz'[axis]}", low, high, step, (low, high), hint=hint)
+        slider.on_update(chosen(lambda value: (axis, *value), self._change))
+        return slider
+
+    def _change(self, moved: tuple[Any, ...]) -> None:
+        """Crops between the ends of all sliders; that which was moved says where its ends are."""
+        ends = np.array([slider.value for slider in self._sliders], np.float64).T
+        ends[:, moved[0]] = moved[1:3]
+        number, reach, everything = self._number, self._reach, self._everything
+        self._session.apply(lambda document: cropped(document, number, ends, reach, everything), merge=f"{number} crop")
+
+
+def crop_reach(document: ls.io.SceneDocument, number: int, session: Session) -> tuple[Ends, Ends]:
+    """The box around all Gaussians of a capture's file, and that which sliders reach: near its bulk."""
+    entry = document.changed(number, crop_low=None, crop_high=None).entry(number)
+    means = np.concatenate([np.asarray(instance.gaussians.means, np.float64) for instance in entry.splats])
+    everything = np.array([means.min(axis=0), means.max(axis=0)])
+    with session.changed:
+        box = session.boxes.of(entry)
+    assert box is not None
+    margin = np.maximum(_MARGIN * (box[1] - box[0]), 1e-6)
+    return everything, np.array([box[0] - margin, box[1] + margin])
+
+
+def crop_ends(entry: ls.io.SceneEntry, reach: Ends) -> Ends:
+    """Where the sliders of a capture stand."""
+    low, high = entry.table.get("crop_low"), entry.table.get("crop_high")
+    if low is None or high is None:
+        return reach
+    return np.clip([low, high], reach[0], reach[1])
+
+
+def crop_table(ends: Ends) -> str:
+    """Where sliders stand, in numbers."""
+    rows = [f"| {'xyz'[axis]} | {ends[0, axis]:.4g} | {ends[1, axis]:.4g} |" for axis in range(3)]
+    return "\n".join(["| | from | to |", "| --- | ---: | ---: |", *rows])
+
+
+def cropped(
+    document: ls.io.SceneDocument, number: int, ends: Ends, reach: Ends, everything: Ends
+) -> ls.io.SceneDocument:
+    """The document with a capture cropped to what is between the ends of sliders.
+
+    Args:
+        document: The scene.
+        number: Id of the capture's entry.
+        ends: Where sliders stand.
+        reach: How far they go; one that stands there leaves nothing out on its side.
+        everything: The box around all Gaussians.
+
+    Raises:
+        FormatError: Nothing would be left.
+    """
+    tolerance = (reach[1] - reach[0]) / _STEPS
+    is_open = np.abs(ends - reach) < tolerance
+    if is_open.all():
+        return document.changed(number, crop_low=None, crop_high=None)
+    outside = np.array(
+        [np.minimum(everything[0], reach[0]) - tolerance, np.maximum(everything[1], reach[1]) + tolerance]
+    )
+    low, high = np.where(is_open, outside, ends)
+    return document.changed(number, crop_low=low, crop_high=high)
+
+
+Vector = npt.NDArray[np.float64]
+
+LATITUDE = math.radians(45.0)
+"""Of the place at which the clock says where a sun stands, at the equinox: it rises at 6 and sets at 18."""
+
+
+def sun_angles(direction: npt.ArrayLike, up: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Azimuth and elevation of a sun, degrees, and the hour at which it stands nearest to there.
+
+    Azimuth is counted about the vertical, counter-clockwise seen from above, 0..360; 0 is the front of the scene, where
+    the sun is at noon.
+
+    Args:
+        direction: In which its light travels, world space, shape (3,).
+        up: Of the scene, a unit vector.
+    """
+    towards = -np.asarray(direction, np.float64)
+    south, east, height = (float(axis @ towards) for axis in _axes(up))
+    azimuth = math.degrees(math.atan2(east, south)) % 360.0
+    elevation = math.degrees(math.atan2(height, math.hypot(south, east)))
+    hour_angle = math.atan2(-east, height * math.cos(LATITUDE) + south * math.sin(LATITUDE))
+    return azimuth, elevation, 12.0 + math.degrees(hour_angle) / 15.0
+
+
+def direction_of_angles(azimuth: float, elevation: float, up: tuple[float, float, float]) -> Vector:
+    """The direction in which the light of a sun travels that stands at angles, degrees; a unit vector."""
+    south, east, vertical = _axes(up)
+    a, e = math.radians(azimuth), math.radians(elevation)
+    return -(math.cos(e) * (math.cos(a) * south + math.sin(a) * east) + math.sin(e) * vertical)
+
+
+def direction_of_hour(hour: float, up: tuple[float, float, float]) -> Vector:
+    """The direction in which the light of a sun travels at an hour of the day, 0..24; a unit vector."""
+    south, east, vertical = _axes(up)
+    angle = math.radians(15.0 * (hour - 12.0))
+    noon = math.cos(LATITUDE) * vertical + math.sin(LATITUDE) * south
+    return -(math.cos(angle) * noon - math.sin(angle) * east)
+
+
+@cache
+def _axes(up: tuple[float, float, float]) -> tuple[Vector, Vector, Vector]:
+    """The front of scenes with an up, the side to the right of it as seen from there, and up: unit vectors."""
+    vertical = np.asarray(up, np.float64)
+    camera = ls.frame_camera(ls.Scene(meshes=[ls.MeshInstance(ls.box(1.0))], up=up), azimuth=0.0, elevation=0.0)
+    front = -np.asarray(camera.camera_from_world[2, :3], np.float64)
+    return front, np.asarray(np.cross(vertical, front), np.float64), vertical

@@ -1,0 +1,333 @@
+"""The outliner: a row for each scene object, to be clicked, hidden and locked; and buttons that level the scene."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+import lumisplat as ls
+from lumisplat.viewer.frames.page import Page
+from lumisplat.viewer.gizmo import moved
+from lumisplat.viewer.panels.adding import AddPanel
+from lumisplat.viewer.panels.buttons import Channel, add_buttons, button, icon
+from lumisplat.viewer.panels.controls import set_if_changed
+from lumisplat.viewer.panels.inspector import Inspector
+from lumisplat.viewer.picking import picked
+from lumisplat.viewer.scene_extent import Boxes, lowest_height
+from lumisplat.viewer.server.event_queue import in_turn, pressed
+from lumisplat.viewer.session import Session
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Outliner:
+    """The list of entries, and what can be done with them, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the entries.
+        pages: Open pages by the id of their connection.
+        notify: Shows a note on all pages, by its title and its text.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, session: Session, pages: Mapping[int, Page], notify: Callable[[str, str], object]
+    ) -> None:
+        self._session = session
+        self._listed: tuple[object, ...] | None = None
+        """What the list shows."""
+        self._tree = gui.add_html("")
+        self._channel = Channel(gui, {"select": session.select, "hide": self._hide, "lock": session.toggle_lock})
+        add_buttons(gui, ["duplicate", "hide", "delete"], self.act)
+        self._placing = gui.add_button_group("", ["to the ground", "split"])
+        press: Any = in_turn(lambda event: str(event.target.value), self.act)
+        self._placing.on_click(press)
+        self._inspector = Inspector(gui, session, gui.add_folder(None))
+        with gui.add_folder("add", expand_by_default=False):
+            self._adding = AddPanel(gui, session, pages)
+        with gui.add_folder("level"):
+            self.level = LevelPanel(gui, session, notify)
+        session.on_change(self._show)
+
+    def list_files(self) -> None:
+        """Lists the files beside the scene file."""
+        self._adding.list_files()
+
+    def act(self, action: str) -> None:
+        """Does something to the selected entry."""
+        number = self._session.selected
+        if number is None:
+            self._session.report("nothing is selected: click an object, in the picture or in the list")
+            return
+        if number in self._session.locked and action != "hide":
+            self._session.report(f"{self._session.state.document.entry(number).name} is locked: unlock it in the list")
+            return
+        edits: dict[str, Callable[[ls.io.SceneDocument], ls.io.SceneDocument]] = {
+            "duplicate": self._duplicate,
+            "hide": lambda document: hidden(document, number, not document.entry(number).hidden),
+            "delete": lambda document: document.removed(number),
+            "to the ground": lambda document: on_ground(document, number),
+            "split": lambda document: document.split(number),
+        }
+        done = self._session.apply(edits[action])
+        if done and action in ("delete", "split"):
+            self._session.select(None)
+
+    def _duplicate(self, document: ls.io.SceneDocument) -> ls.io.SceneDocument:
+        """Selected, a little aside, so that it is seen that there are two."""
+        assert self._session.selected is not None
+        document, number = document.duplicated(self._session.selected)
+        entry, step = document.entry(number), 0.05 * self._session.extent.size
+        if entry.kind not in ("lights", "environment"):
+            placed = np.array(entry.world_from_file)
+            placed[0, 3] += step
+            document = document.placed(number, placed)
+        elif "position" in entry.table and entry.table.get("type") != "directional":
+            x, y, z = entry.table["position"]
+            document = document.changed(number, position=[x + step, y, z])
+        self._session.selected = number
+        return document
+
+    def _hide(self, number: int) -> None:
+        """Hides an entry, or shows it again."""
+        self._session.apply(lambda document: hidden(document, number, not document.entry(number).hidden))
+
+    def _show(self) -> None:
+        session, document = self._session, self._session.state.document
+        shown = document, session.selected, session.locked
+        if shown == self._listed:
+            return
+        self._listed = shown
+        self._tree.content = tree_html(
+            document,
+            session.boxes,
+            session.selected,
+            session.options.time,
+            locked=session.locked,
+            channel=self._channel.id,
+        )
+        entry = session.selected_entry
+        has_form = entry is not None and bool(entry.splats or entry.meshes or entry.actor)
+        set_if_changed(self._placing, "visible", has_form)
+
+
+def hidden(document: ls.io.SceneDocument, number: int, hides: bool) -> ls.io.SceneDocument:
+    """The document with an entry hidden, or shown again; lights are switched off and on."""
+    if document.entry(number).kind in ("lights", "environment"):
+        return document.changed(number, enabled=False if hides else None)
+    return document.changed(number, hidden=True if hides else None)
+
+
+def on_ground(document: ls.io.SceneDocument, number: int) -> ls.io.SceneDocument:
+    """The document with an entry standing where the lowest point of all others is.
+
+    Raises:
+        SceneError: It is a light, or there is nothing else.
+    """
+    entry = document.entry(number)
+    others = document.removed(number).scene()
+    mine = entry.at(0.0)
+    if not mine or not (others.splats or others.meshes):
+        raise ls.SceneError("to the ground: it takes a capture, a mesh or an actor, and something else with a ground")
+    up = others.up_direction
+    ground = min(lowest_height(instance, up) for instance in (*others.splats, *others.meshes))
+    shift = np.eye(4)
+    shift[:3, 3] = (ground - min(lowest_height(instance, up) for instance in mine)) * np.array(up)
+    return moved(document, entry, shift, 0.0)
+
+
+KIND_NAMES = {"splats": "capture", "meshes": "mesh", "actors": "actor", "environment": "environment"}
+_PARTS_MAX = 8
+"""Parts of a file that are listed; of the others, how many there are."""
+
+
+def tree_html(
+    document: ls.io.SceneDocument,
+    boxes: Boxes,
+    selected: int | None = None,
+    time: float = 0.0,
+    *,
+    locked: frozenset[int] = frozenset(),
+    channel: str = "",
+) -> str:
+    """All entries of a document, with what could not be read, as HTML in which names are words alone.
+
+    Args:
+        document: The scene.
+        boxes: Around its entries.
+        selected: Id of the entry that stands out.
+        time: Of the animation, seconds.
+        locked: Ids of entries that cannot be edited.
+        channel: Id of the text control that gets what is clicked: ``select``, ``hide`` or ``lock``, and the entry's id.
+    """
+    rows: list[str] = []
+    for entry in document.entries:
+        rows.append(_entry_row(entry, is_selected=entry.id == selected, is_locked=entry.id in locked))
+        rows += [_detail(detail) for detail in _details(entry, boxes, time)]
+        rows += [_detail(f"└ {part}") for part in _parts(document, entry)]
+    if not rows:
+        rows.append(_detail("nothing yet: add something below"))
+    rows += [f'<div class="lumi-problem">left out: {html.escape(problem)}</div>' for problem in document.problems]
+    return f'<div class="lumi-list" data-to="{html.escape(channel)}">{"".join(rows)}</div>'
+
+
+def kind_name(entry: ls.io.SceneEntry) -> str:
+    """What people call an object of its kind."""
+    if entry.kind != "lights":
+        return KIND_NAMES[entry.kind]
+    return "sun" if entry.table["type"] == "directional" else f"{entry.table['type']} light"
+
+
+def _entry_row(entry: ls.io.SceneEntry, *, is_selected: bool, is_locked: bool) -> str:
+    """The row of an entry."""
+    sun = entry.kind == "lights" and entry.table["type"] == "directional"
+    states = " selected" * is_selected + " hidden" * entry.hidden
+    eye, padlock = "hidden" if entry.hidden else "shown", "locked" if is_locked else "open"
+    hide = button(f"hide {entry.id}", eye, "show" if entry.hidden else "hide", is_on=entry.hidden)
+    lock = button(f"lock {entry.id}", padlock, "unlock" if is_locked else "lock", is_on=is_locked)
+    kind = html.escape(kind_name(entry))
+    return (
+        f'<div class="lumi-row{states}" title="{kind}">{icon("directional" if sun else entry.kind)}'
+        f'<span class="lumi-name" role="button" tabindex="0" data-say="select {entry.id}">{html.escape(entry.name)}'
+        f"</span>{hide}{lock}</div>"
+    )
+
+
+def _detail(text: str) -> str:
+    return f'<div class="lumi-detail">{html.escape(text)}</div>'
+
+
+def _details(entry: ls.io.SceneEntry, boxes: Boxes, time: float) -> list[str]:
+    """How much it is, and how large."""
+    instances = entry.at(time)
+    gaussians = sum(i.gaussians.count for i in instances if isinstance(i, ls.SplatInstance))
+    faces = sum(i.mesh.face_count for i in instances if isinstance(i, ls.MeshInstance))
+    parts = [kind_name(entry)]
+    parts += [f"{gaussians:,} Gaussians"] * bool(gaussians) + [f"{faces:,} faces"] * bool(faces)
+    size = boxes.size(entry, time)
+    if size is not None:
+        parts.append(" × ".join(f"{length:.3g}" for length in size))
+    return [" · ".join(parts)]
+
+
+def _parts(document: ls.io.SceneDocument, entry: ls.io.SceneEntry) -> list[str]:
+    """The meshes of an entry's file, if there are several."""
+    names = document.part_names(entry.id) if len(entry.meshes) > 1 else []
+    listed = [name or f"part {number}" for number, name in enumerate(names[:_PARTS_MAX])]
+    return [*listed, f"{len(names) - _PARTS_MAX} more"] if len(names) > _PARTS_MAX else listed
+
+
+Vector = tuple[float, float, float]
+
+_LEVEL_HINT = "Fits the ground of the captures, and makes its normal up. What stands upright turns with it."
+_CLICK_HINT = "Click three points of the ground in the picture, far apart: their plane becomes horizontal."
+_CLICK = "click 3 points of the ground"
+_ON_LINE = 0.02
+"""Sine of an angle of three points below which they lie on a line: a plane through them would be noise."""
+_SAME = math.radians(0.05)
+"""Angle between two ups below which nothing is changed."""
+
+
+class LevelPanel:
+    """Two buttons that set the up of the scene, in the present folder.
+
+    Args:
+        gui: The pages' controls.
+        session: Has the scene.
+        notify: Shows a note on all pages, by its title and its text.
+    """
+
+    def __init__(self, gui: viser.GuiApi, session: Session, notify: Callable[[str, str], object]) -> None:
+        self._session, self._notify = session, notify
+        self._fits = gui.add_button("level", hint=_LEVEL_HINT)
+        self._fits.on_click(pressed(lambda _: self.fit()))
+        self._clicks = gui.add_button(_CLICK, hint=_CLICK_HINT, color="gray")
+        self._clicks.on_click(pressed(lambda _: self.start()))
+        session.on_change(self._show)
+
+    def fit(self) -> None:
+        """Makes the normal of the captures' ground up."""
+        try:
+            found = ls.editing.find_up(self._session.scene)
+        except ls.LumisplatError as error:
+            self._session.report(f"{error}: click three points of the ground")
+            return
+        if found.source == "ground":
+            self._put(found.up, f"the ground is {found.share or 0.0:.0%} of what shows")
+        elif found.source == "stated":
+            self._notify("level", "no ground is found, and up stays as it is: click three points of the ground")
+        else:
+            self._put(found.up, "no ground is found: up is an axis of the captures (else click three points)")
+
+    def start(self) -> None:
+        """Takes the next three clicks for points of the ground; while it does, it stops."""
+        points = () if self._session.ground_points is None else None
+        self._session.set_ground_points(points)
+        if points is not None:
+            self._notify("level", _CLICK_HINT)
+
+    def take(self, frame: ls.Frame, across: float, down: float) -> bool:
+        """Takes a click as a point of the ground, and the third one makes up; False: it is no such click.
+
+        Args:
+            frame: What the page shows.
+            across: Share of its width, from the left, 0..1.
+            down: Share of its height, from the top, 0..1.
+        """
+        points = self._session.ground_points
+        if points is None:
+            return False
+        pick = picked(frame, across, down)
+        if pick is None:
+            self._session.report("there is nothing at that point: click a point of the ground")
+            return True
+        x, y, z = (float(value) for value in pick.position)
+        points = (*points, (x, y, z))
+        if len(points) < 3:
+            self._session.set_ground_points(points)
+            return True
+        self._session.set_ground_points(None)
+        up = ground_normal(points, frame.camera.eye)
+        if up is None:
+            self._session.report("the three points lie on a line: click points that are farther apart")
+        else:
+            self._put(up, "up is at right angles to the three points")
+        return True
+
+    def _put(self, up: Vector, how: str) -> None:
+        before = np.array(self._session.scene.up_direction)
+        angle = math.atan2(float(np.linalg.norm(np.cross(before, up))), float(before @ np.array(up)))
+        if angle < _SAME:
+            self._notify("level", f"it is level: {how}")
+        elif self._session.apply(lambda document: document.with_up(up)):
+            self._notify("level", f"turned by {math.degrees(angle):.1f}°: {how}")
+
+    def _show(self) -> None:
+        scene, points = self._session.scene, self._session.ground_points
+        set_if_changed(self._fits, "disabled", not scene.splats)
+        set_if_changed(self._fits, "hint", _LEVEL_HINT if scene.splats else "It takes a capture. " + _LEVEL_HINT)
+        label = _CLICK if points is None else f"{len(points)} of 3 clicked: cancel"
+        set_if_changed(self._clicks, "label", label)
+
+
+def ground_normal(points: Any, eye: npt.ArrayLike) -> Vector | None:
+    """The unit normal of the plane through three points, on the side of the eye; None: they lie on a line.
+
+    Args:
+        points: World positions, shape (3, 3).
+        eye: From where they are seen: whoever sees a ground is above it.
+    """
+    first, second, third = (np.asarray(point, np.float64) for point in points)
+    one, other = second - first, third - first
+    normal, longest = np.asarray(np.cross(one, other), np.float64), max(map(np.linalg.norm, (one, other, other - one)))
+    if not np.linalg.norm(normal) > _ON_LINE * longest**2:
+        return None
+    normal *= math.copysign(1.0, float(normal @ (np.asarray(eye) - first))) / float(np.linalg.norm(normal))
+    x, y, z = (round(float(value), 9) + 0.0 for value in normal)
+    return x, y, z
