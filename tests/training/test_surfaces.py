@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from bench import known_surfaces
 
 import lumisplat as ls
 from lumisplat.constants import SURFACE_ALPHA
@@ -20,6 +19,7 @@ from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
 from support.oracles.gradient_oracle import Loss, Parameters, differences, surfaces
 from support.oracles.smoothness_oracle import smoothness
+from support.scenes import known_surfaces
 
 SIZE = 22, 16
 NORMALS, DEPTH, SMOOTH, FLATNESS = 0.7, 1.3, 0.9, 2.0

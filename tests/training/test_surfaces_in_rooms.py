@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from bench import known_surfaces
 
 import lumisplat as ls
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
+from support.scenes import known_surfaces
 
 SIZE = 32, 24
 HALF = np.array([2.0, 1.2, 1.6])

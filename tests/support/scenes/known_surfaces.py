@@ -1,0 +1,127 @@
+"""Makes images of a textured ball over a textured disc by formula, so that surfaces trained on them have a truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+import lumisplat as ls
+from lumisplat.training.trainer import Trainer
+from lumisplat.training.views import Picture, TrainingView
+
+SIZE = 96
+VIEWS = 24
+HELD_OUT = 6
+BALL, DISC, FLOOR = 0.6, 1.3, 0.6
+"""Radii, and how far below the middle of the ball the disc lies; y points down."""
+SUPERSAMPLED = 3
+WAVES = np.array([[9, 4, -5], [-3, 11, 6], [5, -7, 10], [3, 2, 1], [1, -3, 2], [-2, 1, 3]], float)
+GRAIN = np.array([23.0, 19.0, -21.0])
+CONFIG = ls.TrainConfig(iterations=1500, cap=3000, initial=1500, sh_degree=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What a camera sees, a value a pixel."""
+
+    color: np.ndarray
+    is_hit: np.ndarray
+    normal: np.ndarray
+    """World space, towards the camera, shape (H, W, 3)."""
+    depth: np.ndarray
+    """View depth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How near a capture is to what is known."""
+
+    psnr: float
+    normals: float
+    """Mean angle between the shortest axes of Gaussians, blended, and the surface, degrees."""
+    depth: float
+    """Mean error of depth, scene units."""
+
+
+def camera(angle: float, height: float) -> ls.Camera:
+    """One that looks at the ball."""
+    eye = (2.6 * np.cos(angle), -height, 2.6 * np.sin(angle))
+    return ls.Camera.look_at(eye, (0.0, 0.1, 0.0), (0.0, -1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.75)
+
+
+def seen(by: ls.Camera) -> Seen:
+    """The nearer of ball and disc on the ray through each pixel's centre."""
+    rays = by.ray_directions() @ by.camera_from_world[:3, :3]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    along, square = rays @ by.eye, by.eye @ by.eye - BALL**2
+    under = along**2 - square
+    t = np.where(under > 0.0, -along - np.sqrt(np.maximum(under, 0.0)), np.inf)
+    t = np.where(t > 0.0, t, np.inf)
+    down = np.where(np.abs(rays[..., 1]) < 1e-9, 1e-9, rays[..., 1])
+    t_floor = (FLOOR - by.eye[1]) / down
+    floor = by.eye + t_floor[..., None] * rays
+    is_floor = (t_floor > 0.0) & (np.hypot(floor[..., 0], floor[..., 2]) < DISC) & (t_floor < t)
+    t = np.where(is_floor, t_floor, t)
+    is_hit = np.isfinite(t)
+    t = np.where(is_hit, t, 0.0)
+    points = by.eye + t[..., None] * rays
+    normal = np.where(is_floor[..., None], np.array([0.0, -1.0, 0.0]), points / BALL)
+    depth = t * (rays @ by.camera_from_world[2, :3])
+    return Seen(np.where(is_hit[..., None], texture(points), 0.0), is_hit, normal, depth)
+
+
+def texture(points: np.ndarray) -> np.ndarray:
+    """Colours of places, 0..1."""
+    waves = 0.5 + 0.5 * np.sin(points @ WAVES.T)
+    grain = 0.5 + 0.5 * np.sin(points @ GRAIN)
+    return np.clip(0.5 * grain[..., None] * waves[..., :3] + 0.25 * waves[..., 3:] + 0.1, 0.0, 1.0)
+
+
+def photograph(by: ls.Camera) -> Picture:
+    """Colour and alpha, means over the area of each pixel."""
+    fine = seen(by.scaled(SUPERSAMPLED * by.width, SUPERSAMPLED * by.height))
+    layers = np.dstack([fine.color, fine.is_hit])
+    blocks = layers.reshape(by.height, SUPERSAMPLED, by.width, SUPERSAMPLED, 4).mean(axis=(1, 3)).astype(np.float32)
+    return Picture(np.ascontiguousarray(blocks[..., :3]), None, np.ascontiguousarray(blocks[..., 3]))
+
+
+def views() -> list[TrainingView]:
+    """Those to learn from: golden angles around, at changing heights."""
+    found: list[TrainingView] = []
+    for number in range(VIEWS):
+        by = camera(2.399963 * number, 0.4 + (0.618034 * number) % 1.0)
+        picture = photograph(by)
+        found.append(TrainingView(f"{number:02d}", by, lambda picture=picture: picture))
+    return found
+
+
+def held_out() -> list[ls.Camera]:
+    """Others, to measure from."""
+    return [camera(1.1 * k + 0.4, 0.45 + 0.17 * k) for k in range(HELD_OUT)]
+
+
+def fitted(config: ls.TrainConfig, device: str = "cpu") -> ls.Gaussians:
+    """What a training makes of them."""
+    one = Trainer(views(), config, device=device)
+    for _ in range(config.iterations):
+        one.step()
+    return one.gaussians()
+
+
+def score(gaussians: ls.Gaussians, device: str = "cpu") -> Score:
+    """Over what was held out; surfaces inside their outlines, where the capture is opaque."""
+    renderer, scene = ls.DifferentiableRenderer(device=device), ls.Scene([gaussians])
+    psnr: list[float] = []
+    angles: list[np.ndarray] = []
+    depths: list[np.ndarray] = []
+    for by in held_out():
+        wanted, truth, frame = photograph(by), seen(by), renderer.render(scene, by)
+        psnr.append(ls.metrics.psnr(np.clip(frame.color, 0.0, 1.0), wanted.color))
+        shown = renderer.render_features(ls.gradients.SurfaceFeatures.of(scene, by).values)
+        is_inside = truth.is_hit & (np.asarray(wanted.alpha) > 0.999) & (frame.alpha > 0.5)
+        normals = shown[..., 1:] / np.maximum(np.linalg.norm(shown[..., 1:], axis=-1, keepdims=True), 1e-9)
+        cosines = np.clip(np.sum(normals * truth.normal, axis=-1), -1.0, 1.0)
+        angles.append(np.degrees(np.arccos(cosines))[is_inside])
+        depths.append(np.abs(shown[..., 0] / np.maximum(frame.alpha, 0.5) - truth.depth)[is_inside])
+    return Score(float(np.mean(psnr)), *(float(np.concatenate(one).mean()) for one in (angles, depths)))
