@@ -5,10 +5,10 @@ of a round. Needs ``cuobjdump``, of the CUDA toolkit or of its wheels::
 
     python3 -m venv cuda && cuda/bin/pip install nvidia-cuda-cuobjdump nvidia-cuda-nvdisasm
     export PATH=$PATH:$(echo $PWD/cuda/lib/python3*/site-packages/nvidia/cu13/bin)
-    .venv/bin/python tools/count_instructions.py lumisplat.renderer.raster.splat_block_kernels
+    .venv/bin/python tools/count_instructions.py lumisplat.renderer.raster.splat_kernels:BLOCKS
 
-A name with a colon is that of a function that makes a kernel, for one ray a packet as on CUDA; numbers after further
-colons are its other arguments, such as the entries of a stack.
+A name with a colon is that of one of a file's Warp modules, or of a function that makes a kernel, for one ray a packet
+as on CUDA; numbers after further colons are its other arguments, such as the entries of a stack.
 """
 
 from __future__ import annotations
@@ -55,11 +55,12 @@ def main() -> None:
 
 def module_of(name: str) -> Any:
     """A module of kernels, or of the kernel that a function makes."""
-    module, *function = name.split(":")
-    found = importlib.import_module(module)
-    if not function:
+    file, *names = name.split(":")
+    found = importlib.import_module(file)
+    if not names:
         return found
-    return getattr(found, function[0])(1, *map(int, function[1:])).module
+    named = getattr(found, names[0])
+    return named if isinstance(named, wp.Module) else named(1, *map(int, names[1:])).module
 
 
 def dumped(what: str, cubin: Path) -> str:

@@ -20,7 +20,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Downloads
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
-from support.kernels import cuda_modules, generated_modules, kernels_of, package_modules
+from support.kernels import cuda_modules, generated_modules, package_modules
 from support.scenes import lit_scene, raster_scenes, trace_scenes
 
 LAYERS = ("color", "alpha", "normal", "depth", "captured", "light", "hits", "albedo")
@@ -76,8 +76,7 @@ def kernels(setting: Setting) -> Iterator[Finding]:
     yield Finding(f"{len(modules)} modules compiled and loaded, s", round(time.perf_counter() - begun, 1))
     if is_cuda:
         for module in modules:
-            found = kernels_of(module) if hasattr(module, "__file__") else list(module.kernels.values())
-            for kernel in found:
+            for kernel in module.kernels.values():
                 facts: Any = wp.get_cuda_kernel_properties(kernel, setting.device, 256)
                 yield Finding(kernel.key, facts if isinstance(facts, dict) else str(facts))
 

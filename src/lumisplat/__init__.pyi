@@ -132,18 +132,18 @@ from lumisplat.relighting.avatar_lighter import AvatarLighter as AvatarLighter
 from lumisplat.relighting.delight import delight as delight
 from lumisplat.relighting.fitting.fit_lights import fit_lights as fit_lights
 from lumisplat.relighting.probe_transfer import relight as relight
+from lumisplat.renderer.gradients.differentiable_renderer import (
+    DifferentiableRenderer as DifferentiableRenderer,
+)
+from lumisplat.renderer.gradients.differentiable_renderer import (
+    splat_gradients as splat_gradients,
+)
 from lumisplat.renderer.one_shot import render as render
 from lumisplat.renderer.one_shot import trace_rays as trace_rays
 from lumisplat.renderer.one_shot import transmittance as transmittance
-from lumisplat.renderer.ray_queries import RayHits as RayHits
+from lumisplat.renderer.rays import RayHits as RayHits
 from lumisplat.renderer.renderer import Renderer as Renderer
 from lumisplat.renderer.renderer import create_renderer as create_renderer
-from lumisplat.renderer.splat_gradients import (
-    DifferentiableRenderer as DifferentiableRenderer,
-)
-from lumisplat.renderer.splat_gradients import (
-    splat_gradients as splat_gradients,
-)
 from lumisplat.scene.animation.actors import Actor as Actor
 from lumisplat.scene.animation.actors import Animation as Animation
 from lumisplat.scene.animation.camera_path import CameraPath as CameraPath

@@ -1,9 +1,8 @@
 """Gradients of rendered images and rays with respect to the Gaussians of a scene."""
 
-from lumisplat.renderer.gradients.results import RayGradients, SetGradient, SplatGradients
-from lumisplat.renderer.ray_gradients import ray_gradients
-from lumisplat.renderer.splat_gradients import DifferentiableRenderer, splat_gradients
-from lumisplat.renderer.surface_features import SurfaceFeatures
+from lumisplat.renderer.gradients.arrays import RayGradients, SetGradient, SplatGradients
+from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer, ray_gradients, splat_gradients
+from lumisplat.renderer.gradients.features import SurfaceFeatures
 
 __all__ = [
     "DifferentiableRenderer",

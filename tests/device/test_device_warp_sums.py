@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from lumisplat.runtime.launcher import Launcher
-from support.probes.probe_sum_warp_kernels import ROWS, WARPS, Long, Short, probe_sums
+from support.probes.probe_sum_kernels import ROWS, WARPS, Long, Short, probe_sums
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 

@@ -66,11 +66,10 @@ LAYERS = (
     "renderer.light",
     "renderer.film",
     "renderer.raster",
-    "renderer.unscented",
-    "renderer.gradients",
     "renderer.realtime",
     "renderer.integrators",
     "renderer",
+    "renderer.gradients",
     "relighting",
     "relighting.fitting",
     "baking",
@@ -344,10 +343,10 @@ def test_the_rules_can_fail(tmp_path: Path) -> None:
     path.write_text(
         "from typing import TYPE_CHECKING\nimport warp as wp\n"
         "if TYPE_CHECKING:\n    from lumisplat.frame.frame import Frame\n"
-        "from lumisplat.renderer.raster import splat_raster_kernels\n"
+        "from lumisplat.renderer.raster import splat_kernels\n"
         "def f():\n    from lumisplat.io.images import exr\n    wp.launch(k, 1)\n"
     )
-    at_run_time = ["renderer.raster.splat_raster_kernels", "io.images.exr"]
+    at_run_time = ["renderer.raster.splat_kernels", "io.images.exr"]
     assert list(imported_modules(path)) == at_run_time
     assert list(imported_modules(path, typing=True)) == ["frame.frame", *at_run_time]
     assert ("wp.launch", 8) in list(calls(path))

@@ -9,11 +9,10 @@ from collections import Counter
 from typing import Any
 
 import pytest
-import warp as wp
 
-from support.kernels import CUDA_ARCHITECTURE, compile_for_cuda, cuda_modules, generated_modules, kernels_of
+from support.kernels import CUDA_ARCHITECTURE, compile_for_cuda, cuda_modules, generated_modules
 
-MODULES = {module.__name__: module for module in cuda_modules()}
+MODULES = {module.name: module for module in cuda_modules()}
 GENERATED = {module.name: module for module in generated_modules(parallel=True)}
 """Made with as many rays a packet as CUDA uses, each with a small and a full stack."""
 
@@ -25,11 +24,11 @@ ARCHITECTURES = pytest.mark.parametrize(
 def test_kernel_modules_are_found() -> None:
     """The lists are not empty by accident."""
     raster = {
-        "splat_raster_kernels",
-        "splat_block_kernels",
-        "splat_pixel_kernels",
-        "mesh_raster_kernels",
-        "mesh_pixel_kernels",
+        "splat_kernels",
+        "splat_kernels.blocks",
+        "splat_kernels.pixels",
+        "mesh_kernels",
+        "mesh_kernels.pairs",
     }
     assert {f"lumisplat.renderer.raster.{name}" for name in raster} <= {*MODULES}
     rays = Counter(name.partition("__")[0] for name in GENERATED)
@@ -40,18 +39,19 @@ def test_kernel_modules_are_found() -> None:
 @pytest.mark.parametrize("name", MODULES)
 def test_module_compiles_for_cuda(name: str, architecture: int) -> None:
     """NVRTC accepts a module, and every kernel of it is in the result."""
-    check_compiles(MODULES[name], kernels_of(MODULES[name]), architecture)
+    check_compiles(MODULES[name], architecture)
 
 
 @ARCHITECTURES
 @pytest.mark.parametrize("name", GENERATED)
 def test_generated_kernel_compiles_for_cuda(name: str, architecture: int) -> None:
     """So do the kernels that are made for a number of rays."""
-    check_compiles(GENERATED[name], list(GENERATED[name].kernels.values()), architecture)
+    check_compiles(GENERATED[name], architecture)
 
 
-def check_compiles(module: Any, kernels: list[wp.Kernel], architecture: int) -> None:
+def check_compiles(module: Any, architecture: int) -> None:
     """Fails unless all kernels of a module are in what NVRTC makes of it."""
+    kernels = list(module.kernels.values())
     assert kernels, f"{module} has no kernels"
     code = compile_for_cuda(module, architecture).read_text()
     assert f".target sm_{architecture}" in code

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.renderer import given_rays, ray_profiles
+from lumisplat.renderer import rays as rays_module
 from support.oracles.mirror_oracle import ROUNDING, Ray, nearest
 from support.oracles.particle_oracle import picked, world_of
 from support.oracles.raster_oracle import normalized
@@ -92,8 +92,8 @@ def test_profiles_do_not_depend_on_how_many_hits_are_held(monkeypatch: pytest.Mo
     """Even if one ray has more of them than that."""
     origins, directions = some_rays(60)
     whole = profiled(MIXED, origins, directions)
-    monkeypatch.setattr(ray_profiles, "PROFILE_ROWS", 5)
-    monkeypatch.setattr(given_rays, "RAY_BATCH", 16)
+    monkeypatch.setattr(rays_module, "PROFILE_ROWS", 5)
+    monkeypatch.setattr(rays_module, "RAY_BATCH", 16)
     parts = profiled(MIXED, origins, directions)
     for name in ("first", "t", "alpha", "transmittance", "gaussian_index", "instance_index"):
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
@@ -101,18 +101,18 @@ def test_profiles_do_not_depend_on_how_many_hits_are_held(monkeypatch: pytest.Mo
 
 def test_no_more_hits_are_held_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ranges cover all rays with hits once, each within the bound or of rays that are followed together."""
-    monkeypatch.setattr(ray_profiles, "PROFILE_ROWS", 400)
-    monkeypatch.setattr(ray_profiles, "RAY_BATCH", 96)
+    monkeypatch.setattr(rays_module, "PROFILE_ROWS", 400)
+    monkeypatch.setattr(rays_module, "RAY_BATCH", 96)
     counts = np.random.default_rng(0).integers(0, 14, 1000, np.int32)
     counts[64:128], counts[200:220] = 0, 100
-    ranges = list(ray_profiles.ranges(counts))
+    ranges = list(rays_module.profile_ranges(counts))
     met = np.zeros(1000, int)
     for begin, end in ranges:
         met[begin:end] += 1
         assert begin % 32 == 0 and end - begin <= 96
         assert counts[begin:end].sum() <= 400 or end - begin == 32
     assert (met[counts > 0] == 1).all() and met.max() == 1
-    assert list(ray_profiles.ranges(np.zeros(5, np.int32))) == [(0, 0)]
+    assert list(rays_module.profile_ranges(np.zeros(5, np.int32))) == [(0, 0)]
 
 
 def test_rays_without_hits_and_no_rays_have_empty_profiles() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.renderer import given_rays as rays_module
+from lumisplat.renderer import rays as rays_module
 from support.scenes.raster_scenes import front_camera, joined, one_gaussian, quad, random_gaussians
 
 AHEAD = np.array([[0.0, 0.0, 1.0]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -20,21 +21,21 @@ CUDA_ARCHITECTURE = 86
 """What kernels are compiled for each day: the oldest that is tested, whose code newer ones run, too."""
 
 
-def kernels_of(module: Any) -> list[wp.Kernel]:
-    """Kernels that a Python module holds."""
-    return [value for value in vars(module).values() if isinstance(value, wp.Kernel)]
+def warp_modules(names: Iterable[str]) -> list[wp.Module]:
+    """Warp modules of the kernels of Python modules, which may have several each."""
+    values = [value for name in names for value in vars(importlib.import_module(name)).values()]
+    return list({value.module.name: value.module for value in values if isinstance(value, wp.Kernel)}.values())
 
 
-def package_modules() -> list[Any]:
-    """Python modules of the package with kernels; those that only make kernels have none."""
+def package_modules() -> list[wp.Module]:
+    """Those of the package."""
     names = [module.name for module in pkgutil.walk_packages(lumisplat.__path__, "lumisplat.")]
-    modules = [importlib.import_module(name) for name in names if name.endswith("_kernels")]
-    return [module for module in modules if kernels_of(module)]
+    return warp_modules(name for name in names if name.endswith("_kernels"))
 
 
-def cuda_modules() -> list[Any]:
+def cuda_modules() -> list[wp.Module]:
     """Those that run on CUDA: all but the kernels of tiles, which are the schedule of CPUs."""
-    return [module for module in package_modules() if not module.__name__.endswith("_tile_kernels")]
+    return [module for module in package_modules() if not module.name.endswith("tiles")]
 
 
 def generated_modules(*, parallel: bool) -> list[Any]:
@@ -46,10 +47,10 @@ def generated_modules(*, parallel: bool) -> list[Any]:
     return [kernel_of(1, stack).module for kernel_of in kernels_of_lanes for stack in stacks]
 
 
-def probe_modules() -> list[Any]:
-    """Python modules of kernels that call the package's device functions for the tests."""
+def probe_modules() -> list[wp.Module]:
+    """Those of kernels that call the package's device functions for the tests."""
     paths = sorted((Path(__file__).parent / "probes").glob("probe_*.py"))
-    return [importlib.import_module(f"support.probes.{path.stem}") for path in paths]
+    return warp_modules(f"support.probes.{path.stem}" for path in paths)
 
 
 def compile_all() -> None:

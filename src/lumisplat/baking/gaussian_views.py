@@ -14,7 +14,7 @@ from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, MeshHits, 
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.progress import Progress
-from lumisplat.renderer.given_rays import whole_packets
+from lumisplat.renderer.rays import whole_packets
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits

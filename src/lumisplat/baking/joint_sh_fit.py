@@ -17,8 +17,7 @@ from lumisplat.config import HitDistance, Pipeline, RenderConfig
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
 from lumisplat.math.tone_map import lit_picture
 from lumisplat.progress import Progress
-from lumisplat.renderer.ray_profiles import RayProfile
-from lumisplat.renderer.ray_queries import RayHits
+from lumisplat.renderer.rays import RayHits, RayProfile
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.materials import is_relit, material_of, shading_overrides

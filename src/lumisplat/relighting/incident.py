@@ -20,7 +20,7 @@ from lumisplat.math.sh import even_directions
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.relighting.albedo_fit import SkyCells
 from lumisplat.relighting.irradiance import Irradiance, radiance_met
-from lumisplat.renderer.ray_queries import RayHits
+from lumisplat.renderer.rays import RayHits
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, morton_order, pairs_of_about

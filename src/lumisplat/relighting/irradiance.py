@@ -14,7 +14,7 @@ from lumisplat.constants import RADIANCE_LEAST
 from lumisplat.math.arrays import Doubles, FloatArray, weighted_quantile
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
-from lumisplat.renderer.ray_queries import RayHits
+from lumisplat.renderer.rays import RayHits
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 

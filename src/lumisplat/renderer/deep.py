@@ -19,7 +19,7 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.math.directions import panorama_lookup
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.renderer.checks import checked_config
-from lumisplat.renderer.ray_profiles import PixelProfile
+from lumisplat.renderer.rays import PixelProfile
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.renderer.scene.camera_table import subpixel
 from lumisplat.renderer.scene.frame_plan import FramePlan

@@ -13,7 +13,7 @@ from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import FloatArray
 from lumisplat.renderer.checks import checked_config
-from lumisplat.renderer.ray_queries import RayHits, tracing
+from lumisplat.renderer.rays import RayHits, tracing
 from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene

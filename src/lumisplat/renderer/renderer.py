@@ -32,6 +32,7 @@ from lumisplat.renderer.catcher_meshes import (
     without_catcher_meshes,
 )
 from lumisplat.renderer.checks import (
+    RasterWarnings,
     check_aovs,
     check_blocks,
     check_projection,
@@ -44,17 +45,15 @@ from lumisplat.renderer.checks import (
     checked_config,
 )
 from lumisplat.renderer.film.film import Film
-from lumisplat.renderer.given_rays import checked_distances, checked_rays
 from lumisplat.renderer.integrators.integrators import Integrators
 from lumisplat.renderer.light.light_warnings import LightWarnings
 from lumisplat.renderer.raster.binning import BinningCounts, binning_of
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.raster_hits import RasterHits
-from lumisplat.renderer.raster.raster_limits import RasterWarnings
 from lumisplat.renderer.raster.splat_raster import SplatRaster
 from lumisplat.renderer.raster.unlit_raster import UnlitRaster
-from lumisplat.renderer.ray_profiles import PixelProfile, RayProfiles
-from lumisplat.renderer.ray_queries import RayHits, RayQueries
+from lumisplat.renderer.raster.unscented_raster import UnscentedRaster
+from lumisplat.renderer.rays import PixelProfile, RayHits, RayProfiles, RayQueries, checked_distances, checked_rays
 from lumisplat.renderer.sample_budget import SampleBudget
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_lens
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -62,7 +61,6 @@ from lumisplat.renderer.scene.frame_plan import CapturedLight, FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.unscented.unscented_raster import UnscentedRaster
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera

@@ -214,7 +214,7 @@ class Launcher:
         """Runs ``blocks`` blocks of threads that share memory and wait for each other.
 
         Args:
-            kernel: Of a module named ``*_block_kernels`` or ``*_warp_kernels``, whose option ``block_dim`` is the
+            kernel: Of a Warp module whose name ends in ``blocks``, and whose option ``block_dim`` is the
                 number of threads; its ``wp.tid()`` is the block and the thread.
             blocks: Number of blocks.
             *inputs: The kernel's parameters.
@@ -384,7 +384,7 @@ class Launcher:
     def _load(self, module: KernelModule) -> None:
         """Compiles and loads a module for blocks as large as those that it is launched in."""
         warp_module = warp_module_of(module)
-        has_blocks = warp_module.name.endswith(("_block_kernels", "_warp_kernels"))
+        has_blocks = warp_module.name.endswith("blocks")
         threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1
         with _blocks_on_cpus() if has_blocks else nullcontext():
             load_module(module, self.device, threads)

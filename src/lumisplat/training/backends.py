@@ -21,22 +21,21 @@ from lumisplat.device.training import SplatParameters, SplatRecord, SurfaceMaps,
 from lumisplat.math.arrays import Doubles
 from lumisplat.renderer.film import traced_pixel_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
-from lumisplat.renderer.gradients.feature_channels import FeatureChannels
+from lumisplat.renderer.gradients.features import FeatureChannels
+from lumisplat.renderer.gradients.pose import pose_gradient, pose_of_rays_gradient
 from lumisplat.renderer.gradients.ray_backward import RayBackward, RaySums
-from lumisplat.renderer.gradients.ray_pose import pose_of_rays_gradient
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
 from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward
-from lumisplat.renderer.raster.binning import binning_of
+from lumisplat.renderer.raster.binning import binning_of, pair_starts
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster, raster_table
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
+from lumisplat.renderer.raster.unscented_raster import SplatsOnRays, UnscentedRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.splat_gradients import pose_gradient
 from lumisplat.renderer.trace.camera_rays import CameraRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays, UnscentedRaster
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.kernel_cache import KernelModule
 from lumisplat.runtime.launcher import Launcher
@@ -201,7 +200,7 @@ class TrainingRaster(_Backend):
             largest: The largest so far, shape (N,).
         """
         run, drawn, tiles = self._launcher.run_banded, self.drawn, math.prod(self._scene.tile_grid)
-        starts = self._backward.pair_starts(drawn)
+        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects)
         pairs = self._buffers.get("weights.pairs", wp.float32, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, drawn.meshes, pairs)
@@ -330,7 +329,7 @@ class TrainingUnscented(_Backend):
     def add_largest_weights(self, largest: DeviceArray) -> None:
         """As of `TrainingRaster`."""
         run, met, tiles = self._launcher.run_banded, self._last_hits, math.prod(self._scene.tile_grid)
-        starts = self._backward.pair_starts(met)
+        starts = pair_starts(self._launcher, self._buffers, met.splats.rects)
         pairs = self._buffers.get("weights.pairs", wp.float32, met.tiles.items.shape[0])
         lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items, met.rays, met.limits)
         run(weight_kernels.find_largest_ray_weights, tiles, self._scene.camera, met.settings, *lists, pairs)

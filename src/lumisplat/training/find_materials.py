@@ -31,8 +31,8 @@ from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.math.sh import even_directions
 from lumisplat.progress import Progress, say_nothing
 from lumisplat.relighting.irradiance import mean_outgoing
+from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer, create_renderer
-from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians

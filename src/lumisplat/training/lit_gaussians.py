@@ -13,8 +13,8 @@ from lumisplat.device.training import DirectionalLight, GaussianMaterials, Mater
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
 from lumisplat.relighting.irradiance import Irradiance, radiance_met
+from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer
-from lumisplat.renderer.splat_gradients import DifferentiableRenderer
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera

@@ -25,7 +25,7 @@ from lumisplat.device.training import (
     TargetImage,
 )
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.gradients.feature_channels import FeatureChannels, ShownFeatures
+from lumisplat.renderer.gradients.features import FeatureChannels, ShownFeatures
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray

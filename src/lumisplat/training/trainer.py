@@ -24,7 +24,7 @@ from lumisplat.device.training import NoiseData, SplatRecord, StepRates, TargetI
 from lumisplat.errors import LumisplatError
 from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
-from lumisplat.renderer.gradients.feature_channels import FeatureChannels
+from lumisplat.renderer.gradients.features import FeatureChannels
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera

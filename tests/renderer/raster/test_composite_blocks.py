@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import TILE_PX
-from lumisplat.renderer.raster import splat_block_kernels, splat_pixel_kernels
+from lumisplat.renderer.raster import splat_kernels
 from lumisplat.runtime.launcher import Launcher
 from support.kernels import compile_for_cuda
 from support.scenes.raster_scenes import front_camera, quad, random_gaussians
@@ -23,8 +23,8 @@ class ByPixels(Launcher):
 
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
         """One item a pixel instead."""
-        assert kernel is splat_block_kernels.composite_blocks
-        self.run_banded(splat_pixel_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs)
+        assert kernel is splat_kernels.composite_blocks
+        self.run_banded(splat_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs)
 
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
@@ -48,6 +48,6 @@ def test_lists_of_several_batches(opacity: float, with_mesh: bool) -> None:
 
 def test_splats_are_read_from_shared_memory() -> None:
     """Each by wide loads, and blocks ask for so few registers that four of them share a multiprocessor."""
-    code = compile_for_cuda(splat_block_kernels).read_text()
+    code = compile_for_cuda(splat_kernels.BLOCKS).read_text()
     assert re.search(r"\.maxntid 256", code) and re.search(r"\.minnctapersm 4", code)
     assert len(re.findall(r"ld\.shared\.v4", code)) >= 3

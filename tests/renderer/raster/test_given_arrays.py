@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.renderer.gradients.given_arrays import given_array
+from lumisplat.renderer.gradients.arrays import given_array
 
 
 class Tensor:

@@ -104,7 +104,8 @@ def test_the_schedule_of_gpus_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     shown, tiles = with_features(scene, camera)
     monkeypatch.setattr(
-        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+        "lumisplat.renderer.gradients.differentiable_renderer.Launcher",
+        lambda device, threads: Launcher(device, threads, parallel=True),
     )
     same, blocks = with_features(scene, camera)
     np.testing.assert_allclose(same, shown, atol=1e-5)

@@ -96,7 +96,8 @@ def test_the_schedule_of_gpus_agrees(antialiased: bool, monkeypatch: pytest.Monk
     scene, camera = ls.Scene([cloud(count=60, antialiased=antialiased)]), view(50, 40)
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
-        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+        "lumisplat.renderer.gradients.differentiable_renderer.Launcher",
+        lambda device, threads: Launcher(device, threads, parallel=True),
     )
     blocks = gradients_of(scene, camera)
     for name, value in vars_of(tiles).items():
@@ -111,7 +112,8 @@ def test_that_schedule_has_zeros_behind_opaque_tiles(monkeypatch: pytest.MonkeyP
     scene, camera = ls.Scene([opaque()]), view()
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
-        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+        "lumisplat.renderer.gradients.differentiable_renderer.Launcher",
+        lambda device, threads: Launcher(device, threads, parallel=True),
     )
     fill_with_nan(monkeypatch, "backward.pairs")
     blocks = gradients_of(scene, camera)

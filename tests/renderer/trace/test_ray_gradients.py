@@ -246,7 +246,8 @@ def test_the_schedule_of_gpus_agrees(degree: int, monkeypatch: pytest.MonkeyPatc
     scene, camera = ls.Scene([replace(cloud(count=60), kernel_degree=degree)]), view(50, 40)
     packets = gradients_of(scene, camera)
     monkeypatch.setattr(
-        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+        "lumisplat.renderer.gradients.differentiable_renderer.Launcher",
+        lambda device, threads: Launcher(device, threads, parallel=True),
     )
     rays = gradients_of(scene, camera)
     for name, value in vars_of(packets).items():

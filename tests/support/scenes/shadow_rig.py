@@ -11,7 +11,7 @@ import warp as wp
 from lumisplat.config import RenderConfig, ShadowConfig
 from lumisplat.constants import PACKET_RAYS
 from lumisplat.device.structs.rays import RayData
-from lumisplat.renderer.given_rays import whole_packets
+from lumisplat.renderer.rays import whole_packets
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays

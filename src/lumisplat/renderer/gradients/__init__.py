@@ -1,1 +1,1 @@
-"""From derivatives by pixels to derivatives by splats, Gaussians and the camera (docs/method/gradients.md)."""
+"""Derivatives of frames and rays by splats, Gaussians and the camera (docs/method/gradients.md)."""

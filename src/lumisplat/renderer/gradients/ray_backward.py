@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import RenderConfig
@@ -15,15 +16,30 @@ from lumisplat.device.structs.bvh import TraceData
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, HitGradients, PixelGradient, RayGradient
 from lumisplat.device.structs.rays import HitProfiles, RayData
+from lumisplat.errors import ConfigError
 from lumisplat.math.arrays import FloatArray
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.gradients import ray_backward_kernels as kernels
-from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
+from lumisplat.renderer.gradients.arrays import (
+    RayGradients,
+    SplatGradients,
+    by_background,
+    given_array,
+    gradient_of_asset,
+    host_values,
+    set_gradient,
+)
+from lumisplat.renderer.gradients.pose import pose_of_rays_gradient
+from lumisplat.renderer.rays import GivenRays, RayHits, batches
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges, trace_table
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum, sort_pairs
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene
 
 BACKWARD_HITS = 2**22
 """Hits of rays whose derivatives are on the device at once: 44 bytes each, some 180 MiB, unless a packet has more."""
@@ -59,6 +75,42 @@ class _Rays:
     """Their sum."""
 
 
+@dataclass(frozen=True, slots=True)
+class TracedFrame:
+    """What a frame of one ray a pixel was drawn from."""
+
+    scene: Scene
+    camera: Camera
+    hits: PrimaryHits
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, pixels."""
+        return self.camera.height, self.camera.width
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GivenGradient:
+    """Derivatives by what given rays show."""
+
+    radiance: FloatArray
+    """Shape (N, 3)."""
+    transmittance: FloatArray
+    """Shape (N,)."""
+
+    @classmethod
+    def of(cls, count: int, radiance: npt.ArrayLike, transmittance: npt.ArrayLike | None) -> GivenGradient:
+        """Those that a caller gives; transmittance None: 0.
+
+        Raises:
+            SceneError: A shape does not fit, or a value is not finite.
+        """
+        by_radiance = given_array("dL_dradiance", radiance, (count, 3))
+        if transmittance is None:
+            return cls(by_radiance, np.zeros(count, np.float32))
+        return cls(by_radiance, given_array("dL_dtransmittance", transmittance, (count,)))
+
+
 class RayBackward:
     """Goes back from rays to Gaussians.
 
@@ -70,6 +122,7 @@ class RayBackward:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers = launcher, buffers
+        self._given = GivenRays(launcher, buffers)
         self._tracer = GaussianTracer(launcher, buffers, config, "backward.trace")
         self._settings = buffers.get("backward.settings", TraceData, 1)
         assign_table(self._settings, trace_table(launcher, config.trace))
@@ -78,6 +131,64 @@ class RayBackward:
     def modules() -> list[KernelModule]:
         """The kernel modules."""
         return [kernels]
+
+    def of_frame(
+        self, scene: DeviceScene, frame: TracedFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
+    ) -> SplatGradients:
+        """Derivatives by what a frame was drawn from.
+
+        Args:
+            scene: As it was drawn.
+            frame: The frame.
+            by_color: Derivatives by its colour, shape (H, W, 3).
+            gradient: The same on the device, and those by its alpha.
+            pose: Whether to differentiate by the camera's pose, too.
+        """
+        pixels = PixelBuffers.of(self._buffers, scene.image_size).data
+        sums = self.begin(scene)
+        by_rays = self.start_pixels(scene.image_size, frame.hits.count, pixels, gradient)
+        self.add(scene, frame.hits, by_rays, sums)
+        instances = frame.scene.splats
+        by_pose = pose_of_rays_gradient(sums.motions, instances, frame.camera) if pose else None
+        none = np.zeros((0, 2), np.float32)
+        return SplatGradients(
+            sets=tuple(map(set_gradient, sums.gaussians)),
+            background=by_background(by_color, 1.0 - host_values(pixels.alpha)),
+            camera_from_world=None if by_pose is None else np.vstack([by_pose, np.zeros(4)]),
+            centers=none,
+            centers_absolute=none,
+            weights=host_values(sums.weights),
+        )
+
+    def of_rays(
+        self,
+        scene: DeviceScene,
+        tracer: RayTracer,
+        rays: tuple[FloatArray, FloatArray],
+        shown: RayHits,
+        given: GivenGradient,
+    ) -> RayGradients:
+        """Derivatives by what given rays have hit.
+
+        Args:
+            scene: As they have met it.
+            tracer: Finds their hits once more.
+            rays: Their origins and unit directions, world space, shape (N, 3) each.
+            shown: What they show.
+            given: Derivatives by that.
+        """
+        behind = (given.radiance * shown.radiance).sum(axis=1) + given.transmittance * shown.transmittance
+        sums = self.begin(scene)
+        scene.begin_sample(0)
+        for first, batch in batches(*rays, np.full(len(behind), np.inf, np.float32)):
+            count = len(batch[0])
+            on_device = self._given.allocate(count)
+            self._given.load(scene, first, count, self._given.upload(batch), on_device)
+            hits = tracer.find_hits(scene, on_device, "rays")
+            rows = slice(first, first + count)
+            by_rays = self.start_rays(hits.count, given.radiance[rows], behind[rows])
+            self.add(scene, hits, by_rays, sums)
+        return RayGradients(tuple(map(set_gradient, sums.gaussians)), host_values(sums.weights))
 
     def start_pixels(
         self, size: tuple[int, int], count: int, pixels: PixelData, gradient: PixelGradient
@@ -207,3 +318,17 @@ def _rows_of(noun: type[Noun], arrays: Noun, rows: slice) -> Noun:
     for name, _ in struct.vars.items():
         setattr(view, name, getattr(arrays, name)[rows])
     return view
+
+
+def check_traced(scene: Scene) -> None:
+    """Refuses frames of rays that have more in them than what follows from rays through Gaussians.
+
+    Raises:
+        ConfigError: A mesh sends rays on.
+    """
+    for instance in scene.meshes:
+        if instance.mesh.material.sends_rays_on:
+            raise ConfigError(
+                "what mirrors, glass and meshes that blend show has no gradients: take materials that are rough and "
+                "opaque"
+            )

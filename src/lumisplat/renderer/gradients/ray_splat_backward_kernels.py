@@ -1,14 +1,13 @@
-"""Derivatives of what rays of pixels show by Gaussians: records of tiles on CPUs, their sums, and Gaussians.
+"""Derivatives of what rays of pixels show by Gaussians, as those of ``splat_backward_kernels`` by ellipses.
 
-As ``splat_backward_kernels`` do it for ellipses. The equations are in
-docs/method/gradients.md#rasterisation-along-rays.
+The equations are in docs/method/gradients.md#rasterisation-along-rays.
 """
 
 import warp as wp
 
 from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.gaussian.hit_gradient import RayMotion
-from lumisplat.device.splat.compositor import TILE_OPTIONS, backward_arrays, tile_walk
+from lumisplat.device.splat.compositor import TILE_OPTIONS, WARP_OPTIONS, backward_arrays, backward_walk, tile_walk
 from lumisplat.device.splat.projection import color_dot, open_channels, sh_weights
 from lumisplat.device.splat.ray_splat import (
     ALONG_RAYS,
@@ -30,11 +29,17 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 wp.set_module_options(TILE_OPTIONS)
 
 Arrays = backward_arrays(ALONG_RAYS)
+
+# Records on CPUs: one item is one tile.
+
+TILES = wp.get_module(f"{__name__}.tiles")
+wp.set_module_options(TILE_OPTIONS, TILES)
+
 add_tile_records = tile_walk(ALONG_RAYS, derivatives(ALONG_RAYS))
 
 
-@wp.kernel
-def backward_ray_tiles(
+@wp.kernel(module=TILES)
+def backward_tiles(
     start: int,
     camera: wp.array[CameraData],
     settings: wp.array[RayRasterData],
@@ -49,7 +54,7 @@ def backward_ray_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Item = tile: a record for each of its Gaussians."""
+    """Writes a record for each Gaussian of a tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -60,6 +65,46 @@ def backward_ray_tiles(
     arrays.gradient = gradient
     arrays.pairs_out = pairs_out
     add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, arrays)
+
+
+# Records on CUDA: one block is one tile.
+
+BLOCKS = wp.get_module(f"{__name__}.blocks")
+wp.set_module_options(WARP_OPTIONS, BLOCKS)
+
+add_block_records = backward_walk(ALONG_RAYS)
+
+
+@wp.kernel(module=BLOCKS, grid_stride=False)
+def backward_blocks(
+    camera: wp.array[CameraData],
+    settings: wp.array[RayRasterData],
+    splats: wp.array[RaySplat],
+    rects: wp.array[TileRect],
+    pair_starts: wp.array[int],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    rays: RayData,
+    limits: wp.array[float],
+    pixels: PixelData,
+    gradient: PixelGradient,
+    pairs_out: wp.array[RaySplatGradient],
+):
+    """Writes what ``backward_tiles`` does; all threads of a block run all batches, as they wait for each other."""
+    tile, thread = wp.tid()
+    around = PixelRays()
+    around.rays = rays
+    around.limits = limits
+    arrays = Arrays()
+    arrays.rects = rects
+    arrays.pair_starts = pair_starts
+    arrays.pixels = pixels
+    arrays.gradient = gradient
+    arrays.pairs_out = pairs_out
+    add_block_records(tile, thread, camera[0], settings[0], splats, tile_starts, tile_splats, around, arrays)
+
+
+# What follows from them.
 
 
 @wp.kernel

@@ -3,38 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-import warp as wp
 
 from lumisplat.constants import POSE_CHUNK, TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
-from lumisplat.renderer.gradients import (
-    projection_backward_kernels,
-    splat_backward_kernels,
-    splat_backward_warp_kernels,
-)
-from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
+from lumisplat.renderer.gradients import splat_backward_kernels as kernels
+from lumisplat.renderer.gradients.arrays import gradient_of_asset
+from lumisplat.renderer.gradients.pose import PoseSums
+from lumisplat.renderer.raster.binning import pair_starts
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
-from lumisplat.runtime.primitives import prefix_sum
-
-
-@dataclass(frozen=True, slots=True)
-class PoseSums:
-    """Derivatives by where the camera is, of one instance; float64."""
-
-    camera_from_object: npt.NDArray[np.float64]
-    """Shape (3, 3)."""
-    camera_from_object_offset: npt.NDArray[np.float64]
-    """Shape (3,)."""
-    eye: npt.NDArray[np.float64]
-    """In object space, shape (3,)."""
 
 
 class SplatBackward:
@@ -50,11 +32,7 @@ class SplatBackward:
 
     def modules(self) -> list[KernelModule]:
         """The kernel modules."""
-        return [
-            splat_backward_kernels,
-            projection_backward_kernels,
-            *([splat_backward_warp_kernels] if self._launcher.is_parallel else []),
-        ]
+        return [kernels.BLOCKS if self._launcher.is_parallel else kernels.TILES, kernels]
 
     def splats(
         self,
@@ -75,24 +53,20 @@ class SplatBackward:
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
-        starts = self.pair_starts(drawn)
+        starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects)
         pairs = get("backward.pairs", SplatGradient, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         inputs = (scene.camera, drawn.settings, *lists, drawn.meshes, pixels, gradient, pairs)
         with self._launcher.stage("backward: pixels"):
             if self._launcher.is_parallel:
-                self._launcher.run_blocks(splat_backward_warp_kernels.backward_warps, tiles, *inputs)
+                self._launcher.run_blocks(kernels.backward_blocks, tiles, *inputs)
             else:
                 bands = TILE_BANDS_PER_THREAD * self._launcher.threads
-                run(splat_backward_kernels.backward_tiles, tiles, *inputs, bands=bands)
+                run(kernels.backward_tiles, tiles, *inputs, bands=bands)
         sums = get(name, SplatGradient, count)
         with self._launcher.stage("backward: splats"):
-            run(splat_backward_kernels.add_pairs, count, starts, pairs, sums)
+            run(kernels.add_pairs, count, starts, pairs, sums)
         return sums
-
-    def pair_starts(self, drawn: DrawnSplats) -> DeviceArray:
-        """Where the records of the tiles of each splat begin; the last element is their number."""
-        return starts_of_pairs(self._launcher, self._buffers, drawn.splats.rects, drawn.splats.count)
 
     def gaussians(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not drawn.
@@ -108,7 +82,7 @@ class SplatBackward:
         data = (asset.instance_ids, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
         inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, out)
         with self._launcher.stage("backward: Gaussians"):
-            self._launcher.run_banded(projection_backward_kernels.backward_gaussians, asset.gaussians.count, *inputs)
+            self._launcher.run_banded(kernels.backward_gaussians, asset.gaussians.count, *inputs)
         return out
 
     def pose(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> PoseSums:
@@ -125,21 +99,6 @@ class SplatBackward:
         sums = self._buffers.get("backward.pose", PoseGradient, chunks)
         data = (number, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
         inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, sums)
-        self._launcher.run_banded(projection_backward_kernels.backward_pose, chunks, *inputs)
+        self._launcher.run_banded(kernels.backward_pose, chunks, *inputs)
         table = sums.numpy()
         return PoseSums(*(table[name].sum(axis=0, dtype=np.float64) for name in PoseSums.__slots__))
-
-
-def starts_of_pairs(launcher: Launcher, buffers: Buffers, rects: DeviceArray, count: int) -> DeviceArray:
-    """Where the records of the tiles of each splat begin; the last element is their number.
-
-    Args:
-        launcher: Runs the kernel.
-        buffers: Holds the arrays.
-        rects: Tiles of each splat.
-        count: Splats.
-    """
-    counts, starts = (buffers.get(f"backward.pair_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
-    launcher.run_banded(splat_backward_kernels.count_pairs, count + 1, rects, counts)
-    prefix_sum(counts, starts, inclusive=False)
-    return starts

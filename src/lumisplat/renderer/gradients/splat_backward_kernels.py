@@ -1,35 +1,38 @@
-"""Derivatives of composited pixels by splats on CPUs: each pixel is blended once more, front to back.
+"""Derivatives of composited pixels by splats, by the Gaussians of an asset, and by the camera's pose.
 
-What is still to come behind a splat is one number a pixel. No splat is written to by two tiles: each has a record for
-each of its tiles, and they are added up afterwards. The equations are in docs/method/gradients.md.
+Each pixel is blended once more, front to back: what is still to come behind a splat is one number a pixel. No splat is
+written to by two tiles: each has a record for each of its tiles, and they are added up afterwards. The equations are in
+docs/method/gradients.md.
 """
 
 import warp as wp
 
-from lumisplat.device.camera.pixels import rect_area
-from lumisplat.device.splat.compositor import TILE_OPTIONS, backward_arrays, tile_walk
+from lumisplat.constants import FUSED_FLAGS, POSE_CHUNK, SH_COEFFICIENTS_MAX
+from lumisplat.device.camera.pixels import is_listed
+from lumisplat.device.splat.compositor import TILE_OPTIONS, WARP_OPTIONS, backward_arrays, backward_walk, tile_walk
 from lumisplat.device.splat.ellipse import ELLIPSE, sum_of_pairs
+from lumisplat.device.splat.projection import ShFloats, color_dot, open_channels, sh_weights, splat_origin
 from lumisplat.device.splat.visitors import derivatives
 from lumisplat.device.structs.camera import CameraData, PixelData
-from lumisplat.device.structs.gradients import PixelGradient, SplatGradient
+from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, PoseGradient, SplatGradient
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
-wp.set_module_options(TILE_OPTIONS)
+wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
+CHUNK = wp.constant(POSE_CHUNK)
+SH_COEFFICIENTS = wp.constant(SH_COEFFICIENTS_MAX)
 Arrays = backward_arrays(ELLIPSE)
-add_records = tile_walk(ELLIPSE, derivatives(ELLIPSE))
+
+# Records on CPUs: one item is one tile.
+
+TILES = wp.get_module(f"{__name__}.tiles")
+wp.set_module_options(TILE_OPTIONS, TILES)
+
+add_tile_records = tile_walk(ELLIPSE, derivatives(ELLIPSE))
 
 
-@wp.kernel
-def count_pairs(start: int, rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Tiles of each splat; one more element than splats, so that their sums end on the total."""
-    i = start + wp.tid()
-    counts_out[i] = 0
-    if i < rects.shape[0]:
-        counts_out[i] = rect_area(rects[i])
-
-
-@wp.kernel
+@wp.kernel(module=TILES)
 def backward_tiles(
     start: int,
     camera: wp.array[CameraData],
@@ -44,14 +47,50 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Item = tile: a record for each of its splats."""
+    """Writes a record for each splat of a tile."""
     arrays = Arrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
     arrays.pixels = pixels
     arrays.gradient = gradient
     arrays.pairs_out = pairs_out
-    add_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
+    add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
+
+
+# Records on CUDA: one block is one tile.
+
+BLOCKS = wp.get_module(f"{__name__}.blocks")
+wp.set_module_options(WARP_OPTIONS, BLOCKS)
+
+add_block_records = backward_walk(ELLIPSE)
+
+
+@wp.kernel(module=BLOCKS, grid_stride=False)
+def backward_blocks(
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    splats: wp.array[Splat],
+    rects: wp.array[TileRect],
+    pair_starts: wp.array[int],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    pixels: PixelData,
+    gradient: PixelGradient,
+    pairs_out: wp.array[SplatGradient],
+):
+    """Writes what ``backward_tiles`` does; all threads of a block run all batches, as they wait for each other."""
+    tile, thread = wp.tid()
+    arrays = Arrays()
+    arrays.rects = rects
+    arrays.pair_starts = pair_starts
+    arrays.pixels = pixels
+    arrays.gradient = gradient
+    arrays.pairs_out = pairs_out
+    add_block_records(tile, thread, camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
+
+
+# What follows from them.
 
 
 @wp.kernel
@@ -61,3 +100,114 @@ def add_pairs(
     """Item = splat: the sum of its records, in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_pairs(pairs, pair_starts[i], pair_starts[i + 1])
+
+
+@wp.func
+def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count: int) -> int:
+    """Degree of the harmonics of an instance in the frame."""
+    stored = int(wp.sqrt(float(sh_count))) - 1
+    return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
+
+
+@wp.func
+def write_harmonics(
+    harmonics: ShFloats,
+    degree: int,
+    by_color: wp.vec3,
+    sh_count: int,
+    first: int,
+    is_added: bool,
+    gaussians_out: GaussianGradient,
+):
+    """Derivatives by the coefficients of one Gaussian, each written once, added to what is there only if asked."""
+    used = (degree + 1) * (degree + 1)
+    for k in range(SH_COEFFICIENTS):  # unrolled, so that the harmonics stay in registers
+        if k < sh_count:
+            value = wp.where(k < used, harmonics[k], 0.0) * by_color
+            if is_added:
+                value += gaussians_out.sh[first + k]
+            gaussians_out.sh[first + k] = value
+
+
+@wp.kernel
+def backward_gaussians(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    instance_ids: wp.array[int],
+    gaussians: GaussianData,
+    splats: wp.array[Splat],
+    rects: wp.array[TileRect],
+    gradients: wp.array[SplatGradient],
+    gaussians_out: GaussianGradient,
+):
+    """Item = Gaussian of the asset: the sum over its instances."""
+    i = start + wp.tid()
+    view = camera[0]
+    raster = settings[0]
+    mean = wp.vec3(0.0)
+    rotation = wp.quat(0.0, 0.0, 0.0, 0.0)
+    scale = wp.vec3(0.0)
+    opacity = float(0.0)
+    first = i * gaussians.sh_count
+    is_written = bool(False)
+    for number in range(instance_ids.shape[0]):
+        instance = instances[instance_ids[number]]
+        index = instance.first + i
+        if not is_listed(rects[index]):
+            continue
+        by_splat = gradients[index]
+        origin = splat_origin(view, raster.dilation, instance, gaussians, i, by_splat)
+        degree = evaluated_degree(raster, instance, gaussians.sh_count)
+        by_color = open_channels(splats[index].color, by_splat.color)
+        weights = sh_weights(gaussians.sh, first, degree, by_color)
+        by_mean, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
+        write_harmonics(harmonics, degree, by_color, gaussians.sh_count, first, is_written, gaussians_out)
+        is_written = True
+        mean += origin.mean + by_mean
+        rotation += origin.rotation
+        scale += origin.scale
+        opacity += origin.opacity
+    if not is_written:
+        for k in range(gaussians.sh_count):
+            gaussians_out.sh[first + k] = wp.vec3(0.0)
+    gaussians_out.means[i] = mean
+    gaussians_out.rotations[i] = rotation
+    gaussians_out.scales[i] = scale
+    gaussians_out.opacities[i] = opacity
+
+
+@wp.kernel
+def backward_pose(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    number: int,
+    gaussians: GaussianData,
+    splats: wp.array[Splat],
+    rects: wp.array[TileRect],
+    gradients: wp.array[SplatGradient],
+    chunks_out: wp.array[PoseGradient],
+):
+    """Item = chunk of the Gaussians of one instance: the sum of their derivatives by where the camera is."""
+    chunk = start + wp.tid()
+    view = camera[0]
+    raster = settings[0]
+    instance = instances[number]
+    total = PoseGradient()
+    for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, gaussians.means.shape[0])):
+        index = instance.first + i
+        if not is_listed(rects[index]):
+            continue
+        by_splat = gradients[index]
+        origin = splat_origin(view, raster.dilation, instance, gaussians, i, by_splat)
+        degree = evaluated_degree(raster, instance, gaussians.sh_count)
+        by_color = open_channels(splats[index].color, by_splat.color)
+        weights = sh_weights(gaussians.sh, i * gaussians.sh_count, degree, by_color)
+        _mean, by_eye, _degree, _harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
+        total.camera_from_object += origin.camera_from_object
+        total.camera_from_object_offset += origin.camera_from_object_offset
+        total.eye += by_eye
+    chunks_out[chunk] = total

@@ -1,24 +1,43 @@
-"""Host pass: derivatives of a loss by the Gaussians that rays of pixels have met, given those by the pixels."""
+"""Host pass: derivatives by what a frame that is rasterised along rays was drawn from, given those by its pixels."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+
+import numpy as np
 
 from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.device.gaussian.hit_gradient import RayMotion
 from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.gradients import GaussianGradient, PixelGradient, RaySplatGradient
-from lumisplat.renderer.gradients import (
-    ray_splat_backward_kernels,
-    ray_splat_backward_warp_kernels,
-    splat_backward_kernels,
+from lumisplat.math.arrays import FloatArray
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers
+from lumisplat.renderer.gradients import ray_splat_backward_kernels as kernels
+from lumisplat.renderer.gradients.arrays import (
+    SplatGradients,
+    by_background,
+    gradient_of_asset,
+    host_values,
+    set_gradient,
 )
-from lumisplat.renderer.gradients.gaussian_gradient import gradient_of_asset
-from lumisplat.renderer.gradients.splat_backward import starts_of_pairs
+from lumisplat.renderer.gradients.pose import pose_of_rays_gradient
+from lumisplat.renderer.raster.binning import pair_starts
+from lumisplat.renderer.raster.unscented_raster import SplatsOnRays
 from lumisplat.renderer.scene.device_scene import DeviceScene
-from lumisplat.renderer.unscented.unscented_raster import SplatsOnRays
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class MetFrame:
+    """What a frame that is rasterised along rays was drawn from."""
+
+    scene: Scene
+    camera: Camera
+    met: SplatsOnRays
 
 
 class UnscentedBackward:
@@ -34,11 +53,38 @@ class UnscentedBackward:
 
     def modules(self) -> list[KernelModule]:
         """The kernel modules."""
-        return [
-            ray_splat_backward_kernels,
-            splat_backward_kernels,
-            *([ray_splat_backward_warp_kernels] if self._launcher.is_parallel else []),
-        ]
+        return [kernels.BLOCKS if self._launcher.is_parallel else kernels.TILES, kernels]
+
+    def of_frame(
+        self, scene: DeviceScene, frame: MetFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
+    ) -> SplatGradients:
+        """Derivatives by what a frame was drawn from.
+
+        Args:
+            scene: As it was drawn.
+            frame: The frame.
+            by_color: Derivatives by its colour, shape (H, W, 3).
+            gradient: The same on the device, and those by its alpha.
+            pose: Whether to differentiate by the camera's pose, too.
+        """
+        met = frame.met
+        pixels = PixelBuffers.of(self._buffers, scene.image_size).data
+        by_splat = self.splats(scene, met, pixels, gradient)
+        sets = [set_gradient(self.gaussians(scene, met, by_splat, number)) for number in range(len(scene.assets))]
+        by_pose = None
+        if pose:
+            rows = pose_of_rays_gradient(self.motions(met), frame.scene.splats, frame.camera)
+            by_pose = np.vstack([rows, np.zeros(4)])
+        rects = met.splats.rects.numpy()
+        none = np.zeros((0, 2), np.float32)
+        return SplatGradients(
+            sets=tuple(sets),
+            background=by_background(by_color, 1.0 - host_values(pixels.alpha)),
+            camera_from_world=by_pose,
+            centers=none,
+            centers_absolute=none,
+            weights=np.where(rects["x0"] < rects["x1"], by_splat.numpy()["weight"], np.float32(0.0)),
+        )
 
     def splats(self, scene: DeviceScene, met: SplatsOnRays, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
         """Derivatives by all Gaussians of a frame, an element of ``RaySplatGradient`` each.
@@ -50,24 +96,20 @@ class UnscentedBackward:
             gradient: Derivatives by these.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
-        count, starts = met.splats.count, self.pair_starts(met)
+        count, starts = met.splats.count, pair_starts(self._launcher, self._buffers, met.splats.rects)
         pairs = get("backward.ray_pairs", RaySplatGradient, met.tiles.items.shape[0])
         lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items)
         inputs = (scene.camera, met.settings, *lists, met.rays, met.limits, pixels, gradient, pairs)
         with self._launcher.stage("backward: pixels"):
             if self._launcher.is_parallel:
-                self._launcher.run_blocks(ray_splat_backward_warp_kernels.backward_ray_warps, tiles, *inputs)
+                self._launcher.run_blocks(kernels.backward_blocks, tiles, *inputs)
             else:
                 bands = TILE_BANDS_PER_THREAD * self._launcher.threads
-                run(ray_splat_backward_kernels.backward_ray_tiles, tiles, *inputs, bands=bands)
+                run(kernels.backward_tiles, tiles, *inputs, bands=bands)
         sums = get("backward.ray_splats", RaySplatGradient, count)
         with self._launcher.stage("backward: splats"):
-            run(ray_splat_backward_kernels.add_records, count, starts, pairs, sums)
+            run(kernels.add_records, count, starts, pairs, sums)
         return sums
-
-    def pair_starts(self, met: SplatsOnRays) -> DeviceArray:
-        """Where the records of the tiles of each Gaussian begin; the last element is their number."""
-        return starts_of_pairs(self._launcher, self._buffers, met.splats.rects, met.splats.count)
 
     def gaussians(self, scene: DeviceScene, met: SplatsOnRays, by_splat: DeviceArray, number: int) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not met.
@@ -83,9 +125,8 @@ class UnscentedBackward:
         data = (asset.instance_ids, asset.data, met.splats.data, met.splats.rects, by_splat)
         motions = self._buffers.get("backward.motions", RayMotion, met.splats.count)
         inputs = (scene.camera, met.settings, scene.splat_instances, *data, motions, out)
-        kernel = ray_splat_backward_kernels.backward_seen_gaussians
         with self._launcher.stage("backward: Gaussians"):
-            self._launcher.run_banded(kernel, asset.gaussians.count, *inputs)
+            self._launcher.run_banded(kernels.backward_seen_gaussians, asset.gaussians.count, *inputs)
         return out
 
     def motions(self, met: SplatsOnRays) -> DeviceArray:

@@ -235,6 +235,21 @@ def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
     return (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, buffers)
 
 
+def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> DeviceArray:
+    """Where the (tile, item) pairs of each item begin, item after item; the last element is their number.
+
+    Args:
+        launcher: Runs the kernel.
+        buffers: Holds the arrays.
+        rects: Tiles of each item.
+    """
+    count = rects.shape[0]
+    counts, starts = (buffers.get(f"order.item_{kind}", wp.int32, count + 1) for kind in ("counts", "starts"))
+    launcher.run_banded(kernels.count_pairs, count + 1, None, rects, counts)
+    prefix_sum(counts, starts, inclusive=False)
+    return starts
+
+
 def check_pairs(count: int) -> int:
     """The number of (tile, item) pairs, if 32-bit indices reach that far.
 

@@ -194,12 +194,17 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 @wp.kernel
 def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Tiles that the i-th item in order touches; one more element than items, so that the scan ends on the total."""
+    """Tiles that the i-th item touches, in order if there is one.
+
+    Counts have one more element than items, so that their scan ends on the total.
+    """
     i = start + wp.tid()
     counts_out[i] = 0
     if i < counts_out.shape[0] - 1:
-        rect = rects[order[i]]
-        counts_out[i] = rect_area(rect)
+        item = i
+        if order:
+            item = order[i]
+        counts_out[i] = rect_area(rects[item])
 
 
 @wp.kernel

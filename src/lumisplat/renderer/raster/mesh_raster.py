@@ -10,8 +10,7 @@ import warp as wp
 from lumisplat.constants import TILE_BANDS_PER_THREAD
 from lumisplat.device.structs.raster import MeshPixels, RasterMeshes, TileRect, Triangle
 from lumisplat.device.structs.rays import MeshHits, RayData
-from lumisplat.renderer.raster import mesh_pixel_kernels, mesh_tile_kernels
-from lumisplat.renderer.raster import mesh_raster_kernels as kernels
+from lumisplat.renderer.raster import mesh_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
@@ -44,7 +43,7 @@ class MeshRaster:
 
     def modules(self, *, has_meshes: bool) -> list[KernelModule]:
         """The kernel modules of scenes with or without meshes."""
-        return [mesh_pixel_kernels if self._launcher.is_parallel else mesh_tile_kernels, kernels] if has_meshes else []
+        return [kernels.PAIRS if self._launcher.is_parallel else kernels.TILES, kernels] if has_meshes else []
 
     def draw(self, scene: DeviceScene) -> MeshPixels:
         """Depth, colour and normal of the meshes at each pixel."""
@@ -97,12 +96,12 @@ class MeshRaster:
         per_tile = (scene.camera, raster_meshes(scene), triangles, lists.starts, lists.items)
         if self._launcher.is_parallel:
             run, nearest = self._launcher.run, self._buffers.get("mesh.nearest", wp.int64, pixels)
-            run(mesh_pixel_kernels.clear_nearest, pixels, 0, nearest)
-            run(mesh_pixel_kernels.raster_pairs, lists.items.shape[0], 0, *per_tile, nearest)
-            run(mesh_pixel_kernels.store_nearest, pixels, 0, nearest, depth, winners)
+            run(kernels.clear_nearest, pixels, 0, nearest)
+            run(kernels.raster_pairs, lists.items.shape[0], 0, *per_tile, nearest)
+            run(kernels.store_nearest, pixels, 0, nearest, depth, winners)
         else:
             bands, tiles = TILE_BANDS_PER_THREAD * self._launcher.threads, tiles_x * tiles_y
-            self._launcher.run_banded(mesh_tile_kernels.raster_tiles, tiles, *per_tile, depth, winners, bands=bands)
+            self._launcher.run_banded(kernels.raster_tiles, tiles, *per_tile, depth, winners, bands=bands)
         return _NearestTriangles(depth, triangles, winners)
 
     def _project(self, scene: DeviceScene) -> tuple[DeviceArray, DeviceArray]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from lumisplat.config import RasterStrategy, RenderConfig
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits, RayData
-from lumisplat.renderer.raster import mean_surface_kernels, relit_splat_kernels
+from lumisplat.renderer.raster import relit_kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster
@@ -45,8 +45,8 @@ class RasterHits:
         """The kernel modules of a frame."""
         counts = self._is_sorted and "hits" in self._config.aovs
         modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts)
-        modules += [relit_splat_kernels] if self._is_sorted and plan.mixes_sets else []
-        modules += [mean_surface_kernels] if plan.shows_means else []
+        modules += [relit_kernels] if self._is_sorted and plan.mixes_sets else []
+        modules += [relit_kernels.MEANS] if plan.shows_means else []
         return [*modules, *self._meshes.modules(has_meshes=plan.has_meshes)]
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:

@@ -14,13 +14,8 @@ from lumisplat.device.structs.camera import PixelData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
 from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits
 from lumisplat.renderer.raster import (
-    mean_surface_kernels,
-    relit_splat_kernels,
-    splat_block_kernels,
-    splat_pixel_kernels,
-    splat_raster_kernels,
-    splat_sample_tile_kernels,
-    splat_tile_kernels,
+    relit_kernels,
+    splat_kernels,
 )
 from lumisplat.renderer.raster.binning import Binning, DepthOrder
 from lumisplat.renderer.scene.device_scene import DeviceScene
@@ -76,11 +71,11 @@ class SplatRaster:
 
     def modules(self, *, is_sorted: bool = True, counts: bool = False) -> list[KernelModule]:
         """The kernel modules of splats that are blended or sampled, and ``counts`` as of `find_hits`."""
-        by_pixel = splat_block_kernels if is_sorted else splat_pixel_kernels
-        by_tile = splat_tile_kernels if is_sorted else splat_sample_tile_kernels
+        by_pixel = splat_kernels.BLOCKS if is_sorted else splat_kernels.PIXELS
+        by_tile = splat_kernels.TILES if is_sorted else splat_kernels.SAMPLE_TILES
         modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else by_tile]
-        modules += [splat_pixel_kernels] if counts and not self._launcher.is_parallel else []
-        return [*modules, splat_raster_kernels, *self._binning.modules()]
+        modules += [splat_kernels.PIXELS] if counts and not self._launcher.is_parallel else []
+        return [*modules, splat_kernels, *self._binning.modules()]
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
         """The splats of all Gaussians of the scene."""
@@ -92,7 +87,7 @@ class SplatRaster:
         )
         for asset in scene.assets:
             self._launcher.run_banded(
-                splat_raster_kernels.project_splats,
+                splat_kernels.project_splats,
                 asset.placed_count,
                 *(scene.splat_camera, self.settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
@@ -121,7 +116,7 @@ class SplatRaster:
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
         if finds_depth:
-            self._set_depth(scene, splat_raster_kernels.set_pixel_depth, meshes, pixels)
+            self._set_depth(scene, splat_kernels.set_pixel_depth, meshes, pixels)
 
     def find_hits(
         self,
@@ -142,7 +137,7 @@ class SplatRaster:
             counted = self._buffers.struct("raster.counted", GaussianHits, len(hits.hits), EXTRA_FIELDS)
             self._composite(scene, (*arguments, counted), by_pixel=True)
             hits.hits = counted.hits
-        self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
+        self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def find_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
         """Adds to sorted hits what Gaussians of relit sets show.
@@ -159,7 +154,7 @@ class SplatRaster:
         lists = (mixed.splats, tiles.starts, tiles.items, mixed.starts)
         self._run_pixels(
             scene,
-            relit_splat_kernels.find_relit,
+            relit_kernels.find_relit,
             (scene.splat_camera, scene.splat_instances, *lists, meshes, shown, hits),
         )
 
@@ -170,10 +165,10 @@ class SplatRaster:
         items = get("raster.mixed_items", wp.int32, tiles.items.shape[0])
         splats = get("raster.mixed_splats", Splat, scene.gaussian_count)
         lists = (tiles.starts, tiles.items)
-        run(relit_splat_kernels.count_mixed, count, scene.splat_instances, *lists, counts)
+        run(relit_kernels.count_mixed, count, scene.splat_instances, *lists, counts)
         prefix_sum(counts, starts, inclusive=False)
         inputs = (scene.splat_instances, tiles.splats, *lists, starts)
-        run(relit_splat_kernels.list_mixed, count, *inputs, items, splats)
+        run(relit_kernels.list_mixed, count, *inputs, items, splats)
         return SplatTiles(splats, starts, items)
 
     def find_means(
@@ -183,14 +178,14 @@ class SplatRaster:
 
         They are composited once more, with what is averaged in place of colours and normals.
         """
-        count, run, kernels = len(hits.hits), self._launcher.run_banded, mean_surface_kernels
+        count, run = len(hits.hits), self._launcher.run_banded
         inputs = (scene.splat_camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
-        run(kernels.show_surfaces, splats.count, *inputs)
+        run(relit_kernels.show_surfaces, splats.count, *inputs)
         sums = self._buffers.struct("raster.means", GaussianHits, count, EXTRA_FIELDS)
         self.sum_splats(scene, tiles, meshes, sums)
         hits.mean_depth = self._buffers.get("raster.mean_depth", wp.float32, count)
         hits.mean_finish = self._buffers.get("raster.mean_finish", wp.vec2, count)
-        run(kernels.store_means, math.prod(scene.image_size), scene.splat_camera, meshes, sums, hits)
+        run(relit_kernels.store_means, math.prod(scene.image_size), scene.splat_camera, meshes, sums, hits)
 
     def sum_splats(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, sums: GaussianHits) -> None:
         """Sums colours and normals of the splats before the mesh, as they are blended, for the rays of all pixels."""
@@ -207,10 +202,10 @@ class SplatRaster:
         lists = (tiles.splats, tiles.starts, tiles.items)
         inputs = (scene.splat_camera, self.settings, scene.sample, *lists, meshes, hits)
         if self._launcher.is_parallel:
-            self._run_pixels(scene, splat_pixel_kernels.sample_pixels, inputs)
+            self._run_pixels(scene, splat_kernels.sample_pixels, inputs)
         else:
-            self._run_tiles(scene, splat_sample_tile_kernels.sample_tiles, inputs)
-        self._set_depth(scene, splat_raster_kernels.set_hit_depth, meshes, hits)
+            self._run_tiles(scene, splat_kernels.sample_tiles, inputs)
+        self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
         """Moves surfaces from the means of the picked Gaussians to where these respond most on the pixels' rays."""
@@ -221,11 +216,11 @@ class SplatRaster:
         """Runs one of three kernels with the same result."""
         inputs = (scene.splat_camera, self.settings, scene.splat_instances, *arguments)
         if by_pixel:
-            self._run_pixels(scene, splat_pixel_kernels.composite_pixels, inputs)
+            self._run_pixels(scene, splat_kernels.composite_pixels, inputs)
         elif self._launcher.is_parallel:
-            self._launcher.run_blocks(splat_block_kernels.composite_blocks, math.prod(scene.tile_grid), *inputs)
+            self._launcher.run_blocks(splat_kernels.composite_blocks, math.prod(scene.tile_grid), *inputs)
         else:
-            self._run_tiles(scene, splat_tile_kernels.composite_tiles, inputs)
+            self._run_tiles(scene, splat_kernels.composite_tiles, inputs)
 
     def _run_pixels(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
         """An item a pixel, tile after tile."""

@@ -12,6 +12,7 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import TILE_BANDS_PER_THREAD, TILE_PX
 from lumisplat.device.structs.raster import RayRasterData, RaySplat, TileRect
 from lumisplat.device.structs.rays import EXTRA_FIELDS, MEAN_FIELDS, GaussianHits, RayData
+from lumisplat.renderer.raster import ray_splat_kernels as kernels
 from lumisplat.renderer.raster.binning import Binning
 from lumisplat.renderer.raster.splat_raster import ProjectedSplats, SplatTiles
 from lumisplat.renderer.scene.camera_table import image_field
@@ -19,7 +20,6 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import MeshTracer
-from lumisplat.renderer.unscented import ray_splat_kernels, ray_splat_pixel_kernels, ray_splat_tile_kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, assign_table
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
@@ -61,9 +61,9 @@ class UnscentedRaster:
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """The kernel modules of a frame."""
-        blended = ray_splat_pixel_kernels if self._is_by_pixel(mixes_sets=plan.mixes_sets) else ray_splat_tile_kernels
+        blended = kernels.PIXELS if self._is_by_pixel(mixes_sets=plan.mixes_sets) else kernels.TILES
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
-        return [ray_splat_kernels, blended, *self._binning.modules(), *meshes]
+        return [kernels, blended, *self._binning.modules(), *meshes]
 
     def begin_frame(self, camera: Camera) -> None:
         """Takes note of a frame's camera."""
@@ -108,7 +108,7 @@ class UnscentedRaster:
         )
         for asset in scene.assets:
             self._launcher.run_banded(
-                ray_splat_kernels.project_gaussians,
+                kernels.project_gaussians,
                 asset.placed_count,
                 *(scene.splat_camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
@@ -123,12 +123,12 @@ class UnscentedRaster:
         count, bands = math.prod(scene.tile_grid), TILE_BANDS_PER_THREAD * self._launcher.threads
         if self._is_by_pixel(mixes_sets=scene.plan.mixes_sets):
             inputs = (*before, scene.splat_instances, *after)
-            kernel, count = ray_splat_pixel_kernels.composite_pixels, count * TILE_PX * TILE_PX
+            kernel, count = kernels.composite_pixels, count * TILE_PX * TILE_PX
         else:
-            kernel, inputs = ray_splat_tile_kernels.composite_tiles, (*before, *after)
+            kernel, inputs = kernels.composite_tiles, (*before, *after)
         self._launcher.run_banded(kernel, count, *inputs, bands=bands)
         surfaces = (scene.splat_camera, scene.splat_instances, scene.gaussians, rays, limits, hits)
-        self._launcher.run_banded(ray_splat_kernels.set_depth, math.prod(scene.image_size), *surfaces)
+        self._launcher.run_banded(kernels.set_depth, math.prod(scene.image_size), *surfaces)
         return hits
 
 

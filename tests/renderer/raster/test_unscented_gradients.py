@@ -100,7 +100,8 @@ def test_the_schedule_of_gpus_agrees(name: str, monkeypatch: pytest.MonkeyPatch)
     camera, scene = LENSES[name], ls.Scene([random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
-        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+        "lumisplat.renderer.gradients.differentiable_renderer.Launcher",
+        lambda device, threads: Launcher(device, threads, parallel=True),
     )
     warps = gradients_of(scene, camera)
     for key, value in vars_of(tiles).items():
@@ -114,7 +115,8 @@ def test_that_schedule_has_zeros_behind_opaque_tiles(name: str, monkeypatch: pyt
     camera, scene = VIEWS[name], ls.Scene([opaque()])
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
-        "lumisplat.renderer.splat_gradients.Launcher", lambda device, threads: Launcher(device, threads, parallel=True)
+        "lumisplat.renderer.gradients.differentiable_renderer.Launcher",
+        lambda device, threads: Launcher(device, threads, parallel=True),
     )
     fill_with_nan(monkeypatch, "backward.ray_pairs")
     warps = gradients_of(scene, camera)

@@ -1,4 +1,4 @@
-"""Derivatives of a number, such as a loss, by everything that an unlit frame or rays show: `splat_gradients`."""
+"""Derivatives of a number, such as a loss, by everything that an unlit frame or rays show."""
 
 from __future__ import annotations
 
@@ -14,33 +14,33 @@ from lumisplat.device.structs.camera import ListedRays
 from lumisplat.device.structs.gradients import PixelGradient
 from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame
-from lumisplat.math.arrays import FloatArray
+from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
 from lumisplat.renderer.checks import checked_config
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
-from lumisplat.renderer.given_rays import checked_rays
-from lumisplat.renderer.gradients.feature_channels import FeatureChannels, ShownFeatures
-from lumisplat.renderer.gradients.given_arrays import given_array
-from lumisplat.renderer.gradients.results import (
-    Doubles,
+from lumisplat.renderer.gradients.arrays import (
     RayGradients,
     SplatGradients,
     by_background,
+    given_array,
     host_values,
     set_gradient,
 )
-from lumisplat.renderer.gradients.splat_backward import PoseSums, SplatBackward
+from lumisplat.renderer.gradients.features import FeatureChannels, ShownFeatures
+from lumisplat.renderer.gradients.pose import pose_gradient
+from lumisplat.renderer.gradients.ray_backward import GivenGradient, RayBackward, TracedFrame, check_traced
+from lumisplat.renderer.gradients.splat_backward import SplatBackward
+from lumisplat.renderer.gradients.unscented_backward import MetFrame, UnscentedBackward
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
+from lumisplat.renderer.rays import checked_rays, tracing
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.renderer.scene.camera_table import check_camera, refuse_window
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.renderer.traced_gradients import GivenGradient, TracedFrame, TracedGradients, check_traced
-from lumisplat.renderer.unscented_gradients import MetFrame, UnscentedGradients
 from lumisplat.runtime.buffers import DeviceArray
-from lumisplat.runtime.launcher import Launcher
+from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.scene.camera import Camera
-from lumisplat.scene.scene import Scene, SplatInstance
+from lumisplat.scene.scene import Scene
 
 
 class DifferentiableRenderer(Renderer):
@@ -73,7 +73,7 @@ class DifferentiableRenderer(Renderer):
         threads: int | None = None,
         progress: Progress | None = None,
     ) -> None:
-        super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress)
+        super().__init__(_checked(checked_config(config)), Launcher(device, threads), progress, compiles=False)
         self._prepare()
 
     def reconfigure(self, config: RenderConfig) -> None:
@@ -90,15 +90,19 @@ class DifferentiableRenderer(Renderer):
         self._traces = not self.config.pipeline.rasterises
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
         self._backward = SplatBackward(self._launcher, self._buffers)
-        self._by_rays = TracedGradients(self._launcher, self._buffers, self.config, self._tracer)
-        self._along_rays = UnscentedGradients(self._launcher, self._buffers)
+        self._by_rays = RayBackward(self._launcher, self._buffers, self.config)
+        self._along_rays = UnscentedBackward(self._launcher, self._buffers)
         self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._backward)
-        way_back = self._by_rays if self._traces else self._along_rays if self._is_unscented else self._backward
-        self._load(way_back.modules(), self._progress)
+        self._load(self._modules(FramePlan.of(self.config, Scene())))
         self._shown: tuple[Scene, Camera, DrawnSplats] | None = None
         self._shown_features: ShownFeatures | None = None
         self._traced: TracedFrame | None = None
         self._met: MetFrame | None = None
+
+    def _modules(self, plan: FramePlan, **options: bool) -> list[KernelModule]:
+        """The kernel modules of frames and of their backward pass."""
+        backward = self._by_rays if self._traces else self._along_rays if self._is_unscented else self._backward
+        return [*backward.modules(), *super()._modules(plan, **options)]
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
         """As `lumisplat.Renderer.render`.
@@ -230,7 +234,7 @@ class DifferentiableRenderer(Renderer):
         given = GivenGradient.of(len(start), dL_dradiance, dL_dtransmittance)
         check_traced(scene)
         shown = self.trace_rays(scene, start, along)
-        return self._by_rays.of_rays(self._scene, (self._local(start), along), shown, given)
+        return self._by_rays.of_rays(self._scene, self._tracer, (self._local(start), along), shown, given)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
         """The hits of a frame's one sample, kept for the way back."""
@@ -324,19 +328,41 @@ def splat_gradients(
     return renderer.gradients(dL_dcolor, dL_dalpha, pose=pose)
 
 
-def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Doubles:
-    """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4), of what one instance shows.
+def ray_gradients(
+    scene: Scene,
+    origins: npt.ArrayLike,
+    directions: npt.ArrayLike,
+    dL_dradiance: npt.ArrayLike,
+    dL_dtransmittance: npt.ArrayLike | None = None,
+    *,
+    config: RenderConfig | None = None,
+    device: str = "auto",
+) -> RayGradients:
+    """Derivatives of a number by the Gaussians of a scene, given those by what any rays show of it, unlit.
 
-    Its own matrix is ``camera_from_world @ world_from_object``; the eye is where that of the camera is 0.
+    Rays are those of `lumisplat.trace_rays`; for more than one call, a `lumisplat.DifferentiableRenderer` keeps what
+    they share::
+
+        shown = ls.trace_rays(scene, origins, directions, ls.RenderConfig(lighting=False))
+        gradients = ls.gradients.ray_gradients(scene, origins, directions, 2.0 * (shown.radiance - photographs))
+
+    Args:
+        scene: What they hit.
+        origins: World space, shape (N, 3), or (3,) for all rays.
+        directions: World space, of any length, shape (N, 3).
+        dL_dradiance: Its derivatives by ``RayHits.radiance``, display-referred sRGB, shape (N, 3); arrays as of
+            `lumisplat.DifferentiableRenderer.gradients`.
+        dL_dtransmittance: Its derivatives by ``RayHits.transmittance``, shape (N,); None: 0.
+        config: Settings; None: the defaults. The pipeline is always ``TRACE``.
+        device: As of `lumisplat.create_renderer`.
+
+    Raises:
+        ConfigError: Another strategy, more samples or lights are asked for, or meshes send rays on.
+        DeviceError: There is no such device, or it is out of memory.
+        SceneError: As of `lumisplat.trace_rays`; or a shape does not fit, or a value is not finite.
     """
-    world_from_object = np.asarray(instance.transform, np.float64)
-    by_object = np.column_stack([sums.camera_from_object, sums.camera_from_object_offset])
-    total = by_object @ world_from_object.T
-    by_eye = np.linalg.inv(world_from_object[:3, :3]).T @ sums.eye
-    rotation, offset = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-    total[:, :3] -= np.outer(offset, by_eye)  # eye = -rotation^T offset
-    total[:, 3] -= rotation @ by_eye
-    return total
+    renderer = DifferentiableRenderer(tracing(config), device)
+    return renderer.ray_gradients(scene, origins, directions, dL_dradiance, dL_dtransmittance)
 
 
 def _checked(config: RenderConfig) -> RenderConfig:

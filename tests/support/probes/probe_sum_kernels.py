@@ -4,7 +4,8 @@ import warp as wp
 
 from lumisplat.device.math.memory import warp_sums
 
-wp.set_module_options({"enable_backward": False, "block_dim": 128})
+BLOCKS = wp.get_module(f"{__name__}.blocks")
+wp.set_module_options({"enable_backward": False, "block_dim": 128}, BLOCKS)
 
 WARPS, ROWS = 4, 64
 Short = wp.types.vector(length=5, dtype=wp.float32)
@@ -13,7 +14,7 @@ add_short, sum_of_short = warp_sums(Short, WARPS, ROWS)
 add_long, sum_of_long = warp_sums(Long, WARPS, ROWS)
 
 
-@wp.kernel(grid_stride=False)
+@wp.kernel(module=BLOCKS, grid_stride=False)
 def probe_sums(
     shorts: wp.array3d[Short],
     longs: wp.array3d[Long],

@@ -1,19 +1,21 @@
-"""Derivatives as callers get them."""
+"""Arrays of derivatives: those that callers give, those on the device, and those that callers get."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 import warp as wp
 
 from lumisplat.device.structs.gradients import GaussianGradient
-from lumisplat.math.arrays import FloatArray
-from lumisplat.runtime.buffers import device_array
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles, FloatArray, host_array
+from lumisplat.renderer.scene.assets import SplatAsset
+from lumisplat.runtime.buffers import Buffers, device_array
 
-Doubles = npt.NDArray[np.float64]
+DLPACK_CUDA = 2
+"""kDLCUDA of dlpack.h."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +66,64 @@ class RayGradients:
     """As of `SplatGradients`."""
     weights: FloatArray
     """As of `SplatGradients`."""
+
+
+def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
+    """A caller's array as C-contiguous float32, without a copy where that is possible; those of GPUs are downloaded.
+
+    Raises:
+        SceneError: It cannot be read, has another shape, or values that are not finite.
+    """
+    try:
+        array = _read(values)
+    except (BufferError, RuntimeError, TypeError, ValueError) as error:
+        problem = str(error).partition("\n")[0].rstrip(".")
+        raise SceneError(
+            f"{name} cannot be read as an array: {problem}; expected numbers, and a tensor that has gradients detached"
+        ) from None
+    if array.shape != shape:
+        raise SceneError(f"{name} has shape {array.shape}, expected {shape}")
+    bad = array.size - int(np.isfinite(array).sum())
+    if bad:
+        raise SceneError(f"{name}: {bad:,} of {array.size:,} values are not finite")
+    return array
+
+
+def _read(values: Any) -> FloatArray:
+    """As ``given_array``, of any shape.
+
+    Raises:
+        BufferError, RuntimeError, TypeError, ValueError: Its package refuses, or it is no array.
+    """
+    if _is_on_gpu(values):
+        there = cast(Any, wp).from_dlpack(values)
+        values = there.numpy()
+    return np.ascontiguousarray(host_array(values), dtype=np.float32)
+
+
+def _is_on_gpu(values: Any) -> bool:
+    """Whether an array says, by DLPack, that NumPy cannot read its memory."""
+    device = getattr(values, "__dlpack_device__", None)
+    return device is not None and int(device()[0]) == DLPACK_CUDA
+
+
+def gradient_of_asset(buffers: Buffers, asset: SplatAsset, number: int) -> GaussianGradient:
+    """Arrays with undefined contents.
+
+    Args:
+        buffers: Hold them.
+        asset: The Gaussians.
+        number: The asset's, in the scene.
+    """
+    get, count = buffers.get, asset.gaussians.count
+    out = GaussianGradient()
+    out.means = get(f"backward.means{number}", wp.vec3, count)
+    out.rotations = get(f"backward.rotations{number}", wp.quat, count)
+    out.scales = get(f"backward.scales{number}", wp.vec3, count)
+    out.opacities = get(f"backward.opacities{number}", wp.float32, count)
+    out.sh_count = asset.data.sh_count
+    out.sh = get(f"backward.sh{number}", wp.vec3, count * out.sh_count)
+    return out
 
 
 def set_gradient(gradient: GaussianGradient) -> SetGradient:

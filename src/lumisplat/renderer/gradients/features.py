@@ -1,0 +1,233 @@
+"""Numbers of Gaussians, such as depths and normals, as further channels of an unlit raster frame, and derivatives.
+
+Splats show six at a time in place of their colours and normals, and are differentiated three at a time in place of
+their colours, by the kernels of frames.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import warp as wp
+
+from lumisplat.device.structs.camera import PixelData
+from lumisplat.device.structs.gradients import PixelGradient
+from lumisplat.device.structs.raster import Splat
+from lumisplat.device.structs.rays import EXTRA_FIELDS, GaussianHits
+from lumisplat.math.arrays import Doubles, FloatArray
+from lumisplat.math.transforms import matrices_from_quaternions
+from lumisplat.renderer.gradients import feature_kernels as kernels
+from lumisplat.renderer.gradients.arrays import SetGradient, SplatGradients
+from lumisplat.renderer.gradients.splat_backward import SplatBackward
+from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.trace.camera_rays import ray_count
+from lumisplat.runtime.buffers import Buffers, DeviceArray
+from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.scene.camera import Camera
+from lumisplat.scene.gaussians import Gaussians
+from lumisplat.scene.scene import Scene, SplatInstance
+
+
+@dataclass(frozen=True, slots=True)
+class ShownFeatures:
+    """Features that a frame's splats have shown."""
+
+    of_splats: DeviceArray
+    """Shape (N, C)."""
+    of_pixels: DeviceArray
+    """Weighted sums, shape (H * W, C)."""
+
+    @property
+    def count(self) -> int:
+        """C."""
+        return self.of_splats.shape[1]
+
+
+class FeatureChannels:
+    """Shows features of the splats of a frame, and differentiates what they have shown.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        raster: Has drawn the frame.
+        backward: Goes back from pixels to splats.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, raster: UnlitRaster, backward: SplatBackward) -> None:
+        self._launcher, self._buffers, self._raster, self._backward = launcher, buffers, raster, backward
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [kernels]
+
+    def show(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> ShownFeatures:
+        """Sums of features over the splats of each pixel, with the weights of their colours.
+
+        Args:
+            scene: The scene on the device, as it was drawn.
+            drawn: What was drawn.
+            features: Of all Gaussians of the scene, shape (N, C).
+        """
+        pixels, columns = math.prod(scene.image_size), features.shape[1]
+        shown = ShownFeatures(
+            self._upload("features.splats", features),
+            self._buffers.get("features.pixels", wp.float32, (pixels, columns)),
+        )
+        sums = self._buffers.struct("features.sums", GaussianHits, ray_count(*scene.image_size), EXTRA_FIELDS)
+        for first in range(0, columns, 6):
+            self._raster.sum_splats(scene, self._showing(drawn, shown, first), sums)
+            self._launcher.run_banded(kernels.store_sums, pixels, scene.camera, sums, first, shown.of_pixels)
+        return shown
+
+    def backward(
+        self,
+        scene: DeviceScene,
+        drawn: DrawnSplats,
+        shown: ShownFeatures,
+        by_pixels: FloatArray | DeviceArray,
+        by_splat: DeviceArray,
+    ) -> DeviceArray:
+        """Derivatives by the features, shape (N, C); adds those by the shapes of splats to ``by_splat``.
+
+        Args:
+            scene: As of ``show``.
+            drawn: As of ``show``.
+            shown: The features.
+            by_pixels: Derivatives by what was shown, shape (H * W, C).
+            by_splat: Receives derivatives by splats.
+        """
+        count, get, run = by_pixels.shape[0], self._buffers.get, self._launcher.run_banded
+        given = self._upload("features.by_pixels", by_pixels)
+        pixels, gradient = PixelData(), PixelGradient()
+        pixels.color, gradient.color = (get(f"features.{name}", wp.vec3, count) for name in ("shown", "by_shown"))
+        pixels.alpha = gradient.alpha = get("features.no_alpha", wp.float32, count)
+        pixels.alpha.fill_(0.0)
+        by_features = get("features.by_splats", wp.float32, shown.of_splats.shape)
+        for first in range(0, shown.count, 3):
+            run(kernels.take_three, count, shown.of_pixels, first, pixels.color)
+            run(kernels.take_three, count, given, first, gradient.color)
+            showing = self._showing(drawn, shown, first)
+            part = self._backward.splats(scene, showing, pixels, gradient, name="features.gradients")
+            run(kernels.add_gradients, drawn.splats.count, part, first, by_splat, by_features)
+        return by_features[: drawn.splats.count]
+
+    def _showing(self, drawn: DrawnSplats, shown: ShownFeatures, first: int) -> DrawnSplats:
+        """What was drawn, with features from column ``first`` on in place of colours and normals."""
+        splats = self._buffers.get("features.shown_splats", Splat, drawn.splats.count)
+        inputs = (shown.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
+        self._launcher.run_banded(kernels.show_features, drawn.splats.count, *inputs)
+        return replace(drawn, splats=replace(drawn.splats, data=splats), tiles=replace(drawn.tiles, splats=splats))
+
+    def _upload(self, name: str, values: FloatArray | DeviceArray) -> DeviceArray:
+        if isinstance(values, wp.array):
+            return values
+        array = self._buffers.get(name, wp.float32, (max(len(values), 1), values.shape[1]))
+        if values.size:
+            array.assign(values)
+        return array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceFeatures:
+    """Depths and normals of the Gaussians of a scene, which ``DifferentiableRenderer.render_features`` can show.
+
+    A normal is the shortest axis of its Gaussian: once Gaussians are flat, that is the normal of their surface, and
+    unlike the max-density plane's it does not depend on their scales, so that a loss on normals turns them and nothing
+    else::
+
+        renderer.render(scene, camera)
+        surface = ls.gradients.SurfaceFeatures.of(scene, camera)
+        shown = renderer.render_features(surface.values)  # weighted sums of depth, and of normals
+        gradients = renderer.gradients(by_color, dL_dfeatures=by_shown)
+        gradients = surface.backward(gradients)  # of means and rotations also by way of depths and normals
+    """
+
+    scene: Scene
+    camera: Camera
+    values: FloatArray
+    """View depth of the mean, scene units, and unit normal, world space, on the side of the eye; of all Gaussians,
+    instance by instance, shape (N, 4)."""
+
+    @classmethod
+    def of(cls, scene: Scene, camera: Camera) -> SurfaceFeatures:
+        """Those of a scene as a camera sees it.
+
+        Args:
+            scene: The scene.
+            camera: A pinhole.
+        """
+        parts = [np.column_stack([_depths(s, camera), _normals(s, camera) @ _turn(s).T]) for s in scene.splats]
+        values = np.concatenate(parts) if parts else np.zeros((0, 4))
+        return cls(scene, camera, values.astype(np.float32))
+
+    def backward(self, gradients: SplatGradients, first: int = 0) -> SplatGradients:
+        """Derivatives to which those by way of depths and normals are added.
+
+        Depths move means and the camera's pose, normals turn Gaussians; where one flips, or another axis becomes the
+        shortest, it jumps, without a derivative.
+
+        Args:
+            gradients: Of ``DifferentiableRenderer.gradients`` with ``dL_dfeatures``.
+            first: Column of the features that has the depths; the normals are in the next three.
+        """
+        assert gradients.features is not None, "they were asked for without dL_dfeatures"
+        by_values = gradients.features[:, first : first + 4].astype(np.float64)
+        numbers: dict[int, int] = {}
+        sets, pose, begin = list(gradients.sets), np.zeros((4, 4)), 0
+        for instance in self.scene.splats:
+            number = numbers.setdefault(id(instance.gaussians), len(numbers))
+            by_depth, by_normal = np.split(by_values[begin : begin + instance.gaussians.count], [1], axis=1)
+            begin += instance.gaussians.count
+            sets[number] = _added(sets[number], instance, self.camera, by_depth, by_normal)
+            pose[2, :3] += by_depth[:, 0] @ instance.world_means
+            pose[2, 3] += by_depth.sum()
+        total = None if gradients.camera_from_world is None else gradients.camera_from_world + pose
+        return replace(gradients, sets=tuple(sets), camera_from_world=total)
+
+
+def _depths(instance: SplatInstance, camera: Camera) -> Doubles:
+    """View depths of the means, shape (N,)."""
+    return instance.world_means @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+
+
+def _turn(instance: SplatInstance) -> Doubles:
+    """The rotation from object to world."""
+    return instance.transform[:3, :3] / instance.scale
+
+
+def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
+    """The shortest axes on the side of the eye, in object space, shape (N, 3)."""
+    gaussians = instance.gaussians
+    axes = matrices_from_quaternions(gaussians.rotations_wxyz)
+    shortest = np.argmin(gaussians.scales, axis=1)
+    normals = np.take_along_axis(axes, shortest[:, None, None], axis=2)[:, :, 0]
+    to_eye = (camera.eye - instance.world_means) @ _turn(instance)
+    return np.where(np.sum(normals * to_eye, axis=1, keepdims=True) < 0.0, -normals, normals)
+
+
+def _added(
+    gradient: SetGradient, instance: SplatInstance, camera: Camera, by_depth: Doubles, by_normal: Doubles
+) -> SetGradient:
+    """Derivatives by a set, and those by way of depths, (N, 1), and world normals, (N, 3), of one of its instances."""
+    by_mean = by_depth * (camera.camera_from_world[2, :3] @ instance.transform[:3, :3])
+    by_turn = np.cross(_normals(instance, camera), by_normal @ _turn(instance))
+    by_rotation = _by_quaternion(instance.gaussians, by_turn)
+    return replace(
+        gradient,
+        means=(gradient.means + by_mean).astype(np.float32),
+        rotations_wxyz=(gradient.rotations_wxyz + by_rotation).astype(np.float32),
+    )
+
+
+def _by_quaternion(gaussians: Gaussians, by_turn: Doubles) -> Doubles:
+    """Derivatives by unit quaternions ``q`` of what has derivatives ``t`` by small turns in object space, (N, 4).
+
+    A turn by ``w`` moves ``q`` by half of ``(0, w) q``, so that they are ``2 (0, t) q``.
+    """
+    w, v = np.split(gaussians.rotations_wxyz.astype(np.float64), [1], axis=1)
+    scalar = -np.sum(by_turn * v, axis=1, keepdims=True)
+    return 2.0 * np.concatenate([scalar, w * by_turn + np.cross(by_turn, v)], axis=1)

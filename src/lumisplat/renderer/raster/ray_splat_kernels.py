@@ -1,0 +1,158 @@
+"""The compositor of Gaussians along the rays of pixels: projected to tiles, blended, moved to their surfaces' depth.
+
+Each schedule is a Warp module of its own, as those of ``splat_kernels``. The equations are in docs/method/unscented.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
+from lumisplat.device.camera.pixels import TILE_PIXELS, is_shown, ray_index, ray_of_pixel, tile_pixel
+from lumisplat.device.gaussian.particle import surface_peak
+from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of
+from lumisplat.device.splat.compositor import TILE_OPTIONS, pixel_walk, tile_walk
+from lumisplat.device.splat.ray_splat import ALONG_RAYS, is_finite, look, ray_splat, tiles_of
+from lumisplat.device.splat.visitors import RAY_COLOR, RAY_COLORS, RelitHits
+from lumisplat.device.structs.camera import CameraData
+from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
+from lumisplat.device.structs.rays import GaussianHits, RayData
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS}
+wp.set_module_options(OPTIONS)
+
+KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
+KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
+
+# Before and after compositing.
+
+
+@wp.kernel
+def project_gaussians(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RayRasterData],
+    instances: wp.array[SplatInstanceData],
+    instance_ids: wp.array[int],
+    gaussians: GaussianData,
+    splats_out: wp.array[RaySplat],
+    keys_out: wp.array[wp.uint32],
+    rects_out: wp.array[TileRect],
+):
+    """Item = a Gaussian of an instance of one asset; the bits of a positive float sort as the float does."""
+    i = start + wp.tid()
+    count = gaussians.means.shape[0]
+    splat = ray_splat(camera[0], settings[0], instances[instance_ids[i // count]], gaussians, i % count)
+    key = KEY_CULLED
+    rect = TileRect()
+    if splat.box.x0 < splat.box.x1:
+        key = KEY_NONFINITE
+        if is_finite(splat):
+            key = wp.cast(splat.depth, wp.uint32)
+            rect = tiles_of(camera[0], splat.box)
+            splats_out[splat.index] = splat  # culled ones are never read
+    keys_out[splat.index] = key
+    rects_out[splat.index] = rect
+
+
+@wp.kernel
+def set_depth(
+    start: int,
+    camera: wp.array[CameraData],
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[GaussianData],
+    rays: RayData,
+    limits: wp.array[float],
+    hits_inout: GaussianHits,
+):
+    """Item = pixel: where the Gaussian of its surface, whatever footprint widens it, responds most on its ray."""
+    width = camera[0].width
+    pixel = start + wp.tid()
+    i = ray_of_pixel(width, pixel % width, pixel // width)
+    if hits_inout.depth[i] < wp.inf:
+        index = hits_inout.gaussian[i]
+        number = instance_of(instances, index)
+        gaussian = index - instances[number].first
+        asset = instances[number].asset
+        scale = assets[asset].scales[gaussian]
+        origin = instances[number].object_from_world * rays.origin[i] + instances[number].object_from_world_offset
+        along = instances[number].object_from_world * rays.direction[i]
+        away = assets[asset].means[gaussian] - origin
+        size = instances[number].scale
+        middle = wp.dot(away, along) * size * size
+        depth = surface_peak(assets[asset].rotations[gaussian], scale, away, along, middle, size * wp.max(scale))
+        hits_inout.depth[i] = wp.clamp(depth, rays.t_min[i], limits[i])
+
+
+# CPUs: one item is one tile.
+
+TILES = wp.get_module(f"{__name__}.tiles")
+wp.set_module_options(TILE_OPTIONS, TILES)
+
+blend_tile = tile_walk(ALONG_RAYS, RAY_COLORS)
+
+
+@wp.kernel(module=TILES)
+def composite_tiles(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RayRasterData],
+    splats: wp.array[RaySplat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    rays: RayData,
+    limits: wp.array[float],
+    hits_out: GaussianHits,
+):
+    """Blends the Gaussians of a tile into the hits of its rays."""
+    around = PixelRays()
+    around.rays = rays
+    around.limits = limits
+    blend_tile(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, hits_out)
+
+
+# CUDA, and CPUs where blended Gaussians are counted or relit sets are added up apart: one item is one pixel.
+
+PIXELS = wp.get_module(f"{__name__}.pixels")
+wp.set_module_options(OPTIONS, PIXELS)
+
+blend_pixel = pixel_walk(ALONG_RAYS, RAY_COLOR)
+
+
+@wp.kernel(module=PIXELS)
+def composite_pixels(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RayRasterData],
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[RaySplat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    rays: RayData,
+    limits: wp.array[float],
+    hits_out: GaussianHits,
+):
+    """Item = tile * 256 + pixel of the tile; the depth of a surface is 0 until ``set_depth`` finds it."""
+    i = start + wp.tid()
+    view = camera[0]
+    at = tile_pixel(view, i)
+    if not is_shown(view, at[0], at[1]):
+        return
+    around = PixelRays()
+    around.rays = rays
+    around.limits = limits
+    relit = RelitHits()
+    relit.instances = instances
+    relit.hits = hits_out
+    relit.ray = ray_index(view, at[0], at[1])
+    begin_relit(hits_out, relit.ray)
+    pixel = empty_pixel()
+    seen = look(view, around, at[0], at[1])
+    if seen.limit_z == 0.0:
+        pixel.transmittance = -1.0  # there is no ray, and nothing on it
+    blend_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, pixel, relit)
+    hits_out.color[relit.ray] = pixel.color
+    hits_out.normal[relit.ray] = pixel.normal
+    hits_out.transmittance[relit.ray] = wp.abs(pixel.transmittance)
+    hits_out.depth[relit.ray] = wp.where(pixel.surface >= 0, 0.0, wp.inf)
+    hits_out.gaussian[relit.ray] = wp.where(pixel.surface >= 0, pixel.surface, pixel.first)
+    hits_out.hits[relit.ray] = pixel.hits

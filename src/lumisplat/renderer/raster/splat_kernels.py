@@ -1,0 +1,327 @@
+"""The compositor of ellipses: splats are projected, blended or sampled per tile, and get the depth of their surface.
+
+Each schedule is a Warp module of its own, as a module is compiled whole: a frame compiles the one that it runs. The
+equations are in docs/method/rasterisation.md.
+"""
+
+import warp as wp
+
+from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
+from lumisplat.device.camera.pixels import (
+    TILE_PIXELS,
+    image_index,
+    is_shown,
+    picture_index,
+    ray_index,
+    shown_pixel,
+    tile_pixel,
+)
+from lumisplat.device.gaussian.particle import surface_distance
+from lumisplat.device.math.random import sample_key_of
+from lumisplat.device.splat.blending import (
+    blend,
+    empty_pixel,
+    instance_of,
+    opaque_pixel,
+    pixel_ray,
+    store_gaussian_hits,
+    store_result,
+)
+from lumisplat.device.splat.compositor import TILE_OPTIONS, pixel_walk, tile_walk
+from lumisplat.device.splat.ellipse import (
+    ELLIPSE,
+    EllipsePixel,
+    is_finite,
+    load_splat,
+    look,
+    meet,
+    store_splat,
+    tile_range,
+)
+from lumisplat.device.splat.projection import LOG_ALPHA_MIN, alpha_from_log, project_gaussian
+from lumisplat.device.splat.visitors import (
+    ELLIPSE_COLOR,
+    ELLIPSE_COLORS,
+    ELLIPSE_SAMPLE,
+    ELLIPSE_SAMPLES,
+    EllipseColors,
+    NoArrays,
+    Sample,
+    SampleArrays,
+)
+from lumisplat.device.structs.camera import CameraData, PixelData, SampleData
+from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
+from lumisplat.device.structs.rays import GaussianHits
+from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
+
+OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS}
+wp.set_module_options(OPTIONS)
+
+KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
+KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
+
+# Before and after compositing.
+
+
+@wp.kernel
+def project_splats(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    instance_ids: wp.array[int],
+    gaussians: GaussianData,
+    splats_out: wp.array[Splat],
+    keys_out: wp.array[wp.uint32],
+    rects_out: wp.array[TileRect],
+):
+    """Item = a Gaussian of an instance of one asset; the bits of a positive float sort as the float does."""
+    i = start + wp.tid()
+    view = camera[0]
+    count = gaussians.means.shape[0]
+    splat = project_gaussian(view, settings[0], instances[instance_ids[i // count]], gaussians, i % count)
+    key = KEY_CULLED
+    rect = TileRect()
+    if splat.log_opacity > -wp.inf:
+        if is_finite(splat):
+            rect = tile_range(view, splat)
+            if rect.x0 < rect.x1:
+                key = wp.cast(splat.depth, wp.uint32)
+        else:
+            key = KEY_NONFINITE
+    if key < KEY_NONFINITE:
+        store_splat(splats_out, splat.index, splat)  # culled ones are never read
+    keys_out[splat.index] = key
+    rects_out[splat.index] = rect
+
+
+@wp.kernel
+def set_pixel_depth(
+    start: int,
+    camera: wp.array[CameraData],
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[GaussianData],
+    meshes: MeshPixels,
+    pixels_inout: PixelData,
+):
+    """Item = pixel: moves the surface of its Gaussians from the mean of the picked one to the peak on the ray."""
+    i = start + wp.tid()
+    gaussian = pixels_inout.gaussian[i]
+    if gaussian >= 0:
+        at = shown_pixel(camera[0], i)
+        ray = pixel_ray(camera[0], at[0], at[1])
+        number = pixels_inout.instance[i]
+        distance = pixels_inout.depth[i]
+        mesh_z = meshes.depth_z[i]
+        pixels_inout.depth[i] = surface_distance(camera, instances, assets, number, gaussian, ray, distance, mesh_z)
+
+
+@wp.kernel
+def set_hit_depth(
+    start: int,
+    camera: wp.array[CameraData],
+    instances: wp.array[SplatInstanceData],
+    assets: wp.array[GaussianData],
+    meshes: MeshPixels,
+    hits_inout: GaussianHits,
+):
+    """``set_pixel_depth`` for the hits of the pixels' rays."""
+    i = start + wp.tid()
+    at = shown_pixel(camera[0], i)
+    hit = ray_index(camera[0], at[0], at[1])
+    if hits_inout.depth[hit] < wp.inf:
+        ray = pixel_ray(camera[0], at[0], at[1])
+        number = instance_of(instances, hits_inout.gaussian[hit])
+        gaussian = hits_inout.gaussian[hit] - instances[number].first
+        distance = hits_inout.depth[hit]
+        mesh_z = meshes.depth_z[i]
+        hits_inout.depth[hit] = surface_distance(camera, instances, assets, number, gaussian, ray, distance, mesh_z)
+
+
+# CPUs: one item is one tile.
+
+TILES = wp.get_module(f"{__name__}.tiles")
+wp.set_module_options(TILE_OPTIONS, TILES)
+SAMPLE_TILES = wp.get_module(f"{__name__}.sample_tiles")
+wp.set_module_options(TILE_OPTIONS, SAMPLE_TILES)
+
+blend_tile = tile_walk(ELLIPSE, ELLIPSE_COLORS)
+sample_tile = tile_walk(ELLIPSE, ELLIPSE_SAMPLES)
+
+
+@wp.kernel(module=TILES)
+def composite_tiles(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
+):
+    """Blends the splats of a tile; the result goes to its pixels or, ``for_rays``, to the hits of their rays."""
+    arrays = EllipseColors()
+    arrays.instances = instances
+    arrays.splats = splats
+    arrays.tile_starts = tile_starts
+    arrays.tile_splats = tile_splats
+    arrays.meshes = meshes
+    arrays.for_rays = for_rays
+    arrays.pixels_out = pixels_out
+    arrays.hits_out = hits_out
+    blend_tile(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
+
+
+@wp.kernel(module=SAMPLE_TILES)
+def sample_tiles(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    samples: wp.array[SampleData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    hits_out: GaussianHits,
+):
+    """Chooses, for each pixel, the nearest splat that a random number below its alpha selects."""
+    arrays = SampleArrays()
+    arrays.splats = splats
+    arrays.sample = samples[0]
+    arrays.hits_out = hits_out
+    sample_tile(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
+
+
+# CUDA, blended: one block is one tile, one thread one of its pixels.
+
+BLOCKS = wp.get_module(f"{__name__}.blocks")
+wp.set_module_options(OPTIONS, BLOCKS)
+
+
+@wp.kernel(module=BLOCKS, launch_bounds=(256, 4), grid_stride=False)
+def composite_blocks(
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
+):
+    """Blends as ``composite_tiles``; all threads of a block run through all batches, as they wait for each other.
+
+    They fetch a batch of the tile's splats together, one each, into memory that they share, and then each walks the
+    batch for its pixel: a splat is fetched once a tile instead of once a pixel
+    (docs/adr/0025-compositing-on-shared-tiles.md).
+    """
+    tile, lane = wp.tid()
+    view = camera[0]
+    raster = settings[0]
+    position = tile_pixel(view, tile * TILE_PIXELS + lane)
+    x = position[0]
+    y = position[1]
+    is_inside = is_shown(view, x, y)
+    pixel = empty_pixel()
+    seen = EllipsePixel()
+    seen.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
+    if is_inside:
+        seen.limit_z = meshes.depth_z[image_index(view, x, y)]
+    else:
+        pixel.transmittance = -1.0
+    batch = wp.tile_empty(shape=256, dtype=Splat, storage="shared")
+    first = int(tile_starts[tile])
+    end = int(tile_starts[tile + 1])
+    unfinished = int(1)
+    while first < end and unfinished > 0:
+        splat = Splat()
+        if first + lane < end:
+            load_splat(splats, tile_splats[first + lane], splat)
+        wp.tile_scatter_masked(batch, lane, splat, first + lane < end)
+        count = wp.min(end - first, TILE_PIXELS)
+        j = wp.where(pixel.transmittance > 0.0, 0, count)
+        while j < count:
+            near = batch[j]
+            log_alpha = meet(near, seen).log_alpha
+            j += 1
+            if log_alpha >= LOG_ALPHA_MIN:
+                if near.depth < seen.limit_z:
+                    alpha = alpha_from_log(log_alpha)
+                    pixel = blend(pixel, near, alpha, raster.transmittance_min, raster.depth_iso_transmittance)
+                if pixel.transmittance <= 0.0 or near.depth >= seen.limit_z:
+                    pixel.transmittance = -wp.abs(pixel.transmittance)
+                    j = count
+        first += TILE_PIXELS
+        unfinished = wp.tile_sum(wp.tile(wp.where(pixel.transmittance > 0.0, 1, 0)))[0]
+    if is_inside:
+        store_result(view, raster, instances, splats, meshes, pixel, x, y, for_rays, pixels_out, hits_out)
+
+
+# One item is one pixel, tile after tile: samples on CUDA, and counts of blended splats on CPUs.
+
+PIXELS = wp.get_module(f"{__name__}.pixels")
+wp.set_module_options(OPTIONS, PIXELS)
+
+blend_pixel = pixel_walk(ELLIPSE, ELLIPSE_COLOR)
+sample_pixel = pixel_walk(ELLIPSE, ELLIPSE_SAMPLE)
+
+
+@wp.kernel(module=PIXELS)
+def composite_pixels(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    instances: wp.array[SplatInstanceData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    for_rays: bool,
+    pixels_out: PixelData,
+    hits_out: GaussianHits,
+):
+    """Item = tile * 256 + pixel of the tile. The result goes to the pixel or, ``for_rays``, to the hits of its ray."""
+    i = start + wp.tid()
+    view = camera[0]
+    raster = settings[0]
+    at = tile_pixel(view, i)
+    if not is_shown(view, at[0], at[1]):
+        return
+    pixel = empty_pixel()
+    seen = look(view, meshes, at[0], at[1])
+    blend_pixel(i // TILE_PIXELS, seen, raster, splats, tile_starts, tile_splats, pixel, NoArrays())
+    store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
+
+
+@wp.kernel(module=PIXELS)
+def sample_pixels(
+    start: int,
+    camera: wp.array[CameraData],
+    settings: wp.array[RasterData],
+    samples: wp.array[SampleData],
+    splats: wp.array[Splat],
+    tile_starts: wp.array[int],
+    tile_splats: wp.array[int],
+    meshes: MeshPixels,
+    hits_out: GaussianHits,
+):
+    """Item = tile * 256 + pixel of the tile: the nearest splat that a random number below its alpha selects."""
+    i = start + wp.tid()
+    view = camera[0]
+    at = tile_pixel(view, i)
+    if not is_shown(view, at[0], at[1]):
+        return
+    seen = look(view, meshes, at[0], at[1])
+    sample = Sample()
+    sample.key = sample_key_of(picture_index(view, at[0], at[1]), samples[0].index, samples[0].seed)
+    sample.nearest = seen.limit_z
+    sample.winner = -1
+    sample.transmittance = 1.0
+    sample_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, sample, NoArrays())
+    store_gaussian_hits(view, splats, opaque_pixel(splats, sample.winner), at[0], at[1], hits_out)

@@ -1,0 +1,516 @@
+"""Any rays through a scene: given by a caller or of a camera's pixels, what they show, and the Gaussians on them."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import warp as wp
+
+from lumisplat.config import Pipeline, RenderConfig, ShadowConfig, TraceStrategy
+from lumisplat.constants import PACKET_RAYS
+from lumisplat.device.structs.camera import FilmData, ListedRays
+from lumisplat.device.structs.rays import HitProfiles, RayData
+from lumisplat.errors import SceneError
+from lumisplat.math.arrays import Doubles, FloatArray, IntArray, Rows, host_array
+from lumisplat.renderer.film import film_kernels
+from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
+from lumisplat.renderer.integrators.integrators import Integrators
+from lumisplat.renderer.scene.device_scene import DeviceScene
+from lumisplat.renderer.scene.frame_plan import ON_ALL, FramePlan
+from lumisplat.renderer.shadow.shadow_rays import ShadowRays
+from lumisplat.renderer.trace import camera_ray_kernels
+from lumisplat.renderer.trace.camera_rays import CameraRays
+from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges
+from lumisplat.renderer.trace.primary_hits import PrimaryHits
+from lumisplat.renderer.trace.ray_tracer import MeshTracer, RayTracer
+from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity, rows_of
+from lumisplat.runtime.launcher import KernelModule, Launcher
+from lumisplat.scene.scene import Scene
+
+_log = logging.getLogger("lumisplat")
+
+RAY_BATCH = 2**20
+"""Rays of a query that are on the device at once: some 200 MiB."""
+
+_INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
+
+PROFILE_ROWS = 2**22
+"""Hits of a query that are on the device at once: 64 MiB, unless rays that are followed together have more."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayProfile:
+    """The Gaussians on N rays, M in all: ray by ray, each in the order in which a sorted ray blends them.
+
+    A ray ends behind the Gaussian at which its transmittance falls to ``TraceConfig.transmittance_min``, or before the
+    first mesh.
+    """
+
+    first: Rows
+    """Row of each ray's first Gaussian, and M at the end, (N + 1,)."""
+    t: FloatArray
+    """Distance at which the ray hits the Gaussian, as ``TraceConfig.hit_distance`` says, scene units, (M,); ascending
+    on each ray."""
+    alpha: FloatArray
+    """Share of the light from behind that the Gaussian blocks, 0..0.99, (M,)."""
+    transmittance: FloatArray
+    """Share of the light from behind that reaches the ray's origin, 0..1, (M,)."""
+    gaussian_index: IntArray
+    """The Gaussian, within its own instance, (M,)."""
+    instance_index: IntArray
+    """Its splat instance, in scene order, (M,)."""
+
+    def __repr__(self) -> str:
+        return f"RayProfile(rays={len(self)}, hits={len(self.t)})"
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    def rows(self, ray: int) -> slice:
+        """The rows of a ray, from 0: ``profile.alpha[profile.rows(3)]``."""
+        return slice(int(self.first[ray]), int(self.first[ray + 1]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelProfile:
+    """One ray of each of N pixels of a camera, and all that it meets."""
+
+    gaussians: RayProfile
+    """Of Gaussians as wide as the pixels make them; pixels without a ray meet none."""
+    mesh_distance: FloatArray
+    """Of the nearest mesh, scene units, (N,); inf: there is none."""
+    origins: Doubles
+    """Where rays start, world space, (N, 3); undefined without a ray."""
+    directions: FloatArray
+    """Unit vectors, (N, 3); 0 where a pixel has no ray."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayHits:
+    """Radiance and hits of N rays."""
+
+    radiance: FloatArray
+    """Of all that the ray hits, in ``color_space``, without a background or an environment behind it, (N, 3)."""
+    transmittance: FloatArray
+    """Share of a background behind the ray, 0..1, (N,); 0 if the ray hits a mesh, also one of clear glass: what is seen
+    through it is in ``radiance``."""
+    depth: FloatArray
+    """Distance to the iso-opacity surface, scene units, (N,); inf: there is none."""
+    normal: FloatArray
+    """World space, unit, against the ray, (N, 3); zero: nothing is hit."""
+    gaussian_index: IntArray
+    """Gaussian at the surface, within its own instance, (N,); -1: none."""
+    instance_index: IntArray
+    """Instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
+    color_space: str = "srgb"
+    """Of the radiance: ``srgb``, display-referred, or ``linear`` if it is lit."""
+    profile: RayProfile | None = None
+    """The Gaussians on the rays one by one; None: they were not asked for."""
+
+    def __repr__(self) -> str:
+        depths = self.depth[np.isfinite(self.depth)]
+        between = f", depth={depths.min():.4g}..{depths.max():.4g}" if depths.size else ""
+        return f"RayHits(rays={len(self)}, hits={depths.size}{between}, color_space={self.color_space!r})"
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+class GivenRays:
+    """Loads rays, up to a batch at a time.
+
+    Args:
+        launcher: Runs the kernel.
+        buffers: Holds the arrays.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
+        self._launcher, self._buffers = launcher, buffers
+
+    @staticmethod
+    def modules() -> list[KernelModule]:
+        """The kernel modules."""
+        return [camera_ray_kernels]
+
+    def allocate(self, count: int) -> RayData:
+        """Room for so many rays; there are a few sizes instead of one a call."""
+        return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
+
+    def upload(self, batch: list[FloatArray]) -> list[DeviceArray]:
+        """Origins, directions, distances of ends, and from where on Gaussians count if that is given, on the device."""
+        if len(batch) < len(_INPUTS):
+            batch = [*batch, np.zeros(len(batch[0]), np.float32)]
+        arrays: list[DeviceArray] = []
+        for (name, dtype), values in zip(_INPUTS.items(), batch, strict=True):
+            array = self._buffers.get(f"rays.{name}", dtype, grown_capacity(len(values)))
+            if len(values):
+                array[: len(values)].assign(values)
+            arrays.append(array)
+        return arrays
+
+    def load(self, scene: DeviceScene, first: int, count: int, inputs: list[DeviceArray], rays: RayData) -> None:
+        """Starts ``count`` rays of the scene's current sample; ``first`` is the number of the first in its query."""
+        self._launcher.run_banded(
+            camera_ray_kernels.load_rays, len(rays.t_max), first, count, scene.sample, *inputs, rays
+        )
+
+
+def batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
+    """Consecutive rows of all arrays, and the index of the first."""
+    for first in range(0, max(len(arrays[0]), 1), RAY_BATCH):
+        yield first, [array[first : first + RAY_BATCH] for array in arrays]
+
+
+def whole_packets(count: int) -> int:
+    """The next multiple of a packet's rays."""
+    return -(-count // PACKET_RAYS) * PACKET_RAYS
+
+
+def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Doubles, FloatArray]:
+    """Returns origins, float64, and unit directions, float32, shape (N, 3) each; one of shape (3,) is that of all rays.
+
+    Raises:
+        SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.
+    """
+    start, along = _numbers("origins", origins), _rows("directions", directions)
+    start = np.broadcast_to(start, along.shape) if start.shape == (3,) else _rows("origins", start)
+    if start.shape != along.shape:
+        raise SceneError(f"{len(start)} origins and {len(along)} directions: a ray has one of each")
+    limit = float(np.finfo(np.float32).max)
+    for name, values, largest in (("origins", start, limit), ("directions", along, np.inf)):
+        bad = int(np.count_nonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1)))
+        if bad:
+            raise SceneError(f"{bad} of {len(values)} ray {name} are not finite: leave these rays out")
+    # In two steps, as the squares of large and small components overflow and underflow.
+    largest = np.abs(along).max(axis=1, keepdims=True, initial=0.0)
+    empty = int(np.count_nonzero(largest == 0.0))
+    if empty:
+        raise SceneError(f"{empty} of {len(along)} ray directions have no length: leave these rays out")
+    along = along / largest
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return start, along.astype(np.float32)
+
+
+def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:
+    """One distance a ray, float32, shape (N,).
+
+    Raises:
+        SceneError: They are not one number or one a ray, or some are NaN or negative.
+    """
+    values = _numbers("max_distance", distances)
+    if values.shape not in ((), (count,)):
+        raise SceneError(f"max_distance has shape {values.shape}, expected one number or ({count},), one a ray")
+    bad = int(np.count_nonzero(~(values >= 0.0)))
+    if bad:
+        raise SceneError(f"{bad} of {values.size} values of max_distance are negative or NaN")
+    return np.broadcast_to(values, (count,)).astype(np.float32)
+
+
+def _rows(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    rows = _numbers(name, values)
+    if rows.ndim != 2 or rows.shape[1] != 3:
+        raise SceneError(f"ray {name} have shape {rows.shape}, expected (N, 3)")
+    return rows
+
+
+def _numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    try:
+        read = host_array(values)
+        if np.iscomplexobj(read):
+            raise TypeError
+        return np.asarray(read, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} are not numbers: {type(values).__name__}") from None
+
+
+class RayQueries:
+    """Traces rays in batches, so that memory does not grow with their number.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+        tracer: Finds the hits of the rays.
+        integrators: Compute their radiance.
+    """
+
+    def __init__(
+        self,
+        launcher: Launcher,
+        buffers: Buffers,
+        config: RenderConfig,
+        tracer: RayTracer,
+        integrators: Integrators,
+    ) -> None:
+        self._launcher, self._buffers, self._config = launcher, buffers, config
+        self._tracer, self._integrators = tracer, integrators
+        self._rays = GivenRays(launcher, buffers)
+        exact = ShadowConfig(transmittance_min=config.trace.transmittance_min)
+        self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
+
+    def transmittance_modules(self) -> list[KernelModule]:
+        """The kernel modules of `transmittance`, but for hierarchies."""
+        return [*self._transmittance.modules(ON_ALL, has_meshes=True), *self._rays.modules()]
+
+    def query(
+        self,
+        scene: DeviceScene,
+        plan: FramePlan,
+        origins: FloatArray,
+        directions: FloatArray,
+        offsets: FloatArray | None = None,
+        *,
+        ends: FloatArray | None = None,
+    ) -> RayHits:
+        """Radiance and hits of rays; ``directions`` are unit vectors.
+
+        Args:
+            scene: Up to date for rays.
+            plan: Of the scene.
+            origins: Shape (N, 3).
+            directions: Likewise.
+            offsets: Of rays that leave Gaussians: distances within which those as large do not count, as of shadow
+                rays, shape (N,); None: all Gaussians count.
+            ends: Distances beyond which nothing is seen, shape (N,); None: all is.
+        """
+        parts: list[dict[str, npt.NDArray[Any]]] = []
+        nonfinite = 0
+        starts, bounced = _starts(origins, offsets), offsets is not None
+        far = np.full(len(origins), np.inf, np.float32) if ends is None else ends
+        for first, batch in batches(origins, directions, far, starts):
+            images, count = self._query_batch(scene, plan, first, batch, bounced=bounced)
+            parts.append(images)
+            nonfinite += count
+        if nonfinite:
+            _log.warning(
+                "%d samples of %d rays were not finite and are black: colours, lights or positions are too large",
+                nonfinite,
+                len(origins),
+            )
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return RayHits(
+            radiance=joined["color"],
+            transmittance=np.float32(1.0) - joined["alpha"],
+            depth=joined["depth"],
+            normal=joined["normal"],
+            gaussian_index=joined["gaussian"],
+            instance_index=joined["instance"],
+            color_space="linear" if plan.is_lit else "srgb",
+        )
+
+    def transmittance(
+        self,
+        scene: DeviceScene,
+        origins: FloatArray,
+        directions: FloatArray,
+        distances: FloatArray,
+        offsets: FloatArray | None = None,
+    ) -> FloatArray:
+        """Transmittance up to ``distances``, (N,); 0 if below the lowest one that counts. ``offsets`` as of `query`."""
+        parts: list[FloatArray] = []
+        scene.begin_sample(0)
+        for first, batch in batches(origins, directions, distances, _starts(origins, offsets)):
+            count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))
+            self._rays.load(scene, first, count, self._rays.upload(batch), rays)
+            opaque = self._buffers.get("rays.opaque", wp.bool, len(rays.t_max))
+            opaque.fill_(True)
+            light = self._transmittance.trace(scene, rays, None, "rays.transmittance", opaque=opaque)
+            parts.append(light.numpy()[:count, 0].copy())
+        return np.concatenate(parts)
+
+    def _query_batch(
+        self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray], *, bounced: bool
+    ) -> tuple[dict[str, npt.NDArray[Any]], int]:
+        """Images of one row of rays, and how many samples were not finite."""
+        # Given rays are not jittered: without random numbers, all samples are equal.
+        is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
+        samples = plan.samples if is_random else 1
+        count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))
+        inputs = self._rays.upload(batch)
+        pixels = PixelBuffers.of(self._buffers, (len(rays.t_max), 1))
+        finite = self._buffers.get("rays.count", wp.int32, len(rays.t_max))
+        finite.zero_()
+        row = FilmData()
+        row.pixels, row.count = pixels.data, finite
+        if samples > 1:
+            row.sums, sums = pixel_sums(self._buffers, len(rays.t_max), is_lit=False)
+            sums.zero_()
+        film = self._buffers.upload("rays.film", FilmData, rows_of([row]))
+        for sample in range(samples):
+            scene.begin_sample(sample)
+            self._rays.load(scene, first, count, inputs, rays)
+            hits = self._tracer.find_hits(scene, rays, "rays", bounced=bounced)
+            wave = self._integrators.of(plan).shade(scene, plan, hits, sample)
+            if plan.is_lit:
+                self._launcher.run_banded(film_kernels.merge_captured, wave.count, wave.data)
+            self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, film)
+        if samples > 1:
+            self._launcher.run_banded(film_kernels.average_samples, len(rays.t_max), film)
+        images = {name: image[0, :count] for name, image in pixels.download().items()}
+        return images, samples * count - int(finite.numpy()[:count].sum(dtype=np.int64))
+
+
+def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
+    """Where Gaussians begin to count, shape (N,)."""
+    return np.zeros(len(origins), np.float32) if offsets is None else offsets
+
+
+def tracing(config: RenderConfig | None) -> RenderConfig:
+    """The settings with a pipeline of rays: that of paths, or the ray tracer."""
+    config = config or RenderConfig()
+    return config if config.pipeline.traces_paths else replace(config, pipeline=Pipeline.TRACE)
+
+
+class RayProfiles:
+    """Follows rays that blend all Gaussians in order, whatever the strategy of the settings.
+
+    Args:
+        launcher: Runs the kernels.
+        buffers: Holds the arrays.
+        config: Settings.
+    """
+
+    def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
+        exact = replace(config, trace=replace(config.trace, strategy=TraceStrategy.SORTED))
+        self._buffers = buffers
+        self._meshes = MeshTracer(launcher, buffers)
+        self._gaussians = GaussianTracer(launcher, buffers, exact, "profile")
+        self._rays = GivenRays(launcher, buffers)
+        self._camera_rays = CameraRays(launcher, buffers)
+
+    def query(self, scene: DeviceScene, asked: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
+        """The profile of rays; ``directions`` are unit vectors.
+
+        Hits are counted first, and then written by so many rays at a time that the device holds a bounded number.
+
+        Args:
+            scene: The scene on the device, synced.
+            asked: The same as the caller has it.
+            origins: World space, (N, 3).
+            directions: Likewise.
+        """
+        found = self._hits(scene, origins, directions)
+        counts = np.concatenate([device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found])
+        return self._written(scene, asked, counts, lambda rays: self._given(scene, origins[rays], directions[rays]))
+
+    def query_pixels(
+        self, scene: DeviceScene, asked: Scene, places: IntArray, sample: int, offset: tuple[float, float]
+    ) -> PixelProfile:
+        """Of the rays by which a camera's pixels are sampled, which are as wide as the pixels.
+
+        Args:
+            scene: As for `query`, with the camera.
+            asked: As for `query`.
+            places: Of the rays among those of all pixels, (N,).
+            sample: Number of the sample, from which its place on the lens follows.
+            offset: Position of the sample in its pixels, 0..1.
+        """
+        scene.begin_sample(sample)
+        rays = self._started(scene, places, sample, offset)
+        found = self._find(scene, rays)
+        count = len(places)
+        active, hits = (
+            device_array(values).numpy()[:count].copy() for values in (rays.is_active, found.gaussians.hits)
+        )
+        distance = np.where(device_array(found.meshes.face).numpy() >= 0, device_array(found.meshes.t).numpy(), np.inf)
+        mesh_distance = np.where(active, distance[:count], np.inf).astype(np.float32)
+        origins, directions = (device_array(ends).numpy()[:count].copy() for ends in (rays.origin, rays.direction))
+        origins = origins + scene.frame.origin
+        directions[~active] = 0.0
+        profile = self._written(
+            scene, asked, np.where(active, hits, 0), lambda part: self._started(scene, places[part], sample, offset)
+        )
+        return PixelProfile(profile, mesh_distance, origins, directions)
+
+    def surface_distances(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> FloatArray:
+        """Distance of the first surface on each ray, as the depth of a frame, (N,); inf: there is none."""
+        parts: list[FloatArray] = []
+        for count, hits in self._hits(scene, origins, directions):
+            found = (hits.gaussians.depth, hits.meshes.t)
+            depth, mesh = (device_array(distances).numpy()[:count] for distances in found)
+            parts.append(np.where(np.isfinite(depth), depth, mesh))
+        return np.concatenate(parts)
+
+    def _hits(
+        self, scene: DeviceScene, origins: FloatArray, directions: FloatArray
+    ) -> Iterator[tuple[int, PrimaryHits]]:
+        """What rays hit, batch by batch, and how many they are; the arrays are those of the last batch."""
+        scene.begin_sample(0)
+        for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32)):
+            rays = self._rays.allocate(len(batch[0]))
+            self._rays.load(scene, first, len(batch[0]), self._rays.upload(batch), rays)
+            yield len(batch[0]), self._find(scene, rays)
+
+    def _find(self, scene: DeviceScene, rays: RayData, profiles: DeviceArray | None = None) -> PrimaryHits:
+        """What rays hit; ``profiles`` receives the hits one by one."""
+        meshes = self._meshes.find(scene, rays, "profile.meshes")
+        gaussians = self._gaussians.find(scene, rays, meshes.t, "profile.gaussians", bounced=False, profiles=profiles)
+        return PrimaryHits(rays, meshes, gaussians)
+
+    def _given(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> RayData:
+        """Rays of a caller."""
+        rays = self._rays.allocate(len(origins))
+        inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
+        self._rays.load(scene, 0, len(origins), inputs, rays)
+        return rays
+
+    def _started(self, scene: DeviceScene, places: IntArray, sample: int, offset: tuple[float, float]) -> RayData:
+        """Rays of a camera's pixels, as of `query_pixels`."""
+        count = whole_packets(grown_capacity(len(places)))
+        listed = self._buffers.struct("profile.listed", ListedRays, count)
+        padded = np.full(count, -1, np.int32)
+        padded[: len(places)] = places
+        device_array(listed.place).assign(padded)
+        device_array(listed.sample).fill_(sample)
+        device_array(listed.offset).assign(np.full((count, 2), offset, np.float32))
+        return self._camera_rays.start(scene, listed)
+
+    def _written(
+        self, scene: DeviceScene, asked: Scene, counts: IntArray, start: Callable[[slice], RayData]
+    ) -> RayProfile:
+        """The profile of rays that have so many hits; ``start`` starts some of them once more."""
+        first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+        parts = [
+            self._rows(scene, start(slice(begin, end)), first[begin : end + 1] - first[begin])
+            for begin, end in profile_ranges(counts)
+        ]
+        joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        firsts = np.cumsum([0, *(instance.gaussians.count for instance in asked.splats)])
+        instances = np.searchsorted(firsts, joined["gaussian"], side="right") - 1
+        return RayProfile(
+            first=first,
+            t=joined["t"],
+            alpha=joined["alpha"],
+            transmittance=joined["transmittance"],
+            gaussian_index=(joined["gaussian"] - firsts[instances]).astype(np.int32),
+            instance_index=instances.astype(np.int32),
+        )
+
+    def _rows(self, scene: DeviceScene, rays: RayData, first: Rows) -> dict[str, npt.NDArray[Any]]:
+        """The hits of rays whose first rows are known, and how many there are, by the names of `HitProfiles`."""
+        count = int(first[-1])
+        held = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
+        held.first = self._buffers.get("profile.first", wp.int32, len(rays.t_max) + 1)
+        device_array(held.first)[: len(first)].assign(first.astype(np.int32))
+        table: DeviceArray = self._buffers.table("profile.table", HitProfiles, [held])
+        self._find(scene, rays, table)
+        names = ("t", "alpha", "transmittance", "gaussian")
+        return {name: device_array(getattr(held, name)).numpy()[:count].copy() for name in names}
+
+
+def profile_ranges(counts: IntArray) -> Generator[tuple[int, int]]:
+    """Ranges of consecutive rays that together have no more hits than the device is to hold; at least an empty one.
+
+    Args:
+        counts: Hits of each ray.
+    """
+    if not counts.any():
+        yield 0, 0
+    for first in range(0, len(counts), RAY_BATCH):
+        for begin, end, _ in packet_ranges(counts[first : first + RAY_BATCH], PROFILE_ROWS):
+            yield first + begin, first + end
