@@ -5,14 +5,15 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config import ToneMap
+from lumisplat.config import RenderConfig, ToneMap
 from lumisplat.config.render import AOVS, EVERY_FRAME
 from lumisplat.errors import ConfigError, FormatError, SceneError
 from lumisplat.frame.denoise import check_denoiser, denoised_light
@@ -38,12 +39,16 @@ from lumisplat.io.images.texture import to_bytes, write_png
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import decode_srgb
 from lumisplat.math.tone_map import captured_radiance, lit_picture
+from lumisplat.scene.camera import Camera
 
 _log = logging.getLogger("lumisplat")
 
 _PICTURE = "picture"
 """What fetches the bytes of a picture, among the functions that fetch images."""
 _LIT_PARTS = ("captured", "captured_weight", "light")
+
+ReadPicture = Callable[[], npt.NDArray[np.uint8] | None]
+"""Fetches the bytes of a picture; None: some pixels are not finite, and the host has to check them one by one."""
 
 
 class Frame(FrameData):
@@ -68,18 +73,17 @@ class Frame(FrameData):
     def of(
         cls,
         images: Mapping[str, Any],
-        picture: Callable[[], npt.NDArray[np.uint8] | None] | None = None,
-        **fields: Any,
+        picture: ReadPicture | None = None,
+        **others: Any,
     ) -> Frame:
         """A frame whose images may be functions that fetch them: each is called when its image is first read.
 
         Args:
             images: Fields that are images, or such functions.
-            picture: Fetches the bytes of `pixels_srgb`, which it returns unless some pixel is not finite; None: nothing
-                has encoded them yet.
-            fields: The other fields.
+            picture: Fetches the bytes of `pixels_srgb`; None: nothing has encoded them yet.
+            others: The other fields.
         """
-        frame = cls(**images, **fields)
+        frame = cls(**images, **others)
         unread = {name: image for name, image in images.items() if callable(image)}
         object.__setattr__(frame, "_unread", unread)
         for name in unread:
@@ -87,6 +91,19 @@ class Frame(FrameData):
         if picture is not None:
             unread[_PICTURE] = picture
         return frame
+
+    def developed(self, camera: Camera, config: RenderConfig | None, picture: ReadPicture | None) -> Frame:
+        """Returns the frame as its picture is with another exposure or tone map; it shares all images.
+
+        Args:
+            camera: The frame's, with another exposure.
+            config: The settings, with another tone map.
+            picture: As in `of`.
+        """
+        unread = self._fetches()
+        images = {name: partial(getattr, self, name) for name in unread if name != _PICTURE}
+        shared = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in images}
+        return Frame.of(images, picture, **shared | {"camera": camera, "config": config})
 
     if not TYPE_CHECKING:  # type checkers would take it for all attributes that there may be
 

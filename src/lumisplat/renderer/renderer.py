@@ -111,7 +111,7 @@ class Renderer:
         self._warnings = RasterWarnings()
         self._light_warnings = LightWarnings()
         self._surroundings = MeshSurroundings()
-        self._developed: tuple[FramePlan, FrameStats] | None = None
+        self._developed: FrameStats | None = None
         """Of the last frame, as long as the film has its samples."""
         self._loaded: tuple[FramePlan, bool] | None = None
         """Plan of the last frame, and whether it was encoded."""
@@ -236,7 +236,7 @@ class Renderer:
         images = self._images(plan, camera, encodes=encode)
         self._light_warnings.warn_of_media(plan, scene, self._buffers)
         frame = self._frame(scene, camera, images, counts, samples=budget.done, noise=budget.noise)
-        self._developed = None if frame.stats is None else (plan, frame.stats)
+        self._developed = frame.stats
         return frame
 
     def _with_caught(
@@ -316,11 +316,9 @@ class Renderer:
         """
         camera = frame.camera if exposure is None else replace(frame.camera, exposure=exposure)
         config = None if frame.config is None else replace(frame.config, tone_map=self.config.tone_map)
-        if self._developed is None or frame.stats is not self._developed[1] or frame.is_denoised:
-            return replace(frame, camera=camera, config=config)
-        images = self._images(self._developed[0], camera, encodes=encode)
-        picture, same = images.pop("picture", None), {"background", "samples", "draws_meshes", "stats"}
-        return Frame.of(images, picture, camera=camera, config=config, **{name: getattr(frame, name) for name in same})
+        is_on_film = self._developed is not None and frame.stats is self._developed and not frame.is_denoised
+        encodes = is_on_film and (encode or self._buffers.downloads.is_lazy)
+        return frame.developed(camera, config, self._film.picture(camera.exposure, self.config) if encodes else None)
 
     def reset(self) -> None:
         """Forgets what frames of ``Pipeline.REALTIME`` have found: the next one is as the first of a new renderer."""

@@ -15,7 +15,7 @@ from lumisplat.config.render import PATH_PARTS, REALTIME_AOVS
 from lumisplat.constants import COUNT_SUM_THREADS, NOISE_PIXELS, NOISE_SAMPLES_MIN
 from lumisplat.device.structs.camera import FilmData, ListedRays, LitPixels, PixelData, PixelSums
 from lumisplat.errors import ConfigError
-from lumisplat.frame.frame import Frame
+from lumisplat.frame.frame import Frame, ReadPicture
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.renderer.film import film_kernels, lit_picture_kernels, picture_kernels
@@ -203,16 +203,26 @@ class Film:
             arrays["emission_shown"] = self._image("emission_shown")
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
-            display = picture_data(exposure, config.tone_map, transparent=transparent)
-            encode = partial(encoded_lit_pixels, self._launcher, self._buffers, self._pixels, self._lit, display)
-        else:
-            encode = partial(encoded_pixels, self._launcher, self._buffers, self._pixels, transparent=transparent)
+        encode = partial(self._encoded, exposure, config)
         copies, images = self._copied(self._pixels, arrays, encode, transparent=transparent, encodes=encodes)
         if self._plan.is_lit:
             lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
             images |= {"color": lit["color"], "color_space": "linear"}
         return images | self._layer_images(copies) | {"accumulated": copies.give(partial(_words, copies, accumulated))}
+
+    def picture(self, exposure: float, config: RenderConfig) -> ReadPicture:
+        """Encodes the picture once more, with another exposure or tone map; the images stay as they are."""
+        copies = self._buffers.downloads.copies({"picture": self._encoded(exposure, config)})
+        return picture_of(copies, "picture", self._pixels.size, transparent=config.background is None)
+
+    def _encoded(self, exposure: float, config: RenderConfig) -> DeviceArray:
+        """The bytes of the picture."""
+        transparent = config.background is None
+        if not self._plan.is_lit:
+            return encoded_pixels(self._launcher, self._buffers, self._pixels, transparent=transparent)
+        display = picture_data(exposure, config.tone_map, transparent=transparent)
+        return encoded_lit_pixels(self._launcher, self._buffers, self._pixels, self._lit, display)
 
     def _layer_images(self, copies: Copies) -> dict[str, Any]:
         """The layers that the frame asks for."""

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import ToneMap
 from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PictureData, PixelData
+from lumisplat.frame.frame import ReadPicture
 from lumisplat.math.tone_map import AGX_FROM_REC709, REC709_FROM_REC2020, REC2020_FROM_AGX, exposure_gain
 from lumisplat.renderer.film import lit_picture_kernels, picture_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import Launcher
-
-ReadPicture = Callable[[], npt.NDArray[np.uint8] | None]
-"""Fetches a picture; None: some pixels are not finite, and the host has to check them one by one."""
 
 _TONE_MAPS = {ToneMap.NONE: TONE_NONE, ToneMap.NEUTRAL: TONE_NEUTRAL, ToneMap.AGX: TONE_AGX}
 
