@@ -10,8 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import pytest
-from hypothesis import given as drawn
-from hypothesis import strategies as st
+from hypothesis import given as drawn, strategies as st
 
 import lumisplat as ls
 from lumisplat import config

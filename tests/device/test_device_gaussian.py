@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lumisplat.constants import ALPHA_MAX, ALPHA_MIN
 from lumisplat.device.splat.projection import alpha_from_log, gaussian_normal, projection_jacobian

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from lumisplat.device.material.microfacets import cosine2_beyond, fresnel, reflect, refract, schlick
 from lumisplat.device.material.specular_bounce import bounce_of

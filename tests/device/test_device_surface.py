@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from lumisplat.device.math.color import encode_srgb
 from lumisplat.device.mesh.triangle_raster import barycentric, setup_triangle

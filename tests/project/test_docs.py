@@ -107,10 +107,12 @@ def test_the_guide_shows_every_setting(tmp_path):
 
 def test_the_guide_shows_every_key_of_a_scene_file():
     """Each key of entries, lights, materials, the environment and cameras is on the page about scene files."""
-    from lumisplat.io.scene_toml import assets
-    from lumisplat.io.scene_toml import cameras as scene_cameras
-    from lumisplat.io.scene_toml import lights as scene_lights
-    from lumisplat.io.scene_toml import materials as scene_materials
+    from lumisplat.io.scene_toml import (
+        assets,
+        cameras as scene_cameras,
+        lights as scene_lights,
+        materials as scene_materials,
+    )
     from lumisplat.io.scene_toml.toml_table import schema
 
     shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()

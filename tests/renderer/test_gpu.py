@@ -10,8 +10,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from support.scenes import gradient_scenes, lenses, lit_scene, trace_scenes
-from support.scenes import raster_scenes as scenes
+from support.scenes import gradient_scenes, lenses, lit_scene, raster_scenes as scenes, trace_scenes
 
 pytestmark = [
     pytest.mark.gpu,

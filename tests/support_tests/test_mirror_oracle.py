@@ -13,8 +13,7 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene
-from support.oracles import raster_oracle as oracles
-from support.oracles import trace_oracle
+from support.oracles import raster_oracle as oracles, trace_oracle
 from support.oracles.mirror_oracle import MeshHit, Ray, Triangles, fresnel, nearest, refracted, schlick, triangles_of
 from support.oracles.trace_oracle import Traced, trace_one
 from support.scenes.raster_scenes import one_gaussian, quad, random_gaussians, similarity

@@ -14,8 +14,7 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
-from support.oracles import raster_oracle as oracles
-from support.oracles import trace_oracle
+from support.oracles import raster_oracle as oracles, trace_oracle
 from support.oracles.mirror_oracle import Ray
 from support.oracles.particle_oracle import Hits, hits, picked, reach_of, response, response_threshold, world_of
 from support.oracles.trace_oracle import Traced, blend, outcomes, trace_one

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.constants import SH_C0
-from lumisplat.demo import room as demo_objects
-from lumisplat.demo import room as demo_room
+from lumisplat.demo import room as demo_objects, room as demo_room
 from lumisplat.demo.daylight import Daylight, irradiance
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import encode_srgb

@@ -30,8 +30,7 @@ from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
-from lumisplat.training import loss_kernels
-from lumisplat.training import surface_kernels as kernels
+from lumisplat.training import loss_kernels, surface_kernels as kernels
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,8 +14,7 @@ from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.renderer.realtime.gbuffer import SPLATS
 from support.compare.images import assert_close, assert_close_outside_band
 from support.compare.ways import renderer_of
-from support.oracles import mean_surface_oracle as oracle
-from support.oracles import raster_oracle
+from support.oracles import mean_surface_oracle as oracle, raster_oracle
 from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_gaussians
 from support.scenes.raster_scenes import (
     flat_sh,

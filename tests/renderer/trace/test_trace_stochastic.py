@@ -12,8 +12,7 @@ import warp as wp
 
 import lumisplat as ls
 from support.compare.ways import renderer_of
-from support.oracles import raster_oracle as oracles
-from support.oracles import trace_oracle
+from support.oracles import raster_oracle as oracles, trace_oracle
 from support.oracles.particle_oracle import world_of
 from support.oracles.trace_oracle import background_of, camera_rays, outcomes_on, trace
 from support.scenes.trace_scenes import Case, changed_rays, copies, small_camera, stochastic_cases, trace_config

@@ -17,8 +17,7 @@ from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.cameras import cameras_of
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.gltf.gaussians import GltfCaptures
-from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
-from lumisplat.io.gltf.lights import read_lights
+from lumisplat.io.gltf.lights import EXTENSION as LIGHTS, read_lights
 from lumisplat.io.gltf.materials import GltfMaterials, warn_unread
 from lumisplat.io.gltf.meshes import Influences, RawPrimitive, Skin, read_raw, read_skin, usable_colors
 from lumisplat.io.gltf.nodes import (

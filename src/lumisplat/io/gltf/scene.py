@@ -17,8 +17,7 @@ from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.cameras import add_camera, camera_losses
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
 from lumisplat.io.gltf.gaussians import CAPTURE_FROM_FILE, GltfCaptures, add_gaussians, alone, holds_gaussians
-from lumisplat.io.gltf.lights import EXTENSION as LIGHTS
-from lumisplat.io.gltf.lights import add_light, read_lights
+from lumisplat.io.gltf.lights import EXTENSION as LIGHTS, add_light, read_lights
 from lumisplat.io.gltf.materials import GltfMaterials, MaterialWriter, warn_unread
 from lumisplat.io.gltf.meshes import TRIANGLE_MODES, add_mesh, read_meshes, read_skin
 from lumisplat.io.gltf.nodes import (

@@ -8,8 +8,7 @@ from lumisplat.config import RenderConfig, Shadows
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import Arrivals
-from lumisplat.renderer.light import direct_light_kernels as kernels
-from lumisplat.renderer.light import unshadowed_light_kernels
+from lumisplat.renderer.light import direct_light_kernels as kernels, unshadowed_light_kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays

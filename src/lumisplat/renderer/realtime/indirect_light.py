@@ -16,8 +16,7 @@ from lumisplat.device.gi.secondary_rays import BouncedRays, LobeRays, OnwardRays
 from lumisplat.device.gi.surfaces import SurfaceLight, SurfacePixels
 from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.light.surfaces import Surfaces
-from lumisplat.renderer.realtime import indirect_light_kernels as kernels
-from lumisplat.renderer.realtime import secondary_ray_kernels as ray_kernels
+from lumisplat.renderer.realtime import indirect_light_kernels as kernels, secondary_ray_kernels as ray_kernels
 from lumisplat.renderer.realtime.gbuffer import PixelSurfaces
 from lumisplat.renderer.realtime.light_grid import LightGrids
 from lumisplat.renderer.realtime.radiance_cache import RadianceCache
