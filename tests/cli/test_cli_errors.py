@@ -208,6 +208,11 @@ def test_output_that_cannot_be_written(work, output, named):
         (("render", "x.ply", "--shadow", "hard"), "perhaps you meant --shadow"),
         (("render", "x.ply", "--exposure", "bright"), "--exposure is 'bright', expected a number"),
         (("render", "x.ply", "--aov"), "'--aov'"),
+        (("view", "x.ply", "--capture-gain", "1"), "--capture-gain is a setting: --set capture_gain=1"),
+        (
+            ("view", "x.ply", "--exposure", "1"),
+            "--exposure (applied to lumisplat view) 1 (applied to lumisplat view) (see",
+        ),
         (("convert", "x.ply", "y.ply", "--box"), "--box"),
     ],
 )

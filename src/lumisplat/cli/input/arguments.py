@@ -84,7 +84,7 @@ _OPTIONS = {
 
 
 def moved_option(args: Sequence[str], options: Iterable[str]) -> str | None:
-    """Returns the line about the first option that has another name; None: there is none.
+    """Returns the line about the first option that has another name, or is a setting here; None: there is none.
 
     Args:
         args: What follows the name of a command.
@@ -97,8 +97,8 @@ def moved_option(args: Sequence[str], options: Iterable[str]) -> str | None:
         value = "VALUE" if not given or given.startswith("--") else given
         if option in known:
             continue
-        if option in _SETTINGS and "--set" in known:
-            texts = (name if "=" in name else f"{name}={value}" for name in _SETTINGS[option])
+        if (settings := (_SETTINGS | _OF_FRAMES).get(option)) and "--set" in known:
+            texts = (name if "=" in name else f"{name}={value}" for name in settings)
             return f"{option} is a setting: {' '.join(f'--set {text}' for text in texts)}"
         if option in _OPTIONS and _OPTIONS[option].split()[0] in known:
             return f"{option} is now {_OPTIONS[option].format(value)}"
@@ -190,6 +190,8 @@ _OF_COMMANDS = {"NormalEstimate": "--normals", "Absorption": "--absorption", "Re
 """Enum -> the option of a command that takes its values."""
 _TOP = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
 """Settings that have an option of their own."""
+_OF_FRAMES = {f"--{name.replace('_', '-')}": (name,) for name in _TOP if name not in _OPTION_OF}
+"""The options of commands that render frames, which others give by --set."""
 
 _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
 _FIELD = re.compile(r"\b([A-Z]\w*Config)\.((?:\w+\.)*[a-z]\w*)\b(?:=(True|False)\b)?")
@@ -335,7 +337,7 @@ def one_line(panel: str) -> str:
     message = _NO_NUMBER.sub(_no_number, message)
     text = " ".join(rows)
     suggested = re.search(r"Perhaps you meant: +(--[\w-]+)", text)
-    if suggested:
+    if suggested and f"{suggested[1]} " not in message:  # else an option of other commands alone
         message += f"; perhaps you meant {suggested[1]}"
     helping = re.search(r"lumisplat[\w ]* --help$", text.rstrip("╰─╯ "))
     return f"{message} (see {helping[0]})" if message and helping else message or " ".join(panel.split())
