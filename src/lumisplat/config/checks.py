@@ -112,7 +112,8 @@ class Range:
         number = plain(value)
         is_kind = type(number) is int or (kind is float and type(number) is float)
         if not is_kind or not self.holds(number):
-            raise error(f"{name} is {quoted(value)}, expected {self.expected(kind)}")
+            unit = f" ({self.unit})" if self.unit else ""
+            raise error(f"{name} is {quoted(value)}, expected {self.expected(kind)}{unit}")
         return kind(number)
 
 

@@ -184,8 +184,8 @@ def test_samples_that_are_not_finite_are_left_out() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"time_limit": 0}, r"^time_limit is 0, expected a number above 0$"),
-        ({"time_limit": -1.5}, r"^time_limit is -1\.5, expected a number above 0$"),
+        ({"time_limit": 0}, r"^time_limit is 0, expected a number above 0 \(seconds\)$"),
+        ({"time_limit": -1.5}, r"^time_limit is -1\.5, expected a number above 0 \(seconds\)$"),
         ({"time_limit": float("inf")}, r"^time_limit is inf"),
         ({"time_limit": "1"}, r"^time_limit is '1'"),
         ({"noise": 0.0}, r"^noise is 0\.0, expected more than 0 and less than 1$"),
