@@ -49,7 +49,8 @@ from lumisplat.device.structs.shading import SEES_ENVIRONMENT, PathVertex, Shadi
 
 wp.set_module_options(SHADE_OPTIONS)
 
-# Branches of a ray's key: 0 is the ray that goes on, and light/direct_light.py and path/shadow_rays.py have others.
+# Branches of a ray's key: 0 is the ray that goes on; device/light/direct_light.py and device/path/contributions.py
+# have others.
 DIRECTION_BRANCH = wp.constant(6)
 """In which direction a path goes on."""
 WAY_BRANCH = wp.constant(7)

@@ -88,7 +88,7 @@ def project_triangles(
 # The nearest triangles on CPUs: one item is one tile, in rows of 16 pixels.
 
 TILES = wp.get_module(f"{__name__}.tiles")
-# The loop over a row must stay a loop for the vectoriser, as in tile_walk.py.
+# The loop over a row must stay a loop for the vectoriser, as in `tile_walk` of device/splat/compositor.py.
 wp.set_module_options(OPTIONS | {"max_unroll": 4}, TILES)
 
 
