@@ -23,3 +23,15 @@ def test_the_recipe_for_lights_names_every_file_that_knows_a_type_of_light() -> 
     named = set(re.findall(r"^\d\. `([\w/]+\.py)`", recipe("Adding a light"), re.MULTILINE))
     assert found == named
     assert len(found) <= 6
+
+
+def test_the_recipe_for_layers_names_every_file_of_a_layer() -> None:
+    """Every file with the name, the field or the array of a layer that all steps are about."""
+    words = re.compile(r"\"reflection\"|\breflection: |\.reflection\b")
+    found = {
+        path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if words.search(path.read_text("utf-8"))
+    }
+    named = set(re.findall(r"`([\w/]+\.py)`", recipe("Adding an AOV layer")))
+    assert len(found) > 5
+    assert found <= named, f"not in the recipe: {', '.join(sorted(found - named))}"
+    assert all((SOURCE / name).exists() or (ROOT / name).exists() for name in named)

@@ -281,7 +281,7 @@ class Render(ViewsCommand, FrameCommand):
         return WarmUp(frames=frames, each=self.camera_path is None)
 
     def _cameras(self, file: Path | None) -> list[ls.Camera]:
-        """The cameras that are given, those of the frames along --path among them; none: one has to be made."""
+        """The cameras that are given, those along --camera-path among them; none: one has to be made."""
         if self.camera_path is None:
             return self.load_cameras(self.cameras, file)
         along = self.load_camera_path(self.camera_path, self.cameras).frames(self.fps)
