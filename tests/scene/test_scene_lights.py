@@ -129,6 +129,11 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightSpot, {"inner_angle": -0.1}, "inner_angle is -0.1"),
         (ls.LightDirectional, {"angle": 1.7}, r"angle is 1.7, expected 0.0 to 1.570797 \(radians\)"),
         (ls.LightDirectional, {"shadow_distance": 0.0}, "shadow_distance is 0.0, expected a number above 0"),
+        (
+            ls.LightEnvironment,
+            {"rotation_wxyz": np.zeros((5, 5))},
+            r"^rotation_wxyz is array\(.*\), expected four numbers",
+        ),
         (ls.LightEnvironment, {"shadow_distance": math.nan}, "shadow_distance is nan, expected a number above 0"),
         (ls.LightSphere, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
         (ls.LightDisk, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),

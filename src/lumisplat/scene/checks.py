@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeGuard, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import Range, plain
+from lumisplat.config.checks import Range, plain, quoted
 from lumisplat.config.setting import take_fields
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import host_array
@@ -76,7 +76,7 @@ class LinearColor:
         numbers = [plain(one) for one in channels]
         if len(numbers) != 3 or not all(type(one) in (int, float) and self._range.holds(one) for one in numbers):
             bound = f"in 0..{self._range.high:g}" if math.isfinite(self._range.high) else "of at least 0"
-            raise SceneError(f"{name} is {value}, expected three numbers {bound}")
+            raise SceneError(f"{name} is {quoted(value)}, expected three numbers {bound}")
         return float(numbers[0]), float(numbers[1]), float(numbers[2])
 
 

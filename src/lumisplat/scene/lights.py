@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.config.checks import Range
+from lumisplat.config.checks import Range, quoted
 from lumisplat.config.setting import frozen, given
 from lumisplat.constants import LIGHT_DISTANCE_MIN
 from lumisplat.errors import SceneError
@@ -130,7 +130,7 @@ def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tupl
     float_array(name, values)
     wxyz = np.asarray(host_array(values), dtype=np.float64)
     if wxyz.shape != (4,) or np.linalg.norm(wxyz) == 0.0:
-        raise SceneError(f"{name} is {values}, expected four numbers that are not all 0")
+        raise SceneError(f"{name} is {quoted(values)}, expected four numbers that are not all 0")
     w, x, y, z = (float(number) for number in unit_vector(wxyz))
     return w, x, y, z
 
