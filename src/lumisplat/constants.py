@@ -375,8 +375,8 @@ GRID_LIGHTS = 16
 """Lights among which a surface chooses one: where there are more, these are chosen for each cell of the world."""
 
 GRID_CELLS_MAX = 2**18
-"""Cells of a wave that have lights, at most; surfaces in further ones are not lit. A factor of two in distance has at
-most 14,000 cells, choices counted: no view has so many, and a GPU need not wait for their number."""
+"""Cells of a wave that have lights, at most, so that a GPU need not wait for their number; surfaces in further ones
+choose among all lights. A factor of two in distance has at most 14,000 cells, choices counted."""
 
 # --- Training ---
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
+from lumisplat.renderer.realtime import light_grid
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.lights import Light
 from support.compare.graph_launcher import GraphLauncher
@@ -118,6 +119,33 @@ def test_a_thousand_lamps_light_a_floor_as_they_do(interval: int) -> None:
     assert abs(found.mean() / truth.mean() - 1.0) < 0.01
     assert abs(errors.mean()) < 0.01
     assert np.percentile(np.abs(errors), 90) < 0.10
+
+
+def test_surfaces_without_room_for_their_cells_choose_among_all_lights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of too many cells, the first have lights of their own: the floor under a thousand lamps is as bright."""
+    for room in (0, 20):
+        monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", room)
+        found, truth = lit_floor(1000, 32)
+        assert abs(found.mean() / truth.mean() - 1.0) < 0.01
+        assert np.percentile(np.abs(found / truth - 1.0), 90) < 0.10
+
+
+def test_mirrors_show_surfaces_without_room_for_their_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one light a frame instead of all of a cell: as bright in the mean."""
+    mirror = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
+    ceiling = ls.MeshInstance(floor(mirror), position=(0.0, 4.0, 0.0))
+    scene = ls.Scene((), [floor(diffuse(0.5)), ceiling], lamps(100))
+    up = ls.Camera.look_at((0.5, 0.3, 0.5), (1.0, 4.0, 1.0), width=48, height=32, fov_y=0.6)
+    settings = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, realtime=ls.RealtimeConfig(antialiasing=False))
+
+    def shown() -> float:
+        renderer = ls.create_renderer(settings, "cpu")
+        return float(np.mean([frame_after(renderer, scene, 1, up).mean() for _ in range(24)]))
+
+    expected = shown()
+    monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", 0)
+    assert expected > 0.01
+    assert shown() == pytest.approx(expected, rel=0.02)
 
 
 def test_all_lights_may_go_and_come_back() -> None:

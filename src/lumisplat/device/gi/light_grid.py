@@ -32,7 +32,7 @@ from lumisplat.device.structs.shading import (
 )
 
 GRID_CELL_SIZE = 1.0 / 4.0
-"""Largest width of such a cell as a share of its distance from the eye; widths are powers of two."""
+"""Largest width of a cell as a share of its distance from the eye; widths are powers of two."""
 
 GRID_CHOICES = 4
 """Independent choices for each cell, of which each surface takes one: with the eight cells that it may take, more than
@@ -44,7 +44,7 @@ class LightGrid:
     """Of many lights, the few among which the surfaces of a cell of the world choose (docs/method/realtime.md)."""
 
     cell_of: wp.array[int]
-    """The cell of each ray's surface, -1: it has none; without elements: all surfaces choose among all lights."""
+    """The cell of each ray's surface, -1: it has none, or ``ALL_LIGHTS``; without elements: that for all of them."""
     numbers: wp.array[int]
     """Numbers of the lights of each cell, `GRID_LIGHTS` and one more; -1: there are no more."""
     chances: wp.array[float]
@@ -58,15 +58,15 @@ SURFACE_BRANCH = wp.constant(7)
 CELL_BRANCH = wp.constant(8)
 """Which cell."""
 
-KEPT = wp.constant(GRID_LIGHTS)
-"""Lights of a cell."""
-
 SLOTS = wp.constant(GRID_LIGHTS + 1)
-"""The same with the one whose rank says how probable they were."""
+"""Lights of a cell, and the one whose rank says how probable they were."""
 
 CHOICES = wp.constant(wp.float32(GRID_CHOICES))
 
 CELL_SIZE = wp.constant(wp.float32(GRID_CELL_SIZE))
+
+ALL_LIGHTS = wp.constant(-2)
+"""In place of a cell: the surface chooses among all lights."""
 
 NO_CELL = wp.constant(wp.int64(2**63 - 1))
 """Key of what is nowhere; the last one."""
@@ -239,11 +239,14 @@ def sample_light_of(
 ) -> Contribution:
     """As ``sample_choice``, of a light that is chosen by what each sends there; ``grid``: of the wave."""
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
-    choice = LightChoice()
+    cell = int(ALL_LIGHTS)
     if grid.cell_of.shape[0] > 0:
-        choice = grid_light(u[0], grid.cell_of[i], interaction, grid, scene)
-    else:
+        cell = grid.cell_of[i]
+    choice = LightChoice()
+    if cell == ALL_LIGHTS:
         choice = chosen_light(u[0], vertex_at(interaction, scene), scene)
+    else:
+        choice = grid_light(u[0], cell, interaction, grid, scene)
     if choice.number < 0:
         return Contribution()
     return sample_choice(i, slot, choice, interaction, no_shadows, scene, wave, rays)

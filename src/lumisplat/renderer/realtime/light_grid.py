@@ -39,7 +39,7 @@ class LightGrids:
             count, run, get = wave.count, self._launcher.run_banded, self._get
             grid.cell_of = get("cell_of", wp.int32, count)
             cells = get("cells", wp.int64, count)
-            run(kernels.list_cells, count, keys, self._order(count), ends, grid.cell_of, cells)
+            run(kernels.list_cells, count, GRID_CELLS_MAX, keys, self._order(count), ends, grid.cell_of, cells)
             room = self._launcher.room(ends, GRID_CELLS_MAX)
             size = room * (GRID_LIGHTS + 1)
             grid.numbers, grid.chances = get("numbers", wp.int32, size), get("chances", wp.float32, size)

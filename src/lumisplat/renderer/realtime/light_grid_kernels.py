@@ -5,8 +5,8 @@ Write-once, and a function of the cell alone: the same for any schedule.
 
 import warp as wp
 
-from lumisplat.constants import GRID_CELLS_MAX
 from lumisplat.device.gi.light_grid import (
+    ALL_LIGHTS,
     CELL_BRANCH,
     NO_CELL,
     SLOTS,
@@ -28,8 +28,6 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
-
-CELLS_MAX = wp.constant(GRID_CELLS_MAX)
 
 
 @wp.kernel
@@ -70,17 +68,23 @@ def mark_cells(start: int, keys: wp.array[wp.int64], is_first_out: wp.array[int]
 @wp.kernel
 def list_cells(
     start: int,
+    cells_max: int,
     keys: wp.array[wp.int64],
     order: wp.array[int],
     ends: wp.array[int],
     cell_of_out: wp.array[int],
     cells_out: wp.array[wp.int64],
 ):
-    """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key."""
+    """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key.
+
+    Surfaces beyond ``cells_max`` cells choose among all lights.
+    """
     i = start + wp.tid()
     number = ends[i] - 1
-    if keys[i] == NO_CELL or number >= CELLS_MAX:
+    if keys[i] == NO_CELL:
         number = -1
+    elif number >= cells_max:
+        number = ALL_LIGHTS
     cell_of_out[order[i]] = number
     if number >= 0 and (i == 0 or keys[wp.max(i - 1, 0)] != keys[i]):
         cells_out[number] = keys[i]

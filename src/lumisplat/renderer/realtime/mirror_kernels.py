@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.gi.light_grid import CELL_BRANCH, SLOTS, LightGrid, lit_surface
+from lumisplat.device.gi.light_grid import ALL_LIGHTS, CELL_BRANCH, SLOTS, LightGrid, lit_surface, sample_light_of
 from lumisplat.device.gi.radiance_cache import CacheSamples
 from lumisplat.device.gi.surfaces import matte_albedo
 from lumisplat.device.light.direct_light import sample_choice
@@ -122,7 +122,10 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: unshadowed light of the one in ``slot`` of its cell of the grid, over its probability; shadow ray."""
+    """Item = ray: unshadowed light of the one in ``slot`` of its cell of the grid, over its probability; shadow ray.
+
+    Surfaces that choose among all lights have one sample, in slot 0.
+    """
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
@@ -133,6 +136,11 @@ def sample_light_of_cells(
         contributions_out[i] = sample_surface(
             i, surface, grid.numbers[at], grid.chances[at], no_shadows, scene, wave, rays_out
         )
+    elif cell == ALL_LIGHTS and slot == 0:
+        surface = lit_surface(i, wave)
+        interaction = load_interaction(surface.kind * wave[0].rays.is_active.shape[0] + i, wave)
+        sample = sample_light_of(i, surface.kind, interaction, no_shadows, grid, scene, wave, rays_out)
+        contributions_out[i] = sample.color / surface.probability
 
 
 @wp.kernel
