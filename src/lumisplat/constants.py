@@ -150,7 +150,7 @@ SHADOW_FOOTPRINT = 3.0
 # --- Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light) ---
 
 SURFACE_REACH = 1.1
-"""Half the side of that cube, in sizes of the scene."""
+"""Half the side of the cube that holds a capture's surfaces, in sizes of the scene."""
 
 TRACE_DIRECTIONS = 128
 """Directions from which smooth surroundings light surfaces."""

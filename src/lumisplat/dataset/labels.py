@@ -14,7 +14,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
 
 BOX_TAIL = 0.002
-"""The same of the box of a capture in a data set, which is to hold what is seen of it, and not its strays."""
+"""Share of a capture's opacity outside its box at each end of each axis: it holds what is seen, and no strays."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -18,8 +18,6 @@ from lumisplat.frame.layers import check_layer
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 
-# Pictures of lit frames (docs/method/lighting.md#pictures)
-
 DENOISE_TOUCH_REACH = 2
 """A captured pixel counts as untouched by light if so are the captured ones up to so many pixels away: where every
 second sample finds a light, one of 25 pixels does but for once in 30 million."""

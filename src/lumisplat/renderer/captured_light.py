@@ -23,8 +23,6 @@ from lumisplat.renderer.scene.frame_plan import CapturedLight, keeps_captures
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
-# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
-
 CAPTURED_LIGHT_ROWS = 32
 """Rows of the image of a capture around meshes without lights: 5.6 degrees, finer than most highlights."""
 

@@ -18,8 +18,6 @@ from lumisplat.renderer.renderer import create_renderer
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
-# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
-
 WARM_UP_FRAMES = 32
 """Frames of a view that stands still, of which the last is shown: as many as direct light is averaged over."""
 

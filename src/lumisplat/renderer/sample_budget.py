@@ -9,8 +9,6 @@ from collections.abc import Callable
 from lumisplat.config import RenderConfig
 from lumisplat.constants import NOISE_SAMPLES_MIN
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 NOISE_CHECKS = 8
 """How often noise is estimated while samples double: a frame has at most an eighth more of them than it needs."""
 

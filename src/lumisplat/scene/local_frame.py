@@ -25,10 +25,9 @@ from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
-# Projection to the image (EWA splatting, Zwicker et al. 2001)
-
 NEAR_SHARE = 1e-3
-"""The same as a share of a scene's size, where that is less: a scene of millimetres, in metres, is not cut away."""
+"""View depth in front of which nothing is drawn, as a share of a scene's size, where that is less than `NEAR_PLANE`: a
+scene of millimetres, in metres, is not cut away."""
 
 # Local origins (docs/adr/0086-one-local-origin.md)
 

@@ -36,8 +36,6 @@ from lumisplat.scene.lights import LightDirectional, PlacedLight
 from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
-# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
-
 SHADOW_BLOCKING_REACH = 6.0
 """Standard deviations from a mean at which a Gaussian absorbs no more: erfc(6 / sqrt(2)) is 2e-9."""
 

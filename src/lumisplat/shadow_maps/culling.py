@@ -17,8 +17,6 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
-# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
-
 SHADOW_BLOCK_TILES = 8
 """Side of the blocks of tiles for which they are looked up first: 256 of them at 1024 texels."""
 

@@ -13,8 +13,6 @@ from lumisplat.constants import NODE_WIDTH, TRAVERSE_STACK
 from lumisplat.device.math.memory import aligned_load_of, storage_of
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, Children, Node, Slabs, TreeRay, WaitingLink
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 TRAVERSE_MARGIN = 1e-6
 """Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""
 

@@ -40,8 +40,6 @@ from lumisplat.device.structs.bvh import (
 )
 from lumisplat.device.structs.rays import RayData
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 COHERENT_SPREAD = 0.15
 """Rays of a packet are not traced with its first one if their directions differ from that one's by more than this."""
 

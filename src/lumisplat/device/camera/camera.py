@@ -14,7 +14,8 @@ from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
 
 DISTORTION_RESIDUAL_FLOAT = 2e-6
-"""The same in float32, relative to one plus the radius: 16 roundings, a hundredth of a pixel of the largest images."""
+"""Largest error of the inverse of a distortion in float32, relative to one plus the radius: 16 roundings, a hundredth
+of a pixel of the largest images."""
 
 SHUTTER_STEPS = 5
 """Steps in which the row that sees a point finds the time at which it is exposed. 3DGUT's number."""

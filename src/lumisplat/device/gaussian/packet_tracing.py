@@ -44,8 +44,6 @@ HIT_FAR: int = wp.constant(1)
 HIT_NEAR: int = wp.constant(2)
 """It is hit within: it counts if it is of another layer."""
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 PASS_REWIND = 1e-4
 """A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""
 

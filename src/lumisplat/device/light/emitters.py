@@ -8,8 +8,6 @@ from lumisplat.device.math.directions import INV_PI, INV_TWO_PI, PI, TWO_PI, ang
 from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
 
-# Paths of light that bounces (docs/method/paths.md)
-
 EMITTER_MARGIN = 1e-5
 """Shadow rays to triangles that shine end before them by this share of the way."""
 

@@ -20,8 +20,6 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
 
-# Paths of light that bounces (docs/method/paths.md)
-
 ROULETTE_BOUNCE = 3
 """From this bounce on, paths end at random."""
 

@@ -8,8 +8,6 @@ from lumisplat.device.shadow_map.atlas import EVERYTHING, PARALLEL, SOMETHING, A
 from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
 from lumisplat.device.structs import struct
 
-# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
-
 SHADOW_BOUND_STEP = 4
 """Texels between the points that bound a tile: atlas edges fold at multiples of it, as sizes are multiples of 8."""
 

@@ -9,8 +9,6 @@ from lumisplat.device.math.random import mix, pixel_key_of, sobol_2d
 from lumisplat.device.shadow_map.atlas import EVERYTHING, NOTHING, PARALLEL, Atlas, parallel_direction
 from lumisplat.device.structs import struct
 
-# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
-
 SHADOW_TEXEL_ANGLE = 12.0
 """Radians, divided by the texels across a face, within which lookups find their texels: octahedral maps stretch up to 3
 radians over a unit of two, and a lookup reads a texel's diagonal away."""

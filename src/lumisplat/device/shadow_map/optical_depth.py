@@ -12,8 +12,6 @@ from lumisplat.device.gaussian.particle import canonical_from_object
 from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, LightRay, atlas_from_world, texel_number
 from lumisplat.device.structs import struct
 
-# Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md)
-
 SHADOW_DEPTH_MIN = 1e-6
 """Optical depth of a whole Gaussian along a ray below which it is left out, when casters are culled: a thousand such
 tails change the transmittance by 0.001."""

@@ -66,10 +66,11 @@ PLANE_SHARE = 5.0
 
 UNSCENTED_MARGIN = 0.1
 """By this share of themselves bounds by sigma points are wider: projections bend by less within 0.02 of the distance
-above."""
+from where they are not smooth."""
 
 UNSCENTED_SLACK_PX = 0.5
-"""And by so many pixels, for lenses that nearly stop to magnify, as at the edge of what they show."""
+"""Bounds by sigma points are wider by so many pixels, too, for lenses that nearly stop to magnify, as at the edge of
+what they show."""
 
 OUTLINE_POINTS = 16
 """Points around the outline of a Gaussian that is seen under a larger angle."""

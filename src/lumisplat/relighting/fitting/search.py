@@ -27,7 +27,7 @@ from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
 COLOR_STEP = 0.04
-"""The same of base colours."""
+"""Step of a derivative by a base colour."""
 
 MOVE_MAX = 0.15
 """Of the room's size: the longest way of a lamp in one step."""

@@ -13,8 +13,6 @@ from lumisplat.device.structs.camera import FilmData, ListedRays
 # Products and sums are rounded one by one, as the host's are: samples lie where they do in frames of equal samples.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 NOISE_RADIUS_PX = 3
 """Adaptive sampling knows a pixel by those up to so many rows and columns away."""
 

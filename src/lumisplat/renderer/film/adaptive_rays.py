@@ -15,10 +15,9 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 SAMPLE_RATE_MIN = 2
-"""Fewest of these: an eighth of all samples reaches pixels that seemed quiet, where light that was missed may be."""
+"""Least rate of a pixel, of `SAMPLE_RATES`: an eighth of all samples reaches pixels that seemed quiet, where light that
+was missed may be."""
 
 
 class AdaptiveRays:

@@ -23,7 +23,7 @@ CATCHER_BLUR = 2.0
 2, the shadow on a wall of 12,000 Gaussians has one edge; floors with a surface stay as they are to the bit."""
 
 CATCHER_BLUR_STEPS = 2
-"""Its most, in those distances."""
+"""Standard deviation by which a ratio is smoothed at most, in the distances of which `CATCHER_STEPS` are a picture."""
 
 CATCHER_DEPTHS = 16.0
 """Standard deviation of depths that are one layer for it, over that of the height."""

@@ -10,8 +10,6 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.tone_map import exposure_gain
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 NOISE_LUMINANCE_MIN = 0.01
 """Linear luminance, after exposure, below which errors are no longer relative: 2 % of it are a third of a step of 8
 bits in display space."""

@@ -27,7 +27,8 @@ wp.set_module_options({"enable_backward": False})
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_PIXEL_PX = 2.0
-"""The same of a point and where it was a frame before: contact shadows are not taken from what stood on a surface."""
+"""A pixel of the frame before shows a point if neither is farther from the other's plane than so many pixels are wide
+there: contact shadows are not taken from what stood on a surface."""
 
 CHANGE_SIGMAS = 3.0
 """Standard deviations by which samples around a pixel differ from their histories where light has changed: by chance

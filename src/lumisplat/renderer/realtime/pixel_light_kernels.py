@@ -12,8 +12,6 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
-# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
-
 ALBEDO_MIN = 1e-3
 """Least diffuse albedo that reflected light is divided by to find irradiance: below it, a surface shows none."""
 

@@ -26,8 +26,6 @@ from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
-# Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
-
 INDIRECT_SHARED = 4
 """Pixels that share a sample of indirect light, of which its noise is the same: 2 x 2 share a ray of a highlight."""
 

@@ -23,10 +23,9 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 COHERENT_RADIUS = 0.03
-"""Nor are they if their origins differ from that one's by more than this share of the scene's largest capture."""
+"""Rays of a packet are not traced with its first one if their origins differ from that one's by more than this share of
+the scene's largest capture."""
 
 
 class SplatSets(Enum):

@@ -33,8 +33,6 @@ from lumisplat.scene.lights import AreaLight, Light, LightDirectional, LightEnvi
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 SAMPLES_OPEN = 1_000_000
 """Most samples of a frame that ends by its time or its noise: no scene needs as many."""
 
@@ -52,8 +50,6 @@ METAL_MIN = 0.5
 AMBIENT_RAYS_OF_FRAMES = 2
 """Shadow rays a frame in real time from each pixel that shows a shadow catcher: frames are averaged."""
 
-# Paths of light that bounces (docs/method/paths.md)
-
 SPECULAR_BOUNCES = 3
 """Reflections and refractions that a ray follows, unless told."""
 
@@ -62,8 +58,6 @@ PATH_BOUNCES = 8
 
 SAMPLES_OF_PATHS = 64
 """Paths a pixel, unless told."""
-
-# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
 
 CAPTURED_LIGHT_DRAWS = 32
 """Directions in which each pixel of a mesh looks for the light of a capture, over all samples of a frame: without

@@ -26,8 +26,6 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.materials import AlphaMode, MaterialPbr, wraps_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 KERNEL_LINEAR_SLOPE = 0.329630334487
 """Degree 0 is max(1 - slope * d, 0), which is exp(-4.5) at d = 3. NVIDIA's figure."""
 

@@ -52,7 +52,7 @@ from lumisplat.scene.ops.surface_points import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
 
 ENVIRONMENT_SHARE_MIN = 4
-"""Least share of a texel or row that is not black, in those steps: each can be sampled."""
+"""Least share of a texel or row that is not black, of `ENVIRONMENT_SHARE_STEPS`: each can be sampled."""
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
 """The image of an environment of one colour."""

@@ -28,8 +28,6 @@ from lumisplat.runtime.primitives import prefix_sum
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.ops.neighbours import morton_codes
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 TREE_SURFACE_LEVELS = 10
 """Levels of a hierarchy that are split by surface area; below, in the middle, which bounds the depth of any input."""
 

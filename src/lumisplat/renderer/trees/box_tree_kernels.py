@@ -11,8 +11,6 @@ from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Childre
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
-# Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)
-
 SAH_BINS = 16
 """Bins per axis, at whose edges a build tries to split a node (Wald 2007)."""
 

@@ -58,8 +58,6 @@ def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
     return code
 
 
-# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
-
 SAMPLING_RADIUS_STEP = 0.97
 """Factor by which the radius shrinks while too few points are kept."""
 

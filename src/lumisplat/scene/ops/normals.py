@@ -27,8 +27,6 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.mesh import Mesh, area_vectors
 from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, pairs_of_about
 
-# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
-
 NORMAL_NEIGHBOURS = 24
 """Median number of neighbours through which the plane of a Gaussian's normal is fitted: over two rings on a surface."""
 

@@ -17,8 +17,6 @@ from lumisplat.math.color import decode_srgb
 from lumisplat.scene.materials import TextureWrap, WrapPair, wraps_of
 from lumisplat.scene.mesh import Mesh, area_vectors
 
-# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
-
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
 """Without a count, neighbours are about this fraction of the bounding box's diagonal apart: detail against number, some
 70,000 to 100,000 Gaussians for a compact object."""
