@@ -19,7 +19,7 @@ from lumisplat.device.structs.rays import GaussianHits
 from lumisplat.device.structs.scene import GaussianData
 from lumisplat.device.training import SplatParameters, SplatRecord, SurfaceMaps, TargetImage
 from lumisplat.math.arrays import Doubles
-from lumisplat.renderer.film import traced_pixel_kernels
+from lumisplat.renderer.film import picture_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.renderer.gradients.features import FeatureChannels
 from lumisplat.renderer.gradients.pose import pose_gradient, pose_of_rays_gradient
@@ -91,7 +91,7 @@ class _Backend:
     def _pixels_of_rays(self, count: int, hits: GaussianHits, background: Color) -> PixelData:
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
         inputs = (*self._scene.image_size, wp.vec3(*background), hits, pixels)
-        self._launcher.run_banded(traced_pixel_kernels.show_rays, count, *inputs)
+        self._launcher.run_banded(picture_kernels.show_rays, count, *inputs)
         return pixels
 
 
@@ -243,7 +243,7 @@ class TrainingRays(_Backend):
         """As of `TrainingRaster`."""
         plan = FramePlan.of(self._config, Scene())
         modules = [*self._tracer.modules(plan), *self._rays.modules(), *self._scene.modules(plan)]
-        return [*modules, traced_pixel_kernels, *self._backward.modules()]
+        return [*modules, picture_kernels.RAYS, *self._backward.modules()]
 
     def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
         """The pixels of a frame, but for images other than colour and alpha.
@@ -300,7 +300,7 @@ class TrainingUnscented(_Backend):
     def modules(self) -> list[KernelModule]:
         """As of `TrainingRaster`."""
         modules = self._raster.modules(FramePlan.of(self._config, Scene()))
-        return [*modules, *self._rays.modules(), traced_pixel_kernels, *self._backward.modules()]
+        return [*modules, *self._rays.modules(), picture_kernels.RAYS, *self._backward.modules()]
 
     def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
         """The pixels of a frame, but for images other than colour and alpha.

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 
 from lumisplat.device.structs.camera import FilmData, PixelData
-from lumisplat.renderer.film.noise import least_luminance, quantile
+from lumisplat.renderer.film.adaptive_rays import least_luminance, quantile
 from lumisplat.renderer.film.pixel_buffers import pixel_sums
 from lumisplat.renderer.sample_budget import is_noise_checked
 from lumisplat.runtime.buffers import Buffers, rows_of

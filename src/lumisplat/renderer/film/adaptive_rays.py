@@ -1,6 +1,8 @@
-"""Host pass: draws more samples of noisy pixels than of others (docs/method/samples.md#adaptive-sampling)."""
+"""Noise of pixels, and the host pass that draws more samples of noisy ones than of others (docs/method/samples.md)."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import warp as wp
@@ -8,8 +10,9 @@ import warp as wp
 from lumisplat.constants import NOISE_PIXELS, NOISE_SAMPLES_MIN, SAMPLE_RATES
 from lumisplat.device.structs.camera import ListedRays
 from lumisplat.math.arrays import FloatArray, IntArray
+from lumisplat.math.color import encode_srgb
+from lumisplat.math.tone_map import exposure_gain
 from lumisplat.renderer.film import adaptive_kernels as kernels
-from lumisplat.renderer.film.noise import quantile
 from lumisplat.renderer.trace.camera_rays import ray_count
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -18,6 +21,10 @@ from lumisplat.runtime.primitives import prefix_sum
 SAMPLE_RATE_MIN = 2
 """Least rate of a pixel, of `SAMPLE_RATES`: an eighth of all samples reaches pixels that seemed quiet, where light that
 was missed may be."""
+
+NOISE_LUMINANCE_MIN = 0.01
+"""Linear luminance, after exposure, below which errors are no longer relative: 2 % of it are a third of a step of 8
+bits in display space."""
 
 
 class AdaptiveRays:
@@ -109,3 +116,18 @@ def rates_of(noise: FloatArray) -> IntArray:
         return np.full(len(noise), SAMPLE_RATES, np.int32)
     rates = np.ceil(SAMPLE_RATES * np.minimum(noise / np.float32(reference), 1.0))
     return np.clip(rates, SAMPLE_RATE_MIN, SAMPLE_RATES).astype(np.int32)
+
+
+def least_luminance(exposure: float, *, is_lit: bool) -> float:
+    """The luminance that errors of darker pixels are relative to, in the colours of a frame."""
+    if is_lit:
+        return NOISE_LUMINANCE_MIN / exposure_gain(exposure)
+    return float(encode_srgb(np.float32(NOISE_LUMINANCE_MIN)))
+
+
+def quantile(values: FloatArray, share: float) -> float:
+    """The smallest value that a share of all values are not above; NaN: there are none."""
+    if not values.size:
+        return math.nan
+    place = math.ceil(share * values.size) - 1
+    return float(np.partition(values, place)[place])

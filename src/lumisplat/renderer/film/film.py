@@ -18,13 +18,11 @@ from lumisplat.errors import ConfigError
 from lumisplat.frame.frame import Frame, ReadPicture
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
-from lumisplat.renderer.film import film_kernels, lit_picture_kernels, picture_kernels
-from lumisplat.renderer.film.adaptive_rays import AdaptiveRays
+from lumisplat.renderer.film import film_kernels, picture_kernels
+from lumisplat.renderer.film.adaptive_rays import AdaptiveRays, least_luminance, quantile
 from lumisplat.renderer.film.catcher_ratios import CatcherRatios
-from lumisplat.renderer.film.noise import least_luminance, quantile
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers, pixel_sums
-from lumisplat.renderer.film.restored import images_of_frame, images_of_part
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.ray_wave import LightImages, RayWave
@@ -66,7 +64,7 @@ class Film:
         """The kernel modules of a frame; on CUDA its picture is always encoded."""
         modules: list[KernelModule] = []
         if encodes or self._launcher.is_cuda:
-            modules += [lit_picture_kernels if plan.is_lit else picture_kernels]
+            modules += [picture_kernels.LIT if plan.is_lit else picture_kernels]
         if plan.is_sampled:
             modules += [film_kernels, *(self._adaptive.modules() if plan.adapts else [])]
             modules += self._catchers.modules() if has_catchers(plan) else []
@@ -115,9 +113,9 @@ class Film:
         self._count.zero_()
         self._samples = 0
         if resume is not None:
-            self._restore(resume.samples, resume.accumulated or {}, images_of_frame(resume))
+            self._restore(resume.samples, resume.accumulated or {}, _images_of_frame(resume))
         elif part is not None and part.accumulated:
-            self._restore(part.count, part.accumulated, images_of_part(part))
+            self._restore(part.count, part.accumulated, _images_of_part(part))
 
     def rays_of(self, sample: int, exposure: float) -> ListedRays | None:
         """The rays of the pixels that take part in a sample; None: all do.
@@ -415,6 +413,30 @@ def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[s
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images
+
+
+def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
+    """Returns the images of a frame that is resumed, by the names of buffers."""
+    images = {
+        "color": frame.color if frame.captured is None else frame.captured,
+        "alpha": frame.alpha,
+        "depth": frame.depth,
+        "normal": frame.normal,
+        "gaussian": frame.gaussian_index,
+        "instance": frame.instance_index,
+    }
+    if frame.light is not None and frame.captured_weight is not None:
+        images |= {"captured_weight": frame.captured_weight, "light": frame.light, "lit_color": frame.color}
+    return images
+
+
+def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
+    """Returns those of a part: the surfaces of its first sample; its sums make the others."""
+    width, height = part.size
+    empty = np.zeros((height, width), np.float32)
+    dark = np.zeros((height, width, 3), np.float32)
+    lit = {"captured_weight": empty, "light": dark, "lit_color": dark}
+    return {"color": dark, "alpha": empty, **part.surfaces, **lit}
 
 
 def _elements(words: FloatArray, array: DeviceArray) -> npt.NDArray[Any]:

@@ -10,7 +10,7 @@ from lumisplat.config import ToneMap
 from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PictureData, PixelData
 from lumisplat.frame.frame import ReadPicture
 from lumisplat.math.tone_map import AGX_FROM_REC709, REC709_FROM_REC2020, REC2020_FROM_AGX, exposure_gain
-from lumisplat.renderer.film import lit_picture_kernels, picture_kernels
+from lumisplat.renderer.film import picture_kernels
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.downloads import Copies
@@ -38,7 +38,7 @@ def encoded_lit_pixels(
     """The same of a lit frame. Its bytes are the host's but for some that are next to one another's edge."""
     picture = _empty_picture(buffers, pixels)
     inputs = display, pixels.data, lit.data, picture
-    launcher.run_banded(lit_picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)
+    launcher.run_banded(picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)
     return picture
 
 

@@ -1,17 +1,28 @@
-"""Pictures of unlit frames, encoded on the device. One item is one pixel."""
+"""Pictures of unlit and of lit frames, as bytes, and the pixels of rays through Gaussians alone.
+
+Each is a Warp module of its own, as a module is compiled whole: a frame compiles the one that it runs.
+"""
 
 import warp as wp
 
-from lumisplat.device.film.tone_map import channels_finite, packed_rgba, straightened
-from lumisplat.device.structs.camera import PixelData
+from lumisplat.device.camera.pixels import pixel_of_ray
+from lumisplat.device.film.tone_map import channels_finite, lit_color, packed_rgba, straightened
+from lumisplat.device.math.color import over
+from lumisplat.device.structs.camera import LitPixels, PictureData, PixelData
+from lumisplat.device.structs.rays import GaussianHits
 
 # Products and sums are rounded one by one, as the host's are: so are the bytes.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+LIT = wp.get_module(f"{__name__}.lit")
+wp.set_module_options({"enable_backward": False}, LIT)
+RAYS = wp.get_module(f"{__name__}.rays")
+wp.set_module_options({"enable_backward": False}, RAYS)
+
 
 @wp.kernel
 def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp.array[wp.uint32]):
-    """Red, green, blue and alpha of each pixel in one word, and in the last word 1 if some pixel is not finite.
+    """Item = pixel: red, green, blue and alpha in one word; in the last word 1 if some pixel is not finite.
 
     Colours are divided by alpha if they are to be ``straight``.
     """
@@ -24,3 +35,35 @@ def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp
     if straight:
         color = straightened(color, alpha)
     picture_out[i] = packed_rgba(color, alpha)
+
+
+@wp.kernel(module=LIT)
+def encode_lit_pixels(
+    start: int, picture: PictureData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
+):
+    """Item = pixel: as ``encode_pixels``, of a lit frame, which is exposed and tone-mapped."""
+    i = start + wp.tid()
+    captured = pixels.color[i]
+    alpha = pixels.alpha[i]
+    weight = lit.captured_weight[i]
+    light = lit.light[i]
+    finite = channels_finite(captured) and channels_finite(light) and channels_finite(lit.color[i])
+    if not (finite and wp.isfinite(alpha) and wp.isfinite(weight)):
+        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # the same from every thread
+        return
+    if picture.straight != 0:
+        captured = straightened(captured, alpha)
+        light = straightened(light, alpha)
+        weight = straightened(wp.vec3(weight), alpha)[0]
+    picture_out[i] = packed_rgba(lit_color(captured, weight, light, picture), alpha)
+
+
+@wp.kernel(module=RAYS)
+def show_rays(start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData):
+    """Item = ray of a pixel: its colour over the background, and alpha; the other images stay as they are."""
+    ray = start + wp.tid()
+    at = pixel_of_ray(width, ray)
+    if at[0] < width and at[1] < height:
+        pixel = at[1] * width + at[0]
+        pixels_out.color[pixel] = over(hits.color[ray], hits.transmittance[ray], background)
+        pixels_out.alpha[pixel] = 1.0 - hits.transmittance[ray]
