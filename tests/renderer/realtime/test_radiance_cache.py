@@ -33,7 +33,7 @@ def taken(samples: Samples, order: np.ndarray) -> Samples:
 
 def state(rig: CacheRig) -> dict[str, np.ndarray]:
     """All that the cache holds."""
-    tiles = rig.cache._tiles  # pyright: ignore[reportPrivateUsage]
+    tiles = rig.cache.tiles
     return {name: getattr(tiles, name).numpy().copy() for name in CacheTiles.vars}  # pyright: ignore
 
 

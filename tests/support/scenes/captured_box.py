@@ -37,7 +37,7 @@ class CapturedBox:
     """Over pi, shape (N, 3)."""
     by_lamp: Doubles
     """The share of it that comes straight from the lamp, shape (N, 3)."""
-    is_lamp: Flags
+    is_emitter: Flags
     """Shape (N,)."""
 
     def shown(self, radiance: Doubles) -> ls.Gaussians:
@@ -53,7 +53,7 @@ def captured_box() -> CapturedBox:
     normals = np.repeat(-TURNS[:, :, 1], ON_WALL, axis=0).astype(np.float64)
     points, facing = _points(ACROSS * WITHIN)
     patches, patch_normals = _points(ACROSS)
-    emitted = _is_lamp(patches)[:, None] * LAMP
+    emitted = _is_emitter(patches)[:, None] * LAMP
     between = _irradiances(patches, patch_normals, points, facing)
     radiance = np.empty((len(patches), 3))
     for channel in range(3):
@@ -61,8 +61,8 @@ def captured_box() -> CapturedBox:
         radiance[:, channel] = np.linalg.solve(np.eye(len(patches)) - reflected, emitted[:, channel])
     arriving = _irradiances(plain.means.astype(np.float64), normals, points, facing)
     irradiance, albedo = arriving @ radiance, _paint(plain.means)
-    box = CapturedBox(plain, normals, albedo, irradiance, arriving @ emitted, _is_lamp(plain.means))
-    return replace(box, gaussians=box.shown(albedo * irradiance + box.is_lamp[:, None] * LAMP))
+    box = CapturedBox(plain, normals, albedo, irradiance, arriving @ emitted, _is_emitter(plain.means))
+    return replace(box, gaussians=box.shown(albedo * irradiance + box.is_emitter[:, None] * LAMP))
 
 
 def _placed(flat: ls.Gaussians, turn: Doubles) -> ls.Gaussians:
@@ -91,7 +91,7 @@ def _irradiances(at: Doubles, normals: Doubles, points: Doubles, facing: Doubles
     return shares.reshape(len(at), 6, ACROSS, WITHIN, ACROSS, WITHIN).sum(axis=(3, 5)).reshape(len(at), -1)
 
 
-def _is_lamp(points: npt.NDArray[np.floating]) -> Flags:
+def _is_emitter(points: npt.NDArray[np.floating]) -> Flags:
     return (points[:, 1] > 0.99) & (np.abs(points[:, [0, 2]]).max(axis=1) < 0.5)
 
 
