@@ -190,6 +190,23 @@ def test_queries_between_frames_do_not_mix_with_them(pipeline: ls.Pipeline) -> N
         np.testing.assert_array_equal(renderer.render(shown, camera()).color, frames[0].color)
 
 
+@pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
+def test_rays_that_leave_gaussians_are_not_taken_for_others(pipeline: ls.Pipeline) -> None:
+    """As many of one kind as of the other: paths blend what those from elsewhere meet first, and add up relit sets."""
+    settings = config(pipeline, samples=2, max_bounces=1, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
+    graphs, direct = (
+        ls.Renderer(settings, launcher) for launcher in (GraphLauncher(), Launcher("cpu", threads=1, parallel=True))
+    )
+    along = np.random.default_rng(1).normal(size=(300, 3)).astype(np.float32)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    rays = scene(*LAMPS, SKY), np.broadcast_to(np.float32([0.0, 1.0, -2.0]), along.shape), along
+    near = np.full(len(along), 0.3, np.float32)
+    given, leaving = direct.trace_rays(*rays), direct.leaving_hits(*rays, near)
+    for _ in range(WARM_FRAMES):
+        np.testing.assert_array_equal(graphs.trace_rays(*rays).radiance, given.radiance)
+        np.testing.assert_array_equal(graphs.leaving_hits(*rays, near).radiance, leaving.radiance)
+
+
 def test_more_rays_behind_mirrors_get_room() -> None:
     """Glass that fills the view takes more room than the graph of a small ball has, and is drawn whole."""
     pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LAMPS)
@@ -231,6 +248,14 @@ def test_paths_only_launch(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(PathIntegrator, "_follow", refusing(PathIntegrator._follow, *NEVER_CAPTURED))
     monkeypatch.setattr(AdaptiveRays, "list", refusing(AdaptiveRays.list, *NEVER_CAPTURED))
     np.testing.assert_array_equal(renderer.render(shown, camera().scaled(24, 16)).color, expected.color)
+
+
+def test_adaptive_samples_replay_the_same_graphs() -> None:
+    """Which pixels take part differs from sample to sample, and is read from arrays whose addresses stay."""
+    settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 6, max_bounces=2, adaptive=True)
+    pair, shown, view = Pair(settings), scene(*LAMPS, SKY), camera().scaled(24, 16)
+    pair.warm_up(shown, view)
+    assert pair.launches_of(shown, view) < 3 * settings.samples, "lists of rays are launched, and nothing else"
 
 
 def test_real_time_counts_neither_highlights_nor_cells(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,7 +61,7 @@ class PathIntegrator:
         self._shadows.begin_sample(sample)
         with self._launcher.stage("light"):
             return self._launcher.replay(
-                "paths", (scene.graph_key, hits.count), lambda: self._follow(scene, plan, hits)
+                "paths", (scene.graph_key, hits.graph_key), lambda: self._follow(scene, plan, hits)
             )
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:

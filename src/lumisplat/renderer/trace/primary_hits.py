@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from lumisplat.device.structs.rays import GaussianHits, MeshHits, RayData
+from lumisplat.runtime.buffers import device_array
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,3 +26,12 @@ class PrimaryHits:
     def count(self) -> int:
         """Rays, active or not."""
         return len(self.rays.t_max)
+
+    @property
+    def graph_key(self) -> object:
+        """Which arrays the hits are in: a graph that has frozen others is stale.
+
+        Rays that leave surfaces may tell relit sets apart where those from the camera do not.
+        """
+        arrays = self.rays.is_active, self.meshes.t, self.gaussians.color, self.gaussians.relit_weight
+        return self.count, [device_array(array).ptr if array else 0 for array in arrays]
