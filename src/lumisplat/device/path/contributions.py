@@ -1,4 +1,4 @@
-"""What paths contribute: light that their rays show, samples of lights with their shadow rays, and the layers.
+"""Contributions of paths: light that their rays show, samples of lights with their shadow rays, and the layers.
 
 Surfaces sample the environment, emissive triangles and visible lights as well: each counts by the power heuristic. The
 equations are in docs/method/paths.md#lights.

@@ -1,1 +1,1 @@
-"""What a pixel sees of a Gaussian: its footprint, as an ellipse of the image or along the pixel's ray, and blending."""
+"""Splats: footprints of Gaussians at pixels, as ellipses or along rays, and the compositors that blend them."""

@@ -1,4 +1,4 @@
-"""What computes the radiance of rays: one of three ways, by the plan of the frame.
+"""Integrators compute the radiance of rays: one of three, by the plan of the frame.
 
 Each is imported and made by the first frame that needs it: the kernels of all of them take half a second to import.
 """

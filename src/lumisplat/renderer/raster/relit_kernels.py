@@ -1,4 +1,4 @@
-"""What splats of relit sets show: apart from others that they are mixed with, and their weighted-mean surface.
+"""Splats of relit sets: composited apart from others that they are mixed with, and their weighted-mean surface.
 
 Splats are composited a second time, with what is to be summed in place of their colours and normals. The equations are
 in docs/adr/0021-captured-and-relit.md and docs/method/rasterisation.md#weighted-mean-surface.

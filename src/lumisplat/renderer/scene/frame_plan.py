@@ -1,4 +1,4 @@
-"""What a frame needs, decided once: which passes run is read from the plan, how they work from the settings."""
+"""The plan of a frame, decided once: which passes run is read from it, how they work from the settings."""
 
 from __future__ import annotations
 

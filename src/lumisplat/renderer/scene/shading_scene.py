@@ -1,4 +1,4 @@
-"""What shading reads of a scene: materials, attributes of Gaussians, lights and settings."""
+"""Tables that shading reads of a scene: materials, attributes of Gaussians, lights and settings."""
 
 from __future__ import annotations
 
