@@ -102,3 +102,4 @@ from lumisplat.training.train import train as train
 from lumisplat.viewer.viewer import Viewer as Viewer, view as view
 
 __version__: str
+__all__: list[str]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
@@ -406,12 +407,25 @@ def test_what_has_no_clear_surface_is_announced(capture: ls.Gaussians, fault: st
 def test_progress_is_one_line_over_all_stages(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
     """It never goes back, names each stage, and ends at 1."""
     reported: list[tuple[str, float]] = []
-    ls.delight(ball[0], ls.inverse.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
+    ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
     ours = [(label, share) for label, share in reported if label.startswith("delighting")]
     shares = [share for _, share in ours]
     assert shares == sorted(shares) and shares[-1] == 1.0 and len(set(shares)) > 100
     stages = dict.fromkeys(label.partition(", ")[2] for label, _ in ours)
     assert list(stages)[:3] == ["finding sides", "tracing the light", "finding the light"]
+
+
+def test_the_light_is_found_by_one_thread_of_blas(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """More would wait for each other where cores are busy, and change the last bits of the result."""
+    threads: set[object] = set()
+
+    def report(label: str, share: float) -> None:
+        if label.endswith("finding the light"):
+            threads.update(pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas")
+
+    with threadpool_limits(2, user_api="blas"):
+        ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=report)
+    assert threads == {1}
 
 
 @pytest.mark.parametrize("count", [64, 300, 3000])

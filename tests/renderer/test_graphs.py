@@ -199,7 +199,7 @@ def test_rays_that_leave_gaussians_are_not_taken_for_others(pipeline: ls.Pipelin
     )
     along = np.random.default_rng(1).normal(size=(300, 3)).astype(np.float32)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    rays = scene(*LAMPS, SKY), np.broadcast_to(np.float32([0.0, 1.0, -2.0]), along.shape), along
+    rays = scene(*LAMPS, SKY), np.broadcast_to(np.array([0.0, 1.0, -2.0], np.float32), along.shape), along
     near = np.full(len(along), 0.3, np.float32)
     given, leaving = direct.trace_rays(*rays), direct.leaving_hits(*rays, near)
     for _ in range(WARM_FRAMES):
@@ -252,10 +252,11 @@ def test_paths_only_launch(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_adaptive_samples_replay_the_same_graphs() -> None:
     """Which pixels take part differs from sample to sample, and is read from arrays whose addresses stay."""
-    settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 6, max_bounces=2, adaptive=True)
+    samples = NOISE_SAMPLES_MIN + 6
+    settings = config(ls.Pipeline.PATH, samples=samples, max_bounces=2, adaptive=True)
     pair, shown, view = Pair(settings), scene(*LAMPS, SKY), camera().scaled(24, 16)
     pair.warm_up(shown, view)
-    assert pair.launches_of(shown, view) < 3 * settings.samples, "lists of rays are launched, and nothing else"
+    assert pair.launches_of(shown, view) < 3 * samples, "lists of rays are launched, and nothing else"
 
 
 def test_real_time_counts_neither_highlights_nor_cells(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,6 +20,7 @@ from __future__ import annotations
 import ast
 import inspect
 import math
+import re
 import sys
 import types
 from collections.abc import Callable, Mapping
@@ -125,6 +126,7 @@ def take_fields(settings: DataclassInstance, prefix: str = "", error: type[Lumis
 
 
 _ANY = Range()
+_SENTENCE_END = re.compile(r"(?<!et al)\. ")
 
 
 @dataclass(frozen=True)
@@ -319,7 +321,7 @@ def _span(value: object, name: str, limits: Range, kind: type, error: type[Lumis
 def _choice_help(cls: type[Enum]) -> list[str]:
     """Returns what each member of an enum means, shortened to its first clause."""
     helps = _docstrings(cls)
-    firsts = {name: " ".join(text.split()).partition(". ")[0].rstrip(".") for name, text in helps.items()}
+    firsts = {name: _SENTENCE_END.split(" ".join(text.split()), 1)[0].rstrip(".") for name, text in helps.items()}
     return [f"{member.value}: {firsts[member.name]}." for member in cls if member.name in firsts]
 
 

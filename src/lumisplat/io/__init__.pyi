@@ -43,3 +43,5 @@ from lumisplat.io.training_images.loading import (
 from lumisplat.io.training_images.poses import find_poses as find_poses
 from lumisplat.io.training_images.video_frames import extract_frames as extract_frames
 from lumisplat.scene.animation.actors import GaussianSequence as GaussianSequence
+
+__all__: list[str]

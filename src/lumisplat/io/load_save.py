@@ -219,8 +219,7 @@ def save(
     from lumisplat.scene.mesh import Mesh
     from lumisplat.scene.scene import Scene
 
-    if not isinstance(cast("object", path), str | os.PathLike):
-        raise ConfigError(f"save(path, asset): the path comes first, got {type(path).__name__}")
+    _check_path_first("save(path, asset)", path)
     if not isinstance(cast("object", asset), Gaussians | Mesh | Scene | Animation):
         raise FormatError(
             path, f"only Gaussians, meshes, scenes and animations can be saved, got {type(asset).__name__}"
@@ -503,12 +502,14 @@ def save_cameras(path: PathLike, cameras: Sequence[Camera]) -> None:
         cameras: At least one camera, all of one model; names become the frames' file paths.
 
     Raises:
+        ConfigError: ``path`` is no path.
         SceneError: There is no camera, models differ, or a camera has an aperture or a rolling shutter, which the
             format cannot store.
         FormatError: The file cannot be written.
     """
     from lumisplat.io.cameras.json_cameras import write_transforms
 
+    _check_path_first("save_cameras(path, cameras)", path)
     write_transforms(path, cameras)
 
 
@@ -623,3 +624,9 @@ def _in_folder(path: Path) -> Path:
 
     file = next((file for file in (path / "transforms.json", path / "cameras.json") if file.is_file()), None)
     return file or find_model(path) or path
+
+
+def _check_path_first(call: str, path: object) -> None:
+    """Refuses the arguments of a function that saves if they are swapped."""
+    if not isinstance(path, str | os.PathLike):
+        raise ConfigError(f"{call}: the path comes first, got {type(path).__name__}")

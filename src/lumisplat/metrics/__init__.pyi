@@ -9,3 +9,5 @@ from lumisplat.metrics.images import (
 )
 from lumisplat.metrics.lighting import LitPoints as LitPoints, apf_y as apf_y, ncm_ab as ncm_ab, paa_y as paa_y
 from lumisplat.metrics.shadows import boundary_f as boundary_f, sae as sae, sm_iou as sm_iou
+
+__all__: list[str]

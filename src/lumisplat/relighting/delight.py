@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
+from threadpoolctl import threadpool_limits
 
 from lumisplat.config import DelightConfig, Pipeline, RenderConfig
 from lumisplat.config.checks import check_kind
@@ -168,7 +169,10 @@ def estimate_materials(
     report = progress or say_nothing
     pace = Pace(report, _LABEL)
     rays = IncidentRays(gaussians, renderer, config.seed, traced=pace.add)
-    found = _Delighter(gaussians, config, rays, pace).run()
+    # Threads of BLAS gain nothing on systems of a few hundred unknowns, wait for each other where cores are busy (nine
+    # times as long), and change the last bits.
+    with threadpool_limits(1, user_api="blas"):
+        found = _Delighter(gaussians, config, rays, pace).run()
     report(_LABEL, 1.0)
     return replace(found, gaussians=replace(found.gaussians, origin=origin))
 

@@ -134,7 +134,7 @@ class Camera:
         Args:
             eye: World position, shape (3,).
             target: World position, shape (3,).
-            up: World direction that points up in the image, any length, shape (3,).
+            up: World direction that points up in the image, any length, shape (3,); of most captures (0, -1, 0).
             width: Image width, pixels.
             height: Image height, pixels.
             fov_y: Vertical field of view, radians, 0 to pi, for a fisheye to 2 pi. An orthographic camera shows as much

@@ -196,4 +196,6 @@ with atomic_write(sys.argv[1]) as temporary:
 def test_swapped_arguments_are_named() -> None:
     """The path comes first, and who begins with the asset is told so."""
     with pytest.raises(ConfigError, match=r"save\(path, asset\): the path comes first, got Mesh"):
-        ls.save(ls.box(), "box.glb")  # type: ignore[arg-type]
+        ls.save(cast(Any, ls.box()), cast(Any, "box.glb"))
+    with pytest.raises(ConfigError, match=r"save_cameras\(path, cameras\): the path comes first, got list"):
+        ls.save_cameras(cast(Any, [ls.Camera.look_at((0, 0, 3), (0, 0, 0))]), cast(Any, "cameras.json"))
