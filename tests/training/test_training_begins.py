@@ -96,8 +96,9 @@ def test_places_and_poses_are_told_apart() -> None:
         assert (count_positions([ahead[1], aside[1]]), count_poses([ahead[1], aside[1]])) == (1, 2)
 
 
-def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a checkpoint, from which it goes on to the same bits."""
+    monkeypatch.setattr("lumisplat.training.train.PROGRESS_EVERY_S", 0.0)  # however quick the machine is
     folder, whole, ended = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "ended.ply"
     config = ls.TrainConfig(iterations=300, cap=80, sh_degree=1)
     ls.train(folder, config, output=whole, device="cpu")
