@@ -416,7 +416,7 @@ def test_progress_is_one_line_over_all_stages(ball: tuple[ls.Gaussians, np.ndarr
 
 
 def test_the_light_is_found_by_one_thread_of_blas(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """More would wait for each other where cores are busy, and change the last bits of the result."""
+    """More would change the last bits of the result, and wait for each other where cores are busy."""
     threads: set[object] = set()
 
     def report(label: str, share: float) -> None:
