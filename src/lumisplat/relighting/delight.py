@@ -169,8 +169,8 @@ def estimate_materials(
     report = progress or say_nothing
     pace = Pace(report, _LABEL)
     rays = IncidentRays(gaussians, renderer, config.seed, traced=pace.add)
-    # More threads of BLAS change the last bits. They save a fifth of the time on two free cores, but wait for each other
-    # on busy ones, up to nine times as long.
+    # More threads of BLAS change the last bits. They save a fifth of the time on two free cores, but wait for each
+    # other on busy ones, up to nine times as long.
     with threadpool_limits(1, user_api="blas"):
         found = _Delighter(gaussians, config, rays, pace).run()
     report(_LABEL, 1.0)
