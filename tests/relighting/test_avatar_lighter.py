@@ -506,3 +506,32 @@ def test_without_lamps_the_sun_casts(caplog: pytest.LogCaptureFixture) -> None:
     assert isinstance(sun, ls.LightDirectional) and sun.intensity > 0.1
     assert -np.dot(sun.direction, towards) / np.linalg.norm(towards) > np.cos(np.radians(10.0))
     assert frame.splats[0].gaussians is not scene.splats[0].gaussians
+
+
+def points_of_sphere(center: tuple[float, float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """300 points of a sphere and its outward normals, shape (300, 3) each."""
+    normals = np.random.default_rng(0).normal(size=(300, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return center + radius * normals, normals
+
+
+def test_relighting_brings_a_figure_nearer_to_its_surroundings() -> None:
+    """A figure lit bluish from the side, among matt balls below a reddish ceiling: PAA, APF and NCM fall by a fifth."""
+    reddish, steps = np.array([1.0, 0.8, 0.6]), np.linspace(-8.0, 8.0, 33)
+    ceiling = np.stack(np.meshgrid(steps, [2.5], steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    sets = [captured(ceiling, reddish, opacity=0.99, scale=0.4)]
+    for x, z in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
+        points, normals = points_of_sphere((x, 0.0, z), 0.1)
+        irradiance = 0.5 + 0.5 * normals[:, 1:2]  # of an even ceiling without end
+        sets.append(replace(captured(points, 0.5 * irradiance * reddish, opacity=0.95, scale=0.02), normals=normals))
+    scene = ls.Scene(splats=[ls.SplatInstance(one) for one in sets])
+    points, normals = points_of_sphere((0.0, 0.0, 0.0), 0.2)
+    bluish = (0.3 + 0.5 * np.maximum(normals[:, :1], 0.0)) * (0.5, 0.6, 0.7)
+    figure = ls.SplatInstance(replace(captured(points, bluish, opacity=0.95), normals=normals))
+    settings = ls.config.AvatarLightingConfig(shadows=False)
+    lighter = ls.AvatarLighter(scene, config=settings, background=(0.0, 0.0, 0.0), device="cpu")
+    relit = lighter.light([figure]).splats[-1]
+    around = ls.metrics.LitPoints.of(scene, around=np.zeros(3), radius=1.5)
+    for metric in (ls.metrics.paa_y, ls.metrics.apf_y, ls.metrics.ncm_ab):
+        before, after = (metric(ls.metrics.LitPoints.of(one), around, radius=1.5) for one in (figure, relit))
+        assert after < 0.8 * before, (metric.__name__, before, after)

@@ -146,12 +146,12 @@ class _Settings:
 
     @property
     def samples(self) -> int:
-        """Of each ray."""
+        """Number of samples of each ray."""
         return self.config.samples or BAKE_SAMPLES
 
     @property
     def samples_alone(self) -> int:
-        """Of each direction, of sets that are seen together after that."""
+        """Number of samples of each direction, for sets that are fitted together afterwards."""
         return max(self.samples // 2, 2)
 
 
@@ -232,7 +232,7 @@ class _Baker:
             yield replace(pilot, directions=pilot.on_seen_sides(self._shown(pilot, 2), turned))
 
     def _shown(self, views: _Views, samples: int) -> ShownLight:
-        """What views show."""
+        """Renders views of Gaussians; returns what they show."""
         count = views.directions.shape[1]
         gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
         number = views.first * count % 2**30  # of random numbers: 32 bits on the device
@@ -338,7 +338,7 @@ def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Double
 
 
 def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) -> Doubles:
-    """What is added to the diagonal of each system, shape (N, K).
+    """Returns what is added to the diagonal of each system, shape (N, K).
 
     As much as the noise of a coefficient is of the variance that is to be expected of it (Wiener): what colours vary
     with the direction but for noise, shared among the degrees as 1 / l^2. And a little, so that all is determined.

@@ -21,9 +21,9 @@ class SeenWeights:
     """With which weights P rays blend N Gaussians, in S sights."""
 
     ray: _Rows
-    """Of each sight, shape (S,)."""
+    """Ray of each sight, shape (S,)."""
     gaussian: _Rows
-    """Shape (S,)."""
+    """Gaussian of each sight, shape (S,)."""
     weight: Doubles
     """Shape (S,)."""
     rays: int
@@ -79,7 +79,7 @@ def denoised_by_rays(halves: Doubles, found: Doubles, base: Doubles, seen: SeenW
 
 
 def _averaged(light: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, weight: Doubles) -> Doubles:
-    """What rays show of the mean light of the Gaussians that they see, (P, 3); ``weight`` of all of these, (P, 1)."""
+    """Returns what rays show of the mean light of their Gaussians, (P, 3); ``weight`` of all Gaussians, (P, 1)."""
     sent, received = (seen.blended(seen.mean_of(one / weight)) for one in (light, found * base))
     return base * np.divide(sent, received, out=np.zeros_like(sent), where=received > 0.0)
 

@@ -103,7 +103,7 @@ class GaussianViewer(Renderer):
 
     @property
     def launcher(self) -> Launcher:
-        """Of its device."""
+        """Launches on the views' device."""
         return self._launcher
 
     @property
@@ -112,7 +112,7 @@ class GaussianViewer(Renderer):
         return self._plan.is_lit
 
     def show(self, first: int, gaussian: npt.NDArray[np.integer], direction: FloatArray, samples: int) -> ShownLight:
-        """What views show.
+        """Renders views of single Gaussians; returns what they show.
 
         Args:
             first: Number of the first view, by which random numbers are chosen.

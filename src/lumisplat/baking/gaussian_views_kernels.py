@@ -39,7 +39,7 @@ class GaussianViews:
 
 @struct
 class ViewSums:
-    """What views have shown so far, summed over samples; the light of even and of odd samples apart."""
+    """Sums over the samples of views so far; the light of even and of odd samples apart."""
 
     even: wp.array[wp.vec3]
     """Linear light that does not come from captured colours."""

@@ -82,16 +82,16 @@ _Rows = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """What frames show on P rays, and which Gaussians are blended there."""
+    """Holds what frames show on P rays, and which Gaussians are blended there."""
 
     colors: Doubles
     """Display-referred, shape (P, 3)."""
     noise: float
     """Mean variance of these."""
     ray: _Rows
-    """Of each of S sights, ascending, shape (S,)."""
+    """Ray of each of S sights, ascending, shape (S,)."""
     gaussian: _Rows
-    """Shape (S,)."""
+    """Gaussian of each sight, shape (S,)."""
     weight: Doubles
     """Share of the Gaussian's colour in the ray's, shape (S,)."""
     direction: FloatArray
@@ -115,7 +115,7 @@ class _SeenRays:
     directions: FloatArray
     """Unit, (P, 3)."""
     share: Doubles
-    """Of each that Gaussians cover, (P,)."""
+    """Share of each ray's pixel that Gaussians cover, (P,)."""
     before_mesh: Flags
     """Which end at a mesh behind them, (P,)."""
     ray: _Rows
