@@ -1,4 +1,4 @@
-"""``lumisplat`` and ``python -m lumisplat``: the process around the command line."""
+"""Process entry of ``lumisplat`` and ``python -m lumisplat``: signals, standard streams and exit status."""
 
 from __future__ import annotations
 
@@ -12,17 +12,16 @@ from io import TextIOWrapper
 from typing import TextIO
 
 _NEW_OBJECTS = 100_000
-"""Objects made since the last collection of garbage that start the next one. With Python's own 700, the million objects
-that Warp keeps of its kernels are searched again and again while they are imported, a fifth of the time, and in frames
-later on."""
+"""Number of new objects that triggers a garbage collection. Python's default of 700 scans the million objects that
+Warp keeps for its kernels over and over, which costs a fifth of the import time and slows frames."""
 
 
 def main() -> int:
     """Runs one command. An interrupt or a closed pipe (``| head``) ends it silently, at any time.
 
     Returns:
-        Exit status: the command's, 2 if standard output cannot be written, 130 when interrupted, 141 when the pipe is
-        closed, as a shell counts signals.
+        Exit status: the command's own; 2 if standard output cannot be written; 130 after an interrupt; 141 after a
+        closed pipe, as shells number signals.
     """
     _open_standard_streams()
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
@@ -50,7 +49,7 @@ def main() -> int:
 
 
 def _open_standard_streams() -> None:
-    """Opens the standard streams that the caller has closed (``>&-``): else files would get their descriptors."""
+    """Opens standard streams that the caller has closed (``>&-``), so that files do not get their descriptors."""
     for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
         try:
             os.fstat(descriptor)
@@ -66,7 +65,7 @@ def _open_standard_streams() -> None:
 
 
 class _StandardOutput(TextIOWrapper):
-    """Standard output, whose errors say that they are its own."""
+    """Standard output whose write errors can be told from errors of other files."""
 
     def write(self, text: str, /) -> int:
         with _named_errors():
@@ -87,7 +86,7 @@ def _named_errors() -> Generator[None]:
 
 
 def _discard(stream: TextIO) -> None:
-    """Lets a stream lead nowhere: Python flushes what is left in it at exit."""
+    """Redirects a stream to the null device, because Python flushes the rest of its buffer at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 

@@ -1,4 +1,4 @@
-"""Rigged figures made of Gaussians, and the light of a capture on them."""
+"""Rigged avatars made of Gaussians, and their relighting by a captured scene."""
 
 from lumisplat.io.load_save import load_rig
 from lumisplat.relighting.actors import shadowed

@@ -1,173 +1,187 @@
-"""Thresholds that several modules share: value, unit, reason, source. Those of one module stand in it."""
+"""Constants that several modules share, each with its unit, reason and source. Other constants live in their module."""
 
 from __future__ import annotations
 
 # --- Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting) ---
 
 ALPHA_MIN = 1.0 / 255.0
-"""Alpha below which a Gaussian is ignored at a pixel: one step of an 8-bit image. INRIA, gsplat, 3DGRT agree."""
+"""Alpha below which a Gaussian is skipped at a pixel: one step of an 8-bit image, as in INRIA's code, gsplat and
+3DGRT.
+"""
 
 ALPHA_MAX = 0.99
-"""Largest alpha of one Gaussian, so that none alone hides everything behind it. INRIA's rule."""
+"""Largest alpha of one Gaussian, so that no single Gaussian hides everything behind it. INRIA's rule."""
 
 NORMAL_DEGENERATE = 0.2
-"""Length (of the alpha-weighted mean of unit normals) below which the sum is degenerate and the view direction is
-used. docs/method/gaussians.md#normals; the figure is NVIDIA's."""
+"""Length of the alpha-weighted mean of unit normals below which the mean is unreliable and the view direction replaces
+it. docs/method/gaussians.md#normals; the value is NVIDIA's."""
 
 # --- Rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing) ---
 
 KERNEL_DEGREE = 2
-"""Exponent of the distance in the response of ordinary captures."""
+"""Exponent of the distance in the Gaussian response exp(-d^2 / 2) of ordinary captures."""
 
 KERNEL_DEGREE_MAX = 5
-"""Quintic. All degrees respond exp(-4.5) at three standard deviations."""
+"""Largest exponent of the generalised response (quintic). Every degree responds exp(-4.5) at three standard
+deviations.
+"""
 
 NODE_WIDTH = 8
-"""Children of a node of a bounding volume hierarchy: their boxes fill a vector register."""
+"""Children of a BVH node: their boxes fill one vector register."""
 
 BOX_MARGIN = 1e-6
-"""Boxes grow by this share of their longest side and distance from the origin: rounding must not lose a hit."""
+"""Fraction of a box's longest side and of its distance from the origin by which BVH boxes grow, so that rounding loses
+no hit."""
 
 HIT_COUNTS = (4, 8, 16, 32)
-"""How many hits settings may ask for; kernels have storage for the most."""
+"""Numbers of hits per pass that settings may ask for; kernels have storage for the largest."""
 
-HITS_KEPT_CPU, HITS_KEPT_CUDA = 64, 32
-"""Hits that a ray keeps sorted, which saves passes: 1.6 and 1.4 times faster than 16. On CUDA they are local memory."""
+HIT_BUFFER_CPU, HIT_BUFFER_CUDA = 64, 32
+"""Sorted hits that a ray buffers per pass, on the CPU and on CUDA (local memory there). They save passes: 1.6 and 1.4
+times faster than buffers of 16."""
 
 TRAVERSE_STACK = 256
-"""Entries of the stack: the levels of both hierarchies, times a node's children but the one that is visited."""
+"""Entries of the BVH traversal stack: levels of both hierarchies, times a node's children less the one being visited.
+"""
 
 TRAVERSE_STACK_SMALL = 96
-"""Entries of the stack of CUDA's kernels for scenes whose hierarchies need no more, which is known once they are built:
-49 in a million Gaussians spread evenly, 57 in the biker; 106 in a million that crowd together a thousandfold."""
+"""Entries of the smaller traversal stack that CUDA kernels use if a scene's hierarchies are shallow enough, which is
+known after the build. Measured need: 49 for a million evenly spread Gaussians, 57 for the biker, 106 for a million
+Gaussians whose density varies a thousandfold."""
 
 REBUILD_COST = 1.5
-"""A refitted hierarchy is rebuilt once its cost, relative to its root's surface, has grown by this factor."""
+"""Growth of a refitted BVH's cost, relative to its root's surface area, that triggers a rebuild."""
 
 STRAY_SHARE = 0.01
-"""Share of the Gaussians, at each end of an axis, that a capture's size leaves out: outliers must not stretch it."""
+"""Fraction of the Gaussians at each end of an axis that a capture's extent ignores, so that outliers do not stretch
+it.
+"""
 
 SAMPLES_MAX = 16_777_216
-"""Largest number of samples of a pixel: up to here, means of layers still change in float32."""
+"""Largest number of samples per pixel: beyond 2^24, one more sample no longer changes a float32 mean."""
 
 NOISE_SAMPLES_MIN = 16
-"""Samples of a pixel before its noise is estimated: of fewer, the estimate is itself noise."""
+"""Samples per pixel before its noise is estimated: an estimate from fewer samples is itself noise."""
 
 NOISE_PIXELS = 0.95
-"""Share of the pixels whose relative error is below the noise of a frame; the others are few."""
+"""Quantile of the pixels' relative errors that is reported as the noise of a frame."""
 
 SAMPLE_RATES = 16
-"""Steps in which adaptive sampling chooses how often a pixel takes part."""
+"""Number of sampling rates that adaptive sampling chooses from for each pixel."""
 
 SUBPIXEL_STEPS = (0.7548776662466927, 0.5698402909980532)
-"""Step from a sample of a pixel to the next, pixels, modulo 1: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1 (Roberts
-2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""
+"""Offset in pixels, modulo 1, from one sample of a pixel to the next: the R2 sequence, 1/g and 1/g^2 with g^3 = g + 1
+(Roberts 2018, The Unreasonable Effectiveness of Quasirandom Sequences)."""
 
 # --- Rays that hit meshes, mirrors and glass ---
 
 RAY_START_BACK = 4e-6
-"""Rays start before a distant box by this share of the distance to it: 64 roundings."""
+"""Fraction of the distance to a distant box by which a ray starts before the box: 64 float32 roundings."""
 
 SPAWN_ERROR = 2.0**-20
-"""Rounding error of a hit point as a share of the numbers that it and the next intersection are computed from: 16
-roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some escape from closed
-mirrors of thin triangles."""
+"""Rounding error of a hit point, relative to the coordinates that it and the next intersection are computed from: 16
+roundings. Reflected and refracted rays start this far off the surface. With a quarter of it, some rays escape from
+closed mirrors of thin triangles."""
 
 SPAWN_SLENDER = 1000.0
-"""Longest side over height of a triangle beyond which the offset grows no further: it must stay invisible."""
+"""Ratio of a triangle's longest side to its height beyond which the ray offset grows no further, so that it stays
+invisible."""
 
 # --- Light and shadow ---
 
 EXPOSURE_MAX = 100
-"""Stops by which pictures may be brightened or darkened: two to this power is still a float32."""
+"""Largest exposure change in stops, up or down: 2^100 is still a float32."""
 
 SHADOW_OFFSET = 4.0
-"""Distance, in scales of a Gaussian, within which it neither shadows a surface nor, as the surface, is shadowed: the
-smaller one of the two decides. Of three captures, lit from where they are seen, 2 leaves 1.6 to 4.6 % of the light in
-their own shadow, 3 0.8 to 3.1 %, 4 0.6 to 2.2 %; by the surface's alone, 3 left 0.6 to 1.7 % (docs/adr/0018)."""
+"""Distance, in scales of a Gaussian, within which a Gaussian and a surface of Gaussians do not shadow each other; the
+smaller of their two scales counts. Light lost to self-shadowing in three captures lit from the camera: 1.6 to 4.6 % at
+2, 0.8 to 3.1 % at 3, 0.6 to 2.2 % at 4 (docs/adr/0018)."""
 
 CATCHER_AMBIENT = 0.5
-"""Ambient light, as radiance over albedo, on a shadow catcher that does not say it, in scenes with lights and without
-an environment: half of what makes white paper white."""
+"""Default ambient light of a shadow catcher, as radiance over albedo, in scenes with lights and without an
+environment: half of the light that makes white paper white."""
 
 SPLAT_ROUGHNESS_MIN = 0.03
-"""Least roughness of splats: their normals are not smooth enough for mirrors."""
+"""Smallest roughness of Gaussians: their normals are too uneven for sharp mirrors."""
 
 LIGHT_DISTANCE_MIN = 1e-6
-"""Distance, scene units, below which a point light gets no brighter, so that it stays finite."""
+"""Distance in scene units below which a point light gets no brighter, so that its irradiance stays finite."""
 
 LIGHT_POWER_MAX = 1e30
-"""Candela, lux, radiance and irradiance at most: what float32 still multiplies with."""
+"""Largest intensity, illuminance, radiance or irradiance of a light: products with it still fit into float32."""
 
 ENVIRONMENT_SHARE_STEPS = 2**24
-"""Shares of an environment's texels are multiples of one over this: all float32 can tell apart below 1."""
+"""Steps per unit to which the probabilities of an environment's texels are rounded: float32 resolves no finer below 1.
+"""
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of linear Rec.709."""
+"""Luminance weights of linear Rec.709 RGB."""
 
-# --- Pictures of lit frames (docs/method/lighting.md#pictures) ---
+# --- Tone mapping (docs/method/lighting.md#pictures) ---
 
-RADIANCE_BRIGHTEST = 2.0**64
-"""Radiance is clamped to this: far above the white of every tone mapper, far below float32's largest number."""
+RADIANCE_MAX = 2.0**64
+"""Upper bound to which radiance is clamped: far above the white of every tone mapper, far below the largest float32."""
 
 WEIGHT_ROUNDING = 1e-5
-"""Weights this close to 1 count as 1, because they are sums of float32 products."""
+"""Tolerance within which a sum of weights counts as 1, because it sums float32 products."""
 
 NEUTRAL_TOE = 0.04
-"""Khronos PBR Neutral, github.com/KhronosGroup/ToneMapping: F90, and with it Ks and Kd of its specification."""
+"""F90 of Khronos PBR Neutral (github.com/KhronosGroup/ToneMapping); its Ks and Kd follow."""
 
 NEUTRAL_START = 0.8 - NEUTRAL_TOE
 
 NEUTRAL_DESATURATION = 0.15
 
 AGX_STOPS = (-12.47393, 4.026069)
-"""Domain of AgX's curve, log2 of radiance: from 10 stops below middle grey to 6.5 above."""
+"""Domain of the AgX curve in log2 of radiance: from 10 stops below middle grey to 6.5 above."""
 
 AGX_PIVOT = (10.0 / 16.5, 0.5)
-"""Sobotka's first configuration (AgX-S2O3): the curve maps its pivot, middle grey, to half of display white."""
+"""Pivot of the AgX curve in Sobotka's first configuration (AgX-S2O3): middle grey maps to half of display white."""
 
 AGX_SLOPE, AGX_TOE, AGX_SHOULDER = 2.0, 3.0, 3.25
-"""Slope at the pivot, and the powers that bend the curve below and above it."""
+"""Slope of the AgX curve at its pivot, and the powers of its toe and shoulder."""
 
 AGX_GAMMA = 2.2
 
-# --- Paths of light that bounces (docs/method/paths.md) ---
+# --- Path tracing (docs/method/paths.md) ---
 
 COAT_HEAD_ON, COAT_ROUGHNESS_MIN, SHEEN_ROUGHNESS_MIN = 0.04, 0.03, 0.1
-"""Of clearcoat, which is never perfectly smooth, and of sheen, whose albedo is above 1 at ever more angles below."""
+"""F0 of clearcoat, its smallest roughness, and the smallest roughness of sheen: below it, the albedo of sheen exceeds
+1 at more and more angles."""
 
 # --- Deep Gaussian shadow maps (Mir et al. 2026; docs/method/deep_shadow_maps.md) ---
 
 SHADOW_TILE = 8
-"""Side of the tiles of an atlas for which casters are looked up, texels: the paper's."""
+"""Side, in texels, of the atlas tiles for which shadow casters are listed: the paper's value."""
 
 SHADOW_BOUND_MARGIN = 1e-4
-"""Share by which bounds of tiles and casters grow: rounding must not lose a caster."""
+"""Fraction by which the bounds of tiles and casters grow, so that rounding loses no caster."""
 
 SHADOW_FOOTPRINT = 3.0
-"""Standard deviations from a receiver's mean within which it samples the map: where splats end, too."""
+"""Standard deviations around a receiver's mean within which it samples the shadow map; splats end there, too."""
 
-# --- Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light) ---
+# --- Light estimation from captured surfaces (docs/method/relighting.md#traces-of-light) ---
 
 SURFACE_REACH = 1.1
-"""Half the side of the cube that holds a capture's surfaces, in sizes of the scene."""
+"""Half the side of the cube that holds a capture's surfaces, in units of the scene extent."""
 
 TRACE_DIRECTIONS = 128
-"""Directions from which smooth surroundings light surfaces."""
+"""Number of directions from which a smooth environment lights the captured surfaces."""
 
 TRACE_SURFACES_MIN = 200
-"""Gaussians on surfaces below which there is nothing to see a light on."""
+"""Fewest surface Gaussians from which a light can be estimated."""
 
 TRACE_GROUND_MIN = 0.3
-"""Length of the mean blocked direction from which the ground is known, 1 over an endless plane."""
+"""Length of the mean occluded direction above which the ground is identified; an endless plane has length 1."""
 
 # --- Projection to the image (EWA splatting, Zwicker et al. 2001) ---
 
 JACOBIAN_CLAMP = 1.3
-"""The Jacobian is taken no further out than this many times tan(fov / 2): beyond, the linearisation explodes."""
+"""Image position, in units of tan(fov / 2), at which the projection's Jacobian is clamped: farther out, the
+linearisation explodes."""
 
 NEAR_PLANE = 0.01
-"""Default view depth, scene units, in front of which nothing is drawn. gsplat's default."""
+"""Default near plane: view depth in scene units. gsplat's default."""
 
 # --- Spherical harmonics (Condon-Shortley signs as in INRIA's code) ---
 
@@ -175,97 +189,101 @@ SH_DEGREE_MAX = 3
 """Highest SH degree that is read, stored and evaluated."""
 
 SH_C0 = 0.28209479177387814
-"""Y_00 = 1 / (2 sqrt(pi))."""
+"""Constant SH basis function, Y_00 = 1 / (2 sqrt(pi))."""
 
-# --- Probes of environment light, and what is relit by them (docs/method/relighting.md#probes) ---
+# --- Light probes (docs/method/relighting.md#probes) ---
 
 PROBE_FACE_PX = 64
-"""Pixels along a face of a probe's cube: about 1.4 degrees, where harmonics of degree 8 change over 20."""
+"""Side of a probe's cube-map faces in pixels: about 1.4 degrees a pixel, while SH of degree 8 vary over 20 degrees."""
 
 # --- Meshes ---
 
 CREASE_ANGLE = 0.9
-"""Largest angle between faces of a mesh without normals that is shaded smoothly, radians (51.6 degrees): 99 % of the
-edges of spot, the bunny and the teapot bend less than 41 degrees, those of hexagonal prisms 60, of boxes 90."""
+"""Largest angle, in radians, between faces that are shaded smoothly in meshes without normals (51.6 degrees). 99 % of
+the edges of spot, the bunny and the teapot bend by less than 41 degrees; hexagonal prisms by 60, boxes by 90."""
 
 # --- Placement ---
 
 TRANSFORM_MAX = 1e18
-"""Largest entry of a transform and of its inverse: squares of it still fit into float32."""
+"""Largest entry of a transform and of its inverse: its square still fits into float32."""
 
 SIMILARITY_TOLERANCE = 1e-4
-"""How far a capture's axes may be from equal length (squared) and from right angles (cosine): rounding of poses that
-were stored with five digits."""
+"""Tolerance for the axes of a capture's transform: differences of squared lengths, and cosines between axes. It allows
+for poses that were stored with five digits."""
 
 # --- Local origins (docs/adr/0086-one-local-origin.md) ---
 
 ORIGIN_LOSS = 0.01
-"""Rounding of float32 positions, as a share of the median width of what they are of, above which files and captures are
-about an origin of their own."""
+"""Largest float32 rounding of positions, relative to the median width of a Gaussian or triangle. Captures and files
+that exceed it get a local origin."""
 
 ORIGIN_MESH_WIDTH = 0.01
-"""Width of what is to be told apart on a mesh, as a share of its size: steps are a ten-thousandth of it at most."""
+"""Size of the smallest mesh detail that must survive rounding, relative to the mesh; with `ORIGIN_LOSS`, positions are
+accurate to a ten-thousandth of the mesh."""
 
 # --- Limits of 32-bit indices ---
 
 ITEMS_MAX = 2**31 - 1
-"""Gaussians or triangles of a scene, and (tile, item) pairs of a frame."""
+"""Largest number of Gaussians or triangles in a scene, and of (tile, item) pairs in a frame."""
 
 # --- Work decomposition ---
 
 TILE_PX = 16
-"""Side of a raster tile, pixels. One CUDA block of 256 threads, and a cache-sized accumulator on the CPU."""
+"""Side of a raster tile in pixels: one CUDA thread block of 256 threads, and an accumulator that fits the CPU's cache.
+"""
 
 STRIP_PX = 8
-"""Width, in pixels, of a part of a tile's row that CPUs composite in one vector (AVX: 8 floats); divides `TILE_PX`."""
+"""Pixels of a tile row that the CPU composites in one vector (AVX: 8 floats); divides `TILE_PX`."""
 
 DEPTH_KEY_CULLED = 0xFFFFFFFF
-"""Depth key of a Gaussian that cannot touch the image; the bits of every positive float are smaller."""
+"""Depth key of a culled Gaussian: larger than the bits of every positive float."""
 
 DEPTH_KEY_NONFINITE = 0xFFFFFFFE
 """Depth key of a Gaussian that is dropped because a projected value is NaN or infinite."""
 
 RAY_BLOCK_PX = 4
-"""Side of the blocks of pixels whose rays are consecutive, so that neighbours hit the same boxes."""
+"""Side, in pixels, of the square of pixels whose rays are stored consecutively, because neighbours hit the same boxes.
+"""
 
 PACKET_RAYS = RAY_BLOCK_PX * RAY_BLOCK_PX
-"""Rays that the CPU traces together; numbers of rays are multiples of it everywhere."""
+"""Rays in a packet, which the CPU traces together; ray counts are rounded up to multiples of it."""
 
 RAY_BANDS_PER_THREAD = 32
-"""Bands a CPU thread gets when rays are traced: packets differ more in cost than tiles do."""
+"""Bands per CPU thread when tracing rays: the cost of packets varies more than the cost of tiles."""
 
 TILE_BANDS_PER_THREAD = 12
-"""Bands a CPU thread gets when tiles are composited: tiles differ tenfold in cost, bands even that out."""
+"""Bands per CPU thread when compositing tiles: the cost of tiles varies tenfold, and several bands balance it."""
 
 SHADE_BANDS_PER_THREAD = 4
-"""Bands a CPU thread gets when surfaces are shaded: where rays hit nothing there is little to do."""
+"""Bands per CPU thread when shading surfaces: pixels without a hit cost little."""
 
 COUNT_SUM_THREADS = 4096
-"""Items that add up counts in 64 bits, in the parallel schedule: (tile, item) pairs, samples that are not finite."""
+"""Threads that sum 64-bit counts in the parallel schedule: (tile, item) pairs, and samples that are not finite."""
 
 # --- Files ---
 
 SCALE_MIN = 1e-12
-"""Smallest standard deviation read from a file, scene units: captures hold logarithms whose exponential underflows to
-zero. Its square and the reciprocal of it are still normal float32 numbers."""
+"""Smallest standard deviation in scene units read from a file, because files store logarithms whose exponential may
+underflow to zero. Its square and the reciprocal of its square are normal float32 numbers."""
 
 FLAT_THICKNESS = 1e-3
-"""Third scale of a 2D Gaussian read from a file, as a share of the smaller of its two. Pictures of 20,000 discs are
-within 2/255 of those of discs a hundred times thinner, rasterised and traced, also 100 units from the origin; ten times
-thicker ones show at silhouettes."""
+"""Third scale given to 2D Gaussians read from a file, relative to the smaller of their two scales. Frames of 20,000
+discs are within 2/255 of frames with discs a hundred times thinner, rasterised and traced, also 100 units from the
+origin; discs ten times thicker show at silhouettes."""
 
 FILE_BYTES_MAX = 4 * 2**30
-"""Size, bytes, of the largest file that is read as a whole. Captures in PLY are read in blocks, and may be larger."""
+"""Size in bytes of the largest file that is read as a whole. PLY captures are read in pieces, and may be larger."""
 
 # --- Lens distortion ---
 
 DISTORTION_STEPS = 12
-"""Newton steps of its inverse: quadratic, so that 5 suffice for lenses; more help near the fold of the polynomial."""
+"""Newton steps that invert a lens distortion. Convergence is quadratic: 5 suffice for real lenses, and more help near
+the fold of the polynomial."""
 
 # --- Sequences of frames, animations ---
 
 ANIMATION_FRAMES_MAX = 1_000_000
-"""Frames of an animation: more than eleven hours at 24 a second. More are a typing error, and run out of memory."""
+"""Largest number of frames in an animation, eleven hours at 24 fps. More are a typing error, and exhaust memory."""
 
 # --- Compilation ---
 
@@ -273,121 +291,125 @@ FUSED_FLAGS = (
     "-march=native -ffp-contract=fast -mllvm=-inline-threshold=9000"
     " -mllvm=-inline-cold-callsite-threshold=3000 -mllvm=-slp-recursion-max-depth=4"
 )
-"""Flags for CPU kernels that gain from fused multiply-adds; but for that, Warp's defaults. One string for all modules:
-Warp precompiles its header once per string, which takes seconds."""
+"""Compiler flags of CPU kernels that gain from fused multiply-adds; otherwise Warp's defaults. All modules share one
+string, because Warp precompiles its header once per string, which takes seconds."""
 
-# --- Lit captures ---
+# --- SH fits of lit captures ---
 
 RIDGE = 3e-4
-"""Penalty of (l (l + 1))^2 times the square of a coefficient of degree l, where an even view counts 1: what nobody sees
-stays smooth. Of degree 3, it takes 4 % of what is seen from everywhere."""
+"""Ridge penalty of an SH fit: (l (l + 1))^2 times the square of each coefficient of degree l, where a constant view
+weighs
+1. It keeps directions without samples smooth, and takes 4 % of degree 3 where all directions are sampled."""
 
-# --- Captures in tiles (docs/adr/0073-captures-in-blocks.md) ---
+# --- Spatial blocks of captures (docs/adr/0073-captures-in-blocks.md) ---
 
 BLOCK_GAUSSIANS_MAX = 2**19
-"""Gaussians of a block: 29 MB at degree 0, which a disk reads in a moment; a billion are 2,000 blocks."""
+"""Largest number of Gaussians in a block: 29 MB at degree 0; a billion Gaussians make 2,000 blocks."""
 
 BLOCK_PIECE = 2**18
 """Gaussians that are read, sorted or copied at once."""
 
-# --- Materials and light of captures (docs/method/delighting.md) ---
+# --- Material estimation of captures (docs/method/delighting.md) ---
 
 RADIANCE_LEAST = 1e-4
-"""Radiance below which nothing is told apart."""
+"""Radiance below which logarithms and ratios are clamped."""
 
 GAUSSIANS_LEAST = 64
-"""Gaussians of which a surface consists, at least."""
+"""Fewest Gaussians that can form a surface."""
 
 OPACITY_SEEN = 0.1
-"""Opacity of those, at least."""
+"""Smallest opacity of the Gaussians that form a surface."""
 
 FOG_EXTENT, FOG_SCALES = 0.02, 2.0
-"""How far around the depth that it shows a ray that meets a surface loses its light: a share of the extent of the set,
-or so many times the largest scale of the Gaussian there if that is farther, as coarse surfaces are thick."""
+"""Distance around its depth within which a ray that hits a sharp surface loses its transmittance: a fraction of the
+set's extent, or a multiple of the largest scale of the Gaussian there if that is farther, because coarse surfaces are
+thick."""
 
 FOG_ROUND, FOG_SHARE = 0.9, 0.8
-"""Least scale over the middle one from which on a Gaussian has no normal, and share of such ones, by area, in fog: 0.02
-to 0.65 of captures, those that were hardly learnt included."""
+"""Ratio of the smallest to the middle scale above which a Gaussian has no normal, and the fraction of such Gaussians
+by area in haze. Captures have fractions of 0.02 to 0.65, including captures that were barely trained."""
 
 AGREEING_PICKS, AGREEING_SET, AGREEING_NEIGHBOURS = 256, 50_000, 16
-"""Gaussians whose normals are compared, of how many at most, and with how many each."""
+"""Sampling of the normals' agreement: Gaussians that are compared, largest number they are drawn from, neighbours of
+each."""
 
-# --- Fit of lights ---
+# --- Light fitting ---
 
 SKY_SHARE_MIN, SKY_ERRORS_MIN = 0.01, 3.0
-"""An environment that gives less than this share of the light that is explained, and whose mean radiance is less than
-so many standard errors from 0, is none: where lamps alone shone, noise and 8 bits gave shares of up to 0.006, and 1.6
-errors."""
+"""Thresholds of an environment in a light fit: its fraction of the explained light, and its mean radiance in standard
+errors. Below both there is none: where only local lights shone, noise and 8-bit images gave up to 0.006 and 1.6 errors.
+"""
 
 DAMPING_START, DAMPING_MAX = 1e-3, 1e4
-"""Of Levenberg and Marquardt, relative to the diagonal: with the largest, a step is too short to be worth it."""
+"""Initial and largest Levenberg-Marquardt damping, relative to the diagonal; at the largest, steps are negligible."""
 
 # --- Materials and light from images (docs/method/relightable.md) ---
 
 SKY_CHUNK = 128
-"""Gaussians whose derivatives by the sky are added up by one item."""
+"""Gaussians whose gradients with respect to the environment one thread sums."""
 
 SPREAD_SHARE = 0.3
-"""Of the angle between neighbouring directions, what is added to alpha of highlights, in squares: narrower ones would
-fall between directions."""
+"""Width added to the alpha of highlights (in squares), as a fraction of the angle between neighbouring directions;
+narrower highlights would fall between the sampled directions."""
 
 # --- Metrics (Mir et al. 2026, sections 4.1 and 4.2; docs/method/relighting.md#metrics) ---
 
 HUBER_WIDTH = 1.345
-"""Standard deviations beyond which residuals count linearly: 95 % as efficient as least squares where errors are
-normal (Huber 1981; Holland and Welsch 1977)."""
+"""Threshold of the Huber loss in standard deviations: 95 % as efficient as least squares for normal errors (Huber
+1981; Holland and Welsch 1977)."""
 
 MAD_PER_DEVIATION = 0.6745
-"""Median of the absolute values of normal errors, standard deviations."""
+"""Median absolute deviation of normal errors, in standard deviations."""
 
 SSIM_SIGMA_PX = 1.5
-"""Standard deviation of SSIM's window. Wang et al. 2004."""
+"""Standard deviation of SSIM's Gaussian window, in pixels. Wang et al. 2004."""
 
 SSIM_WINDOW_PX = 11
-"""Side of SSIM's window. Wang et al. 2004."""
+"""Side of SSIM's window in pixels. Wang et al. 2004."""
 
-# --- Parts of frames (docs/adr/0072-parts-of-pictures.md) ---
+# --- Windows of frames (docs/adr/0072-parts-of-pictures.md) ---
 
 WINDOW_STEP = 16
-"""Edges of windows are multiples of so many pixels, so that what neighbouring pixels share is what it is in the whole
-picture: tiles of the rasteriser (`TILE_PX`) and blocks of rays (`RAY_BLOCK_PX`)."""
+"""Number of pixels whose multiples are the edges of windows, so that a window's pixels equal those of the whole image:
+it is a multiple of raster tiles (`TILE_PX`) and of squares of rays (`RAY_BLOCK_PX`)."""
 
 # --- Training images ---
 
-ONE_PLACE = 1e-7
-"""Extent of cameras, as a share of how far they are from zero, below which it is rounding: they stand in one place."""
+COINCIDENT_EXTENT = 1e-7
+"""Extent of camera positions, relative to their distance from the origin, below which they count as one position."""
 
 # --- Global illumination in real time (docs/method/realtime.md) ---
 
 STILL_PX = 0.01
-"""Pixels within which a point counts as at a pixel's centre: what stands still is not resampled."""
+"""Distance in pixels from a pixel's centre within which a reprojected point counts as still, and is not resampled."""
 
 PROBE_NORMALS = 16
-"""Side of the map of directions to whose nearest centre a probe's normal is moved where its cosines are looked up."""
+"""Resolution of the direction map that quantises normals before a probe's cosine weights are looked up."""
 
 MEANS_CHUNK = 64
-"""Sums of tiles that one item adds up: a single one for all of a frame would keep a GPU waiting for a millisecond."""
+"""Tile sums that one thread adds: a single thread for a whole frame would keep a GPU waiting for a millisecond."""
 
 EMITTER_OPAQUE = 0.05
-"""Transmittance at which rays to captures end; what lies behind counts as what they have met."""
+"""Transmittance at which rays to captured emitters end; the remaining transmittance counts as hit."""
 
 GRID_LIGHTS = 16
-"""Lights among which a surface chooses one: where there are more, these are chosen for each cell of the world."""
+"""Largest number of lights that a surface samples from directly; with more, each cell of the light grid holds a sample
+of them."""
 
 GRID_CELLS_MAX = 2**18
-"""Cells of a wave that have lights, at most, so that a GPU need not wait for their number; surfaces in further ones
-choose among all lights. A factor of two in distance has at most 14,000 cells, choices counted."""
+"""Largest number of light-grid cells, fixed so that the host need not wait for a GPU's count; surfaces in cells beyond
+it sample all lights. A doubling of distance from the camera needs at most 14,000 cells."""
 
 # --- Training ---
 
 SH_COEFFICIENTS_MAX = 16
-"""Coefficients of spherical harmonics of degree 3."""
+"""Number of SH coefficients of degree 3."""
 
 POSE_CHUNK = 256
-"""Gaussians whose derivatives by the camera's pose are added up by one item."""
+"""Gaussians whose gradients with respect to the camera pose one thread sums."""
 
 EXPOSURE_CHUNK = 256
-"""Pixels whose derivatives by an exposure are added up by one item."""
+"""Pixels whose gradients with respect to an exposure one thread sums."""
 
 ADAM_BETA_1 = 0.9
 
@@ -396,7 +418,7 @@ ADAM_BETA_2 = 0.999
 ADAM_EPSILON = 1e-15
 
 SURFACE_ALPHA = 0.5
-"""Alpha above which a pixel has a surface."""
+"""Smallest alpha of a pixel that counts as covered by a surface."""
 
 DEAD_OPACITY = 0.005
-"""Opacity at or below which a Gaussian is dead, or pruned. Kerbl et al. 2023, Kheradmand et al. 2024."""
+"""Opacity at or below which a Gaussian is pruned or relocated. Kerbl et al. 2023, Kheradmand et al. 2024."""

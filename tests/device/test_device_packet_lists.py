@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from lumisplat.constants import HIT_COUNTS, HITS_KEPT_CPU, NODE_WIDTH
+from lumisplat.constants import HIT_BUFFER_CPU, HIT_COUNTS, NODE_WIDTH
 from lumisplat.device.bvh.packet import FAR_FIRST, NEAR_FIRST
 from lumisplat.device.structs.bvh import FAR, NO_CHILD, WORLD, ChildLinks, Children, Hit, HitList, Node, WaitingNode
 from lumisplat.renderer.scene.bvh_scene import empty_node
@@ -20,7 +20,7 @@ BEGIN = 3  # the first slot of the lists
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("slots", [1, *HIT_COUNTS, HITS_KEPT_CPU])
+@pytest.mark.parametrize("slots", [1, *HIT_COUNTS, HIT_BUFFER_CPU])
 def test_lists_keep_the_nearest_hits_in_order(slots: int, device: str) -> None:
     """By distance, then by index; the farthest is dropped where there is no room; no other slot is written."""
     random = np.random.default_rng(slots)

@@ -19,7 +19,7 @@ from lumisplat.constants import (
     NEUTRAL_DESATURATION,
     NEUTRAL_START,
     NEUTRAL_TOE,
-    RADIANCE_BRIGHTEST,
+    RADIANCE_MAX,
     WEIGHT_ROUNDING,
 )
 from lumisplat.math.arrays import Doubles, FloatArray
@@ -74,7 +74,7 @@ def apply_tone_map(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
     Returns:
         sRGB, 0..1, shape (..., 3).
     """
-    light = np.clip(np.asarray(linear, np.float32), 0.0, RADIANCE_BRIGHTEST)
+    light = np.clip(np.asarray(linear, np.float32), 0.0, RADIANCE_MAX)
     if tone_map is ToneMap.NEUTRAL:
         light = _neutral(light)
     elif tone_map is ToneMap.AGX:
@@ -114,7 +114,7 @@ def lit_picture(
     changed = ~whole | (light != 0.0).any(axis=-1) if exposure == 0.0 else np.ones_like(whole)
     radiance, gain = captured_radiance(captured[changed], weight[changed]), np.float32(exposure_gain(exposure))
     with np.errstate(over="ignore"):  # what overflows is clipped
-        lit, before = (np.clip(gain * part, 0.0, RADIANCE_BRIGHTEST) for part in (radiance + light[changed], radiance))
+        lit, before = (np.clip(gain * part, 0.0, RADIANCE_MAX) for part in (radiance + light[changed], radiance))
     largest = np.maximum(lit, before).max(axis=-1, keepdims=True)
     difference = np.abs(lit - before).max(axis=-1, keepdims=True)
     captured_part = 1.0 - np.divide(difference, largest, out=np.zeros_like(largest), where=largest > 0.0)

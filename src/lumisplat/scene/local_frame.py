@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.constants import NEAR_PLANE, ONE_PLACE, ORIGIN_LOSS, ORIGIN_MESH_WIDTH, SCALE_MIN
+from lumisplat.constants import COINCIDENT_EXTENT, NEAR_PLANE, ORIGIN_LOSS, ORIGIN_MESH_WIDTH, SCALE_MIN
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.transforms import multiply_quaternions, quaternions_from_matrices, transform_points
 from lumisplat.scene.camera import Camera, CameraModel
@@ -81,7 +81,7 @@ class LocalFrame:
         """
         eyes = np.stack([camera.eye for camera in cameras])
         middle, found = eyes.mean(axis=0), camera_extent(cameras)
-        is_one_place = found < ONE_PLACE * float(np.abs(eyes).max())
+        is_one_place = found < COINCIDENT_EXTENT * float(np.abs(eyes).max())
         return cls(middle, 1.0 if is_one_place or found == 0.0 else found / extent)
 
     @property

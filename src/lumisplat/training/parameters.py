@@ -14,7 +14,7 @@ import warp as wp
 from scipy.spatial import cKDTree
 
 from lumisplat.config import TrainConfig
-from lumisplat.constants import ONE_PLACE, SH_C0
+from lumisplat.constants import COINCIDENT_EXTENT, SH_C0
 from lumisplat.device.training import SplatParameters
 from lumisplat.io.training_images.loading import camera_target, count_poses, count_positions, is_bent
 from lumisplat.math.arrays import Doubles, FloatArray
@@ -179,7 +179,7 @@ class Surroundings:
         """Those of at least one camera."""
         target, extent = camera_target(cameras), camera_extent(cameras)
         farthest = max(float(np.linalg.norm(camera.eye)) for camera in cameras)
-        if extent < ONE_PLACE * max(farthest, 1.0):  # they turn on the spot: nothing says how far anything is
+        if extent < COINCIDENT_EXTENT * max(farthest, 1.0):  # they turn on the spot: nothing says how far anything is
             return cls(1.0, 1.0)
         distance = float(np.median([np.linalg.norm(camera.eye - target) for camera in cameras]))
         axes = np.array([camera.camera_from_world[2, :3] for camera in cameras])

@@ -15,13 +15,13 @@ from lumisplat.constants import (
     NEUTRAL_DESATURATION,
     NEUTRAL_START,
     NEUTRAL_TOE,
-    RADIANCE_BRIGHTEST,
+    RADIANCE_MAX,
     WEIGHT_ROUNDING,
 )
 from lumisplat.device.math.color import captured_color, encode_srgb_color, is_black
 from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, PictureData
 
-BRIGHTEST = wp.constant(wp.float32(RADIANCE_BRIGHTEST))
+BRIGHTEST = wp.constant(wp.float32(RADIANCE_MAX))
 
 WHOLE = wp.constant(wp.float32(1.0 - WEIGHT_ROUNDING))
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from lumisplat.constants import HITS_KEPT_CPU, HITS_KEPT_CUDA
+from lumisplat.constants import HIT_BUFFER_CPU, HIT_BUFFER_CUDA
 from lumisplat.device.bvh.nodes import footprint_variance, larger, lesser
 from lumisplat.device.bvh.packet import empty_list, is_before, keep_hit, largest_of, least_of, packet_of
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
@@ -444,7 +444,7 @@ class PacketTracing(NamedTuple):
 def packet_tracing_of(lanes: int) -> PacketTracing:
     """What tracing packets of up to ``lanes`` rays needs."""
     LANES = lanes
-    HITS = lanes * (HITS_KEPT_CUDA if lanes == 1 else HITS_KEPT_CPU)
+    HITS = lanes * (HIT_BUFFER_CUDA if lanes == 1 else HIT_BUFFER_CPU)
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
     hit_distances, alphas_at = packet_hits_of(lanes).hit_distances, packet_hits_of(lanes).alphas_at
     counted_hits = packet_hits_of(lanes).counted_hits

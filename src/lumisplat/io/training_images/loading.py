@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from lumisplat.config.checks import Color, check_flag, check_range, check_whole, display_color, is_number, quoted
-from lumisplat.constants import ONE_PLACE
+from lumisplat.constants import COINCIDENT_EXTENT
 from lumisplat.errors import ConfigError, FormatError, MissingFileError
 from lumisplat.io.cameras.colmap import count_colmap_images, is_colmap, read_colmap_points
 from lumisplat.io.cameras.common import unique_names
@@ -86,7 +86,7 @@ def _different(cameras: Sequence[Camera], *, turned: bool) -> list[int]:
     """Numbers of cameras that are in another place than all of these before them, or if ``turned`` otherwise turned."""
     eyes = np.stack([camera.eye for camera in cameras])
     turns = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
-    near = SAME_PLACE * max(camera_extent(cameras), ONE_PLACE / SAME_PLACE * float(np.abs(eyes).max()))
+    near = SAME_PLACE * max(camera_extent(cameras), COINCIDENT_EXTENT / SAME_PLACE * float(np.abs(eyes).max()))
     found: list[int] = []
     for number, (eye, turn) in enumerate(zip(eyes, turns, strict=True)):
         same = np.linalg.norm(eyes[found] - eye, axis=1) <= near

@@ -11,8 +11,8 @@ import warp as wp
 
 from lumisplat.config import NormalMethod, RenderConfig, TraceConfig, TraceStrategy
 from lumisplat.constants import (
-    HITS_KEPT_CPU,
-    HITS_KEPT_CUDA,
+    HIT_BUFFER_CPU,
+    HIT_BUFFER_CUDA,
     PACKET_RAYS,
     RAY_BANDS_PER_THREAD,
     TRAVERSE_STACK,
@@ -132,7 +132,7 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     """The 1-element table that kernels read the tracer's settings from."""
     row = table = np.zeros(1, dtype=table_dtype(TraceData))
     is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
-    hits_kept = HITS_KEPT_CUDA if launcher.is_parallel else HITS_KEPT_CPU
+    hits_kept = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
     is_sorted = config.strategy is TraceStrategy.SORTED
     row["strategy"] = _STRATEGIES[config.strategy]
     row["hits_per_pass"] = config.hits_per_pass
