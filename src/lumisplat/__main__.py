@@ -26,10 +26,12 @@ def main() -> int:
     _open_standard_streams()
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     if "--debug" not in sys.argv:
-        warnings.simplefilter("ignore")  # of Python and NumPy: what a user must know is said in lines of our own
+        warnings.simplefilter(
+            "ignore"
+        )  # Lumisplat logs what users must know itself
     status = 0
     try:
-        from lumisplat.cli import main as run_command  # takes a while, and may be interrupted
+        from lumisplat.cli import main as run_command  # slow, and may be interrupted
 
         status = run_command()
         sys.stdout.flush()
@@ -39,10 +41,10 @@ def main() -> int:
     except BrokenPipeError:
         _discard(sys.stdout)
         return 141
-    except OSError as error:  # of the help, or of what was still buffered: a full disk
+    except OSError as error:  # while writing help or buffered output: a full disk
         _discard(sys.stdout)
         with suppress(OSError):
-            if status == 0:  # else the command has said what is wrong
+            if status == 0:  # otherwise the command has reported an error already
                 print(f"error: {error.filename}: cannot be written: {error.strerror}", file=sys.stderr)
         _discard(sys.stderr)
         return 2

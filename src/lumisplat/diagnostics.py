@@ -1,4 +1,4 @@
-"""What this machine has for Lumisplat: devices that are tried, the cache of kernels, packages and extras."""
+"""Diagnostics of this machine: devices on which a kernel is tried, the kernel cache, packages and extras."""
 
 from __future__ import annotations
 
@@ -28,95 +28,95 @@ from lumisplat.runtime.start import start_warp
 
 _DISTRIBUTION = "lumisplat"
 _FOR_DEVELOPERS = ("dev", "docs", "bench")
-"""Extras that no feature asks for."""
+"""Extras that no feature needs."""
 
 _TRIAL_SIZE = 1_000
 _FREE_BYTES_MIN = 2**29
-"""Free space below which compiled kernels may not fit: those of one version took 186 MB where all tests had run."""
+"""Free disk space in bytes below which compiled kernels may not fit: after all tests, one version's took 186 MB."""
 
 _SIGNS_OF_A_GPU = ("/dev/nvidia0", "/dev/dxg", "/proc/driver/nvidia/version")
-"""Files that the driver of a GPU brings (the second one in WSL)."""
+"""Files that exist where a GPU driver is installed (the second one in WSL)."""
 
 
 @dataclass(frozen=True)
 class DeviceFacts:
-    """A device that Lumisplat can be told to use."""
+    """A compute device of this machine, and whether it runs kernels."""
 
     name: str
-    """As ``device`` takes it: ``cpu``, ``cuda:0``."""
+    """Name to give as ``device``: ``cpu``, ``cuda:0``."""
     description: str
-    """What it is, such as ``NVIDIA H100 80GB HBM3``."""
+    """Model name, such as ``NVIDIA H100 80GB HBM3``."""
     memory_bytes: int
-    """0: not known."""
+    """Memory in bytes; 0 if unknown."""
     problem: str | None
-    """Why a small kernel did not run on it; None: it ran, and its results were right."""
+    """Reason why a small test kernel failed; None if it ran and its results were right."""
 
 
 @dataclass(frozen=True)
 class CacheFacts:
-    """The folder of compiled kernels."""
+    """The folder of compiled kernels, and the space in it."""
 
     folder: Path
     used_bytes: int
     free_bytes: int
     problem: str | None
-    """Why kernels cannot be kept there; None: they can."""
+    """Reason why compiled kernels cannot be stored there; None if they can."""
 
 
 @dataclass(frozen=True)
 class PackageFacts:
-    """A package that is needed."""
+    """A required package, and its installed version."""
 
     name: str
     needed: str
-    """Which versions, such as ``>=1.19``; empty: any."""
+    """Required versions, such as ``>=1.19``; empty if any version will do."""
     installed: str | None
-    """Version; None: it is not installed."""
+    """Installed version; None if the package is missing."""
     is_right: bool
-    """Whether a version that is needed is installed."""
+    """True if the installed version is one of the required versions."""
 
 
 @dataclass(frozen=True)
 class ExtraFacts:
-    """An optional part of Lumisplat, and the packages it needs."""
+    """An optional feature set (pip extra) and the packages that it needs."""
 
     name: str
     packages: tuple[PackageFacts, ...]
 
     @property
     def is_installed(self) -> bool:
-        """Whether all of its packages are there."""
+        """True if all packages of the extra are installed in a right version."""
         return all(package.is_right for package in self.packages)
 
     @property
     def install(self) -> str:
-        """The command that installs it."""
+        """The pip command that installs the extra."""
         return f"pip install 'lumisplat[{self.name}]'"
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What `lumisplat.diagnostics.diagnose` has found."""
+    """Result of `lumisplat.diagnostics.diagnose`."""
 
     version: str
-    """Of Lumisplat."""
+    """Version of Lumisplat."""
     python: str
-    """Version and path of the interpreter."""
+    """Version and path of the Python interpreter."""
     system: str
     """Operating system and architecture."""
     cores: int
-    """CPU cores that this process may use."""
+    """Number of CPU cores that this process may use."""
     packages: tuple[PackageFacts, ...]
-    """What Lumisplat cannot do without."""
+    """Required packages."""
     devices: tuple[DeviceFacts, ...]
     cache: CacheFacts
     extras: tuple[ExtraFacts, ...]
     remarks: tuple[str, ...]
-    """What is not wrong, but may surprise, such as a GPU that cannot be used."""
+    """Observations that are no errors but may surprise, such as a GPU that cannot be used."""
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What has to be mended before all works, a line each; empty: nothing."""
+        """Problems to fix before everything works, one line each; empty if there are none."""
         lines = [
             f"{package.name} is {package.installed or 'not installed'}, expected {package.needed or 'any version'}: "
             f"pip install '{package.name}{package.needed}'"
@@ -128,13 +128,13 @@ class Diagnosis:
 
 
 def diagnose() -> Diagnosis:
-    """Looks at what this machine has for Lumisplat, and runs a small kernel on each device.
+    """Inspects this machine for Lumisplat, and runs a small kernel on each device.
 
-    Takes some seconds on a machine whose cache of kernels is empty. Nothing is installed or changed but for that
-    kernel in the cache.
+    Takes a few seconds if the kernel cache is empty. It installs and changes nothing, except that it caches that
+    kernel.
 
     Returns:
-        What was found. Nothing of it is raised.
+        The findings. Problems are reported in it, and never raised.
     """
     cache = _cache()
     with _room_for_kernels(cache):
@@ -154,7 +154,7 @@ def diagnose() -> Diagnosis:
 
 @contextlib.contextmanager
 def _room_for_kernels(cache: CacheFacts) -> Generator[None]:
-    """Where the cache cannot hold kernels, a folder that goes afterwards does: devices are tried all the same."""
+    """Uses a temporary kernel cache if the real one cannot be written, so that devices are tested all the same."""
     if cache.problem is None:
         yield
         return
@@ -169,7 +169,7 @@ def _room_for_kernels(cache: CacheFacts) -> Generator[None]:
 
 
 def _tried(device: Any) -> DeviceFacts:
-    """A device, on which a kernel has been run."""
+    """Tests a device by running a kernel on it, and describes it."""
     try:
         problem = _trial(device)
     except (LumisplatError, OSError) as error:
@@ -182,7 +182,7 @@ def _tried(device: Any) -> DeviceFacts:
 
 
 def _processor() -> str:
-    """The name of the CPU; of its architecture where the system does not tell."""
+    """Returns the CPU's model name, or its architecture where the system does not report a model."""
     with contextlib.suppress(OSError):
         found = re.search(r"^model name\s*: (.+)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
         if found:
@@ -191,7 +191,7 @@ def _processor() -> str:
 
 
 def _trial(device: Any) -> str | None:
-    """Runs a kernel; what is wrong with its results."""
+    """Runs a kernel that squares numbers; returns what is wrong with the results, or None."""
     launcher = Launcher(device.alias)
     launcher.load([trial_kernels])
     squares = Buffers(device.alias).upload("squares", wp.float32, np.full(_TRIAL_SIZE, np.nan, dtype=np.float32))
@@ -201,7 +201,7 @@ def _trial(device: Any) -> str | None:
 
 
 def _cache() -> CacheFacts:
-    """Where compiled kernels are kept, and whether more can be."""
+    """Inspects the kernel cache: its folder, its size, and whether it can be written."""
     problem, free = None, 0
     try:
         start_warp()
@@ -237,7 +237,7 @@ def _extras() -> list[str]:
 
 
 def _packages(extra: str) -> tuple[PackageFacts, ...]:
-    """What Lumisplat needs by itself (``extra`` is empty), or for an extra."""
+    """Compares installed packages with the requirements of an extra, or of Lumisplat itself if ``extra`` is empty."""
     from packaging.requirements import Requirement
 
     found: list[PackageFacts] = []

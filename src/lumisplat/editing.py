@@ -1,4 +1,4 @@
-"""Editing captures: cropping, thinning, cleaning, levelling, selecting."""
+"""Edits captures: cropping, decimating, cleaning, levelling, selecting."""
 
 from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.editing.levelling import UpEstimate, find_up, level

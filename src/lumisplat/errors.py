@@ -1,13 +1,13 @@
-"""The errors that Lumisplat raises, and checks of types and array shapes.
+"""Errors that Lumisplat raises, and checks of types and array shapes.
 
 LumisplatError
 ├── ConfigError        a bad setting (also a ValueError)
 ├── MissingExtraError  an optional package is not installed (also an ImportError)
 ├── SceneError         bad data: shape, NaN, empty (also a ValueError)
-│   └── FormatError    a file we cannot read or write: names the path
+│   └── FormatError    a file that cannot be read or written: names the path
 │       └── MissingFileError  a file that does not exist (also a FileNotFoundError)
 ├── DeviceError        a missing device, out of memory, a failed launch
-└── StoppedError       a frame was given up because the caller wanted that
+└── StoppedError       a frame that the caller stopped
 
 Messages say what, where, what was expected and what to do, in one line.
 """
@@ -21,19 +21,19 @@ import numpy as np
 
 
 class LumisplatError(Exception):
-    """Base of every error that Lumisplat raises on purpose."""
+    """Base class of every error that Lumisplat raises on purpose."""
 
 
 class ConfigError(LumisplatError, ValueError):
-    """A setting is out of its range."""
+    """Raised for a setting outside its range."""
 
 
 class MissingExtraError(LumisplatError, ImportError):
-    """A feature needs a package that is not installed.
+    """Raised when a feature needs an optional package that is not installed.
 
     Args:
-        what: What needs it, as the beginning of a sentence.
-        extra: The extra of ours that brings it.
+        what: The feature, as the beginning of the message.
+        extra: The pip extra of Lumisplat that installs the package.
     """
 
     def __init__(self, what: str, extra: str) -> None:
@@ -41,24 +41,24 @@ class MissingExtraError(LumisplatError, ImportError):
         self._what, self._extra = what, extra
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
-        """So that errors cross from one process to another."""
+        """Makes the error picklable, so that worker processes can return it."""
         return type(self), (self._what, self._extra)
 
 
 class StoppedError(LumisplatError):
-    """A frame was given up, as the ``stop`` of `lumisplat.Renderer.render` has asked for."""
+    """Raised by `lumisplat.Renderer.render` when its ``stop`` argument asks to give up the frame."""
 
 
 class SceneError(LumisplatError, ValueError):
-    """Scene data is wrong: a shape, a non-finite value, an empty set."""
+    """Raised for wrong scene data: a shape, a non-finite value, an empty set."""
 
 
 class FormatError(SceneError):
-    """A file cannot be read or written.
+    """Raised when a file cannot be read or written.
 
     Args:
-        path: The file the message is about.
-        problem: What is wrong, what was expected, what to do.
+        path: The file.
+        problem: What is wrong, what was expected, and what to do.
     """
 
     def __init__(self, path: str | os.PathLike[str], problem: str) -> None:
@@ -67,36 +67,39 @@ class FormatError(SceneError):
         self.problem = problem
 
     def __reduce__(self) -> tuple[type[FormatError], tuple[str, str]]:
-        """So that errors cross from one process to another."""
+        """Makes the error picklable, so that worker processes can return it."""
         return type(self), (self.path, self.problem)
 
 
 class MissingFileError(FormatError, FileNotFoundError):
-    """A file or a folder that is to be read does not exist; ``path`` names it, ``filename`` and ``errno`` are None."""
+    """Raised when an input file or folder does not exist; ``path`` names it, ``filename`` and ``errno`` are None."""
 
 
 class DeviceError(LumisplatError, RuntimeError):
-    """A compute device is missing, out of memory or failed."""
+    """Raised when a compute device is missing, runs out of memory or fails."""
 
 
 def check_instance(value: object, kinds: type | UnionType, expected: str, advice: str = "") -> None:
-    """Raises a SceneError, ``expected`` and the type that was given, unless ``value`` is of one of the kinds."""
+    """Raises a SceneError unless ``value`` is an instance of ``kinds``.
+
+    The message is ``expected``, the type that was given, and ``advice``.
+    """
     if not isinstance(value, kinds):
         raise SceneError(f"{expected}, got a {type(value).__name__}{advice}")
 
 
 def check_shapes(**named: tuple[np.ndarray | None, str]) -> dict[str, int]:
-    """Checks array shapes against symbolic ones, binding each symbol across all arguments.
+    """Checks array shapes against symbolic shapes; a symbol means the same size in all arguments.
 
     Args:
         **named: ``name=(array, "N 3")``: numbers must match exactly, letters must agree everywhere; ``None`` arrays
             are skipped.
 
     Returns:
-        The size bound to each symbol.
+        The size of each symbol.
 
     Raises:
-        SceneError: A shape does not fit; the message names both sides.
+        SceneError: A shape does not fit; the message names the array and the shape that it conflicts with.
     """
     bound: dict[str, tuple[int, str]] = {}
     for name, (array, pattern) in named.items():

@@ -1,4 +1,4 @@
-"""Names of a package that import their module when they are first used."""
+"""Lazy imports: names of a package whose module is imported at first use."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pathlib import Path
 
 
 def names_of_stub(package: str, file: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
-    """Makes the names that a package's stub imports resolve when they are first used.
+    """Resolves the names that a package's stub imports at their first use.
 
-    The stub, ``__init__.pyi``, is the one list of the package's public names; type checkers read it, too. Importing the
-    package imports none of their modules, so that ``import lumisplat`` and ``lumisplat --help`` stay quick.
+    The stub, ``__init__.pyi``, is the only list of the package's public names; type checkers read it, too. Importing
+    the package imports none of their modules, so that ``import lumisplat`` and ``lumisplat --help`` stay quick.
 
     Args:
         package: Name of the package, ``__name__``.
-        file: The package's ``__file__``; the stub is beside it.
+        file: The package's ``__file__``; the stub lies beside it.
 
     Returns:
         ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
@@ -30,7 +30,7 @@ def names_of_stub(package: str, file: str) -> tuple[Callable[[str], object], Cal
                 modules[alias.name] = None if node.module == "lumisplat" else node.module
 
     def elsewhere(name: str) -> str:
-        """Names the submodule that has what the package does not, for the message."""
+        """Returns the end of the error message: the submodule that defines the name, if one does."""
         submodules = [module for module, home in modules.items() if home is None and not name.startswith("_")]
         found = [module for module in submodules if name in importlib.import_module(f"{package}.{module}").__all__]
         return f": it is {package}.{found[0]}.{name}" if found else ""

@@ -1,8 +1,8 @@
-"""The memory that this process may use: the machine's, or less where a container or a job scheduler allows less.
+"""Memory limit of this process: the machine's memory, or less where a container or a job scheduler sets a limit.
 
-Linux kills a process that exceeds the limit of its control group (cgroup); reading the limits first makes that an error
-with a message. See the kernel's documentation of cgroup v1 (``memory.limit_in_bytes``), of v2 (``memory.max``), and
-``proc(5)`` for ``/proc/self/cgroup`` and ``/proc/self/mountinfo``.
+Linux kills a process that exceeds the limit of its control group (cgroup); reading the limits first turns that into an
+error with a message. See the kernel's documentation of cgroup v1 (``memory.limit_in_bytes``), of v2 (``memory.max``),
+and ``proc(5)`` for ``/proc/self/cgroup`` and ``/proc/self/mountinfo``.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
 _PROCESS = Path("/proc/self")
-"""Folder of the process's own ``cgroup`` and ``mountinfo``."""
+"""Folder with this process's ``cgroup`` and ``mountinfo`` files."""
 
 _LIMIT = {"cgroup2": "memory.max", "cgroup": "memory.limit_in_bytes"}
-"""Type of file system -> the file of a control group that holds its limit, bytes or ``max``."""
+"""File that holds a control group's limit (bytes or ``max``), by type of file system."""
 
 
 def usable_memory() -> int | None:
     """Returns the memory that this process may use, in bytes; None where the system does not report it.
 
-    The least of the machine's memory and of the limits of the process's control group and of all groups above it.
+    It is the smallest of the machine's memory and the limits of the process's control group and of all its parents.
     """
     limits: list[int] = []
     with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows

@@ -1,8 +1,8 @@
-"""A palette of vectors by k-means (Lloyd 1982) on two levels.
+"""Vector quantisation by two-level k-means (Lloyd 1982): a palette of K vectors that approximate N.
 
-The vectors are first divided into some hundreds of groups by k-means; then each group gets entries of its own. A vector
-is compared with the entries of its group only: 2 sqrt(K) comparisons for K entries instead of K. Groups with more error
-get more entries, which more than makes up for it; see docs/adr/0065-sog-written.md.
+K-means first divides the vectors into about sqrt(K) groups; then each group gets palette entries of its own. A vector
+is compared with the entries of its group only: 2 sqrt(K) comparisons instead of K. Groups with a larger error get more
+entries, which more than compensates for the coarser search; see docs/adr/0065-sog-written.md.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import Launcher
 
 LLOYD_STEPS = 10
-"""Steps of k-means on each level."""
+"""Iterations of k-means on each level."""
 
 BANDS_A_THREAD = 8
-"""Bands of the comparisons: groups take more and less time."""
+"""Bands per CPU thread: the cost of vectors varies with the size of their group."""
 
 _FAR = 1e15
-"""Component of entries that are not used: the sum of its squares is far above all others, and finite."""
+"""Components of unused entries: farther than every vector, while the squared distance stays finite."""
 
 Floats = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int64]
@@ -32,21 +32,21 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Palette:
-    """K vectors that stand for N."""
+    """K entries, and the entry that approximates each of N vectors."""
 
     entries: Floats
-    """Shape (K, D)."""
+    """Palette entries, shape (K, D)."""
     labels: Indices
-    """The entry of each of the N vectors."""
+    """Index of the entry of each vector, shape (N,)."""
 
 
 def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
-    """Finds a palette that stands for vectors with little squared error; the same one in each run on a device.
+    """Finds a palette that approximates vectors with a small squared error, deterministically on each device.
 
     Args:
         values: Finite vectors, shape (N, D), at least one.
-        count: Largest number of entries, at least 1. If there are no more different vectors, these are the palette.
-        device: Where to compare vectors with entries.
+        count: Largest number of entries, at least 1. If there are no more distinct vectors, they are the palette.
+        device: Device that compares vectors with entries.
 
     Raises:
         DeviceError: There is no such device.
@@ -54,7 +54,7 @@ def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
     values = np.ascontiguousarray(values, dtype=np.float32)
     rows = values.view(np.dtype((np.void, values.itemsize * values.shape[1]))).reshape(-1)
     _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
-    if len(first) <= count:  # as in captures that had a palette before
+    if len(first) <= count:  # e.g. captures that were quantised before
         return Palette(values[first], inverse.astype(np.int64))
     launcher = Launcher(device)
     launcher.load([palette_kernels])
@@ -65,15 +65,15 @@ def fit_palette(values: Floats, count: int, device: str = "auto") -> Palette:
 
 
 def group_shares(group: Indices, errors: Floats, count: int) -> Indices:
-    """How many of ``count`` entries each group gets, by the root of the product of its size and its squared error.
+    """Divides ``count`` entries among the groups in proportion to the root of (group size x squared error).
 
-    By size alone, many entries would stand for vectors that are alike anyway. A group has at least one entry, and no
-    more than vectors.
+    In proportion to the size alone, many entries would approximate vectors that are alike anyway. Each group gets at
+    least one entry, and no more than it has vectors.
 
     Args:
         group: Group of each vector, shape (N,).
         errors: Squared distance of each vector to its group's mean, shape (N,).
-        count: Entries to give away.
+        count: Number of entries to divide.
     """
     sizes = np.bincount(group)
     demand = np.sqrt(sizes * np.bincount(group, errors.astype(np.float64)))
@@ -84,11 +84,11 @@ def group_shares(group: Indices, errors: Floats, count: int) -> Indices:
 
 
 def _lloyd(launcher: Launcher, values: Floats, group: Indices, shares: Indices) -> tuple[Palette, Floats]:
-    """K-means within each group, and the squared distance of each vector to its entry.
+    """Runs k-means within each group; also returns the squared distance of each vector to its entry.
 
     Args:
         launcher: Launches the comparisons.
-        values: Shape (N, D).
+        values: Vectors, shape (N, D).
         group: Group of each vector, shape (N,).
         shares: Number of entries of each group.
     """
@@ -98,12 +98,12 @@ def _lloyd(launcher: Launcher, values: Floats, group: Indices, shares: Indices) 
         labels, distances = search.nearest(entries.values)
         entries.move(labels, distances)
     labels, distances = search.nearest(entries.values)
-    kept, labels = np.unique(labels, return_inverse=True)
-    return Palette(entries.values[kept], labels), distances
+    used, labels = np.unique(labels, return_inverse=True)
+    return Palette(entries.values[used], labels), distances
 
 
 class _Entries:
-    """The entries of groups: each group's begin with a row of their own, whose last ones may be unused."""
+    """Entries of all groups in rows of 16. Each group starts a new row, so the end of its last row may be unused."""
 
     def __init__(self, vectors: Floats, group: Indices, shares: Indices) -> None:
         self._vectors, self._group = vectors, group
@@ -112,15 +112,15 @@ class _Entries:
         rank = np.arange(len(owner)) - (np.cumsum(shares) - shares)[owner]
         self._used: Indices = LANES * self.first_row[owner] + rank
         self.values = np.full((self.first_row[-1] * LANES, vectors.shape[1]), _FAR, dtype=np.float32)
-        """Shape (16 rows, D)."""
-        # They begin at vectors spread evenly over those of the group: with captures in Morton order, over space.
+        """Entries, shape (16 rows, D)."""
+        # Entries start at vectors spread evenly over the group: captures in Morton order make that even in space.
         members = np.argsort(group, kind="stable")
         sizes = np.bincount(group, minlength=len(shares))
-        places = (np.cumsum(sizes) - sizes)[owner] + rank * sizes[owner] // shares[owner]
-        self.values[self._used] = vectors[members[places]]
+        picks = (np.cumsum(sizes) - sizes)[owner] + rank * sizes[owner] // shares[owner]
+        self.values[self._used] = vectors[members[picks]]
 
     def move(self, labels: Indices, distances: Floats) -> None:
-        """Moves entries to the means of their vectors, and those without to the vectors farthest from their entries."""
+        """Moves each entry to the mean of its vectors, and unused entries to the worst approximated vectors."""
         order = np.argsort(labels, kind="stable")
         found, starts, counts = np.unique(labels[order], return_index=True, return_counts=True)
         sums = np.add.reduceat(self._vectors[order], starts, axis=0, dtype=np.float64)
@@ -134,7 +134,7 @@ class _Entries:
 
 
 class _Search:
-    """Vectors on the device, to be compared with entries."""
+    """Vectors on the device, ready to be compared with entries."""
 
     def __init__(self, launcher: Launcher, values: Floats, group: Indices, first_row: Indices) -> None:
         self._launcher, self._buffers, self._count = launcher, Buffers(launcher.device), len(values)
@@ -145,7 +145,7 @@ class _Search:
         self._vectors.first_row = self._buffers.upload("first_row", int, first_row.astype(np.int32))
 
     def nearest(self, entries: Floats) -> tuple[Indices, Floats]:
-        """The entry of each vector, and its squared distance."""
+        """Returns the nearest entry of each vector, and the squared distance to it."""
         rows = entries.reshape(-1, LANES, entries.shape[1]).transpose(0, 2, 1).reshape(-1, LANES)
         self._vectors.entries = self._buffers.upload("entries", Lanes, rows)
         entry = self._buffers.get("entry", int, self._count)

@@ -1,4 +1,4 @@
-"""The nearest entry of a palette to each vector. One item is one vector; it reads its group's entries, 16 at a time."""
+"""Nearest-entry search of a palette. One item is one vector; it reads the entries of its group, 16 at a time."""
 
 import warp as wp
 
@@ -7,30 +7,30 @@ from lumisplat.device.structs import struct
 wp.set_module_options({"enable_backward": False})
 
 LANES = 16
-"""Entries that are compared side by side: a vector register or two on CPUs."""
+"""Entries that are compared side by side: one or two vector registers of a CPU."""
 
 Lanes = wp.types.vector(length=LANES, dtype=wp.float32)
 
 
 @struct
 class GroupedVectors:
-    """N vectors of D components in groups, each with entries of its own."""
+    """N vectors of D components in groups, and each group's palette entries."""
 
     components: int
-    """D."""
+    """Number of components, D."""
     values: wp.array[float]
-    """Components, vector by vector."""
+    """Components of all vectors, vector by vector, length N D."""
     group: wp.array[int]
     """Group of each vector."""
     entries: wp.array[Lanes]
-    """Rows of 16 entries, component by component; unused ones are far away from everything."""
+    """Rows of 16 entries, component by component; unused entries are farther away than every vector."""
     first_row: wp.array[int]
-    """First row of each group, and at the end the number of rows."""
+    """First row of each group, and finally the total number of rows."""
 
 
 @wp.kernel(enable_backward=False)
 def find_nearest(start: int, vectors: GroupedVectors, entry_out: wp.array[int], distance_out: wp.array[float]):
-    """Writes the nearest entry of the vector's group, 16 row + lane, the first of equals, and its squared distance."""
+    """Writes the nearest entry of each vector's group, as 16 row + lane, and its squared distance."""
     i = start + wp.tid()
     nearest = int(-1)
     least = float(wp.inf)

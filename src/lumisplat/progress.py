@@ -1,28 +1,28 @@
-"""How long computations say what they do."""
+"""Progress reports of long computations."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
 _NEARLY = 0.99
-"""Of work that is not done."""
+"""Largest fraction that is reported before the work is done."""
 
 Progress = Callable[[str, float], None]
-"""Called with a label of the work and the fraction done, 0..1."""
+"""Callback that receives a label of the work and the fraction done, 0..1."""
 
 
-def say_nothing(label: str, fraction: float) -> None:
-    """Progress that nobody asked for."""
+def no_progress(label: str, fraction: float) -> None:
+    """Ignores progress: the default callback."""
 
 
-class Pace:
-    """How far work is whose stages consist of pieces: what each stage is expected to cost, and what pieces cost.
+class StagedProgress:
+    """Progress of work that consists of stages, from their expected costs and the costs of finished pieces.
 
-    A stage that costs less than expected is jumped over, one that costs more waits at its end.
+    If a stage costs less than expected, progress jumps to its end; if it costs more, progress waits there.
 
     Args:
-        report: Called with label and stage, "label, stage", and the fraction done, below 1.
-        label: Of the work.
+        report: Called with "label, stage" and the fraction done, below 1.
+        label: Label of the work.
     """
 
     def __init__(self, report: Progress, label: str) -> None:
@@ -31,18 +31,18 @@ class Pace:
         self._before, self._stage, self._done = 0.0, "", 0.0
 
     def plan(self, stages: Mapping[str, float]) -> None:
-        """Says what stages there are, in their order, and what each is expected to cost."""
+        """Sets the stages in their order, and the expected cost of each."""
         self._stages = dict(stages)
 
     def begin(self, stage: str) -> None:
-        """Begins one of the stages."""
+        """Begins a stage."""
         names = list(self._stages)
         self._before = sum(self._stages[name] for name in names[: names.index(stage)])
         self._stage, self._done = stage, 0.0
         self.add(0.0)
 
     def add(self, cost: float) -> None:
-        """Tells of a piece that is done; before stages begin, nothing is told."""
+        """Reports the cost of a finished piece; does nothing before the first stage begins."""
         if not self._stage:
             return
         self._done += cost

@@ -1,4 +1,4 @@
-"""Rays through a scene from Python: what they hit, how much passes."""
+"""Traces rays through a scene from Python: hits and transmittance along rays, without an image."""
 
 from lumisplat.renderer.one_shot import focused, trace_rays, transmittance
 from lumisplat.renderer.rays import RayHits, RayProfile

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from lumisplat.progress import Pace
+from lumisplat.progress import StagedProgress
 
 
 def test_pieces_and_stages() -> None:
     """Pieces before the first stage are not told; what costs more than expected waits, what costs less is jumped."""
     told: list[tuple[str, float]] = []
-    pace = Pace(lambda *now: told.append(now), "work")
+    pace = StagedProgress(lambda *now: told.append(now), "work")
     pace.plan({"cheap": 2.0, "free": 0.0, "dear": 8.0})
     pace.add(1.0)
     assert not told
@@ -28,7 +28,7 @@ def test_pieces_and_stages() -> None:
 def test_work_is_not_done_before_it_is() -> None:
     """At the end of the last stage, and where nothing is expected to cost anything, something is still left."""
     told: list[float] = []
-    pace = Pace(lambda _, share: told.append(share), "work")
+    pace = StagedProgress(lambda _, share: told.append(share), "work")
     for cost in (1.0, 0.0):
         pace.plan({"all": cost})
         pace.begin("all")

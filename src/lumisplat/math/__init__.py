@@ -1,1 +1,1 @@
-"""Mathematics on the host, NumPy only: checked arrays, colour, tone mapping, rotations, spherical harmonics."""
+"""Mathematics on the host, in NumPy only: checked arrays, colour, tone mapping, rotations, spherical harmonics."""

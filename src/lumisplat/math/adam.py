@@ -1,4 +1,4 @@
-"""Adam (Kingma and Ba 2015) for arrays on the host; the one for Gaussians is a kernel, `optimizer_kernels.update`."""
+"""The Adam optimiser (Kingma and Ba 2015) for host arrays; Gaussians use the kernel `optimizer_kernels.update`."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from lumisplat.math.arrays import Doubles
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Adam:
-    """Moments of an array that moves as a whole, or row by row, each row with a count of steps of its own."""
+    """Moments of an array that is updated as a whole, or row by row with a step count for each row."""
 
     first: Doubles
-    """The shape of the array."""
+    """First moments, in the shape of the array."""
     second: Doubles
-    """The shape of the array."""
+    """Second moments, in the shape of the array."""
     steps: Doubles
-    """How often the array has moved, shape (), or each row, shape (K,)."""
+    """Number of updates so far: of the array, shape (), or of each row, shape (K,)."""
 
     @classmethod
     def still(cls, shape: tuple[int, ...], *, by_rows: bool = False) -> Adam:
-        """Returns the moments of an array that has not moved yet.
+        """Returns the moments of an array before its first update.
 
         Args:
-            shape: Of the array.
-            by_rows: Whether its rows move one by one.
+            shape: Shape of the array.
+            by_rows: Whether rows are updated one by one.
         """
         return cls(np.zeros(shape), np.zeros(shape), np.zeros(shape[:1] if by_rows else ()))
 
     def state(self, name: str) -> dict[str, Doubles]:
-        """Returns the moments and the counts, by names that begin with ``name``."""
+        """Returns the moments and step counts as arrays, whose names begin with ``name``."""
         return {f"{name}.first": self.first, f"{name}.second": self.second, f"{name}.turns": self.steps}
 
     def step(self, gradient: Doubles, rate: float = 1.0, row: int | EllipsisType = ...) -> Doubles:
-        """Updates the moments, and returns by how much the array, or a row of it, moves.
+        """Updates the moments, and returns the change to add to the array or to one of its rows.
 
         Args:
-            gradient: Derivatives of the loss, the shape of the array or the row.
+            gradient: Gradient of the loss, in the shape of the array or the row.
             rate: Learning rate.
-            row: The row that moves; all of the array if not given.
+            row: Row to update; the whole array if not given.
         """
         self.steps[row] += 1.0
         first, second, steps = self.first[row], self.second[row], float(self.steps[row])

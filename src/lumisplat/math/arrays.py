@@ -1,4 +1,4 @@
-"""Converts and checks arrays that the user gives, and makes them read-only; weighted quantiles."""
+"""Checks arrays from the user, converts them and makes them read-only; weighted quantiles."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ Rows = npt.NDArray[np.int64]
 Flags = npt.NDArray[np.bool_]
 
 _DLPACK_CPU = 1
-"""kDLCPU of dlpack.h."""
+"""Device type of CPU memory: kDLCPU of dlpack.h."""
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 _Float = TypeVar("_Float", bound=np.floating[Any])
 
 _LAST_ROW = np.array((0.0, 0.0, 0.0, 1.0))
-"""Last row of an affine transform."""
+"""Last row of every affine transform."""
 _LAST_ROW_ERROR = 1e-6 + 1e-5 * _LAST_ROW
-"""Largest difference from it."""
+"""Tolerance for the last row."""
 
 _UNIT_ERROR = 2e-15
-"""Largest error of the length of a vector that has been divided by its length."""
+"""Tolerance for the length of a vector that was normalised before."""
 
 
 def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -41,12 +41,12 @@ def float_array(name: str, values: npt.ArrayLike) -> FloatArray:
 
 
 def to_floats(values: npt.ArrayLike, name: str = "array") -> FloatArray:
-    """Converts a field to a float32 array, see `float_array`."""
+    """Converts a dataclass field to a float32 array; see `float_array`."""
     return float_array(name, values)
 
 
 def to_floats_or_none(values: npt.ArrayLike | None, name: str = "array") -> FloatArray | None:
-    """Converts a field to a float32 array; None stays."""
+    """Converts a dataclass field to a float32 array, and leaves None as it is."""
     return None if values is None else float_array(name, values)
 
 
@@ -72,16 +72,16 @@ def finite_array(name: str, values: npt.ArrayLike, dtype: type[_Float]) -> npt.N
 
 
 def host_array(values: Any) -> Any:
-    """Returns an array of another package as NumPy's view of it, by DLPack; all else is returned as it is.
+    """Returns an array of another package as a NumPy view through DLPack; everything else is returned unchanged.
 
-    What NumPy reads by itself, such as PyTorch's tensors on the CPU, is left to it. Arrays on GPUs are copied, if their
-    package can.
+    NumPy reads some foreign arrays by itself, such as PyTorch's CPU tensors; these are returned unchanged, too. Arrays
+    on a GPU are copied, if their package supports it.
 
     Raises:
-        SceneError: Neither NumPy nor the package can.
+        SceneError: Neither NumPy nor the package can convert the array.
     """
     if not hasattr(values, "__dlpack__") or hasattr(values, "__array__") or hasattr(values, "__array_interface__"):
-        return values  # an array of NumPy, too
+        return values  # NumPy arrays have __dlpack__, too
     is_on_host = int(values.__dlpack_device__()[0]) == _DLPACK_CPU
     try:
         read: npt.NDArray[Any] = np.from_dlpack(values) if is_on_host else np.from_dlpack(values, device="cpu")
@@ -93,7 +93,7 @@ def host_array(values: Any) -> Any:
 
 
 def finite_numbers(values: object, shape: tuple[int, ...]) -> npt.NDArray[np.float64] | None:
-    """Returns ``values`` as a float64 array of that shape, None if they are not as many finite numbers."""
+    """Returns ``values`` as a float64 array of the given shape; None unless they are that many finite numbers."""
     try:
         numbers = np.array(host_array(values), dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -102,7 +102,7 @@ def finite_numbers(values: object, shape: tuple[int, ...]) -> npt.NDArray[np.flo
 
 
 def three_numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
-    """Returns ``values``, rounded to float32 as kernels take them, as a float64 array of shape (3,).
+    """Returns ``values`` as a float64 array of shape (3,), rounded to float32 as kernels receive them.
 
     Raises:
         SceneError: They are not three finite numbers.
@@ -114,10 +114,10 @@ def three_numbers(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
-    """Returns a read-only float64 affine transform, the identity for ``None``.
+    """Returns a read-only float64 affine transform; the identity for ``None``.
 
     Raises:
-        SceneError: The matrix is not 4x4, not finite, singular, its last row is not (0, 0, 0, 1), or its entries or
+        SceneError: The matrix is not 4x4, not finite or singular; its last row is not (0, 0, 0, 1); or its entries or
             those of its inverse are too large for float32.
     """
     try:
@@ -141,7 +141,7 @@ def matrix_4x4(name: str, values: npt.ArrayLike | None) -> npt.NDArray[np.float6
 
 
 def box_text(low: npt.NDArray[Any], high: npt.NDArray[Any]) -> str:
-    """A box by its corners, as texts show it: ``(-1, 0, 2.5)..(1, 3, 4)``."""
+    """Formats a box by its two corners: ``(-1, 0, 2.5)..(1, 3, 4)``."""
     low_text, high_text = (", ".join(f"{value:z.4g}" for value in corner) for corner in (low, high))
     return f"({low_text})..({high_text})"
 
@@ -178,7 +178,7 @@ def normalise_rows(name: str, vectors: FloatArray) -> FloatArray:
 
 
 def unit_vector(vector: Doubles) -> Doubles:
-    """A vector, of any length above 0, at length 1; one that has it, but for rounding, keeps its bits."""
+    """Normalises a vector of any length above 0; a vector of unit length, up to rounding, keeps its bits."""
     length = np.linalg.norm(vector)
     return vector if abs(length - 1.0) < _UNIT_ERROR else vector / length
 
@@ -194,19 +194,21 @@ def read_only_array(values: npt.ArrayLike, dtype: type[_Scalar]) -> npt.NDArray[
 
 
 def read_only_view(values: npt.NDArray[_Scalar]) -> npt.NDArray[_Scalar]:
-    """Returns a read-only view of an array that nobody else writes to, so that scene classes use it without a copy."""
+    """Returns a read-only view of an array that nobody else writes to; scene classes use it without a copy."""
     view = values.view()
     view.flags.writeable = False
     return view
 
 
 def weighted_quantile(values: Doubles, weights: Doubles, share: float) -> float:
-    """The value below which a share of the weight is, between values by interpolation; of equal weights, NumPy's.
+    """Returns the value below which a given fraction of the weight lies, interpolated linearly between values.
+
+    With equal weights it is NumPy's quantile.
 
     Args:
         values: Shape (N,).
-        weights: At least 0, one of them above it, shape (N,); values of weight 0 do not count.
-        share: 0..1; 0 is the least value, 1 the largest.
+        weights: Non-negative, at least one of them positive, shape (N,); values of weight 0 are ignored.
+        share: Fraction 0..1; 0 gives the smallest value, 1 the largest.
     """
     kept = weights > 0.0
     order = np.argsort(values[kept], kind="stable")

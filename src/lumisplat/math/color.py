@@ -1,4 +1,4 @@
-"""Converts colors: the sRGB transfer function (IEC 61966-2-1), CIE luminance and L*a*b* under D65; albedos in range."""
+"""Colour conversions: sRGB transfer function (IEC 61966-2-1), CIE luminance and L*a*b* under D65, albedos in gamut."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lumisplat.math.arrays import Doubles
 
 
 def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Linear values of display-referred ones. Odd-symmetric and unclamped, so that round trips lose nothing."""
+    """Converts display-referred sRGB values to linear ones. Odd and unclamped, so that round trips lose nothing."""
     encoded = np.asarray(encoded)
     encoded = encoded if encoded.dtype.kind == "f" else encoded.astype(np.float32)
     magnitude = np.abs(encoded)
@@ -19,7 +19,7 @@ def decode_srgb(encoded: npt.ArrayLike) -> npt.NDArray[np.floating]:
 
 
 def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
-    """Display-referred values of linear ones. Odd-symmetric and unclamped."""
+    """Converts linear values to display-referred sRGB. Odd and unclamped."""
     linear = np.asarray(linear)
     linear = linear if linear.dtype.kind == "f" else linear.astype(np.float32)
     magnitude = np.abs(linear)
@@ -28,9 +28,10 @@ def encode_srgb(linear: npt.ArrayLike) -> npt.NDArray[np.floating]:
 
 
 def albedo_in_range(albedo: Doubles) -> Doubles:
-    """Albedos of at most 1, shape (N, 3): those above it in a channel are darkened in all, and keep their hue.
+    """Scales albedos with a channel above 1 down until their largest channel is 1; shape (N, 3).
 
-    What is missing there is light, mostly by one factor for all channels; cut off one by one, colours would pale.
+    All channels are scaled alike, which keeps the hue: an albedo above 1 usually means that the light was
+    underestimated by one factor. Clipping each channel would desaturate the colour.
     """
     return albedo / np.maximum(albedo.max(axis=1, keepdims=True), 1.0)
 
@@ -39,16 +40,16 @@ def albedo_in_range(albedo: Doubles) -> Doubles:
 _XYZ_FROM_REC709 = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 _WHITE = _XYZ_FROM_REC709.sum(axis=1)
 _KNEE = 6.0 / 29.0
-"""Below the cube of this, the cube root of L*a*b* becomes a straight line (CIE 15 calls the cube epsilon)."""
+"""Cube root of the threshold below which L*a*b* is linear (CIE 15 calls the threshold epsilon)."""
 
 
 def luminance(linear: npt.ArrayLike) -> Doubles:
-    """CIE Y of linear Rec.709 values, white is 1: shape (..., 3) to (...)."""
+    """Returns CIE Y of linear Rec.709 values, 1 for white: shape (..., 3) to (...)."""
     return np.asarray(linear, np.float64) @ np.asarray(LUMINANCE)
 
 
 def lab(linear: npt.ArrayLike) -> Doubles:
-    """CIE L*a*b* under D65 of linear Rec.709 values of at least 0, shape (..., 3). Grey has a* = b* = 0."""
+    """Converts non-negative linear Rec.709 values, shape (..., 3), to CIE L*a*b* under D65. Grey has a* = b* = 0."""
     relative: Doubles = np.asarray(linear, np.float64) @ (_XYZ_FROM_REC709 / _WHITE[:, None]).T
     straight = relative / (3.0 * _KNEE**2) + 4.0 / 29.0
     curved = np.where(relative > _KNEE**3, np.cbrt(relative), straight)

@@ -1,7 +1,7 @@
-"""Maps of directions: latitude-longitude images, and the equal-area octahedral map of a square (Clarberg 2008).
+"""Direction maps: latitude-longitude images, and the equal-area octahedral map of a square (Clarberg 2008).
 
-Axes of latitude-longitude images are those of `LightEnvironment`: +y at the top, -z in the middle, +x to the right of
-the middle. In the octahedral map, equal areas are equal solid angles.
+Latitude-longitude images have the axes of `LightEnvironment`: +y at the top, -z in the middle, +x to the right of the
+middle. In the octahedral map, equal areas are equal solid angles.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from lumisplat.math.sh import sh_basis
 
 
 def panorama_directions(height: int, width: int) -> Doubles:
-    """Unit directions of the pixel centres, shape (H, W, 3)."""
+    """Returns the unit direction of each pixel centre of a latitude-longitude image, shape (H, W, 3)."""
     theta = (np.arange(height)[:, None] + 0.5) * (np.pi / height)
     phi = (np.arange(width) + 0.5) * (2.0 * np.pi / width) - np.pi
     sine = np.sin(theta)
@@ -22,17 +22,19 @@ def panorama_directions(height: int, width: int) -> Doubles:
 
 
 def panorama_solid_angles(height: int, width: int) -> Doubles:
-    """Exact solid angle of one pixel in each row, steradians, shape (H,). Times the width, they sum to 4 pi."""
+    """Returns the exact solid angle of one pixel in each row, steradians, shape (H,)."""
     edges = np.cos(np.arange(height + 1) * (np.pi / height))
     return (edges[:-1] - edges[1:]) * (2.0 * np.pi / width)
 
 
 def panorama_lookup(image: npt.NDArray[np.floating], directions: Doubles) -> Doubles:
-    """Values of an image along unit directions: bilinear, with the left and right edges joined, as kernels look it up.
+    """Samples a latitude-longitude image bilinearly along unit directions, as kernels do.
+
+    The left and right edges wrap around.
 
     Args:
         image: Shape (H, W, 3).
-        directions: In the image's axes, shape (..., 3).
+        directions: Unit directions in the image's axes, shape (..., 3).
 
     Returns:
         Shape (..., 3).
@@ -52,13 +54,13 @@ def panorama_lookup(image: npt.NDArray[np.floating], directions: Doubles) -> Dou
 
 
 _POINTS = 64
-"""Points along each side of a cell at which harmonics are summed."""
+"""Quadrature points along each side of a cell for integrals of SH."""
 _COSINE_POINTS = 16
-"""The same for cosines."""
+"""Quadrature points along each side of a cell for integrals of clamped cosines."""
 
 
 def directions_of_square(points: npt.ArrayLike) -> Doubles:
-    """Unit directions of points of the square, 0..1; shapes (..., 2) and (..., 3)."""
+    """Maps points of the unit square, shape (..., 2), to unit directions, shape (..., 3), by the octahedral map."""
     u, v = np.moveaxis(2.0 * np.asarray(points, np.float64) - 1.0, -1, 0)
     inside = 1.0 - np.abs(u) - np.abs(v)
     r = 1.0 - np.abs(inside)
@@ -70,11 +72,11 @@ def directions_of_square(points: npt.ArrayLike) -> Doubles:
 
 
 def cell_means(cells: int, degree: int) -> Doubles:
-    """Means of the spherical harmonics over the cells of the map.
+    """Returns the mean of each SH basis function over each cell of the octahedral map.
 
     Args:
-        cells: Cells along each side.
-        degree: Highest degree.
+        cells: Cells along each side of the map.
+        degree: Highest SH degree.
 
     Returns:
         Shape (cells^2, (degree + 1)^2), cells row by row.
@@ -82,36 +84,36 @@ def cell_means(cells: int, degree: int) -> Doubles:
     return np.array([sh_basis(directions_of_square(points), degree).mean(axis=0) for points in _points(cells, _POINTS)])
 
 
-def harmonics_of_cells(cells: int, degree: int) -> Doubles:
-    """What each cell's mean adds to the coefficients of the harmonics that fit all cells' means best.
+def sh_fit_of_cells(cells: int, degree: int) -> Doubles:
+    """Returns the weights that turn cell means of radiance into the SH coefficients of the least-squares fit to them.
 
-    Light of no higher degree is found exactly, so that which is the same everywhere. Integrals of the harmonics over
-    the cells would find the latter only: a mean over a cell is flatter than what it is the mean of, for 8 x 8 cells by
-    3 % in degree 1 and by 5 to 15 % in degree 2.
+    The fit is exact for radiance of no higher degree. Integrating SH over the cells would be exact only for constant
+    radiance, because a cell's mean is flatter than the function: for 8 x 8 cells by 3 % in degree 1, and by 5 to 15 %
+    in degree 2.
 
     Args:
-        cells: Cells along each side.
-        degree: Highest degree.
+        cells: Cells along each side of the octahedral map.
+        degree: Highest SH degree.
 
     Returns:
-        Shape (cells^2, (degree + 1)^2), cells row by row.
+        Weights, shape (cells^2, (degree + 1)^2), cells row by row.
     """
     return np.asarray(np.linalg.pinv(cell_means(cells, degree)).T, np.float64)
 
 
-def irradiance_beyond(cells: int, degree: int, normals: int) -> Doubles:
-    """What each cell's mean adds to an irradiance that the fit of the harmonics leaves out.
+def irradiance_residual(cells: int, degree: int, normals: int) -> Doubles:
+    """Returns the weights that turn cell means of radiance into the irradiance that their SH fit leaves out.
 
-    Cosines, integrated over the cells, times what the cells' means are apart from those of the fit: light of no higher
-    degree adds nothing.
+    They are the clamped cosine integrated over the cells, less its projection on the fit: radiance of no higher degree
+    contributes nothing.
 
     Args:
-        cells: Cells along each side.
-        degree: Highest degree of the harmonics.
-        normals: Cells along each side of another map, whose centres are the normals of surfaces.
+        cells: Cells along each side of the octahedral map.
+        degree: Highest SH degree of the fit.
+        normals: Cells along each side of a second map, whose centres are the surface normals.
 
     Returns:
-        Shape (normals^2, cells^2), both row by row.
+        Weights, shape (normals^2, cells^2), both row by row.
     """
     directions = directions_of_square(_points(cells, _COSINE_POINTS))
     centers = directions_of_square(_points(normals, 1)[:, 0])
@@ -122,7 +124,7 @@ def irradiance_beyond(cells: int, degree: int, normals: int) -> Doubles:
 
 
 def _points(cells: int, count: int) -> Doubles:
-    """Evenly spread points of each cell, as many along each side, shape (cells^2, count^2, 2)."""
+    """Returns a regular grid of points in each cell, shape (cells^2, count^2, 2)."""
     steps = (np.arange(count) + 0.5) / count
     within = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     corners = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)

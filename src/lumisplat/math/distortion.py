@@ -1,7 +1,7 @@
-"""Lens distortion: radial and tangential polynomials (Brown 1971), with OpenCV's names and signs.
+"""Lens distortion by radial and tangential polynomials (Brown 1971), with OpenCV's names and signs.
 
-The equations are in docs/method/ray_tracing.md#distortion. Coordinates are those of a camera's model before the focal
-length: tangents for a pinhole, radians for a fisheye.
+The equations are in docs/method/ray_tracing.md#distortion. Coordinates are those of the camera model before the focal
+length is applied: tangents for a pinhole, radians for a fisheye.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from lumisplat.constants import DISTORTION_STEPS
 from lumisplat.math.arrays import Doubles
 
 DISTORTION_MIN = 1e-30
-"""Coefficients below this count as 0: they move no point, and reciprocals of them overflow."""
+"""Magnitude below which a coefficient counts as 0: it moves no point, and its reciprocal overflows."""
 
 DISTORTION_RESIDUAL = 1e-9
-"""Largest error of the inverse in float64, in tangents or radians; above it, a pixel shows nothing."""
+"""Largest error of the float64 inverse, in tangents or radians; pixels with a larger error stay empty."""
 
 Coefficients = tuple[float, float, float, float, float, float]
-"""k1, k2, k3, k4, p1, p2."""
+"""Coefficients (k1, k2, k3, k4, p1, p2)."""
 
 
 @np.errstate(over="ignore", invalid="ignore")
 def distort(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """Returns where a lens shows points, shape (..., 2); not finite where they are too far out for float64."""
+    """Applies the lens distortion to points, shape (..., 2); points too far out for float64 become non-finite."""
     *_, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
     return np.stack(
@@ -36,9 +36,9 @@ def distort(points: Doubles, coefficients: Coefficients) -> Doubles:
 
 
 def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """What a lens shows at points, shape (..., 2), by Newton's method; NaN where it shows nothing.
+    """Inverts the lens distortion at points, shape (..., 2), by Newton's method; NaN where there is no inverse.
 
-    Of several solutions, the one inside `distortion_reach` counts: beyond it the polynomial folds back.
+    If there are several solutions, the one inside `distortion_reach` counts: beyond it the polynomial folds back.
     """
     if not any(coefficients):
         return points
@@ -59,7 +59,7 @@ def undistort(points: Doubles, coefficients: Coefficients) -> Doubles:
 
 @np.errstate(all="ignore")
 def distortion_reach(coefficients: Coefficients) -> float:
-    """Radius up to which the radial polynomial rises, before distortion; inf if it always does."""
+    """Returns the undistorted radius up to which the radial polynomial increases; inf if it always does."""
     k1, k2, k3, k4, _, _ = (k if abs(k) >= DISTORTION_MIN else 0.0 for k in coefficients)
     roots = np.roots([9.0 * k4, 7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0])
     squares = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
@@ -67,7 +67,7 @@ def distortion_reach(coefficients: Coefficients) -> float:
 
 
 def distortion_jacobian(points: Doubles, coefficients: Coefficients) -> Doubles:
-    """Derivative of `distort`, shape (..., 2, 2)."""
+    """Returns the Jacobian of `distort`, shape (..., 2, 2)."""
     k1, k2, k3, k4, p1, p2 = coefficients
     u, v, s, radial = _radial(points, coefficients)
     slope = 2.0 * (k1 + s * (2.0 * k2 + s * (3.0 * k3 + s * 4.0 * k4)))
@@ -78,7 +78,7 @@ def distortion_jacobian(points: Doubles, coefficients: Coefficients) -> Doubles:
 
 
 def _radial(points: Doubles, coefficients: Coefficients) -> tuple[Doubles, Doubles, Doubles, Doubles]:
-    """The coordinates u and v of points, u^2 + v^2, and the radial polynomial there, shape (...) each."""
+    """Returns u, v, u^2 + v^2 and the radial polynomial of points, shape (...) each."""
     k1, k2, k3, k4, _, _ = coefficients
     u, v = points[..., 0], points[..., 1]
     s = u * u + v * v
@@ -86,14 +86,14 @@ def _radial(points: Doubles, coefficients: Coefficients) -> tuple[Doubles, Doubl
 
 
 def _solved(matrices: Doubles, vectors: Doubles) -> Doubles:
-    """The solutions of 2 x 2 systems, by Cramer's rule."""
+    """Solves 2 x 2 systems by Cramer's rule."""
     a, b, c, d = matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 1, 0], matrices[..., 1, 1]
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([d * x - b * y, a * y - c * x], axis=-1) / (a * d - b * c)[..., None]
 
 
 def _within(points: Doubles, reach: float) -> Doubles:
-    """Points, those outside of a circle moved onto it."""
+    """Moves points outside a circle around 0 onto it."""
     if reach == np.inf:
         return np.array(points)
     radius = np.linalg.norm(points, axis=-1, keepdims=True)

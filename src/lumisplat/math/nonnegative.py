@@ -1,4 +1,4 @@
-"""Least squares whose unknowns obey inequalities, from the normal equations: many rows, few unknowns."""
+"""Least squares with inequality constraints, from the normal equations: many rows, few unknowns."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from scipy.optimize import nnls
 from lumisplat.math.arrays import Doubles
 
 RANK_TOLERANCE = 1e-13
-"""Eigenvalue, relative to the largest, up to which a combination of unknowns is not determined."""
+"""Eigenvalue, relative to the largest, below which a direction counts as undetermined."""
 
 
 def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:
-    """Returns the x of at least 0 that minimises ``x^T G x / 2 - m^T x``.
+    """Returns the x >= 0 that minimises ``x^T G x / 2 - m^T x``.
 
     With ``G = A^T A`` and ``m = A^T y`` it minimises ``|A x - y|``.
 
@@ -23,7 +23,7 @@ def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:
     Returns:
         Shape (n,); unknowns at their bound are exactly 0.
     """
-    # Any A and y of the same normal equations have the same solution: those of the eigenvectors of G are square.
+    # All A and y with the same normal equations have the same solution: the eigenvectors of G give a small square A.
     values, vectors = np.linalg.eigh(gram)
     used = values > RANK_TOLERANCE * values.max(initial=0.0)
     roots = np.sqrt(values[used])
@@ -35,17 +35,18 @@ def nonnegative_least_squares(gram: Doubles, moments: Doubles) -> Doubles:
 def bounded_least_squares(gram: Doubles, moments: Doubles, bounded: Doubles, least: Doubles) -> Doubles:
     """Returns the x with ``B x >= b`` that minimises ``x^T G x / 2 - m^T x``.
 
-    Seen from the free minimum, in units in which G is 1, it is the shortest vector that satisfies the inequalities: a
-    non-negative problem (least distance programming, Lawson and Hanson 1974, chapter 23).
+    Relative to the unconstrained minimum, and in coordinates in which G is the identity, x is the shortest vector that
+    satisfies the inequalities: a non-negative least-squares problem (least distance programming, Lawson and Hanson
+    1974, chapter 23).
 
     Args:
         gram: G, symmetric, positive definite, shape (n, n).
         moments: m, shape (n,).
         bounded: B, shape (k, n).
-        least: b, shape (k,); some x satisfies all of them.
+        least: b, shape (k,); some x satisfies all constraints.
 
     Returns:
-        Shape (n,); inequalities hold to rounding.
+        Shape (n,); the constraints hold up to rounding.
     """
     lower = np.linalg.cholesky(gram)
     free: Doubles = np.asarray(np.linalg.solve(gram, moments), np.float64)

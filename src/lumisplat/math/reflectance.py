@@ -1,4 +1,4 @@
-"""Reflectance of smooth dielectrics and of sheen, by quadrature, on the host (docs/method/materials.md#sheen)."""
+"""Reflectance of smooth dielectrics and of sheen by quadrature on the host (docs/method/materials.md#sheen)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from lumisplat.constants import SHEEN_ROUGHNESS_MIN
 from lumisplat.math.arrays import Doubles
 
 _NODES = 64
-"""Of the quadrature: relative errors stay below 1e-9 for every index of refraction."""
+"""Quadrature nodes: relative errors stay below 1e-9 for every index of refraction."""
 
 
 def fresnel(cosine: npt.ArrayLike, ior: float) -> npt.NDArray[np.float64]:
-    """Share of unpolarised light that a dielectric reflects from outside.
+    """Returns the Fresnel reflectance of a dielectric for unpolarised light from outside.
 
     Args:
-        cosine: Of the angle of incidence, above 0, of any shape.
-        ior: Index of refraction behind the surface over that before it, at least 1.
+        cosine: Cosine of the angle of incidence, positive, any shape.
+        ior: Index of refraction behind the surface relative to that in front of it, at least 1.
 
     Returns:
-        The shares, in 0..1, of the shape of ``cosine``.
+        Reflectance 0..1, in the shape of ``cosine``.
 
     Source: docs/method/materials.md#smooth-surfaces.
     """
@@ -35,10 +35,10 @@ def fresnel(cosine: npt.ArrayLike, ior: float) -> npt.NDArray[np.float64]:
 
 @functools.lru_cache(maxsize=256)
 def mean_fresnel(ior: float) -> float:
-    """``fresnel`` of even light from all around: its mean over the hemisphere, weighted by the cosine.
+    """Returns the Fresnel reflectance under a constant environment: the cosine-weighted mean over the hemisphere.
 
     Args:
-        ior: Index of refraction, at least 1.
+        ior: Relative index of refraction, at least 1.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     root = 0.5 * (nodes + 1.0)  # of the cosine: reflectances rise steeply at grazing angles
@@ -48,24 +48,24 @@ def mean_fresnel(ior: float) -> float:
 _COSINES = np.concatenate([[0.01, 0.02, 0.035], np.linspace(0.05, 1.0, 20)])
 _STEPS = 160
 SHEEN_CURVES = 16
-"""Intervals of the table of albedos by roughness."""
+"""Number of intervals in roughness of the sheen albedo table."""
 _TABLE_STEPS = 64
 _TABLE_MARGIN = 0.015
-"""By how much the logarithms of a table's curves are raised: between its entries the mean of two is too small."""
+"""Offset added to the log albedos of the table, because interpolation between its entries underestimates."""
 _SHAPE = np.array(
     [[21.5473, 25.3245], [3.82987, 3.32435], [0.19823, 0.16801], [-1.97760, -1.27393], [-4.32054, -4.85967]]
 )
-"""Of the fit of masking by Estevez and Kulla (2017), for a roughness of 1 and of 0."""
+"""Parameters of the masking fit of Estevez and Kulla (2017), for roughness 1 and 0."""
 
 
 def masking_curve(alpha: float) -> Doubles:
-    """The five parameters of {eq}`sheen-masking` at a roughness squared, shape (5,)."""
+    """Returns the five parameters of {eq}`sheen-masking` for alpha, the squared roughness, shape (5,)."""
     smooth = (1.0 - alpha) ** 2
     return _SHAPE @ np.array([1.0 - smooth, smooth])
 
 
 def masking(cosine: Doubles, alpha: float) -> Doubles:
-    """Lambda of {eq}`sheen-masking`."""
+    """Returns Lambda of {eq}`sheen-masking`."""
     a, b, c, d, e = masking_curve(alpha)
 
     def exponent(x: Doubles) -> Doubles:
@@ -76,10 +76,10 @@ def masking(cosine: Doubles, alpha: float) -> Doubles:
 
 
 def sheen_albedo(cosine: float, alpha: float, steps: int = _STEPS) -> float:
-    """Share of a white sky that white sheen reflects to a view, by the midpoint rule; above 1 at grazing angles."""
-    z, turn = np.meshgrid(*2 * [(np.arange(steps) + 0.5) / steps], indexing="ij")
+    """Returns the directional albedo of white sheen by the midpoint rule; it exceeds 1 at grazing angles."""
+    z, azimuth = np.meshgrid(*2 * [(np.arange(steps) + 0.5) / steps], indexing="ij")
     sine, view = np.sqrt(1.0 - z**2), np.sqrt(1.0 - cosine**2)
-    half = np.stack([sine * np.cos(np.pi * turn) + view, sine * np.sin(np.pi * turn), z + cosine])
+    half = np.stack([sine * np.cos(np.pi * azimuth) + view, sine * np.sin(np.pi * azimuth), z + cosine])
     across2 = 1.0 - half[2] ** 2 / (half**2).sum(axis=0)
     facets = (2.0 + 1.0 / alpha) * np.maximum(across2, 0.0) ** (0.5 / alpha) / (2.0 * np.pi)
     masked = 1.0 + masking(np.asarray(cosine), alpha) + masking(z, alpha)
@@ -88,11 +88,13 @@ def sheen_albedo(cosine: float, alpha: float, steps: int = _STEPS) -> float:
 
 @functools.lru_cache(maxsize=256)
 def albedo_curve(roughness: float, steps: int = _STEPS) -> tuple[float, float, float, float]:
-    """Coefficients of the logarithm of the albedo as a polynomial of the cosine, not too small where that is above 0.1.
+    """Fits a cubic polynomial of the cosine to the logarithm of the sheen albedo.
+
+    Where the albedo is above 0.1, the fit is never too small.
 
     Args:
-        roughness: Of the sheen, 0..1.
-        steps: Of the quadrature, along each of two axes.
+        roughness: Roughness of the sheen, 0..1.
+        steps: Quadrature steps along each of two axes.
     """
     alpha = max(roughness, SHEEN_ROUGHNESS_MIN) ** 2
     truth = np.array([sheen_albedo(cosine, alpha, steps) for cosine in _COSINES])
@@ -104,19 +106,19 @@ def albedo_curve(roughness: float, steps: int = _STEPS) -> tuple[float, float, f
         fit = np.linalg.lstsq(powers * scaled, np.log(np.maximum(truth, 1e-7)) * weights, rcond=None)[0]
         error = np.abs(np.exp(powers @ fit) - truth)
         weights = np.maximum(truth, 1e-3) * (1.0 + 20.0 * error / max(truth.max(), 1.0))
-    seen = truth > 0.1
-    fit[0] += max(float(np.log(truth[seen] / np.exp(powers[seen] @ fit)).max()), 0.0)
+    fitted = truth > 0.1
+    fit[0] += max(float(np.log(truth[fitted] / np.exp(powers[fitted] @ fit)).max()), 0.0)
     return float(fit[0]), float(fit[1]), float(fit[2]), float(fit[3])
 
 
 @functools.cache
 def albedo_curves() -> Doubles:
-    """``albedo_curve`` of all roughnesses, shape (SHEEN_CURVES + 1, 4), for kernels to interpolate linearly.
+    """Returns `albedo_curve` for a table of roughnesses, shape (SHEEN_CURVES + 1, 4); kernels interpolate it linearly.
 
-    Entry k is of the roughness ``r + (1 - r) (k / SHEEN_CURVES)^2``, with r the least one.
+    Entry k has roughness ``r + (1 - r) (k / SHEEN_CURVES)^2``, where r is the smallest roughness.
     """
-    places = np.linspace(0.0, 1.0, SHEEN_CURVES + 1) ** 2
-    roughness = SHEEN_ROUGHNESS_MIN + (1.0 - SHEEN_ROUGHNESS_MIN) * places
+    spaced = np.linspace(0.0, 1.0, SHEEN_CURVES + 1) ** 2
+    roughness = SHEEN_ROUGHNESS_MIN + (1.0 - SHEEN_ROUGHNESS_MIN) * spaced
     curves = np.array([albedo_curve(float(one), _TABLE_STEPS) for one in roughness])
     curves[:, 0] += _TABLE_MARGIN
     return curves

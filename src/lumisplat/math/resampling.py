@@ -1,4 +1,4 @@
-"""Images at other places and sizes: interpolated by cubics, and averaged over areas."""
+"""Image resampling: bicubic interpolation, and area averages."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _Image = npt.NDArray[Any]
 
 
 def cubic_samples(image: _Image, points: Doubles) -> _Image:
-    """Values of an image between its pixels: Catmull-Rom's cubics (1974), held within the four nearest pixels.
+    """Samples an image by Catmull-Rom bicubic interpolation (1974), clamped to the range of the four nearest pixels.
 
     Args:
-        image: Shape (H, W, C); it goes on beyond its edge as it is there.
-        points: Columns and rows, pixel centres at +0.5, finite, shape (..., 2).
+        image: Shape (H, W, C); the edge pixels extend outwards.
+        points: Columns and rows, with pixel centres at +0.5; finite, shape (..., 2).
 
     Returns:
         Shape (..., C), in the precision of the image.
@@ -42,12 +42,12 @@ def cubic_samples(image: _Image, points: Doubles) -> _Image:
 
 
 def area_mean(image: _Image, width: int, height: int) -> FloatArray:
-    """A smaller image, each pixel of which is the mean over its area, fractions of pixels included.
+    """Shrinks an image; each new pixel is the exact mean over its area, including fractions of pixels.
 
     Args:
         image: Shape (H, W, C).
-        width: Of the result, 1 to W.
-        height: Of the result, 1 to H.
+        width: New width, 1 to W.
+        height: New height, 1 to H.
 
     Returns:
         Shape (height, width, C).
@@ -57,20 +57,20 @@ def area_mean(image: _Image, width: int, height: int) -> FloatArray:
 
 
 def _row_means(image: _Image, count: int) -> FloatArray:
-    """The means over so many bands of rows, all of one height, which may begin and end within a row."""
+    """Averages rows over ``count`` bands of equal height, whose edges may lie within a row."""
     rows = len(image)
     if rows == count:
         return image.astype(np.float32)
     edges = np.linspace(0.0, rows, count + 1)
     whole = edges.astype(np.int64)
     above = (edges - whole).astype(np.float32)[:, None, None] * image[np.minimum(whole, rows - 1)]
-    # The rows from that of one edge to the one before that of the next, less what of the first lies above its edge, and
-    # with what lies above the next edge.
+    # Sum of the rows between two edges' rows, minus the part of the first row above its edge, plus the part of the next
+    # edge's row above that edge.
     sums = np.add.reduceat(image, whole[:-1], axis=0, dtype=np.float32)
     return (sums - above[:-1] + above[1:]) * np.float32(count / rows)
 
 
 def _cubic(share: _Image) -> list[_Image]:
-    """Weights of the four neighbours of a point at a share of the way between the middle two (Catmull-Rom 1974)."""
+    """Returns the Catmull-Rom weights (1974) of four neighbours, for a point at a fraction between the middle two."""
     s, r = share, 1 - share
     return [-0.5 * s * r * r, 1 + s * s * (1.5 * s - 2.5), 1 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s]

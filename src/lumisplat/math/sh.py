@@ -1,4 +1,4 @@
-"""Real spherical harmonics of any degree, in the order and with the signs of captures (Kerbl et al. 2023)."""
+"""Real spherical harmonics of any degree, in the order and with the signs that captures use (Kerbl et al. 2023)."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def sh_basis(directions: npt.ArrayLike, degree: int, dtype: type[np.floating] = 
 
 
 def even_directions(count: int) -> npt.NDArray[np.float64]:
-    """Directions spread evenly over the sphere, on a spiral (Fibonacci lattice), unit, shape (count, 3)."""
+    """Returns unit directions spread evenly over the sphere (Fibonacci lattice), shape (count, 3)."""
     turns = np.arange(count) + 0.5
     z = 1.0 - 2.0 * turns / count
     angle, ring = np.pi * (1.0 + np.sqrt(5.0)) * turns, np.sqrt(1.0 - z * z)
@@ -47,17 +47,17 @@ def even_directions(count: int) -> npt.NDArray[np.float64]:
 
 
 def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[np.float64]:
-    """The matrix that turns harmonics: the turned coefficients are this times the old ones.
+    """Returns the matrix that rotates SH coefficients: rotated coefficients = matrix @ coefficients.
 
-    A function turned by R has at R d the value that it had at d. Functions of one degree turn into functions of the
-    same degree, so that the values at more directions than coefficients determine the matrix, to rounding.
+    The rotated function has at R d the value that the original has at d. Rotation does not mix degrees, so the values
+    at more directions than coefficients determine the matrix, up to rounding.
 
     Args:
-        rotation: R, new from old, shape (3, 3).
+        rotation: Rotation R, shape (3, 3).
         degree: Highest degree, at least 0.
 
     Returns:
-        Orthogonal, shape (K, K), K = (degree + 1)^2; degrees do not mix.
+        Orthogonal matrix, shape (K, K), K = (degree + 1)^2, with one block for each degree.
     """
     count = (degree + 1) ** 2
     turned = np.zeros((count, count))
@@ -70,7 +70,7 @@ def sh_rotation(rotation: npt.NDArray[np.floating], degree: int) -> npt.NDArray[
 
 
 def _polynomials(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:
-    """The functions up to degree 3, or to ``degree`` if that is lower, as polynomials."""
+    """Evaluates the basis functions up to degree 3, or ``degree`` if that is lower, as polynomials."""
     functions = [np.full_like(x, SH_C0)]
     if degree >= 1:
         functions += [-_C1 * y, _C1 * z, -_C1 * x]
@@ -93,7 +93,7 @@ def _polynomials(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Float
 
 
 def _recurrence(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats]:
-    """The functions of degree 4 up to ``degree``, from normalised Legendre functions by their recurrence in l."""
+    """Evaluates the basis functions of degree 4 to ``degree`` by the recurrence of Legendre functions in l."""
     functions = {}
     # Cosine and sine of m times the angle, times sin(theta)^m, are the parts of (x + i y)^m.
     cosine, sine = np.ones_like(x), np.zeros_like(x)
@@ -115,7 +115,7 @@ def _recurrence(x: _Floats, y: _Floats, z: _Floats, degree: int) -> list[_Floats
 
 
 def _next_legendre(level: int, m: int, z: _Floats, last: _Floats, before: _Floats) -> _Floats:
-    """Normalised ``P_level^m`` from those one and two levels lower."""
+    """Returns the normalised ``P_level^m`` from the functions one and two levels lower."""
     outer = math.sqrt((4 * level**2 - 1) / (level**2 - m**2))
     inner = math.sqrt(((level - 1) ** 2 - m**2) / (4 * (level - 1) ** 2 - 1))
     return outer * (z * last - inner * before)

@@ -1,4 +1,4 @@
-"""From lit frames to pictures: exposure, tone mapping, and captured colours that keep the tones of the capture.
+"""Development of lit frames into images: exposure, tone mapping, and captured colours that keep their tones.
 
 The equations are in docs/method/lighting.md#pictures.
 """
@@ -46,11 +46,11 @@ REC2020_FROM_AGX = np.linalg.inv(_OUTSET).astype(np.float32)
 
 
 def captured_radiance(captured: npt.ArrayLike, weight: npt.ArrayLike) -> FloatArray:
-    """Linear Rec.709 of captured colours: un-premultiplied, decoded and premultiplied again.
+    """Converts captured colours to linear Rec.709 radiance: un-premultiplied, decoded and premultiplied again.
 
     Args:
         captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).
-        weight: Share of the pixel that shows the capture, 0..1, shape (...).
+        weight: Fraction of the pixel that the capture covers, 0..1, shape (...).
 
     Returns:
         Shape (..., 3); zero where ``weight`` is zero.
@@ -61,15 +61,15 @@ def captured_radiance(captured: npt.ArrayLike, weight: npt.ArrayLike) -> FloatAr
 
 
 def apply_tone_map(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
-    """Display colours of linear light.
+    """Maps linear light to display colours.
 
     ``AGX`` is the variant of Blender and Filament, in Rec.2020 primaries. It uses Sobotka's curve in closed form, where
     Filament and three.js fit a polynomial to it (at most 0.006 apart), and leaves out Blender's mixing of hues.
 
     Args:
-        linear: Linear Rec.709 with the exposure applied, shape (..., 3). Negative values count as 0, infinite ones as
-            the brightest; NaN stays NaN.
-        tone_map: Which curve.
+        linear: Linear Rec.709 after exposure, shape (..., 3). Negative values count as 0, infinite ones as the
+            brightest; NaN stays NaN.
+        tone_map: Tone curve.
 
     Returns:
         sRGB, 0..1, shape (..., 3).
@@ -83,30 +83,30 @@ def apply_tone_map(linear: npt.ArrayLike, tone_map: ToneMap) -> FloatArray:
 
 
 def exposure_gain(exposure: float) -> float:
-    """Factor of linear light at an exposure of so many stops."""
+    """Returns the factor by which an exposure in stops scales linear light."""
     return float(np.exp2(np.float32(exposure).clip(-64, 64)))
 
 
 def lit_picture(
     captured: npt.ArrayLike, weight: npt.ArrayLike, light: npt.ArrayLike, exposure: float, tone_map: ToneMap
 ) -> FloatArray:
-    """Display colours of pixels that show captures, lights, or both.
+    """Returns the display colours of pixels that show captures, lit surfaces, or both.
 
-    Captured light is shown by the sRGB curve that it was captured through, other light by the tone mapper. In a mixed
-    pixel with radiance x, of which e is captured, the difference of the two curves at e is added in proportion to the
-    captured part: ``tone(x) + k (srgb(e) - tone(e))`` with ``k = 1 - |x - e| / max(x, e)``, where both magnitudes are
-    maxima over the channels. Where light is added, no channel becomes darker than the capture; where light is removed,
-    none becomes brighter.
+    Captured light goes through the sRGB curve that it was captured through, other light through the tone mapper. In a
+    mixed pixel with radiance x, of which e is captured, the difference of the two curves at e is added in proportion to
+    the captured part: ``tone(x) + k (srgb(e) - tone(e))`` with ``k = 1 - |x - e| / max(x, e)``, where both magnitudes
+    are maxima over the channels. Where light is added, no channel becomes darker than the capture; where light is
+    removed, none becomes brighter.
 
     Args:
         captured: Display-referred sRGB premultiplied by ``weight``, shape (..., 3).
-        weight: Share of the pixel that was captured, 0..1, shape (...).
-        light: Linear Rec.709 that is added to the capture, or removed where negative, shape (..., 3).
-        exposure: Stops by which the sum is brightened.
-        tone_map: Curve of the light that was not captured.
+        weight: Fraction of the pixel that the capture covers, 0..1, shape (...).
+        light: Linear Rec.709 added to the capture, or removed where negative, shape (..., 3).
+        exposure: Exposure of the sum in stops.
+        tone_map: Tone curve of light that was not captured.
 
     Returns:
-        sRGB, shape (..., 3), 0..1. Pixels that show only a capture, at exposure 0, are ``captured`` to the bit.
+        sRGB, shape (..., 3), 0..1. Pixels that show only a capture, at exposure 0, equal ``captured`` to the bit.
     """
     captured, weight, light = (np.asarray(values, np.float32) for values in (captured, weight, light))
     result = np.array(captured)
@@ -126,7 +126,7 @@ def lit_picture(
 
 
 def _neutral(light: _Light) -> _Light:
-    """Khronos PBR Neutral, linear to linear: subtracts a dielectric's Fresnel reflection, compresses above 0.76."""
+    """Applies Khronos PBR Neutral, linear to linear: subtracts the Fresnel reflection, compresses above 0.76."""
     least = np.minimum(light.min(axis=-1, keepdims=True), 2.0 * NEUTRAL_TOE)
     color = light - (least - least**2 / (4.0 * NEUTRAL_TOE))
     peak = color.max(axis=-1, keepdims=True)
@@ -140,7 +140,7 @@ def _neutral(light: _Light) -> _Light:
 
 
 def _agx(light: _Light) -> _Light:
-    """AgX, linear to linear. Colours outside the display's gamut come out below 0 or above 1."""
+    """Applies AgX, linear to linear. Colours outside the display's gamut come out below 0 or above 1."""
     low, high = AGX_STOPS
     stops = np.log2(np.maximum(light @ AGX_FROM_REC709.T, np.float32(2.0**low)))
     curved = _agx_curve(np.clip((stops - low) / (high - low), 0.0, 1.0))
@@ -148,7 +148,7 @@ def _agx(light: _Light) -> _Light:
 
 
 def _agx_curve(x: _Light) -> _Light:
-    """Jed Smith's sigmoid: straight at the pivot, bent by a power on each side to pass (0, 0) and (1, 1)."""
+    """Evaluates Jed Smith's sigmoid: straight at the pivot, bent by a power on each side to pass (0, 0) and (1, 1)."""
     pivot_x, pivot_y = AGX_PIVOT
     curved = x.copy()  # NaN is on neither side of the pivot
     for side, run, rise, power in (
@@ -163,18 +163,18 @@ def _agx_curve(x: _Light) -> _Light:
 
 
 _WHITE = 1.0 - 1e-6
-"""Just below what a display can show: beyond, curves have no inverse."""
+"""Largest display value that is inverted, just below 1: at 1 the curves have no inverse."""
 
 
 def remove_tone_map(display: npt.ArrayLike, tone_map: ToneMap) -> Doubles:
-    """Linear light of display colours: what `lumisplat.math.tone_map.apply_tone_map` maps to them.
+    """Inverts `lumisplat.math.tone_map.apply_tone_map`: returns the linear light of display colours.
 
     Args:
-        display: sRGB, 0..1, shape (..., 3). What is clipped at 0 or 1 comes back as the end of the range.
-        tone_map: Which curve they went through.
+        display: sRGB, 0..1, shape (..., 3). Values clipped at 0 or 1 return the end of the range.
+        tone_map: Tone curve that was applied.
 
     Returns:
-        Linear Rec.709 with the exposure applied, at least 0, shape (..., 3), float64.
+        Linear Rec.709 after exposure, non-negative, shape (..., 3), float64.
     """
     light = decode_srgb(np.clip(np.asarray(display, np.float64), 0.0, 1.0))
     if tone_map is ToneMap.NEUTRAL:
@@ -185,7 +185,7 @@ def remove_tone_map(display: npt.ArrayLike, tone_map: ToneMap) -> Doubles:
 
 
 def _without_neutral(shown: npt.NDArray[np.floating]) -> Doubles:
-    """The inverse of Khronos PBR Neutral."""
+    """Inverts Khronos PBR Neutral."""
     peak = np.minimum(shown.max(axis=-1, keepdims=True), _WHITE)
     room = 1.0 - NEUTRAL_START
     bright = np.maximum(peak, NEUTRAL_START)
@@ -199,7 +199,7 @@ def _without_neutral(shown: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _without_agx(shown: npt.NDArray[np.floating]) -> Doubles:
-    """The inverse of AgX."""
+    """Inverts AgX."""
     low, high = AGX_STOPS
     rec2020 = np.maximum(shown @ np.linalg.inv(REC709_FROM_REC2020.astype(np.float64)).T, 0.0)
     curved = rec2020 ** (1.0 / AGX_GAMMA) @ np.linalg.inv(REC2020_FROM_AGX.astype(np.float64)).T
@@ -208,7 +208,7 @@ def _without_agx(shown: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _before_agx_curve(curved: npt.NDArray[np.floating]) -> Doubles:
-    """The inverse of the sigmoid, 0..1."""
+    """Inverts the sigmoid; the result lies in 0..1."""
     pivot_x, pivot_y = AGX_PIVOT
     x = np.zeros(curved.shape)
     for side, run, rise, power in (

@@ -1,4 +1,4 @@
-"""Rotations, rigid motions with their twists (Blanco 2010, sections 7 and 10), and affine transforms of points.
+"""Rotations, rigid motions and their twists (Blanco 2010, sections 7 and 10), and affine transforms of points.
 
 Quaternions are wxyz: the scalar comes first.
 """
@@ -17,7 +17,7 @@ _Floats = npt.NDArray[np.floating]
 
 
 def rotation_matrix(wxyz: npt.ArrayLike) -> Doubles:
-    """The rotation matrix of one quaternion of any length above 0, shape (3, 3) from (4,).
+    """Returns the rotation matrix, shape (3, 3), of one quaternion, shape (4,), of any length above 0.
 
     Raises:
         SceneError: The quaternion has zero length, or is not finite.
@@ -29,7 +29,7 @@ def rotation_matrix(wxyz: npt.ArrayLike) -> Doubles:
 
 
 def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> Doubles:
-    """The matrix that turns about the fixed x axis, then y, then z, by angles in degrees, right-handed, shape (3,)."""
+    """Returns the right-handed rotation about the fixed x, then y, then z axis, by three angles in degrees."""
     x, y, z = np.radians(np.asarray(angles, dtype=np.float64))
     about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
     about_y = np.array([[np.cos(y), 0, np.sin(y)], [0, 1, 0], [-np.sin(y), 0, np.cos(y)]])
@@ -38,7 +38,7 @@ def rotation_from_degrees(angles: npt.NDArray[np.floating]) -> Doubles:
 
 
 def matrices_from_quaternions(wxyz: _Floats) -> Doubles:
-    """Rotation matrices, shape (N, 3, 3), of quaternions of any length above 0, shape (N, 4)."""
+    """Returns the rotation matrices, shape (N, 3, 3), of quaternions of any length above 0, shape (N, 4)."""
     w, x, y, z = np.asarray(wxyz, dtype=np.float64).T
     scaled = np.array(
         [
@@ -51,7 +51,7 @@ def matrices_from_quaternions(wxyz: _Floats) -> Doubles:
 
 
 def quaternions_from_matrices(matrices: _Floats) -> _Floats:
-    """Unit quaternions of rotation matrices, shape (N, 4) from (N, 3, 3).
+    """Returns the unit quaternions, shape (N, 4), of rotation matrices, shape (N, 3, 3).
 
     There are four formulas (Shepperd 1978); each matrix uses the one with the largest divisor.
     """
@@ -59,7 +59,7 @@ def quaternions_from_matrices(matrices: _Floats) -> _Floats:
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]
     yz, xz, xy = m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]
     yz_sum, xz_sum, xy_sum = m[:, 2, 1] + m[:, 1, 2], m[:, 0, 2] + m[:, 2, 0], m[:, 1, 0] + m[:, 0, 1]
-    ways = np.stack(
+    candidates = np.stack(
         [
             np.stack([1.0 + xx + yy + zz, yz, xz, xy], axis=1),
             np.stack([yz, 1.0 + xx - yy - zz, xy_sum, xz_sum], axis=1),
@@ -68,13 +68,13 @@ def quaternions_from_matrices(matrices: _Floats) -> _Floats:
         ],
         axis=1,
     )
-    best = np.argmax(np.diagonal(ways, axis1=1, axis2=2), axis=1)
-    largest = ways[np.arange(best.size), best]
+    best = np.argmax(np.diagonal(candidates, axis1=1, axis2=2), axis=1)
+    largest = candidates[np.arange(best.size), best]
     return largest / np.linalg.norm(largest, axis=1, keepdims=True)
 
 
 def multiply_quaternions(left: _Floats, right: _Floats) -> _Floats:
-    """Hamilton's product of one quaternion, shape (4,), with each of N, shape (N, 4): ``right`` turns first."""
+    """Returns the Hamilton products of one quaternion, (4,), with each of N, (N, 4): ``right`` rotates first."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return right @ matrix.T
@@ -86,14 +86,14 @@ def slerp(first: _Floats, second: _Floats, share: float) -> Doubles:
     Args:
         first: Unit quaternion, shape (4,).
         second: Unit quaternion, shape (4,). Its negative is the same rotation; the nearer of the two is used.
-        share: 0 gives ``first``, 1 gives ``second``.
+        share: Interpolation parameter: 0 gives ``first``, 1 gives ``second``.
 
     Returns:
         Unit quaternion, shape (4,).
     """
     cosine = float(first @ second)
     target, cosine = (second, cosine) if cosine >= 0.0 else (-second, -cosine)
-    # From the half chord, because the cosine of a small angle has lost half of its digits.
+    # The angle comes from half chords, because the cosine of a small angle loses half of its digits.
     angle = 2.0 * np.arctan2(np.linalg.norm(first - target), np.linalg.norm(first + target))
     if angle < 1e-6:  # sin(x) = x here
         blend = (1.0 - share) * first + share * target
@@ -103,7 +103,7 @@ def slerp(first: _Floats, second: _Floats, share: float) -> Doubles:
 
 
 def axis_rotation(axis: npt.ArrayLike, angle: float) -> Doubles:
-    """The rotation about a unit axis, shape (3,), by an angle in radians, counter-clockwise seen against it, (3, 3)."""
+    """Returns the right-handed rotation matrix, (3, 3), about a unit axis, (3,), by an angle in radians."""
     x, y, z = np.sin(0.5 * angle) * np.asarray(axis, dtype=np.float64)
     return rotation_matrix((np.cos(0.5 * angle), x, y, z))
 
@@ -119,20 +119,20 @@ def rotation_between(start: Doubles, end: Doubles) -> Doubles:
 
 
 _SMALL = 1e-4
-"""Angle, radians, below which series replace quotients that lose digits."""
+"""Angle in radians below which series replace quotients that lose digits."""
 
 
 def cross_matrix(v: npt.ArrayLike) -> Doubles:
-    """The matrix that takes the cross product with ``v``, shape (3, 3)."""
+    """Returns the matrix of the cross product with ``v``, shape (3, 3)."""
     x, y, z = np.asarray(v, np.float64)
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def rigid_from_twist(twist: npt.ArrayLike) -> Doubles:
-    """The motion that a twist becomes in unit time, shape (4, 4).
+    """Returns the rigid motion that a twist generates in unit time, shape (4, 4).
 
     Args:
-        twist: A turn as a vector, radians, then a velocity, shape (6,).
+        twist: Rotation vector in radians, then velocity, shape (6,).
     """
     turn, velocity = np.split(np.asarray(twist, np.float64), 2)
     cross, angle = cross_matrix(turn), float(np.linalg.norm(turn))
@@ -144,7 +144,7 @@ def rigid_from_twist(twist: npt.ArrayLike) -> Doubles:
 
 
 def twist_from_rigid(motion: npt.ArrayLike) -> Doubles:
-    """The twist of a motion by less than half a turn, shape (6,): the inverse of ``rigid_from_twist``."""
+    """Returns the twist, shape (6,), of a rigid motion that rotates by less than 180 degrees."""
     motion = np.asarray(motion, np.float64)
     rotation, offset = motion[:3, :3], motion[:3, 3]
     skew = 0.5 * np.array(
@@ -159,7 +159,7 @@ def twist_from_rigid(motion: npt.ArrayLike) -> Doubles:
 
 
 def _series(angle: float) -> tuple[float, float, float]:
-    """``sin a / a``, ``(1 - cos a) / a^2`` and ``(a - sin a) / a^3``."""
+    """Returns ``sin a / a``, ``(1 - cos a) / a^2`` and ``(a - sin a) / a^3``."""
     square = angle * angle
     if angle < _SMALL:
         return 1.0 - square / 6.0, 0.5 - square / 24.0, (1.0 - square / 20.0) / 6.0
@@ -167,17 +167,17 @@ def _series(angle: float) -> tuple[float, float, float]:
 
 
 def transform_points(matrix: Doubles, points: _Floats) -> Doubles:
-    """Points, shape (V, 3), under one affine transform, shape (3 or 4, 4)."""
+    """Transforms points, shape (V, 3), by one affine transform, shape (3 or 4, 4)."""
     return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def transform_points_each(matrices: _Floats, points: _Floats) -> Doubles:
-    """Points, shape (V, 3), each under its own affine transform, shape (V or 1, 3 or 4, 4)."""
+    """Transforms points, shape (V, 3), each by its own affine transform, shape (V or 1, 3 or 4, 4)."""
     return (matrices[:, :3, :3] @ points[:, :, None])[:, :, 0] + matrices[:, :3, 3]
 
 
 def transform_normals_each(matrices: _Floats, normals: _Floats) -> Doubles:
-    """Normals, shape (V, 3), each under its own transform, shape (V or 1, 3 or 4, 4). The results have any length."""
+    """Transforms normals, shape (V, 3), each by its own transform, shape (V or 1, 3 or 4, 4). Lengths are arbitrary."""
     # Cofactors transform normals as the inverse transpose does, up to length, and exist for singular matrices too.
     # Where a matrix mirrors, the cofactors flip the normal.
     a, b, c = matrices[:, :3, 0], matrices[:, :3, 1], matrices[:, :3, 2]
@@ -187,5 +187,5 @@ def transform_normals_each(matrices: _Floats, normals: _Floats) -> Doubles:
 
 
 def is_mirroring(matrices: _Floats) -> bool:
-    """Whether most matrices mirror, so that triangles wind the other way round."""
+    """Returns whether most matrices mirror, which reverses the winding of triangles."""
     return bool(np.median(np.linalg.det(matrices[:, :3, :3])) < 0.0)

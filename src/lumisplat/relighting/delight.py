@@ -21,7 +21,7 @@ from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_vi
 from lumisplat.math.color import albedo_in_range
 from lumisplat.math.directions import panorama_directions
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.progress import Pace, Progress, say_nothing
+from lumisplat.progress import Progress, StagedProgress, no_progress
 from lumisplat.relighting.albedo_fit import (
     AlikeAlbedos,
     Light,
@@ -166,8 +166,8 @@ def estimate_materials(
         )
     if surface.fault:
         _log.warning("%s", no_surface(surface.fault))
-    report = progress or say_nothing
-    pace = Pace(report, _LABEL)
+    report = progress or no_progress
+    pace = StagedProgress(report, _LABEL)
     rays = IncidentRays(gaussians, renderer, config.seed, traced=pace.add)
     # More threads of BLAS change the last bits. They save a fifth of the time on two free cores, but wait for each
     # other on busy ones, up to nine times as long.
@@ -202,7 +202,7 @@ class _Delighter:
     gaussians: Gaussians
     config: DelightConfig
     rays: IncidentRays
-    pace: Pace
+    pace: StagedProgress
 
     def run(self) -> MaterialEstimate:
         """All steps."""

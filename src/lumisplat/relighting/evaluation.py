@@ -26,7 +26,7 @@ from lumisplat.math.arrays import Doubles, Flags, FloatArray, float_array
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.metrics.images import flip, psnr, ssim
 from lumisplat.metrics.materials import Channels, channel_scale, environment_psnr, normal_errors
-from lumisplat.progress import Progress, say_nothing
+from lumisplat.progress import Progress, no_progress
 from lumisplat.renderer.renderer import Renderer, create_renderer
 from lumisplat.renderer.scene.instance_tables import footprint_of
 from lumisplat.scene.camera import Camera
@@ -227,7 +227,7 @@ def evaluate_materials(
     if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
     found_light = None if environment is None else _panorama(environment)
-    truth, report = RelightableSet.open(folder), progress or say_nothing
+    truth, report = RelightableSet.open(folder), progress or no_progress
     given = with_albedo(gaussians)
     seen = list(_seen(truth, given, device, report))
     scale = albedo_scale(seen)

@@ -29,7 +29,7 @@ from lumisplat.io.training_images.loading import TrainingImages, is_bent, load_t
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.math.sh import even_directions
-from lumisplat.progress import Progress, say_nothing
+from lumisplat.progress import Progress, no_progress
 from lumisplat.relighting.irradiance import mean_outgoing
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer, create_renderer
@@ -135,7 +135,7 @@ def find_materials(
     if output is not None:
         folder = RunFolder.of(Path(output)).path
         files = MaterialFiles.of(folder, gaussians, photographs.fingerprint, config)
-    search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or say_nothing)
+    search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or no_progress)
     found = search.found()
     found = replace(found, gaussians=replace(found.gaussians, origin=origin))
     if output is not None:

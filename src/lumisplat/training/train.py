@@ -19,7 +19,7 @@ from lumisplat.errors import ConfigError, FormatError
 from lumisplat.io import save
 from lumisplat.io.training_images.loading import TrainingImages, load_training_images
 from lumisplat.math.arrays import Doubles
-from lumisplat.progress import Progress, say_nothing
+from lumisplat.progress import Progress, no_progress
 from lumisplat.runtime.interrupts import interrupts_held
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
@@ -144,7 +144,7 @@ def train(
         raise FormatError(
             output, "is there already, and of no training that could go on: overwrite it, or name another"
         )
-    run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or say_nothing)
+    run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or no_progress)
     run.start(overwrite=overwrite)
     run.work(stop_after, preview)
     return run.finish(None if output is None else Path(output))

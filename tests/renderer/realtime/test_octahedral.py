@@ -10,7 +10,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.device.structs.camera import SampleData
-from lumisplat.math.directions import cell_means, directions_of_square, harmonics_of_cells, irradiance_beyond
+from lumisplat.math.directions import cell_means, directions_of_square, irradiance_residual, sh_fit_of_cells
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.buffers import device_array
 from support.oracles.screen_probe_oracle import cell_of, spiral, square_of
@@ -68,7 +68,7 @@ def test_the_border_is_folded_onto_itself() -> None:
 
 def test_harmonics_that_fit_are_exact_to_their_degree() -> None:
     """Cells of light of degree 2 give its coefficients; constant light gives nothing else, to 1e-12."""
-    fit = harmonics_of_cells(8, 2)
+    fit = sh_fit_of_cells(8, 2)
     np.testing.assert_allclose(fit.sum(axis=0), np.eye(9)[0] * np.sqrt(4.0 * np.pi), atol=1e-12)
     coefficients = np.random.default_rng(1).normal(size=9)
     np.testing.assert_allclose(fit.T @ (cell_means(8, 2) @ coefficients), coefficients, atol=1e-12)
@@ -80,7 +80,7 @@ def test_what_harmonics_leave_out_is_added(power: int) -> None:
 
     The light is the cosine above the surface to a power: pi times 2 / (2 + power) arrive.
     """
-    beyond, fit, means = irradiance_beyond(8, 2, 16), harmonics_of_cells(8, 2), cell_means(8, 2)
+    beyond, fit, means = irradiance_residual(8, 2, 16), sh_fit_of_cells(8, 2), cell_means(8, 2)
     np.testing.assert_allclose(beyond @ means, 0.0, atol=1e-12)
     directions, convolved = spiral(100_000), np.repeat([np.pi, 2.0 * np.pi / 3.0, np.pi / 4.0], [1, 3, 5])
     _, _, cells = mapped(directions)

@@ -14,7 +14,7 @@ from lumisplat.config import RenderConfig, ToneMap
 from lumisplat.config.checks import check_kind, check_whole, enum_member
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
-from lumisplat.progress import Pace, Progress, say_nothing
+from lumisplat.progress import Progress, StagedProgress, no_progress
 from lumisplat.relighting.capture_measures import surface_remark
 from lumisplat.relighting.fitting.light_layers import LightLayers, read_images
 from lumisplat.relighting.fitting.parameters import Exposure, FitOptions, FitTask
@@ -137,12 +137,12 @@ def fit_lights(
     )
     curve = enum_member("tone_map", tone_map, ToneMap)
     views = read_images(cameras, photographs, masks, linear=linear, tone_map=curve)
-    report = progress or say_nothing
+    report = progress or no_progress
     for instance in scene.splats:
         if instance.material is not None and (remark := surface_remark(instance.gaussians, device=device)) is not None:
             _log.warning("%s", remark)
     report(_LABEL, 0.0)
-    pace = Pace(report, _LABEL)
+    pace = StagedProgress(report, _LABEL)
     layers = LightLayers(config, device, rendered=lambda: pace.add(1.0))
     small = [view.scaled(size) for view in views]
     exposures = [view.camera.exposure for view in views]

@@ -13,7 +13,7 @@ from lumisplat.device.gi.probe_placement import ProbeCells, ProbeData, ProbeGrid
 from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.rays import RayData
-from lumisplat.math.directions import harmonics_of_cells, irradiance_beyond
+from lumisplat.math.directions import irradiance_residual, sh_fit_of_cells
 from lumisplat.renderer.realtime import screen_probe_kernels as kernels
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -42,9 +42,9 @@ class ScreenProbes:
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._seed, self._offset = seed, offset
-        fit = harmonics_of_cells(config.cells, _DEGREE).astype(np.float32).ravel()
+        fit = sh_fit_of_cells(config.cells, _DEGREE).astype(np.float32).ravel()
         self._fit = buffers.upload("probes.fit", wp.float32, fit)
-        beyond = irradiance_beyond(config.cells, _DEGREE, PROBE_NORMALS).astype(np.float32).ravel()
+        beyond = irradiance_residual(config.cells, _DEGREE, PROBE_NORMALS).astype(np.float32).ravel()
         self._beyond = buffers.upload("probes.beyond", wp.float32, beyond)
         self._size: tuple[int, int] | None = None
         self._has_history = False
