@@ -91,7 +91,7 @@ class _Backend:
     def _pixels_of_rays(self, count: int, hits: GaussianHits, background: Color) -> PixelData:
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
         inputs = (*self._scene.image_size, wp.vec3(*background), hits, pixels)
-        self._launcher.run_banded(picture_kernels.show_rays, count, *inputs)
+        self._launcher.run_banded(picture_kernels.store_ray_colors, count, *inputs)
         return pixels
 
 
@@ -342,5 +342,5 @@ class TrainingUnscented(_Backend):
     @property
     def _last_hits(self) -> SplatsOnRays:
         """What the rays of the last frame hit."""
-        assert self._raster.met is not None
-        return self._raster.met
+        assert self._raster.drawn is not None
+        return self._raster.drawn

@@ -25,7 +25,7 @@ from lumisplat.device.training import (
     TargetImage,
 )
 from lumisplat.math.arrays import FloatArray
-from lumisplat.renderer.gradients.features import FeatureChannels, ShownFeatures
+from lumisplat.renderer.gradients.features import FeatureChannels, RenderedFeatures
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
@@ -169,7 +169,7 @@ class SurfaceLoss:
         self._normals, self._depth, self._smooth = normals, depth, smooth
         self._terms = SurfaceTerms()
         self._terms.middle, self._terms.per_unit = middle, 1.0 / extent
-        self._shown: ShownFeatures
+        self._shown: RenderedFeatures
         self._by_sums: DeviceArray
         self._counted = 1.0
         self.smoothness: SmoothnessMaps | None = None
@@ -204,7 +204,7 @@ class SurfaceLoss:
         with self._launcher.stage("surfaces"):
             data = scene.assets[0].data
             run(kernels.find_features, drawn.splats.count, scene.camera, self._terms, data, features)
-            shown = self._channels.show(scene, drawn, features)
+            shown = self._channels.render(scene, drawn, features)
             maps = self._buffers.struct("surfaces.maps", SurfaceMaps, count)
             by_sums = get("surfaces.by_sums", wp.float32, (count, FEATURES))
             seen = (scene.camera, self._terms)

@@ -79,8 +79,8 @@ def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
     each = replace(FACING, intensity=np.pi / lights)
     of_mesh = ls.Scene(meshes=[wall(replace(material, base_color=(0.6, 0.6, 0.6)))], lights=[each] * lights)
     np.testing.assert_allclose(middle(lit(of_mesh, pipeline)), 0.6 * np.array([0.8, 0.7, 0.6]), rtol=1e-4)
-    of_splats = ls.Scene(splats=[ls.SplatInstance(curtain(), material=material)], lights=[each] * lights)
-    shadowless = lit(of_splats, pipeline, shadows=ls.Shadows.OFF)
+    splat_shadows = ls.Scene(splats=[ls.SplatInstance(curtain(), material=material)], lights=[each] * lights)
+    shadowless = lit(splat_shadows, pipeline, shadows=ls.Shadows.OFF)
     own = decode_srgb(np.array([0.7, 0.5, 0.3]))
     np.testing.assert_allclose(middle(shadowless), own * [0.8, 0.7, 0.6], rtol=5e-3)
 

@@ -187,7 +187,7 @@ def test_the_stack_is_for_the_deepest_way() -> None:
         renderer.render(ls.Scene(places), view())
         bvh = renderer._scene.bvh
         nodes = bvh.data(renderer._scene.splat_instances).tlas_nodes
-        needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(held.bvh.waiting for held in bvh.held))
+        needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(held.bvh.stack_size for held in bvh.held))
         assert bvh.stack >= needed[-1]
     assert needed[1] > needed[0] == 1
     assert needed[2] == needed[1] + 1

@@ -178,8 +178,8 @@ def test_no_more_nodes_wait_than_the_tree_says(launcher: Launcher) -> None:
         gaussians = gaussians if means is None else replace(gaussians, means=means)
         tree = tree_of(launcher, gaussians)
         links = tree.nodes.numpy()["link"]
-        assert max(waiting_of(links)) <= tree.waiting <= TRAVERSE_STACK
-        assert tree.waiting == worst(links, 0)
+        assert max(waiting_of(links)) <= tree.stack_size <= TRAVERSE_STACK
+        assert tree.stack_size == worst(links, 0)
 
 
 def worst(links: np.ndarray, node: int) -> int:

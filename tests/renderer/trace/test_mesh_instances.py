@@ -84,7 +84,7 @@ def test_instances_that_move_are_hit_where_they_are(parallel: bool) -> None:
         instance = order[~nodes["link"][leaves]]
         low, high = (np.stack([nodes[f"{side}_{k}"] for k in "xyz"], axis=-1)[leaves] for side in ("low", "high"))
         assert sorted(instance) == list(range(len(instances)))
-        assert (low <= kept.places.low[instance]).all() and (high >= kept.places.high[instance]).all()
+        assert (low <= kept.boxes.low[instance]).all() and (high >= kept.boxes.high[instance]).all()
     assert builds[0] == builds[1] != builds[2] != builds[3], "nudged instances are refitted, others built anew"
 
 

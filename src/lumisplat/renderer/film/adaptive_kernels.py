@@ -43,12 +43,12 @@ def subpixel(sample: int) -> wp.vec2:
 @wp.kernel
 def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
     """Item = place of a ray among those of all pixels: whether its pixel takes part in a sample, 0 or 1."""
-    place = start + wp.tid()
-    is_drawn_out[place] = 0
-    pixel = pixel_of_ray(width, place)
+    ray = start + wp.tid()
+    is_drawn_out[ray] = 0
+    pixel = pixel_of_ray(width, ray)
     if pixel[0] < width and pixel[1] < height:
         rate = rates[pixel[1] * width + pixel[0]]
-        is_drawn_out[place] = int(samples_before(sample + 1, rate) > samples_before(sample, rate))
+        is_drawn_out[ray] = int(samples_before(sample + 1, rate) > samples_before(sample, rate))
 
 
 @wp.kernel
@@ -63,13 +63,13 @@ def list_rays(
     listed_out: ListedRays,
 ):
     """Item = place of a ray: lists it, if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
-    place = start + wp.tid()
-    if is_drawn[place] == 0:
+    ray = start + wp.tid()
+    if is_drawn[ray] == 0:
         return
-    pixel = pixel_of_ray(width, place)
+    pixel = pixel_of_ray(width, ray)
     number = samples_before(sample, rates[pixel[1] * width + pixel[0]])
-    i = ends[place] - 1
-    listed_out.place[i] = place
+    i = ends[ray] - 1
+    listed_out.place[i] = ray
     listed_out.sample[i] = number
     listed_out.offset[i] = subpixel(wp.where(jitters, number, 0))
 

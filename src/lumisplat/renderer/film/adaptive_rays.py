@@ -78,7 +78,7 @@ class AdaptiveRays:
             run(kernels.list_rays, count, sample, jitters, width, self.rates, is_drawn, ends, listed)
         return listed
 
-    def decide(self, film: DeviceArray, least: float) -> None:
+    def choose_rates(self, film: DeviceArray, least: float) -> None:
         """Chooses the rates of pixels, each by the noise of its neighbours.
 
         Args:
@@ -92,7 +92,7 @@ class AdaptiveRays:
             self._launcher.run_banded(kernels.average_neighbors, count, *self._size, noise, means)
             self.rates.assign(rates_of(means.numpy()))
 
-    def drawn_before(self, sample: int) -> int:
+    def total_before(self, sample: int) -> int:
         """Samples of all pixels before sample ``sample``."""
         first = min(sample, NOISE_SAMPLES_MIN)
         rates = self.rates.numpy().astype(np.int64)
@@ -129,5 +129,5 @@ def quantile(values: FloatArray, share: float) -> float:
     """The smallest value that a share of all values are not above; NaN: there are none."""
     if not values.size:
         return math.nan
-    place = math.ceil(share * values.size) - 1
-    return float(np.partition(values, place)[place])
+    index = math.ceil(share * values.size) - 1
+    return float(np.partition(values, index)[index])

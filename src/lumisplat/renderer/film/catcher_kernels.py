@@ -207,9 +207,9 @@ def smooth_ratios(
         number = pixel + away * wp.where(down, width, 1)
         depth = depths[number]
         if depth > 0.0:
-            place = float(away) / blur
+            along = float(away) / blur
             layer = (depth - center) * unit / (DEPTHS * wp.max(noise[pixel], noise[number]))
-            weight = film[0].lit.captured_weight[number] * wp.exp(-0.5 * (place * place + layer * layer))
+            weight = film[0].lit.captured_weight[number] * wp.exp(-0.5 * (along * along + layer * layer))
             total += weight * ratio[number]
             weights += weight
     if weights > 0.0:

@@ -26,14 +26,14 @@ class CatcherRatios:
         """The kernel modules."""
         return [kernels]
 
-    def room(self, count: int) -> DeviceArray:
+    def ratios(self, count: int) -> DeviceArray:
         """Returns the array of so many ratios, which ``FilmData.ratio`` is."""
         return self._buffers.get("film.shadow_ratio", wp.vec3, count)
 
     def develop(self, scene: DeviceScene, film: DeviceArray, count: int) -> None:
         """Writes the ratios of the means of samples, and the colours of pixels that follow."""
         get, run = self._buffers.get, self._launcher.run_banded
-        ratio, across = self.room(count), get("film.ratio_across", wp.vec3, count)
+        ratio, across = self.ratios(count), get("film.ratio_across", wp.vec3, count)
         measured, rows = (get(f"film.{name}", wp.vec4, count) for name in ("depth_noise_sums", "depth_noise_rows"))
         depths, noise = (get(f"film.{name}", wp.float32, count) for name in ("catcher_depths", "depth_noise"))
         run(kernels.store_ratios, count, scene.camera, scene.shading, film, depths, ratio)

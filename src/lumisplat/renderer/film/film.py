@@ -30,7 +30,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array, rows_o
 from lumisplat.runtime.downloads import Copies
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
-RECEIVED = {
+CATCHER_LAYERS = {
     "captured_all": "captured_all",
     "captured_part": "captured_part",
     "captured_received": "received",
@@ -99,7 +99,7 @@ class Film:
         if plan.has_shadow_only:
             row.capture_factor = self._image("capture_factor")
         if plan.has_receivers:
-            for name in RECEIVED:
+            for name in CATCHER_LAYERS:
                 setattr(row, name, self._image(name))
         if self._has_catchers:
             row.ratio = self._ratio
@@ -128,7 +128,7 @@ class Film:
         if not self._plan.adapts:
             return None
         if sample == NOISE_SAMPLES_MIN:
-            self._adaptive.decide(self._data, least_luminance(exposure, is_lit=self._plan.is_lit))
+            self._adaptive.choose_rates(self._data, least_luminance(exposure, is_lit=self._plan.is_lit))
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
@@ -162,7 +162,7 @@ class Film:
                 self._catchers.develop(scene, self._data, self._pixel_count)
             elif "shadow_ratio" in self._plan.aovs:
                 self._ratio.fill_(1.0)
-            if self._shows_captured:
+            if self._adds_captured:
                 is_apart = self._plan.traces_paths
                 inputs = is_apart, self._data, self._image("emission"), self._image("emission_shown")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
@@ -197,7 +197,7 @@ class Film:
             arrays["variance"] = self._image("variance")
         if "shadow_ratio" in self._plan.aovs:
             arrays["shadow_ratio"] = self._ratio
-        if self._shows_captured:
+        if self._adds_captured:
             arrays["emission_shown"] = self._image("emission_shown")
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
@@ -228,7 +228,7 @@ class Film:
         size, light_count = self._size, self._light_count
         for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
             if name in self._plan.aovs:
-                shown = "emission_shown" if name == "emission" and self._shows_captured else name
+                shown = "emission_shown" if name == "emission" and self._adds_captured else name
                 images[name] = copies.give(partial(self._layer, size, copies, shown))
         for name in ("hits", "history"):
             if name in self._plan.aovs:
@@ -256,7 +256,7 @@ class Film:
         """Samples of the frame that were left out as they were NaN or infinite."""
         drawn = self._samples * self._pixel_count
         if self._plan.adapts:
-            drawn = self._adaptive.drawn_before(self._samples)
+            drawn = self._adaptive.total_before(self._samples)
         if self._launcher.is_parallel:
             return drawn - int(self._count_total.numpy()[0])
         return drawn - int(self._count.numpy().sum(dtype=np.int64))
@@ -270,7 +270,7 @@ class Film:
         }
         if self._plan.has_receivers:
             radiance = wave.row.radiance
-            images |= {name: device_array(getattr(radiance, field)) for name, field in RECEIVED.items()}
+            images |= {name: device_array(getattr(radiance, field)) for name, field in CATCHER_LAYERS.items()}
         if self._plan.has_shadow_only:
             images["capture_factor"] = device_array(wave.row.radiance.capture_factor)
         if "hits" in self._plan.aovs:
@@ -285,7 +285,7 @@ class Film:
             name for name in ("albedo", "reflection", "hits", *PATH_PARTS, *REALTIME_AOVS) if name in self._plan.aovs
         ]
         names += ["capture_factor"] * self._plan.has_shadow_only
-        names += RECEIVED if self._plan.has_receivers else ()
+        names += CATCHER_LAYERS if self._plan.has_receivers else ()
         if "bounces" in self._plan.aovs:
             names += [f"bounce{n}" for n in range(self._plan.max_bounces + 2)]
         if "lights" in self._plan.aovs:
@@ -363,7 +363,7 @@ class Film:
         self._samples = samples
 
     @property
-    def _shows_captured(self) -> bool:
+    def _adds_captured(self) -> bool:
         """Whether captures, which paths add up apart, or their changes are yet to be added to the emission."""
         return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_only)
 
@@ -372,7 +372,7 @@ class Film:
 
     @property
     def _ratio(self) -> DeviceArray:
-        return self._catchers.room(self._pixel_count)
+        return self._catchers.ratios(self._pixel_count)
 
     @property
     def _has_catchers(self) -> bool:

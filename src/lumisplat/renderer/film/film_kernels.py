@@ -34,12 +34,12 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
     """The pixel of a ray; -1: it has none, beyond the image or the list of rays."""
     if film[0].in_blocks == 0:
         return ray
-    place = ray
+    frame_ray = ray
     if film[0].listed.place:
-        place = film[0].listed.place[ray]
-        if place < 0:
+        frame_ray = film[0].listed.place[ray]
+        if frame_ray < 0:
             return -1
-    position = pixel_of_ray(film[0].width, place)
+    position = pixel_of_ray(film[0].width, frame_ray)
     if position[0] >= film[0].width or position[1] >= film[0].height:
         return -1
     return position[1] * film[0].width + position[0]
@@ -111,11 +111,11 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
 
 @wp.kernel
 def add_captured(
-    start: int, is_apart: bool, film: wp.array[FilmData], seen: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
+    start: int, is_apart: bool, film: wp.array[FilmData], emission: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
 ):
     """Item = pixel: what is seen that shines, with the captured part, where it ``is_apart``, and its changes."""
     pixel = start + wp.tid()
-    emission_out[pixel] = seen[pixel] + captured_change(pixel, film)
+    emission_out[pixel] = emission[pixel] + captured_change(pixel, film)
     if is_apart:
         emission_out[pixel] += captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
 

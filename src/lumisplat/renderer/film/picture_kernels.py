@@ -59,7 +59,9 @@ def encode_lit_pixels(
 
 
 @wp.kernel(module=RAYS)
-def show_rays(start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData):
+def store_ray_colors(
+    start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData
+):
     """Item = ray of a pixel: its colour over the background, and alpha; the other images stay as they are."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)

@@ -104,10 +104,10 @@ def pixel_sums(buffers: Buffers, count: int, *, is_lit: bool) -> tuple[PixelSums
 
 
 def _image(
-    copies: Copies, place: tuple[str, int, int], shape: tuple[int, ...], number: type[np.generic]
+    copies: Copies, words: tuple[str, int, int], shape: tuple[int, ...], number: type[np.generic]
 ) -> npt.NDArray[Any]:
     """An image among the words of copies: name, first word and count."""
-    return copies.words(*place).view(number).reshape(shape)
+    return copies.words(*words).view(number).reshape(shape)
 
 
 def _split_block(

@@ -26,11 +26,11 @@ from lumisplat.renderer.gradients.arrays import (
     host_values,
     set_gradient,
 )
-from lumisplat.renderer.gradients.features import FeatureChannels, ShownFeatures
+from lumisplat.renderer.gradients.features import FeatureChannels, RenderedFeatures
 from lumisplat.renderer.gradients.pose import pose_gradient
-from lumisplat.renderer.gradients.ray_backward import GivenGradient, RayBackward, TracedFrame, check_traced
+from lumisplat.renderer.gradients.ray_backward import RayBackward, TracedFrame, UpstreamGradient, check_traced
 from lumisplat.renderer.gradients.splat_backward import SplatBackward
-from lumisplat.renderer.gradients.unscented_backward import MetFrame, UnscentedBackward
+from lumisplat.renderer.gradients.unscented_backward import UnscentedBackward, UnscentedFrame
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats
 from lumisplat.renderer.rays import checked_rays, tracing
 from lumisplat.renderer.renderer import Renderer
@@ -89,19 +89,25 @@ class DifferentiableRenderer(Renderer):
         """Sets up the backward passes of the settings."""
         self._traces = not self.config.pipeline.rasterises
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
-        self._backward = SplatBackward(self._launcher, self._buffers)
-        self._by_rays = RayBackward(self._launcher, self._buffers, self.config)
-        self._along_rays = UnscentedBackward(self._launcher, self._buffers)
-        self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._backward)
+        self._splat_backward = SplatBackward(self._launcher, self._buffers)
+        self._ray_backward = RayBackward(self._launcher, self._buffers, self.config)
+        self._unscented_backward = UnscentedBackward(self._launcher, self._buffers)
+        self._features = FeatureChannels(self._launcher, self._buffers, self._unlit_raster, self._splat_backward)
         self._load(self._modules(FramePlan.of(self.config, Scene())))
-        self._shown: tuple[Scene, Camera, DrawnSplats] | None = None
-        self._shown_features: ShownFeatures | None = None
-        self._traced: TracedFrame | None = None
-        self._met: MetFrame | None = None
+        self._last_drawn: tuple[Scene, Camera, DrawnSplats] | None = None
+        self._rendered_features: RenderedFeatures | None = None
+        self._traced_frame: TracedFrame | None = None
+        self._unscented_frame: UnscentedFrame | None = None
 
     def _modules(self, plan: FramePlan, **options: bool) -> list[KernelModule]:
         """The kernel modules of frames and of their backward pass."""
-        backward = self._by_rays if self._traces else self._along_rays if self._is_unscented else self._backward
+        backward = (
+            self._ray_backward
+            if self._traces
+            else self._unscented_backward
+            if self._is_unscented
+            else self._splat_backward
+        )
         return [*backward.modules(), *super()._modules(plan, **options)]
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
@@ -119,13 +125,13 @@ class DifferentiableRenderer(Renderer):
         if self._traces:
             check_traced(scene)
             frame = super().render(scene, camera, **options)
-            self._traced = TracedFrame(scene, camera, self._hits)
+            self._traced_frame = TracedFrame(scene, camera, self._hits)
             return frame
         if self._is_unscented:
             check_traced(scene)
             frame = super().render(scene, camera, **options)
-            if self._unscented.met is not None:
-                self._met = MetFrame(scene, camera, self._unscented.met)
+            if self._unscented.drawn is not None:
+                self._unscented_frame = UnscentedFrame(scene, camera, self._unscented.drawn)
             return frame
         if camera.is_distorted:
             raise ConfigError(
@@ -134,7 +140,7 @@ class DifferentiableRenderer(Renderer):
             )
         frame = super().render(scene, camera, **options)
         if self._unlit_raster.drawn is not None:
-            self._shown = scene, camera, self._unlit_raster.drawn
+            self._last_drawn = scene, camera, self._unlit_raster.drawn
         return frame
 
     def render_features(self, features: npt.ArrayLike) -> FloatArray:
@@ -155,14 +161,14 @@ class DifferentiableRenderer(Renderer):
             SceneError: The shape does not fit, or a value is not finite.
         """
         if self._traces or self._is_unscented:
-            way = "TRACE" if self._traces else "Projection.UNSCENTED"
-            raise ConfigError(f"render_features: further features are those of Pipeline.RASTER, not of {way}")
+            pipeline = "TRACE" if self._traces else "Projection.UNSCENTED"
+            raise ConfigError(f"render_features: further features are those of Pipeline.RASTER, not of {pipeline}")
         _, camera, drawn = self._last_frame("render_features")
         columns = np.shape(features)[1] if np.ndim(features) == 2 else 1
         values = given_array("features", features, (drawn.splats.count, max(columns, 1)))
         self._load(self._features.modules())
-        self._shown_features = self._features.show(self._scene, drawn, values)
-        return host_values(self._shown_features.of_pixels).reshape(camera.height, camera.width, -1)
+        self._rendered_features = self._features.render(self._scene, drawn, values)
+        return host_values(self._rendered_features.of_pixels).reshape(camera.height, camera.width, -1)
 
     def gradients(
         self,
@@ -188,23 +194,23 @@ class DifferentiableRenderer(Renderer):
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
         if (self._traces or self._is_unscented) and dL_dfeatures is not None:
-            way = "TRACE" if self._traces else "Projection.UNSCENTED"
-            raise ConfigError(f"gradients: those by features are of Pipeline.RASTER, not of {way}")
-        if self._met is not None:
-            camera = self._met.camera
+            pipeline = "TRACE" if self._traces else "Projection.UNSCENTED"
+            raise ConfigError(f"gradients: those by features are of Pipeline.RASTER, not of {pipeline}")
+        if self._unscented_frame is not None:
+            camera = self._unscented_frame.camera
             by_color, gradient = self._given((camera.height, camera.width), dL_dcolor, dL_dalpha)
-            return self._along_rays.of_frame(self._scene, self._met, by_color, gradient, pose=pose)
-        if self._traced is not None:
-            by_color, gradient = self._given(self._traced.shape, dL_dcolor, dL_dalpha)
-            return self._by_rays.of_frame(self._scene, self._traced, by_color, gradient, pose=pose)
+            return self._unscented_backward.of_frame(self._scene, self._unscented_frame, by_color, gradient, pose=pose)
+        if self._traced_frame is not None:
+            by_color, gradient = self._given(self._traced_frame.shape, dL_dcolor, dL_dalpha)
+            return self._ray_backward.of_frame(self._scene, self._traced_frame, by_color, gradient, pose=pose)
         scene, camera, drawn = self._last_frame("gradients")
         shape = (camera.height, camera.width)
         by_color, gradient = self._given(shape, dL_dcolor, dL_dalpha)
         pixels = PixelBuffers.of(self._buffers, self._scene.image_size).data
-        by_splat = self._backward.splats(self._scene, drawn, pixels, gradient)
+        by_splat = self._splat_backward.splats(self._scene, drawn, pixels, gradient)
         features = None if dL_dfeatures is None else self._by_features(drawn, dL_dfeatures, shape, by_splat)
         sets = [
-            set_gradient(self._backward.gaussians(self._scene, drawn, by_splat, number))
+            set_gradient(self._splat_backward.gaussians(self._scene, drawn, by_splat, number))
             for number in range(len(self._scene.assets))
         ]
         splats = _visible(by_splat.numpy(), drawn)
@@ -231,10 +237,10 @@ class DifferentiableRenderer(Renderer):
         if not self._traces:
             raise ConfigError("ray_gradients: rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
         start, along = checked_rays(origins, directions)
-        given = GivenGradient.of(len(start), dL_dradiance, dL_dtransmittance)
+        given = UpstreamGradient.of(len(start), dL_dradiance, dL_dtransmittance)
         check_traced(scene)
         shown = self.trace_rays(scene, start, along)
-        return self._by_rays.of_rays(self._scene, self._tracer, (self._local(start), along), shown, given)
+        return self._ray_backward.of_rays(self._scene, self._tracer, (self._local(start), along), shown, given)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
         """The hits of a frame's one sample, kept for the way back."""
@@ -247,7 +253,7 @@ class DifferentiableRenderer(Renderer):
         return super()._sync_rays(scene, camera)
 
     def _forget(self) -> None:
-        self._shown = self._shown_features = self._traced = self._met = None
+        self._last_drawn = self._rendered_features = self._traced_frame = self._unscented_frame = None
 
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
@@ -266,24 +272,24 @@ class DifferentiableRenderer(Renderer):
         Raises:
             ConfigError: Nothing was.
         """
-        if self._shown is None:
+        if self._last_drawn is None:
             raise ConfigError(f"{asked}: render a frame first")
-        return self._shown
+        return self._last_drawn
 
     def _by_features(
         self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
     ) -> FloatArray:
         """Derivatives by features; adds those by splats."""
-        if self._shown_features is None:
+        if self._rendered_features is None:
             raise ConfigError("gradients: show features of this frame first, by render_features")
-        count = self._shown_features.count
+        count = self._rendered_features.count
         by_pixels = given_array("dL_dfeatures", dL_dfeatures, (*shape, count)).reshape(-1, count)
-        return host_values(self._features.backward(self._scene, drawn, self._shown_features, by_pixels, by_splat))
+        return host_values(self._features.backward(self._scene, drawn, self._rendered_features, by_pixels, by_splat))
 
     def _by_pose(self, scene: Scene, camera: Camera, drawn: DrawnSplats, by_splat: DeviceArray) -> Doubles:
         total = np.zeros((4, 4))
         for number, instance in enumerate(scene.splats):
-            sums = self._backward.pose(self._scene, drawn, by_splat, number)
+            sums = self._splat_backward.pose(self._scene, drawn, by_splat, number)
             total[:3] += pose_gradient(sums, instance, camera)
         return total
 

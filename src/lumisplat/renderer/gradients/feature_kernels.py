@@ -33,7 +33,7 @@ def store_three(values_out: wp.array2d[float], row: int, first: int, three: wp.v
 
 
 @wp.kernel
-def show_features(
+def replace_colors(
     start: int,
     features: wp.array2d[float],
     first: int,

@@ -32,7 +32,7 @@ from lumisplat.scene.scene import Scene, SplatInstance
 
 
 @dataclass(frozen=True, slots=True)
-class ShownFeatures:
+class RenderedFeatures:
     """Features that a frame's splats have shown."""
 
     of_splats: DeviceArray
@@ -64,7 +64,7 @@ class FeatureChannels:
         """The kernel modules."""
         return [kernels]
 
-    def show(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> ShownFeatures:
+    def render(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> RenderedFeatures:
         """Sums of features over the splats of each pixel, with the weights of their colours.
 
         Args:
@@ -73,13 +73,13 @@ class FeatureChannels:
             features: Of all Gaussians of the scene, shape (N, C).
         """
         pixels, columns = math.prod(scene.image_size), features.shape[1]
-        shown = ShownFeatures(
+        shown = RenderedFeatures(
             self._upload("features.splats", features),
             self._buffers.get("features.pixels", wp.float32, (pixels, columns)),
         )
         sums = self._buffers.struct("features.sums", GaussianHits, ray_count(*scene.image_size), EXTRA_FIELDS)
         for first in range(0, columns, 6):
-            self._raster.sum_splats(scene, self._showing(drawn, shown, first), sums)
+            self._raster.sum_splats(scene, self._with_features(drawn, shown, first), sums)
             self._launcher.run_banded(kernels.store_sums, pixels, scene.camera, sums, first, shown.of_pixels)
         return shown
 
@@ -87,7 +87,7 @@ class FeatureChannels:
         self,
         scene: DeviceScene,
         drawn: DrawnSplats,
-        shown: ShownFeatures,
+        shown: RenderedFeatures,
         by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
@@ -110,16 +110,16 @@ class FeatureChannels:
         for first in range(0, shown.count, 3):
             run(kernels.take_three, count, shown.of_pixels, first, pixels.color)
             run(kernels.take_three, count, given, first, gradient.color)
-            showing = self._showing(drawn, shown, first)
+            showing = self._with_features(drawn, shown, first)
             part = self._backward.splats(scene, showing, pixels, gradient, name="features.gradients")
             run(kernels.add_gradients, drawn.splats.count, part, first, by_splat, by_features)
         return by_features[: drawn.splats.count]
 
-    def _showing(self, drawn: DrawnSplats, shown: ShownFeatures, first: int) -> DrawnSplats:
+    def _with_features(self, drawn: DrawnSplats, shown: RenderedFeatures, first: int) -> DrawnSplats:
         """What was drawn, with features from column ``first`` on in place of colours and normals."""
         splats = self._buffers.get("features.shown_splats", Splat, drawn.splats.count)
         inputs = (shown.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
-        self._launcher.run_banded(kernels.show_features, drawn.splats.count, *inputs)
+        self._launcher.run_banded(kernels.replace_colors, drawn.splats.count, *inputs)
         return replace(drawn, splats=replace(drawn.splats, data=splats), tiles=replace(drawn.tiles, splats=splats))
 
     def _upload(self, name: str, values: FloatArray | DeviceArray) -> DeviceArray:
@@ -160,7 +160,7 @@ class SurfaceFeatures:
             scene: The scene.
             camera: A pinhole.
         """
-        parts = [np.column_stack([_depths(s, camera), _normals(s, camera) @ _turn(s).T]) for s in scene.splats]
+        parts = [np.column_stack([_depths(s, camera), _normals(s, camera) @ _rotation(s).T]) for s in scene.splats]
         values = np.concatenate(parts) if parts else np.zeros((0, 4))
         return cls(scene, camera, values.astype(np.float32))
 
@@ -194,7 +194,7 @@ def _depths(instance: SplatInstance, camera: Camera) -> Doubles:
     return instance.world_means @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
 
 
-def _turn(instance: SplatInstance) -> Doubles:
+def _rotation(instance: SplatInstance) -> Doubles:
     """The rotation from object to world."""
     return instance.transform[:3, :3] / instance.scale
 
@@ -205,7 +205,7 @@ def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
     axes = matrices_from_quaternions(gaussians.rotations_wxyz)
     shortest = np.argmin(gaussians.scales, axis=1)
     normals = np.take_along_axis(axes, shortest[:, None, None], axis=2)[:, :, 0]
-    to_eye = (camera.eye - instance.world_means) @ _turn(instance)
+    to_eye = (camera.eye - instance.world_means) @ _rotation(instance)
     return np.where(np.sum(normals * to_eye, axis=1, keepdims=True) < 0.0, -normals, normals)
 
 
@@ -214,8 +214,8 @@ def _added(
 ) -> SetGradient:
     """Derivatives by a set, and those by way of depths, (N, 1), and world normals, (N, 3), of one of its instances."""
     by_mean = by_depth * (camera.camera_from_world[2, :3] @ instance.transform[:3, :3])
-    by_turn = np.cross(_normals(instance, camera), by_normal @ _turn(instance))
-    by_rotation = _by_quaternion(instance.gaussians, by_turn)
+    by_rotation_vector = np.cross(_normals(instance, camera), by_normal @ _rotation(instance))
+    by_rotation = _by_quaternion(instance.gaussians, by_rotation_vector)
     return replace(
         gradient,
         means=(gradient.means + by_mean).astype(np.float32),
@@ -223,11 +223,11 @@ def _added(
     )
 
 
-def _by_quaternion(gaussians: Gaussians, by_turn: Doubles) -> Doubles:
+def _by_quaternion(gaussians: Gaussians, by_rotation_vector: Doubles) -> Doubles:
     """Derivatives by unit quaternions ``q`` of what has derivatives ``t`` by small turns in object space, (N, 4).
 
     A turn by ``w`` moves ``q`` by half of ``(0, w) q``, so that they are ``2 (0, t) q``.
     """
     w, v = np.split(gaussians.rotations_wxyz.astype(np.float64), [1], axis=1)
-    scalar = -np.sum(by_turn * v, axis=1, keepdims=True)
-    return 2.0 * np.concatenate([scalar, w * by_turn + np.cross(by_turn, v)], axis=1)
+    scalar = -np.sum(by_rotation_vector * v, axis=1, keepdims=True)
+    return 2.0 * np.concatenate([scalar, w * by_rotation_vector + np.cross(by_rotation_vector, v)], axis=1)

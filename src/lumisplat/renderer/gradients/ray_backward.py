@@ -44,7 +44,7 @@ from lumisplat.scene.scene import Scene
 BACKWARD_HITS = 2**22
 """Hits of rays whose derivatives are on the device at once: 44 bytes each, some 180 MiB, unless a packet has more."""
 
-Noun = TypeVar("Noun")
+Struct = TypeVar("Struct")
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class TracedFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GivenGradient:
+class UpstreamGradient:
     """Derivatives by what given rays show."""
 
     radiance: FloatArray
@@ -99,7 +99,7 @@ class GivenGradient:
     """Shape (N,)."""
 
     @classmethod
-    def of(cls, count: int, radiance: npt.ArrayLike, transmittance: npt.ArrayLike | None) -> GivenGradient:
+    def of(cls, count: int, radiance: npt.ArrayLike, transmittance: npt.ArrayLike | None) -> UpstreamGradient:
         """Those that a caller gives; transmittance None: 0.
 
         Raises:
@@ -166,7 +166,7 @@ class RayBackward:
         tracer: RayTracer,
         rays: tuple[FloatArray, FloatArray],
         shown: RayHits,
-        given: GivenGradient,
+        given: UpstreamGradient,
     ) -> RayGradients:
         """Derivatives by what given rays have hit.
 
@@ -311,10 +311,10 @@ class RayBackward:
         return profiles
 
 
-def _rows_of(noun: type[Noun], arrays: Noun, rows: slice) -> Noun:
+def _rows_of(struct_type: type[Struct], arrays: Struct, rows: slice) -> Struct:
     """A struct of arrays with some elements of each."""
-    struct: Any = noun
-    view = noun()
+    struct: Any = struct_type
+    view = struct_type()
     for name, _ in struct.vars.items():
         setattr(view, name, getattr(arrays, name)[rows])
     return view

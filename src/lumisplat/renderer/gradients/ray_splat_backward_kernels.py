@@ -120,7 +120,7 @@ def add_records(
 
 
 @wp.kernel
-def backward_seen_gaussians(
+def backward_ray_gaussians(
     start: int,
     camera: wp.array[CameraData],
     settings: wp.array[RayRasterData],
@@ -138,7 +138,7 @@ def backward_seen_gaussians(
     view = camera[0]
     raster = settings[0]
     by_mean = wp.vec3(0.0)
-    by_turn = wp.vec3(0.0)
+    by_rotation_vector = wp.vec3(0.0)
     by_scale = wp.vec3(0.0)
     by_opacity = float(0.0)
     first = i * gaussians.sh_count
@@ -156,15 +156,17 @@ def backward_seen_gaussians(
         seen = seen_gaussian(view, raster.dilation, instance, gaussians, i, time)
         widening = wp.where(instance.antialiased == 0, raster.dilation, 0.0)
         by_point = mean_gradient(view, widening, seen, time, sums)
-        by_place = instance.scale * (wp.transpose(instance.world_from_object) * by_point)
-        own_turn = turn_gradient(seen, sums)
-        by_mean += by_place
-        by_turn += own_turn
+        by_instance_mean = instance.scale * (wp.transpose(instance.world_from_object) * by_point)
+        by_instance_rotation = turn_gradient(seen, sums)
+        by_mean += by_instance_mean
+        by_rotation_vector += by_instance_rotation
         # Rays that are moved see what they would if the Gaussian were moved back.
-        motion.shift = -by_place
-        motion.turn = -wp.quat_rotate(gaussians.rotations[i], own_turn) - wp.cross(gaussians.means[i], by_place)
-        own_scale = instance.scale * gaussians.scales[i]
-        by_scale += instance.scale * wp.cw_mul(scale_gradient(seen, sums), own_scale)
+        motion.shift = -by_instance_mean
+        motion.turn = -wp.quat_rotate(gaussians.rotations[i], by_instance_rotation) - wp.cross(
+            gaussians.means[i], by_instance_mean
+        )
+        world_scale = instance.scale * gaussians.scales[i]
+        by_scale += instance.scale * wp.cw_mul(scale_gradient(seen, sums), world_scale)
         by_opacity += sums.log_opacity / gaussians.opacities[i]
         if instance.own_colors == 0:
             stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
@@ -172,16 +174,16 @@ def backward_seen_gaussians(
             by_color = open_channels(splats[index].color, sums.color)
             weights = sh_weights(gaussians.sh, first, degree, by_color)
             eye = eye_at(view, instance, time)
-            by_way, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], eye, degree, weights)
+            by_direction, _eye, _degree, sh_basis = wp.grad(color_dot)(gaussians.means[i], eye, degree, weights)
             for k in range((degree + 1) * (degree + 1)):
-                gaussians_out.sh[first + k] = gaussians_out.sh[first + k] + harmonics[k] * by_color
-            by_mean += by_way
-            motion.shift -= by_way
-            motion.turn -= wp.cross(eye, by_way)
+                gaussians_out.sh[first + k] = gaussians_out.sh[first + k] + sh_basis[k] * by_color
+            by_mean += by_direction
+            motion.shift -= by_direction
+            motion.turn -= wp.cross(eye, by_direction)
         motions_out[index] = motion
     gaussians_out.means[i] = by_mean
     gaussians_out.rotations[i] = gaussians.rotations[i] * wp.quat(
-        2.0 * by_turn[0], 2.0 * by_turn[1], 2.0 * by_turn[2], 0.0
+        2.0 * by_rotation_vector[0], 2.0 * by_rotation_vector[1], 2.0 * by_rotation_vector[2], 0.0
     )
     gaussians_out.scales[i] = by_scale
     gaussians_out.opacities[i] = by_opacity

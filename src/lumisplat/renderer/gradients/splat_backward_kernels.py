@@ -104,14 +104,14 @@ def add_pairs(
 
 @wp.func
 def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count: int) -> int:
-    """Degree of the harmonics of an instance in the frame."""
+    """Degree of the SH of an instance in the frame."""
     stored = int(wp.sqrt(float(sh_count))) - 1
     return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
 
 
 @wp.func
-def write_harmonics(
-    harmonics: ShFloats,
+def write_sh(
+    sh_basis: ShFloats,
     degree: int,
     by_color: wp.vec3,
     sh_count: int,
@@ -121,9 +121,9 @@ def write_harmonics(
 ):
     """Derivatives by the coefficients of one Gaussian, each written once, added to what is there only if asked."""
     used = (degree + 1) * (degree + 1)
-    for k in range(SH_COEFFICIENTS):  # unrolled, so that the harmonics stay in registers
+    for k in range(SH_COEFFICIENTS):  # unrolled, so that the basis stays in registers
         if k < sh_count:
-            value = wp.where(k < used, harmonics[k], 0.0) * by_color
+            value = wp.where(k < used, sh_basis[k], 0.0) * by_color
             if is_added:
                 value += gaussians_out.sh[first + k]
             gaussians_out.sh[first + k] = value
@@ -162,8 +162,8 @@ def backward_gaussians(
         degree = evaluated_degree(raster, instance, gaussians.sh_count)
         by_color = open_channels(splats[index].color, by_splat.color)
         weights = sh_weights(gaussians.sh, first, degree, by_color)
-        by_mean, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
-        write_harmonics(harmonics, degree, by_color, gaussians.sh_count, first, is_written, gaussians_out)
+        by_mean, _eye, _degree, sh_basis = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
+        write_sh(sh_basis, degree, by_color, gaussians.sh_count, first, is_written, gaussians_out)
         is_written = True
         mean += origin.mean + by_mean
         rotation += origin.rotation
@@ -206,7 +206,7 @@ def backward_pose(
         degree = evaluated_degree(raster, instance, gaussians.sh_count)
         by_color = open_channels(splats[index].color, by_splat.color)
         weights = sh_weights(gaussians.sh, i * gaussians.sh_count, degree, by_color)
-        _mean, by_eye, _degree, _harmonics = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
+        _mean, by_eye, _degree, _basis = wp.grad(color_dot)(gaussians.means[i], instance.eye, degree, weights)
         total.camera_from_object += origin.camera_from_object
         total.camera_from_object_offset += origin.camera_from_object_offset
         total.eye += by_eye

@@ -32,12 +32,12 @@ from lumisplat.scene.scene import Scene
 
 
 @dataclass(frozen=True, slots=True)
-class MetFrame:
+class UnscentedFrame:
     """What a frame that is rasterised along rays was drawn from."""
 
     scene: Scene
     camera: Camera
-    met: SplatsOnRays
+    drawn: SplatsOnRays
 
 
 class UnscentedBackward:
@@ -56,7 +56,7 @@ class UnscentedBackward:
         return [kernels.BLOCKS if self._launcher.is_parallel else kernels.TILES, kernels]
 
     def of_frame(
-        self, scene: DeviceScene, frame: MetFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
+        self, scene: DeviceScene, frame: UnscentedFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
     ) -> SplatGradients:
         """Derivatives by what a frame was drawn from.
 
@@ -67,15 +67,15 @@ class UnscentedBackward:
             gradient: The same on the device, and those by its alpha.
             pose: Whether to differentiate by the camera's pose, too.
         """
-        met = frame.met
+        drawn = frame.drawn
         pixels = PixelBuffers.of(self._buffers, scene.image_size).data
-        by_splat = self.splats(scene, met, pixels, gradient)
-        sets = [set_gradient(self.gaussians(scene, met, by_splat, number)) for number in range(len(scene.assets))]
+        by_splat = self.splats(scene, drawn, pixels, gradient)
+        sets = [set_gradient(self.gaussians(scene, drawn, by_splat, number)) for number in range(len(scene.assets))]
         by_pose = None
         if pose:
-            rows = pose_of_rays_gradient(self.motions(met), frame.scene.splats, frame.camera)
+            rows = pose_of_rays_gradient(self.motions(drawn), frame.scene.splats, frame.camera)
             by_pose = np.vstack([rows, np.zeros(4)])
-        rects = met.splats.rects.numpy()
+        rects = drawn.splats.rects.numpy()
         none = np.zeros((0, 2), np.float32)
         return SplatGradients(
             sets=tuple(sets),
@@ -86,20 +86,22 @@ class UnscentedBackward:
             weights=np.where(rects["x0"] < rects["x1"], by_splat.numpy()["weight"], np.float32(0.0)),
         )
 
-    def splats(self, scene: DeviceScene, met: SplatsOnRays, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
+    def splats(
+        self, scene: DeviceScene, drawn: SplatsOnRays, pixels: PixelData, gradient: PixelGradient
+    ) -> DeviceArray:
         """Derivatives by all Gaussians of a frame, an element of ``RaySplatGradient`` each.
 
         Args:
             scene: The scene on the device, as it was drawn.
-            met: What the rays have met.
+            drawn: What the rays have met.
             pixels: What came of it.
             gradient: Derivatives by these.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
-        count, starts = met.splats.count, pair_starts(self._launcher, self._buffers, met.splats.rects)
-        pairs = get("backward.ray_pairs", RaySplatGradient, met.tiles.items.shape[0])
-        lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items)
-        inputs = (scene.camera, met.settings, *lists, met.rays, met.limits, pixels, gradient, pairs)
+        count, starts = drawn.splats.count, pair_starts(self._launcher, self._buffers, drawn.splats.rects)
+        pairs = get("backward.ray_pairs", RaySplatGradient, drawn.tiles.items.shape[0])
+        lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
+        inputs = (scene.camera, drawn.settings, *lists, drawn.rays, drawn.limits, pixels, gradient, pairs)
         with self._launcher.stage("backward: pixels"):
             if self._launcher.is_parallel:
                 self._launcher.run_blocks(kernels.backward_blocks, tiles, *inputs)
@@ -111,28 +113,30 @@ class UnscentedBackward:
             run(kernels.add_records, count, starts, pairs, sums)
         return sums
 
-    def gaussians(self, scene: DeviceScene, met: SplatsOnRays, by_splat: DeviceArray, number: int) -> GaussianGradient:
+    def gaussians(
+        self, scene: DeviceScene, drawn: SplatsOnRays, by_splat: DeviceArray, number: int
+    ) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not met.
 
         Args:
             scene: As of ``splats``.
-            met: As of ``splats``.
+            drawn: As of ``splats``.
             by_splat: Derivatives that ``splats`` has found.
             number: The asset's, in the scene.
         """
         asset = scene.assets[number]
         out = gradient_of_asset(self._buffers, asset, number)
-        data = (asset.instance_ids, asset.data, met.splats.data, met.splats.rects, by_splat)
-        motions = self._buffers.get("backward.motions", RayMotion, met.splats.count)
-        inputs = (scene.camera, met.settings, scene.splat_instances, *data, motions, out)
+        data = (asset.instance_ids, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)
+        motions = self._buffers.get("backward.motions", RayMotion, drawn.splats.count)
+        inputs = (scene.camera, drawn.settings, scene.splat_instances, *data, motions, out)
         with self._launcher.stage("backward: Gaussians"):
-            self._launcher.run_banded(kernels.backward_seen_gaussians, asset.gaussians.count, *inputs)
+            self._launcher.run_banded(kernels.backward_ray_gaussians, asset.gaussians.count, *inputs)
         return out
 
-    def motions(self, met: SplatsOnRays) -> DeviceArray:
+    def motions(self, drawn: SplatsOnRays) -> DeviceArray:
         """Derivatives by where the rays are that meet each Gaussian, ``RayMotion``; after ``gaussians`` of all assets.
 
         Args:
-            met: As of ``splats``.
+            drawn: As of ``splats``.
         """
-        return self._buffers.get("backward.motions", RayMotion, met.splats.count)
+        return self._buffers.get("backward.motions", RayMotion, drawn.splats.count)

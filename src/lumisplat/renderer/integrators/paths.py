@@ -122,7 +122,7 @@ class PathIntegrator:
         run(kernels.start_ambient_rays, count, wave.data, *rows, ambient, skips)
         with self._launcher.stage("shadow"):
             visibility = self._shadows.trace(
-                scene, ambient, skips, "path.open", of_splats=plan.splat_shadows, incoherent=True
+                scene, ambient, skips, "path.open", splat_shadows=plan.splat_shadows, incoherent=True
             )
         run(kernels.add_open, count, ambient, visibility, *rows)
 
@@ -158,7 +158,7 @@ class PathIntegrator:
                     "path.visibility",
                     opaque=shadows.opaque,
                     media=device_array(shadows.media) if plan.absorbs else None,
-                    of_splats=plan.splat_shadows,
+                    splat_shadows=plan.splat_shadows,
                     incoherent=True,
                 )
         run(kernels.add_sampled_light, count, number, scene.shading, wave.data, *rows[:2], visibility, rows[2])

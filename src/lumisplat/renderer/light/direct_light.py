@@ -161,7 +161,7 @@ class DirectLight:
                 skips,
                 "light.visibility",
                 media=self._media(plan, wave),
-                of_splats=plan.splat_shadows,
+                splat_shadows=plan.splat_shadows,
             )
 
     def _shadow_rays(self, wave: RayWave) -> RayData:

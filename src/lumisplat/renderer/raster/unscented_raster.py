@@ -56,7 +56,7 @@ class UnscentedRaster:
         self._meshes = MeshTracer(launcher, buffers)
         self._table = settings_table(config)
         self._settings = buffers.get("unscented.settings", RayRasterData, 1)
-        self.met: SplatsOnRays | None = None
+        self.drawn: SplatsOnRays | None = None
         """What the last frame's rays have met."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
@@ -92,7 +92,7 @@ class UnscentedRaster:
             tiles = SplatTiles(splats.data, lists.starts, lists.items)
         with stage("composite"):
             hits = self._composite(scene, tiles, centers or rays, meshes.t)
-        self.met = SplatsOnRays(splats, tiles, centers or rays, meshes.t, hits, self._settings)
+        self.drawn = SplatsOnRays(splats, tiles, centers or rays, meshes.t, hits, self._settings)
         return PrimaryHits(rays, meshes, hits)
 
     def _is_by_pixel(self, *, mixes_sets: bool) -> bool:

@@ -47,8 +47,8 @@ class Antialiasing:
         self._has_history = True
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
-        self._run(kernels.show, wave.count, *inputs, wave.data, shown, shares)
-        self._run(kernels.weigh, width * height, size, motion.known_share, motion.moved_to, before, shown, now)
+        self._run(kernels.store_pixels, wave.count, *inputs, wave.data, shown, shares)
+        self._run(kernels.weight_history, width * height, size, motion.known_share, motion.moved_to, before, shown, now)
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_only else {}

@@ -47,7 +47,7 @@ STILL = wp.constant(wp.float32(STILL_PX))
 
 
 @wp.kernel
-def show(
+def store_pixels(
     start: int,
     camera: wp.array[CameraData],
     camera_before: wp.array[CameraData],
@@ -200,7 +200,7 @@ def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], me
 
 
 @wp.kernel
-def weigh(
+def weight_history(
     start: int,
     size: wp.vec2i,
     known_share: float,
@@ -232,23 +232,23 @@ def weigh(
     frames = float(0.0)
     mean = color
     change = float(0.0)
-    place = wp.vec2(float(x), float(y))
+    position = wp.vec2(float(x), float(y))
     bright = luminance(color)
     if not wp.isnan(motion[0]):
         stands = is_still(motion)
         if not stands:
-            place = wp.vec2(snapped(place[0] - motion[0]), snapped(place[1] - motion[1]))
-        near_x = int(wp.round(place[0]))
-        near_y = int(wp.round(place[1]))
+            position = wp.vec2(snapped(position[0] - motion[0]), snapped(position[1] - motion[1]))
+        near_x = int(wp.round(position[0]))
+        near_y = int(wp.round(position[1]))
         if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
             tap = near_y * size[0] + near_x
             frames = known_share * history.frames[tap]
-            if place[0] != float(near_x) or place[1] != float(near_y):
+            if position[0] != float(near_x) or position[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):
                 frames = 0.0
             if frames > 0.0:
-                mean = image_at(history.color, size, place)
+                mean = image_at(history.color, size, position)
                 retained = float(1.0)
                 if not (stands and is_noise(x, y, size, colors, motions, history)):
                     retained = retained_share(x, y, size, colors, mean)
@@ -260,10 +260,10 @@ def weigh(
     if not (frames > 0.0 and is_finite(mean)):  # NaN, too, ends a history
         frames = 0.0
         change = 0.0
-        place = wp.vec2(float(x), float(y))
+        position = wp.vec2(float(x), float(y))
         mean = color
     weight = 1.0 / (frames + 1.0)
-    shown_inout.place[pixel] = place
+    shown_inout.place[pixel] = position
     shown_inout.weight[pixel] = weight
     history_out.frames[pixel] = wp.min(frames + 1.0, FRAMES)
     history_out.color[pixel] = mean + weight * (color - mean)

@@ -30,7 +30,7 @@ def larger_kind(pixel: int, splats: SurfacePixels, meshes: SurfacePixels) -> int
 
 
 @wp.kernel
-def show_motion(
+def draw_motion(
     start: int,
     camera: wp.array[CameraData],
     camera_before: wp.array[CameraData],
@@ -52,7 +52,7 @@ def show_motion(
 
 
 @wp.kernel
-def show_history(
+def draw_history(
     start: int,
     camera: wp.array[CameraData],
     splats: SurfacePixels,
@@ -74,7 +74,7 @@ def show_history(
 
 
 @wp.kernel
-def show_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, image_inout: wp.array[wp.vec3]):
+def draw_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, image_inout: wp.array[wp.vec3]):
     """Item = probe: how often it has been refreshed, at its pixel; no two are at one."""
     i = start + wp.tid()
     if probes.is_placed[i] == 0:
@@ -114,7 +114,7 @@ def list_surfaces(
 
 
 @wp.kernel
-def show_cells(start: int, numbers: wp.array[int], image_out: wp.array[wp.vec3]):
+def draw_cells(start: int, numbers: wp.array[int], image_out: wp.array[wp.vec3]):
     """Item = ray: the number of its cell."""
     i = start + wp.tid()
     image_out[i] = wp.vec3(float(numbers[i]))

@@ -44,7 +44,7 @@ class DebugLayers:
         """Motion of each pixel's larger surface since the last frame, pixels; NaN where it is unknown."""
         image = self.empty("motion", count)
         inputs = scene.camera, scene.motion.camera, *_kinds(surfaces), image
-        self._launcher.run_banded(kernels.show_motion, count, *inputs)
+        self._launcher.run_banded(kernels.draw_motion, count, *inputs)
         return image
 
     def history(
@@ -53,13 +53,13 @@ class DebugLayers:
         """Frames in the history of direct light of each pixel's larger surface; ``frames`` are those of each kind."""
         image = self.empty("history", count)
         inputs = scene.camera, *_kinds(surfaces), frames.get(SPLATS), frames.get(MESHES), image
-        self._launcher.run_banded(kernels.show_history, count, *inputs)
+        self._launcher.run_banded(kernels.draw_history, count, *inputs)
         return image
 
     def probes(self, scene: DeviceScene, probes: ScreenProbes, count: int) -> DeviceArray:
         """How often the probe at a pixel has been refreshed; -1 where there is none."""
         image = self.empty("probes", count)
-        self._launcher.run_banded(kernels.show_probes, probes.count, scene.camera, probes.probes, image)
+        self._launcher.run_banded(kernels.draw_probes, probes.count, scene.camera, probes.probes, image)
         return image
 
     def cache(self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
@@ -73,7 +73,7 @@ class DebugLayers:
     ) -> DeviceArray:
         """Numbers of the cache's cells at these surfaces."""
         image, numbers = self._image("cache_cells", count), cache.cell_numbers(self._samples(scene, surfaces, count))
-        self._launcher.run_banded(kernels.show_cells, count, numbers, image)
+        self._launcher.run_banded(kernels.draw_cells, count, numbers, image)
         return image
 
     def _samples(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> CacheSamples:

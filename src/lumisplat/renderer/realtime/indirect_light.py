@@ -113,7 +113,7 @@ class IndirectLight:
                 self.probes.outdate(scene.motion.known_share)
                 self.cache.outdate(scene.motion.known_share)
             rays = self.probes.rays(frame)
-        hits = self._rays.trace(scene, plan, rays, "probe_rays", sees_lights=False)
+        hits = self._rays.trace(scene, plan, rays, "probe_rays", hits_emitters=False)
         self.cache.insert(hits.samples, frame)
         self._bounce(scene, plan, frame)
         reflected = self.cache.look_up(hits.samples)
@@ -121,7 +121,7 @@ class IndirectLight:
             self.probes.update(*self._rays.radiance(hits, reflected, "probe_rays"))
         lobe_rays = self._follow_lobes(scene, plan, *lobes, frame)
         with self._launcher.stage("probes"):
-            light = [self._received(scene, kind, lobe_rays) for kind in surfaces]
+            light = [self._gathered(scene, kind, lobe_rays) for kind in surfaces]
         self.cache.evict(frame)
         return light
 
@@ -162,14 +162,14 @@ class IndirectLight:
         self._launcher.run_banded(kernels.choose_surfaces, count, surfaces[0].now, surfaces[1].now, larger)
         return larger
 
-    def _received(self, scene: DeviceScene, kind: PixelSurfaces, lobes: LobeRays) -> SurfaceLight:
+    def _gathered(self, scene: DeviceScene, kind: PixelSurfaces, lobes: LobeRays) -> SurfaceLight:
         """Light that surfaces of one kind reflect of probes and of rays within their highlights."""
         probes = self.probes
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
         inputs = kind.kind, probes.grid, scene.camera, kind.now, probes.probes, probes.adaptive_of, probes.light
         inputs = *inputs, irradiance, lobes, self._interval, light
-        self._launcher.run_banded(kernels.receive_light, len(irradiance), *inputs)
+        self._launcher.run_banded(kernels.gather_light, len(irradiance), *inputs)
         return light
 
 
@@ -199,7 +199,7 @@ class SecondaryRays:
         return modules
 
     def trace(
-        self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, sees_lights: bool = True
+        self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, hits_emitters: bool = True
     ) -> SecondaryHits:
         """Finds the surfaces that rays hit, with direct light there; at smooth surfaces rays continue.
 
@@ -208,8 +208,8 @@ class SecondaryRays:
             plan: Plan of the frame.
             rays: A multiple of ``PACKET_RAYS``.
             name: Of the buffers that hold the result.
-            sees_lights: Whether captures that are sampled as lights are visible to the rays; not to rays from surfaces
-                that receive the light of these captures otherwise.
+            hits_emitters: Whether the rays hit captures that are sampled as lights. False for rays from surfaces that
+                receive the light of these captures by other samples.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         samples = self._buffers.struct(f"{name}.samples", CacheSamples, count)
@@ -222,7 +222,7 @@ class SecondaryRays:
         media = device_array(onward.media) if plan.has_media else None
         carried = Carried(device_array(onward.weights), media) if goes_on else None
         marked, mirrored = scene.captured_emitters.marked, device_array(onward.mirrored) if goes_on else None
-        dark = None if sees_lights or marked is None else Dark(marked, mirrored)
+        dark = None if hits_emitters or marked is None else Dark(marked, mirrored)
         for _ in range(1 + SPECULAR_WAVES * goes_on):
             hits = self._tracer.find_hits(scene, rays, name, bounced=True, dark=dark)
             with self._launcher.stage("bounced"):
@@ -230,16 +230,16 @@ class SecondaryRays:
                 grid = self._grids.of_wave(scene, wave)
                 inputs = not plan.casts_shadows, grid, scene.camera, scene.shading, wave.data, *found, onward
                 run(ray_kernels.shade_hits, count, *inputs, bands=SHADE_BANDS_PER_THREAD * self._launcher.threads)
-            if not goes_on or not self._any_goes_on(onward):
+            if not goes_on or not self._any_continues(onward):
                 break
             rays = onward.rays
         with self._launcher.stage("bounced"):
             visibility = bounced.sampled
             if plan.casts_shadows:
                 visibility = self._shadows.trace(
-                    scene, shadow_rays, None, f"{name}.visibility", of_splats=plan.splat_shadows, incoherent=True
+                    scene, shadow_rays, None, f"{name}.visibility", splat_shadows=plan.splat_shadows, incoherent=True
                 )
-            run(ray_kernels.light_samples, count, bounced, shadow_rays, visibility, samples)
+            run(ray_kernels.apply_visibility, count, bounced, shadow_rays, visibility, samples)
         return SecondaryHits(bounced, samples)
 
     def radiance(self, hits: SecondaryHits, reflected: DeviceArray, name: str) -> tuple[DeviceArray, DeviceArray]:
@@ -269,7 +269,7 @@ class SecondaryRays:
         self._launcher.run_banded(ray_kernels.begin_onward, count, onward)
         return onward
 
-    def _any_goes_on(self, onward: OnwardRays) -> bool:
+    def _any_continues(self, onward: OnwardRays) -> bool:
         """Returns whether some rays continue. The host waits for that: most scenes need few of the waves."""
         goes_on = device_array(onward.goes_on)
         ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))

@@ -115,7 +115,7 @@ def radiance_of_probes(
 
 
 @wp.kernel
-def receive_light(
+def gather_light(
     start: int,
     slot: int,
     grids: wp.array[ProbeGrid],

@@ -18,7 +18,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 
 @wp.func
-def beside(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
+def jittered_point(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
     """A random point of an interaction's plane, within ``width``: averaged over frames, it hides edges of cells."""
     key = branch_key(wave[0].rays.sample_key[ray], CELL_BRANCH + j // wave[0].rays.is_active.shape[0])
     u = sobol_2d(key, 0)
@@ -48,7 +48,7 @@ def list_surfaces(
     cosine = wp.max(wp.dot(interaction.normal, interaction.wo), 0.0)
     samples_out.from_eye[j] = wp.length(interaction.position - camera[0].eye)
     samples_out.position[j] = interaction.position
-    points_out[j] = beside(j, ray, 0.5 * cell_size * samples_out.from_eye[j], interaction, wave)
+    points_out[j] = jittered_point(j, ray, 0.5 * cell_size * samples_out.from_eye[j], interaction, wave)
     samples_out.normal[j] = interaction.normal
     samples_out.direction[j] = -interaction.wo
     samples_out.distance[j] = wp.length(interaction.position - wave[0].rays.origin[ray])

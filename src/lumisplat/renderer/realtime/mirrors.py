@@ -54,7 +54,7 @@ class Mirrors:
         self._grids = LightGrids(launcher, buffers)
         self._specular = SpecularWaves(launcher, buffers)
         realtime = config.realtime
-        self._hidden_width = realtime.cache.cell_size if realtime.antialiasing else 0.0
+        self._jitter_width = realtime.cache.cell_size if realtime.antialiasing else 0.0
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """The kernel modules of a frame."""
@@ -123,7 +123,7 @@ class Mirrors:
         visibility = sampled
         if plan.casts_shadows:
             visibility = self._shadows.trace(
-                scene, rays, None, "mirrors.visibility", of_splats=plan.splat_shadows, incoherent=True
+                scene, rays, None, "mirrors.visibility", splat_shadows=plan.splat_shadows, incoherent=True
             )
         run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 
@@ -131,7 +131,7 @@ class Mirrors:
         """Adds the indirect light of the surfaces that a wave hits."""
         samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
         points = self._buffers.get("mirrors.points", wp.vec3, 2 * wave.count)
-        inputs = self._hidden_width, scene.camera, wave.data, samples, points
+        inputs = self._jitter_width, scene.camera, wave.data, samples, points
         self._launcher.run_banded(kernels.list_surfaces, 2 * wave.count, *inputs)
         indirect = self._cache.look_up_indirect(samples, points)
         self._launcher.run_banded(kernels.add_cached, wave.count, indirect, wave.data)

@@ -117,7 +117,7 @@ class PixelLights:
         if not plan.casts_shadows:
             return self._buffers.get("pixel_light.visibility", wp.vec3, len(rays.t_max))
         with self._launcher.stage("shadow"):
-            return self._shadows.trace(scene, rays, None, "pixel_light.visibility", of_splats=plan.splat_shadows)
+            return self._shadows.trace(scene, rays, None, "pixel_light.visibility", splat_shadows=plan.splat_shadows)
 
     def _add_captured(
         self,
@@ -150,7 +150,7 @@ class PixelLights:
         passed = get("captured_light.passed", wp.vec3, count)
         if plan.max_bounces > 0:  # there may be glass
             run(kernels.start_through_glass, count, is_glass, emitted, sent)
-            passed = self._shadows.trace(scene, sent, None, "captured_light.passed", of_splats=_OF_MESHES)
+            passed = self._shadows.trace(scene, sent, None, "captured_light.passed", splat_shadows=_OF_MESHES)
         inputs = scene.shading, emitted, reflected, is_glass, passed, visibility
         run(kernels.add_captured_light, count, *inputs, light, rays)
 

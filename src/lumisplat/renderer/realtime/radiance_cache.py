@@ -204,18 +204,18 @@ class RadianceCache:
         if self._may_count(COUNT_NEW):
             new_keys = self._get("new_keys", wp.int64, count)
             run(kernels.list_new_tiles, count, samples, is_new, ends, new_keys)
-            keys, slots = self._others()
+            keys, slots = self._spare_lists()
             run(kernels.merge_tiles, capacity, frame, tiles, new_keys, keys, slots)
-            self._take(keys, slots)
+            self._replace_lists(keys, slots)
             self._launcher.run(kernels.count_merged_tiles, 1, tiles)
 
     def _compact(self, stays: DeviceArray, *, is_early: bool) -> None:
         """Frees the slots of tiles that are not marked."""
         ends = self._per_tile("ends")
         prefix_sum(stays, ends, inclusive=True)
-        keys, slots = self._others()
+        keys, slots = self._spare_lists()
         self._launcher.run_banded(kernels.compact_tiles, self._config.tiles, self.tiles, stays, ends, keys, slots)
-        self._take(keys, slots)
+        self._replace_lists(keys, slots)
         self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self.tiles)
 
     def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
@@ -234,11 +234,11 @@ class RadianceCache:
         sort_pairs(ages, ranks, count)
         return ranks
 
-    def _others(self) -> tuple[DeviceArray, DeviceArray]:
+    def _spare_lists(self) -> tuple[DeviceArray, DeviceArray]:
         """Room for the keys and slots that follow the present ones."""
         return self._get("other_keys", wp.int64, self._config.tiles), self._per_tile("other_slots")
 
-    def _take(self, keys: DeviceArray, slots: DeviceArray) -> None:
+    def _replace_lists(self, keys: DeviceArray, slots: DeviceArray) -> None:
         """Replaces the keys and slots of the tiles."""
         copy_elements(keys, device_array(self.tiles.keys), self._config.tiles)
         copy_elements(slots, device_array(self.tiles.slots), self._config.tiles)
@@ -276,9 +276,9 @@ _LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_
 
 def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:
     """Arrays for as many tiles; the system provides memory of the CPU when it is written."""
-    noun: Any = CacheTiles
+    struct_type: Any = CacheTiles
     tiles = CacheTiles()
-    for field, variable in noun.vars.items():
+    for field, variable in struct_type.vars.items():
         count = COUNTS if field == "counts" else capacity * _LENGTHS.get(field, 1)
         setattr(tiles, field, buffers.get(f"radiance_cache.tiles.{field}", variable.type.dtype, count))
     return tiles

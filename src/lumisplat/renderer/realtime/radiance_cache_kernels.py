@@ -66,10 +66,10 @@ def find_cells(
     order_out[i] = i
     if samples.is_active[i]:
         if wp.isfinite(samples.radiance[i]) and wp.isfinite(samples.from_eye[i]):
-            place = cell_of_sample(grid, samples, i)
-            keys_out[i] = place.key
-            cells_out[i] = place.cell
-            sort_cells_out[i] = place.cell
+            address = cell_of_sample(grid, samples, i)
+            keys_out[i] = address.key
+            cells_out[i] = address.cell
+            sort_cells_out[i] = address.cell
 
 
 @wp.kernel
@@ -126,7 +126,7 @@ def add_samples(
 
 
 @wp.func
-def mean_of_squares(means: wp.array[wp.vec4], slot: int):
+def average_mips(means: wp.array[wp.vec4], slot: int):
     """Means of a tile over squares of cells, each from the four of half its width, by their samples."""
     for mip in range(1, TILE_MIPS):
         side = 8 >> mip
@@ -156,7 +156,7 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
             for cell in range(TILE_CELLS):
                 filled += wp.min(tiles.frames[slot * TILE_CELLS + cell], 1)
             tiles.filled[slot] = filled
-            mean_of_squares(tiles.direct, slot)
+            average_mips(tiles.direct, slot)
 
 
 @wp.kernel
@@ -218,9 +218,9 @@ def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: Cach
     i = start + wp.tid()
     numbers_out[i] = -1
     if samples.is_active[i]:
-        place = cell_of_sample(grid, samples, i)
-        if slot_of(tiles, place.key) >= 0:
-            numbers_out[i] = int(cell_key(place.key, place.cell, 0) & wp.uint32(0xFFFFFF))
+        address = cell_of_sample(grid, samples, i)
+        if slot_of(tiles, address.key) >= 0:
+            numbers_out[i] = int(cell_key(address.key, address.cell, 0) & wp.uint32(0xFFFFFF))
 
 
 @wp.kernel
@@ -375,7 +375,7 @@ def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
     i = start + wp.tid()
     if points.is_active[i]:
         if i == 0 or points.slot[wp.max(i - 1, 0)] != points.slot[i]:
-            mean_of_squares(tiles.indirect, points.slot[i])
+            average_mips(tiles.indirect, points.slot[i])
 
 
 @wp.kernel

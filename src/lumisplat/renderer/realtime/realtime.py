@@ -121,9 +121,9 @@ class RealtimeIntegrator:
         if plan.jitters:
             with frame_pass("antialiasing"):
                 self._antialiasing.average(scene, plan, wave, self._layers, sample)
-        if wanted := sorted(plan.aovs & {*REALTIME_AOVS}):
+        if debug_names := sorted(plan.aovs & {*REALTIME_AOVS}):
             with frame_pass("views"):
-                self._layers |= self._debug_images(wanted, scene, surfaces, wave.count, sample)
+                self._layers |= self._debug_images(debug_names, scene, surfaces, wave.count, sample)
         return wave
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:

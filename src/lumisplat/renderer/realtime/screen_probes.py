@@ -124,8 +124,8 @@ class ScreenProbes:
         inputs = self._refresh_order, self._rays, radiance, hit_distance, self.probes, cells
         run(kernels.add_samples, self.ray_count, self._grids, *inputs)
         weights = self._buffers.get("probes.weights", wp.float32, self.count * self._cell_count)
-        places = self._camera, self.probes, self.adaptive_of, self._tile_order, cells
-        run(kernels.filter_cells, self.count * self._cell_count, self._grids, *places, self.light, weights)
+        inputs = self._camera, self.probes, self.adaptive_of, self._tile_order, cells
+        run(kernels.filter_cells, self.count * self._cell_count, self._grids, *inputs, self.light, weights)
         tables = self._fit, self._beyond
         run(kernels.project_probes, self.count, self._grids, self.probes, *tables, weights, self.light)
 
@@ -135,8 +135,8 @@ class ScreenProbes:
         assert self._size is not None, "place before irradiance"
         pixels, tiles = self._size[0] * self._size[1], self._tiles
         found, known = get("probes.found", wp.vec3, pixels), get("probes.is_known", wp.int32, pixels)
-        places = self._camera, surfaces, self.probes, self.adaptive_of, self.light
-        run(kernels.find_irradiance, pixels, grids, *places, found, known)
+        inputs = self._camera, surfaces, self.probes, self.adaptive_of, self.light
+        run(kernels.find_irradiance, pixels, grids, *inputs, found, known)
         means = mean = get("probes.tile_means", wp.vec4, tiles)
         run(kernels.tile_means, tiles, grids, found, known, means)
         while mean.shape[0] > 1:

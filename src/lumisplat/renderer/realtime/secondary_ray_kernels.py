@@ -159,7 +159,7 @@ def shade_hits(
 
 
 @wp.kernel
-def light_samples(
+def apply_visibility(
     start: int, bounced: BouncedRays, rays: RayData, visibility: wp.array[wp.vec3], samples_inout: CacheSamples
 ):
     """Item = ray: radiance that the surface at its hit reflects of the sampled light."""

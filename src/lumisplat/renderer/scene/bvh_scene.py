@@ -184,7 +184,7 @@ class BvhScene:
         boxes = self._world_boxes(scene, places)
         trees = {kind: tree_of_boxes(*boxes_among(boxes, among)) for kind, among in members.items()}
         waiting = max(waiting_in_tree(nodes) for nodes in trees.values())
-        needed = waiting - 1 + max((held.bvh.waiting for held in self._held), default=1)
+        needed = waiting - 1 + max((held.bvh.stack_size for held in self._held), default=1)
         self.stack = TRAVERSE_STACK_SMALL if needed <= TRAVERSE_STACK_SMALL else TRAVERSE_STACK
         self._tlas_nodes = {
             kind: self._buffers.get(f"tlas_nodes.{kind.value}", Node, len(nodes)) for kind, nodes in trees.items()

@@ -261,7 +261,7 @@ class DeviceScene:
     def _sync_instances(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
         gaussians = [asset.gaussians for asset in self.assets]
         splats = splat_instance_table(scene, gaussians, camera, self._config, is_lit=plan.is_lit)
-        meshes = mesh_instance_table(scene, self._meshes, self._mesh_bvh.places, camera, plan)
+        meshes = mesh_instance_table(scene, self._meshes, self._mesh_bvh.boxes, camera, plan)
         self.splat_instances = self._buffers.upload("splat_instances", SplatInstanceData, splats)
         if plan.has_history:
             self.captured_emitters.sync(scene, splats, self._buffers)

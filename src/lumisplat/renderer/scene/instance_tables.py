@@ -19,7 +19,7 @@ from lumisplat.device.structs.scene import (
 from lumisplat.renderer.scene.assets import MeshAssets
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, place_texture, shading_overrides
-from lumisplat.renderer.trees.mesh_bvh import InstancePlaces
+from lumisplat.renderer.trees.mesh_bvh import InstanceBoxes
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians
@@ -99,9 +99,9 @@ def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
 
 
 def mesh_instance_table(
-    scene: Scene, assets: MeshAssets, places: InstancePlaces, camera: Camera, plan: FramePlan
+    scene: Scene, assets: MeshAssets, boxes: InstanceBoxes, camera: Camera, plan: FramePlan
 ) -> np.ndarray:
-    """The rows of a scene's mesh instances; ``places`` has those that rays may hit, or none."""
+    """The rows of a scene's mesh instances; ``boxes`` has those that rays may hit, or none."""
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
     if not scene.meshes:
         return table
@@ -116,9 +116,9 @@ def mesh_instance_table(
     table["object_from_world"] = object_from_world
     table["position"] = transforms[:, :3, 3]
     table["first"] = np.cumsum([0, *(instance.mesh.face_count for instance in scene.meshes[:-1])])
-    if len(places.roots):
-        table["low"], table["high"] = places.low, places.high
-        table["asset"], table["root"] = places.assets, places.roots
+    if len(boxes.roots):
+        table["low"], table["high"] = boxes.low, boxes.high
+        table["asset"], table["root"] = boxes.assets, boxes.roots
     first_with = {id(instance.mesh): number for number, instance in reversed(list(enumerate(scene.meshes)))}
     for number in first_with.values():
         _write_mesh(table[number : number + 1], scene.meshes[number], assets, plan)

@@ -56,10 +56,10 @@ class ShadowRays:
         self._settings = buffers.get(f"{name}.settings", ShadowData, 1)
         assign_table(self._settings, self._table)
 
-    def modules(self, of_splats: SplatShadows, *, has_meshes: bool, incoherent: bool = False) -> list[KernelModule]:
+    def modules(self, splat_shadows: SplatShadows, *, has_meshes: bool, incoherent: bool = False) -> list[KernelModule]:
         """The kernel modules of rays; arguments as of `trace`."""
         modules: list[KernelModule] = [mesh_shadow_kernels] if has_meshes else []
-        if not of_splats.exist:
+        if not splat_shadows.exist:
             return modules
         if self._draws == DRAWS_SHARED:
             modules += [stochastic_bvh_kernels]
@@ -83,7 +83,7 @@ class ShadowRays:
         *,
         opaque: wp.array[wp.bool] | None = None,
         media: wp.array[wp.vec4i] | None = None,
-        of_splats: SplatShadows = ON_ALL,
+        splat_shadows: SplatShadows = ON_ALL,
         incoherent: bool = False,
     ) -> DeviceArray:
         """Transmittance of each ray up to ``t_max``: linear, per channel, 0..1, as wp.vec3.
@@ -98,15 +98,15 @@ class ShadowRays:
             opaque: Whether glass blocks each ray. None: it blocks none.
             media: Media at the origins, wp.vec4i as of ``Boundary``. None: all are in air.
             incoherent: Whether rays are incoherent, so that each goes through Gaussians alone.
-            of_splats: Shadows that Gaussians may cast; without any, the scene needs no hierarchies of them.
+            splat_shadows: Shadows that Gaussians may cast; without any, the scene needs no hierarchies of them.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
         if skips is None:
             skips = self._buffers.get(f"{self._name}.skips", wp.bool, count)
             skips.zero_()
-        limits = self._past_meshes(scene, rays, skips, light, opaque=opaque, media=media, of_splats=of_splats)
-        if not of_splats.exist:
+        limits = self._past_meshes(scene, rays, skips, light, opaque=opaque, media=media, splat_shadows=splat_shadows)
+        if not splat_shadows.exist:
             return light
         bvh = scene.bvh.data(scene.splat_instances)
         if self._draws == DRAWS_SHARED and (
@@ -136,7 +136,7 @@ class ShadowRays:
         *,
         opaque: wp.array[wp.bool] | None,
         media: wp.array[wp.vec4i] | None,
-        of_splats: SplatShadows,
+        splat_shadows: SplatShadows,
     ) -> wp.array[Any]:
         """Writes the transmittance of meshes; returns how far along each ray Gaussians may block the rest."""
         count = len(rays.t_max)
@@ -144,7 +144,7 @@ class ShadowRays:
             light.fill_(1.0)
             return rays.t_max
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
-        meshes_only = not of_splats.on_shadow_only
+        meshes_only = not splat_shadows.on_shadow_only
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
             count,
@@ -221,12 +221,12 @@ class StochasticBvh:
 
     def _shrunk_nodes(self, scene: DeviceScene, settings: DeviceArray) -> list[DeviceArray]:
         nodes: list[DeviceArray] = []
-        for place, (asset, held) in enumerate(zip(scene.assets, scene.bvh.held, strict=True)):
+        for number, (asset, held) in enumerate(zip(scene.assets, scene.bvh.held, strict=True)):
             bvh = held.bvh
             if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
                 nodes.append(bvh.nodes)
                 continue
-            nodes.append(self._buffers.get(f"{self._name}.nodes{place}", Node, bvh.nodes.shape[0]))
+            nodes.append(self._buffers.get(f"{self._name}.nodes{number}", Node, bvh.nodes.shape[0]))
             for first, count in reversed(bvh.levels):
                 self._launcher.run_banded(
                     stochastic_bvh_kernels.shrink_nodes,

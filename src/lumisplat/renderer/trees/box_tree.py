@@ -75,7 +75,7 @@ class BoxTree:
         self._buffers = Buffers(launcher.device)
         self.levels: list[tuple[int, int]] = []
         """First node and number of nodes of each level, from the roots on."""
-        self.waiting = 1
+        self.stack_size = 1
         """How many nodes may wait at a time while a tree is traversed, in any order."""
         self.build = -1
         """Number of the build, other than that of any other: its levels and the addresses of its nodes stay."""
@@ -94,7 +94,7 @@ class BoxTree:
         areas = self._areas.numpy().astype(np.float64)
         return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
 
-    def grow(self, scratch: Buffers, counts: npt.NDArray[np.int64], split: Split) -> None:
+    def link(self, scratch: Buffers, counts: npt.NDArray[np.int64], split: Split) -> None:
         """Builds the hierarchies, but for their boxes.
 
         Args:
@@ -107,7 +107,7 @@ class BoxTree:
         count = sum(nodes for _, nodes in self.levels)
         self.nodes = self._buffers.get("nodes", Node, count)
         self._areas = self._buffers.get("areas", wp.float32, count)
-        self._launcher.run_banded(kernels.place_links, count, links, self.nodes)
+        self._launcher.run_banded(kernels.write_links, count, links, self.nodes)
 
     def fit(self, boxes: DeviceArray) -> None:
         """Sets the boxes of the nodes.
@@ -166,7 +166,7 @@ class BoxTree:
             self.levels.append((first, nodes))
             inner_counts.append(np.array(inner.numpy()))
             first, nodes = first + nodes, int(inner_ends[nodes - 1 : nodes].numpy()[0])
-        self.waiting = waiting_nodes(inner_counts)
+        self.stack_size = traversal_stack_size(inner_counts)
         return links
 
 
@@ -193,12 +193,12 @@ class HostBoxTree(BoxTree):
             split = self.by_code(scratch.upload("codes", wp.int32, codes))
         else:
             split = self.by_area(upload_boxes(scratch, lows, highs), self.items)
-        self.grow(scratch, counts, split)
+        self.link(scratch, counts, split)
         self.order = np.array(self.items.numpy())
-        self.place(lows, highs)
+        self.refit(lows, highs)
         self.cost_built = self.cost
 
-    def place(self, lows: Doubles, highs: Doubles) -> None:
+    def refit(self, lows: Doubles, highs: Doubles) -> None:
         """Sets the boxes, which are as many as those that the hierarchies were built over."""
         self.fit(upload_boxes(self._buffers, lows[self.order], highs[self.order]))
 
@@ -228,7 +228,7 @@ def coded_order(
     return order, codes[order]
 
 
-def waiting_nodes(inner_counts: list[npt.NDArray[np.int32]]) -> int:
+def traversal_stack_size(inner_counts: list[npt.NDArray[np.int32]]) -> int:
     """How many nodes of a tree may wait at a time: those beside the path to the node that is visited, and its children.
 
     Args:

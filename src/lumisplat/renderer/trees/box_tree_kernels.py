@@ -295,7 +295,7 @@ def link_nodes(
 
 
 @wp.kernel
-def place_links(start: int, links: wp.array[ChildLinks], nodes_out: wp.array[Node]):
+def write_links(start: int, links: wp.array[ChildLinks], nodes_out: wp.array[Node]):
     """Writes nodes with their links; ``refit_nodes`` adds the boxes."""
     n = start + wp.tid()
     node = Node()

@@ -61,7 +61,7 @@ class GaussianBvh(BoxTree):
         scratch = Buffers(self._launcher.device)
         self._items = self._buffers.get("items", wp.int32, count)
         split_of = self._split_by_code if self._launcher.is_parallel else self._split_by_area
-        self.grow(scratch, np.array([count]), split_of(scratch, gaussians, count))
+        self.link(scratch, np.array([count]), split_of(scratch, gaussians, count))
         self._fit(gaussians)
         self.cost_built = self.cost
         low, high = sampled_bounds(gaussians)

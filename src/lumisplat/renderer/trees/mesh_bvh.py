@@ -64,10 +64,10 @@ class MeshBvhScene:
         self._launcher = launcher
         self._trees: list[TriangleTrees] = []
         self._instances: HostBoxTree | None = None
-        self._placed: object = None
+        self._synced: object = None
         self.data = MeshBvh()
         """What kernels traverse; nothing that they may, if the scene has no meshes."""
-        self.places = InstancePlaces.none()
+        self.boxes = InstanceBoxes.none()
         """Where the instances are, and where their trees."""
 
     @property
@@ -85,55 +85,55 @@ class MeshBvhScene:
     def sync(self, scene: Scene) -> None:
         """Builds the trees of new meshes, and refits the one over the instances, or builds it, if they have moved."""
         if not scene.meshes:
-            self._trees, self._instances, self._placed = [], None, None
-            self.places = InstancePlaces.none()
+            self._trees, self._instances, self._synced = [], None, None
+            self.boxes = InstanceBoxes.none()
             return
         meshes = {id(instance.mesh): instance.mesh for instance in scene.meshes}
         self._sync_trees(meshes)
         held = {key: (asset, root) for asset, trees in enumerate(self._trees) for key, root in trees.root_of.items()}
         assets, roots = np.array([held[id(instance.mesh)] for instance in scene.meshes]).T
         transforms = np.array([instance.transform for instance in scene.meshes])
-        placed = assets.tobytes(), roots.tobytes(), transforms.tobytes(), [trees.build for trees in self._trees]
-        if placed == self._placed:
+        synced = assets.tobytes(), roots.tobytes(), transforms.tobytes(), [trees.build for trees in self._trees]
+        if synced == self._synced:
             return  # nothing has moved
-        self._placed = None  # until all of it is there
+        self._synced = None  # until all of it is there
         corners = np.concatenate([trees.corners for trees in self._trees])
         firsts = np.cumsum([0, *(len(trees.corners) for trees in self._trees)])
         low, high = world_boxes(corners[firsts[assets] + roots], transforms)
-        self.places = InstancePlaces(assets, roots, low, high)
+        self.boxes = InstanceBoxes(assets, roots, low, high)
         self._instances = self._tree_over(self._instances)
         self.data.tlas_nodes, self.data.tlas_order = self._instances.nodes, self._instances.items
-        self._placed = placed
+        self._synced = synced
 
     def _sync_trees(self, meshes: dict[int, Mesh]) -> None:
         """Drops the trees of which no mesh is used, and builds those of new meshes."""
-        kept = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
-        held = {key for trees in kept for key in trees.root_of}
+        used = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
+        held = {key for trees in used for key in trees.root_of}
         missing = [mesh for key, mesh in meshes.items() if key not in held]
         if missing:
-            kept.append(TriangleTrees(self._launcher, missing))
-        if [trees.build for trees in kept] == [trees.build for trees in self._trees]:
+            used.append(TriangleTrees(self._launcher, missing))
+        if [trees.build for trees in used] == [trees.build for trees in self._trees]:
             return
         rows: list[TriangleBvh] = []
-        for trees in kept:
+        for trees in used:
             row = TriangleBvh()
             row.nodes, row.triangles = trees.nodes, trees.triangles
             rows.append(row)
         self.data.assets = upload_structs(rows, TriangleBvh, self._launcher.device)
-        self._trees = kept
+        self._trees = used
 
     def _tree_over(self, before: HostBoxTree | None) -> HostBoxTree:
         """The tree over the instances: the one before, refitted, unless that has become too loose."""
-        low, high = self.places.low, self.places.high
+        low, high = self.boxes.low, self.boxes.high
         if before is not None and len(before.order) == len(low):
-            before.place(low, high)
+            before.refit(low, high)
             if before.cost <= REBUILD_COST * before.cost_built:
                 return before
         return HostBoxTree(self._launcher, low, high, np.array([len(low)]))
 
 
 @dataclass(frozen=True, slots=True)
-class InstancePlaces:
+class InstanceBoxes:
     """What rays need to know of the mesh instances of a scene, in arrays with an element each."""
 
     assets: npt.NDArray[np.int64]
@@ -145,7 +145,7 @@ class InstancePlaces:
     high: Doubles
 
     @classmethod
-    def none(cls) -> InstancePlaces:
+    def none(cls) -> InstanceBoxes:
         """Of a scene without meshes."""
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
 

@@ -18,8 +18,8 @@ def key_rays(start: int, per_cell: float, last: int, rays: RayData, keys_out: wp
     order_out[i] = i
     keys_out[i] = last
     if rays.is_active[i]:
-        place = per_cell * rays.origin[i]
+        scaled = per_cell * rays.origin[i]
         direction = rays.direction[i]
         octant = int(direction[0] > 0.0) + 2 * int(direction[1] > 0.0) + 4 * int(direction[2] > 0.0)
-        cells = wp.vec3i(int(wp.floor(place[0])), int(wp.floor(place[1])), int(wp.floor(place[2])))
+        cells = wp.vec3i(int(wp.floor(scaled[0])), int(wp.floor(scaled[1])), int(wp.floor(scaled[2])))
         keys_out[i] = 8 * code_of_cell(wp.vec3i(cells[0] & 15, cells[1] & 15, cells[2] & 15)) + octant
