@@ -13,7 +13,7 @@ from PIL import Image
 import lumisplat as ls
 from lumisplat.io.images.texture import write_png
 from support.files.cli_files import Workplace
-from support.files.photograph_files import change_frame, write_blender_photographs, write_transforms_photographs
+from support.files.training_image_files import change_frame, write_blender_images, write_nerfstudio_images
 from support.scenes.raster_scenes import front_camera
 
 CAMERAS = [front_camera(48, 36, 45.0, name=f"v{k}") for k in range(6)]
@@ -31,7 +31,7 @@ def work(tmp_path, capsys) -> Workplace:
     place = Workplace(tmp_path, capsys)
     truth = shown(place)
     images = [np.clip(truth + 0.02 * k, 0.0, 1.0) for k in range(6)]
-    write_transforms_photographs(place.path("photos"), CAMERAS, images)
+    write_nerfstudio_images(place.path("photos"), CAMERAS, images)
     return place
 
 
@@ -112,7 +112,7 @@ def test_transparent_photographs_lie_over_the_background(work):
     frame = ls.render(
         ls.Scene(splats=[work.capture("capture.ply")]), CAMERAS[0], ls.RenderConfig(background=None), device="cpu"
     )
-    write_blender_photographs(work.path("rgba"), {"train": CAMERAS[:2], "test": CAMERAS[2:4]})
+    write_blender_images(work.path("rgba"), {"train": CAMERAS[:2], "test": CAMERAS[2:4]})
     for part, names in (("train", ("v0", "v1")), ("test", ("v2", "v3"))):
         for name in names:
             write_png(work.path(f"rgba/{part}/{name}.png"), frame.pixels_srgb())
@@ -137,7 +137,7 @@ def test_lenses_stay_as_they_are_along_rays(work):
     lens = [replace(camera, model=ls.CameraModel.FISHEYE, distortion=(0.1, 0, 0, 0, 0, 0)) for camera in CAMERAS]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
     truth = ls.render(ls.Scene([work.capture("capture.ply")]), lens[0], config, device="cpu").pixels_srgb()
-    write_transforms_photographs(work.path("fisheyes"), lens, [truth] * 6)
+    write_nerfstudio_images(work.path("fisheyes"), lens, [truth] * 6)
     table = evaluate(work, "--hold-out", "2", "--projection", "unscented", folder="@fisheyes")
     assert float(table["mean of 3 views"][0]) > 55.0
     traced = evaluate(work, "--hold-out", "2", "--pipeline", "trace", folder="@fisheyes")

@@ -13,9 +13,9 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from lumisplat.io import change_config
-from support.files.photograph_files import ring_cameras, write_transforms_photographs
 from support.files.rig_files import BEND, TubeRig
 from support.files.splat_files import streamed
+from support.files.training_image_files import ring_cameras, write_nerfstudio_images
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,7 +63,7 @@ def beside(tmp_path, monkeypatch):
         ls.save(Path("frames") / f"{k}.ply", random_gaussians(k, count=10 + k))
     Path("city").mkdir()
     streamed(Path("city"))
-    write_transforms_photographs(Path("fox"), ring_cameras(9))
+    write_nerfstudio_images(Path("fox"), ring_cameras(9))
     write_exr("sky.exr", dict.fromkeys("RGB", np.ones((2, 4), np.float32)))
     return tmp_path
 

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from support.files.photograph_files import ring_cameras, write_transforms_photographs
+from support.files.training_image_files import ring_cameras, write_nerfstudio_images
 
 BEFORE = (-0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
 CONFIG = ls.TrainConfig(iterations=1, cap=60, initial=60, sh_degree=0)
@@ -40,7 +40,7 @@ def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
 @pytest.mark.parametrize("lens", [{}, {"projection": ls.config.Projection.UNSCENTED}], ids=["straightened", "as it is"])
 def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Path) -> None:
     """Also where its pixels are resampled, and the pinhole stays."""
-    folder = write_transforms_photographs(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
+    folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
     config = replace(CONFIG, **lens)
     ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
     content = json.loads((folder / "transforms.json").read_text())
@@ -56,7 +56,7 @@ def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Pat
 
 def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
     """Each of its fields."""
-    folder = write_transforms_photographs(tmp_path, ring_cameras(3))
+    folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     photographs = ls.io.load_training_images(folder)
     one = photographs.training[0]
     changes = changed_cameras(one.camera)
@@ -69,7 +69,7 @@ def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
 
 def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> None:
     """A training does not go on with them, whenever they were written; with those of before it does."""
-    folder, output = write_transforms_photographs(tmp_path / "set", ring_cameras(3)), tmp_path / "a.ply"
+    folder, output = write_nerfstudio_images(tmp_path / "set", ring_cameras(3)), tmp_path / "a.ply"
     image = folder / "images" / "view_1.png"
     Image.fromarray(np.full((30, 40, 3), 90, np.uint8)).save(image, compress_level=0)
     ls.train(folder, CONFIG, output=output, device="cpu")
@@ -86,7 +86,7 @@ def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> N
 
 def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
     """Also if files have the size of before."""
-    folder = write_transforms_photographs(tmp_path, ring_cameras(3))
+    folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     found = [ls.io.load_training_images(folder).fingerprint]
     (folder / "masks").mkdir()
     for column in (3, 9):
@@ -102,7 +102,7 @@ def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
 
 def test_a_photograph_that_is_gone_is_one_line(tmp_path: Path) -> None:
     """It is named."""
-    photographs = ls.io.load_training_images(write_transforms_photographs(tmp_path, ring_cameras(3)))
+    photographs = ls.io.load_training_images(write_nerfstudio_images(tmp_path, ring_cameras(3)))
     photographs.training[1].path.unlink()
     with pytest.raises(ls.FormatError, match=r"view_2\.png: cannot be read: No such file"):
         _ = photographs.fingerprint

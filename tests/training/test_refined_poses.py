@@ -17,7 +17,7 @@ from lumisplat.training import train
 from lumisplat.training.exposure_and_pose import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Lesson, TrainingView
-from support.files.photograph_files import change_frame, ring_cameras, write_transforms_photographs
+from support.files.training_image_files import change_frame, ring_cameras, write_nerfstudio_images
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
 STILL = ls.config.LearningRates(
@@ -132,7 +132,7 @@ def test_corrections_are_resumed_and_written(tmp_path: Path, monkeypatch: pytest
 
 def test_lenses_of_more_than_one_model_have_a_file_each(tmp_path: Path) -> None:
     """A fisheye between pinholes, all learnt from as they are."""
-    folder = write_transforms_photographs(tmp_path / "set", ring_cameras(4))
+    folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(4))
     change_frame(folder / "transforms.json", 2, camera_model="OPENCV_FISHEYE")
     config = replace(CONFIG, iterations=2, sh_degree=0, projection=ls.config.Projection.UNSCENTED)
     result = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")

@@ -16,7 +16,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.io.training_images.loading import count_poses, count_positions
 from lumisplat.training.parameters import enough_points
-from support.files.photograph_files import write_transforms_photographs
+from support.files.training_image_files import write_nerfstudio_images
 from support.scenes.training_scenes import cameras, folder_of
 
 SHORT = ls.TrainConfig(iterations=60, cap=80, sh_degree=1, prune_below=0.0)
@@ -76,7 +76,7 @@ def test_few_and_equal_photographs_are_told(
     """In one line, with what to do; of as many as there should be, nothing is said."""
     seen = cameras(max(numbers) + 1, 16)
     listed = [replace(seen[number], name=f"v{index}") for index, number in enumerate(numbers)]
-    folder = write_transforms_photographs(tmp_path / "set", listed)
+    folder = write_nerfstudio_images(tmp_path / "set", listed)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         ls.train(folder, replace(SHORT, iterations=1), device="cpu")
     assert [line.startswith(problem) for line in caplog.messages if problem] == ([True] if problem else [])

@@ -13,7 +13,7 @@ import lumisplat as ls
 from lumisplat.runtime.buffers import device_array
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
-from support.files.photograph_files import write_transforms_photographs
+from support.files.training_image_files import write_nerfstudio_images
 from support.scenes.training_scenes import BACKGROUND, cameras, known
 
 CONFIG = ls.TrainConfig(
@@ -111,7 +111,7 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     some = [replace(camera, fx=2.5, fy=2.5) if n == 4 else camera for n, camera in enumerate(fisheyes(9))]
     frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known(), kernel_degree=4), some)]
     folder = tmp_path / "set"
-    write_transforms_photographs(folder, some, frames)
+    write_nerfstudio_images(folder, some, frames)
     view = ls.io.load_training_images(folder, straighten=False).training[3]
     assert view.camera.model is ls.CameraModel.FISHEYE and view.camera.is_distorted
     np.testing.assert_allclose(view.pixels(), frames[4], atol=0.003)

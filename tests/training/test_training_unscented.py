@@ -14,7 +14,7 @@ from lumisplat.runtime.buffers import device_array
 from lumisplat.training.parameters import Surroundings, random_points
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import Picture, TrainingView
-from support.files.photograph_files import write_transforms_photographs
+from support.files.training_image_files import write_nerfstudio_images
 from support.scenes.training_scenes import BACKGROUND, cameras, known
 
 CONFIG = ls.TrainConfig(
@@ -135,7 +135,7 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     """A folder of them becomes a capture, measured on what was held out, through the lens."""
     some = lenses(9)
     folder = tmp_path / "set"
-    write_transforms_photographs(folder, some, [np.clip(frame, 0.0, 1.0) for frame in seen(known(), some)])
+    write_nerfstudio_images(folder, some, [np.clip(frame, 0.0, 1.0) for frame in seen(known(), some)])
     result = ls.train(folder, replace(CONFIG, iterations=40), output=tmp_path / "a.ply", device="cpu")
     assert result.score is not None and result.is_finished
     black = replace(FRAMES, background=(0.0, 0.0, 0.0))

@@ -10,7 +10,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.training.train import training_frame
-from support.files.photograph_files import ring_cameras, write_colmap_photographs
+from support.files.training_image_files import ring_cameras, write_colmap_images
 
 UTM = np.array([500000.0, 5400000.0, 300.0])
 CONFIG = ls.TrainConfig(iterations=60, cap=200, initial=120, sh_degree=1, coarse=0)
@@ -28,7 +28,7 @@ def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = 
     """A ring of cameras around points, as COLMAP would have written it."""
     cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
     known = unit * POINTS + place if points else POINTS[:0]
-    return ls.io.load_training_images(write_colmap_photographs(folder, cameras, known), hold_out=3)
+    return ls.io.load_training_images(write_colmap_images(folder, cameras, known), hold_out=3)
 
 
 def trained(photographs: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:

@@ -400,9 +400,9 @@ def load_image(path: PathLike) -> FloatArray:
         FormatError: The file is damaged, or not a picture.
         MissingFileError: There is no such file: a `FormatError` that is a FileNotFoundError, too.
     """
-    from lumisplat.io.images.radiance import read_picture
+    from lumisplat.io.images.radiance import read_display_image
 
-    return read_picture(path)
+    return read_display_image(path)
 
 
 def load_radiance(path: PathLike) -> FloatArray:

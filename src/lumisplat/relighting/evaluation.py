@@ -19,7 +19,7 @@ from lumisplat.errors import FormatError, MissingExtraError, MissingFileError, S
 from lumisplat.frame.frame_data import unpremultiplied
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.images.exr import read_exr
-from lumisplat.io.images.radiance import read_picture, read_radiance
+from lumisplat.io.images.radiance import read_display_image, read_radiance
 from lumisplat.io.scene_toml.scene_file import read_scene_file
 from lumisplat.io.training_images.loading import TrainingImage, load_training_images
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, float_array
@@ -117,7 +117,7 @@ class RelightableSet:
             FormatError: It is missing, damaged, or of another size.
         """
         path = self.folder / "relit" / name / f"{view.name}.png"
-        picture = read_picture(_existing(path))
+        picture = read_display_image(_existing(path))
         _check_size(path, picture, view)
         return picture
 

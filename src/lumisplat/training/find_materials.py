@@ -25,7 +25,7 @@ from lumisplat.io import save
 from lumisplat.io.files.arrays import checked_array, read_arrays
 from lumisplat.io.files.atomic import atomic_write, check_can_be_written
 from lumisplat.io.images.radiance import write_radiance
-from lumisplat.io.training_images.loading import TrainingImages, is_bent, load_training_images
+from lumisplat.io.training_images.loading import TrainingImages, is_curvilinear, load_training_images
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.math.color import albedo_in_range, decode_srgb
 from lumisplat.math.sh import even_directions
@@ -129,7 +129,7 @@ def find_materials(
     views = [TrainingView.of(photograph) for photograph in photographs.training]
     views = [replace(view, camera=frame.camera(view.camera)) for view in views]
     for view in views:
-        if is_bent(view.camera):
+        if is_curvilinear(view.camera):
             raise ConfigError(f"photograph {view.name} is of a lens that bends: load photographs straightened")
     files = None
     if output is not None:

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from lumisplat.config import TrainConfig
 from lumisplat.constants import COINCIDENT_EXTENT, SH_C0
 from lumisplat.device.training import SplatParameters
-from lumisplat.io.training_images.loading import camera_target, count_poses, count_positions, is_bent
+from lumisplat.io.training_images.loading import camera_target, count_poses, count_positions, is_curvilinear
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.scene.camera import Camera
@@ -251,7 +251,7 @@ def _seen(camera: Camera, pixels: Doubles) -> Doubles:
 
     Where a lens sees nothing it is on the axis.
     """
-    if is_bent(camera):
+    if is_curvilinear(camera):
         columns, rows = np.minimum(pixels.astype(int), (camera.width - 1, camera.height - 1)).T
         rays = camera.ray_directions()[rows, columns]
         return np.where(rays.any(axis=1, keepdims=True), rays, (0.0, 0.0, 1.0))

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli import main
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, ply_text, quad_gltf, stl_text, write_obj
-from support.files.photograph_files import ring_cameras, write_colmap_photographs
+from support.files.training_image_files import ring_cameras, write_colmap_images
 from support.files.usd_files import write_usda
 
 ENCODINGS = {"utf-8": "utf-8-sig", "utf-16": "utf-16"}
@@ -92,7 +92,7 @@ def test_cameras_may_begin_with_a_mark(tmp_path: Path, encoding: str) -> None:
     cameras = ring_cameras()
     ls.save_cameras(tmp_path / "transforms.json", cameras)
     assert len(ls.load_cameras(_marked(tmp_path / "transforms.json", encoding))) == len(cameras)
-    model = write_colmap_photographs(tmp_path, cameras, np.eye(3), text=True) / "sparse/0"
+    model = write_colmap_images(tmp_path, cameras, np.eye(3), text=True) / "sparse/0"
     for name in ("cameras.txt", "images.txt"):
         text = (model / name).read_text().replace("# Cameras\n", "")
         (model / name).write_text(text)

@@ -49,7 +49,7 @@ def test_damaged_environments(tmp_path: Path, encoding: str) -> None:
 JUNK: list[Any] = [None, -1, 0, 1e300, float("nan"), "x", [], {}, True, [1, 2, 3], {"a": 1}, 10**12, 3.5]
 
 
-def lamp_lit() -> Gltf:
+def point_light_gltf() -> Gltf:
     """A document with a bit of everything."""
     gltf = quad_gltf()
     spot = {"type": "spot", "color": [1, 1, 1], "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.3}}
@@ -89,7 +89,7 @@ def test_damaged_gltf(tmp_path: Path, files: int) -> None:
     """Values of any kind in any place."""
     rng, path, loaded = random.Random(2), tmp_path / "a.gltf", 0
     for _ in range(files):
-        gltf = lamp_lit()
+        gltf = point_light_gltf()
         gltf.gltf()
         spoil(gltf.json, rng)
         data = gltf.gltf() if rng.random() < 0.9 else gltf.gltf("lost.bin")

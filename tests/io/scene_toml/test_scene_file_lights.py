@@ -103,7 +103,7 @@ def test_an_environment_of_one_colour(tmp_path: Path) -> None:
     assert lights[-1].image is None and lights[-1].color == (0.1, 0.2, 0.3)
 
 
-def lamp_gltf() -> Gltf:
+def point_light_gltf() -> Gltf:
     """A quad with a point light above it and a spot that shines down on it."""
     gltf = quad_gltf()
     spot = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {}}
@@ -116,7 +116,7 @@ def lamp_gltf() -> Gltf:
 
 def test_lights_of_a_mesh_file_move_with_it(tmp_path: Path) -> None:
     """Position and direction follow the entry, intensity and range are the file's; the file's lights come last."""
-    (tmp_path / "lamp.glb").write_bytes(lamp_gltf().glb())
+    (tmp_path / "lamp.glb").write_bytes(point_light_gltf().glb())
     entry = '[[meshes]]\npath = "lamp.glb"\nposition = [10, 0, 0]\nrotation_wxyz = [0, 1, 0, 0]\nscale = 3\n'
     scene = load_scene(tmp_path, entry + '[[lights]]\ntype = "directional"\ndirection = [0, 0, 1]\n')
     sun, bulb, spot = scene.lights
@@ -130,7 +130,7 @@ def test_lights_of_a_mesh_file_move_with_it(tmp_path: Path) -> None:
 
 def test_lights_of_a_mesh_file_may_stay_out(tmp_path: Path) -> None:
     """``lights = false`` leaves them out, of that entry only."""
-    (tmp_path / "lamp.glb").write_bytes(lamp_gltf().glb())
+    (tmp_path / "lamp.glb").write_bytes(point_light_gltf().glb())
     scene = load_scene(tmp_path, '[[meshes]]\npath = "lamp.glb"\nlights = false\n[[meshes]]\npath = "lamp.glb"\n')
     assert (len(scene.meshes), len(scene.lights)) == (2, 2)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from support.files.photograph_files import ring_cameras, write_transforms_photographs
+from support.files.training_image_files import ring_cameras, write_nerfstudio_images
 
 POINTS = np.random.default_rng(3).normal(size=(7, 3)).astype(np.float32)
 BYTES = np.random.default_rng(4).integers(0, 256, (7, 3), np.uint8)
@@ -19,7 +19,7 @@ BYTES = np.random.default_rng(4).integers(0, 256, (7, 3), np.uint8)
 
 def folder_with(folder: Path, **values: Any) -> Path:
     """Ten photographs, whose file says more."""
-    return write_transforms_photographs(folder, ring_cameras(10, 8, 6), **values)
+    return write_nerfstudio_images(folder, ring_cameras(10, 8, 6), **values)
 
 
 def write_points(path: Path, positions: np.ndarray, colors: np.ndarray | None = None) -> None:

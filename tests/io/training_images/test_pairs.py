@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from lumisplat.io.training_images.poses import (
-    ALIKE_FEATURES,
     ALL_PAIRS_UP_TO,
-    MOST_ALIKE,
     NEXT_FRAMES,
+    SIMILAR_IMAGES,
+    SIMILARITY_FEATURES,
     compared_pairs,
     largest_features,
-    most_alike,
+    similar_pairs,
 )
 
 
-def features_of_a_walk(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
+def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
     """Of frames that show a part of what is around: frame k the same things as frame k + period, with noise."""
     rng = np.random.default_rng(seed)
     things = rng.uniform(size=(4 * period, 128)) ** 4
@@ -39,7 +39,7 @@ def test_a_film_that_goes_round_twice_is_joined() -> None:
     """Each frame with the next ones, and with those of the other turn that show the same: the loop is closed."""
     count, period = 80, 40
     told: list[float] = []
-    pairs = compared_pairs(count, lambda: features_of_a_walk(count, period), True, told.append)
+    pairs = compared_pairs(count, lambda: walk_features(count, period), True, told.append)
     assert pairs == sorted({*pairs}) and all(i < j for i, j in pairs)
     near = {(i, j) for i in range(count) for j in range(i + 1, count) if j - i <= NEXT_FRAMES}
     assert near <= {*pairs}
@@ -48,7 +48,7 @@ def test_a_film_that_goes_round_twice_is_joined() -> None:
     for i, j in far:  # what frames 8 or more apart show has nothing in common
         apart = (j - i) % period
         assert min(apart, period - apart) < 8
-    assert len(far) <= count * MOST_ALIKE
+    assert len(far) <= count * SIMILAR_IMAGES
     assert told == sorted(told) and 0.0 <= told[0] and told[-1] <= 1.0
 
 
@@ -56,7 +56,7 @@ def test_photographs_in_any_order_are_compared_with_those_like_them() -> None:
     """Pairs that show nothing in common are left out; the order of the names means nothing."""
     count, period = 60, 60
     order = np.random.default_rng(3).permutation(count)
-    frames = features_of_a_walk(count, period)
+    frames = walk_features(count, period)
     pairs = compared_pairs(count, lambda: [frames[k] for k in order], False, lambda share: None)
     apart = [(order[j] - order[i]) % period for i, j in pairs]
     assert all(min(a, period - a) < 8 for a in apart)
@@ -65,26 +65,26 @@ def test_photographs_in_any_order_are_compared_with_those_like_them() -> None:
     for i, j in pairs:
         nearest[i] += 1
         nearest[j] += 1
-    assert min(nearest.values()) >= MOST_ALIKE and len(pairs) < count * (count - 1) // 4
+    assert min(nearest.values()) >= SIMILAR_IMAGES and len(pairs) < count * (count - 1) // 4
 
 
 def test_photographs_without_features_are_compared_with_none() -> None:
     """Nothing is like them, and nothing fails."""
     nothing = np.zeros((0, 128), np.float32)
     one = np.eye(1, 128, dtype=np.float32)
-    assert most_alike([nothing, one, nothing, one], 0, lambda share: None) == []
-    assert most_alike([], 0, lambda share: None) == []
+    assert similar_pairs([nothing, one, nothing, one], 0, lambda share: None) == []
+    assert similar_pairs([], 0, lambda share: None) == []
 
 
 def test_the_largest_features_are_taken() -> None:
     """By the size of their shape, affine or not."""
     rng = np.random.default_rng(0)
-    count = 3 * ALIKE_FEATURES
+    count = 3 * SIMILARITY_FEATURES
     size, turn = rng.permutation(count) + 1.0, rng.uniform(0.0, 6.0, count)
     descriptors = rng.integers(1, 256, (count, 128)).astype(np.uint8)
     x = rng.uniform(size=(count, 2))
     cos, sin = size * np.cos(turn), size * np.sin(turn)
-    expected = descriptors[np.argsort(-size)[:ALIKE_FEATURES]].astype(np.float64)
+    expected = descriptors[np.argsort(-size)[:SIMILARITY_FEATURES]].astype(np.float64)
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     for shape in (np.stack([cos, -sin, sin, cos], axis=1), np.stack([size, turn], axis=1)):
         taken = largest_features(np.concatenate([x, shape], axis=1), descriptors)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from lumisplat.io.training_images.poses import PoseReport
 
 NAMES = [f"{k:04}.jpg" for k in range(40)]
-GOOD = PoseReport(NAMES, NAMES, pieces=[40], points=9000, shown=700.0, error=0.6, view_degrees=60.0)
+GOOD = PoseReport(NAMES, NAMES, model_sizes=[40], points=9000, points_per_image=700.0, error=0.6, fov_degrees=60.0)
 
 
 def test_of_good_poses_nothing_is_said() -> None:
@@ -18,15 +18,15 @@ def test_of_good_poses_nothing_is_said() -> None:
 def test_each_fault_has_its_line() -> None:
     """And no other."""
     for found, words in (
-        (replace(GOOD, placed=NAMES[:38]), "no pose was found for 2 of 40 photographs (0038.jpg, 0039.jpg)"),
-        (replace(GOOD, placed=NAMES[:20]), "take more frames"),
-        (replace(GOOD, pieces=[20, 12, 8]), "3 pieces that do not join, of 20, 12 and 8 photographs: the largest"),
-        (replace(GOOD, shown=20.0), "shows 20 of 9,000 points, expected 50 or more: poses are likely wrong"),
+        (replace(GOOD, with_pose=NAMES[:38]), "no pose was found for 2 of 40 photographs (0038.jpg, 0039.jpg)"),
+        (replace(GOOD, with_pose=NAMES[:20]), "take more frames"),
+        (replace(GOOD, model_sizes=[20, 12, 8]), "3 pieces that do not join, of 20, 12 and 8 photographs: the largest"),
+        (replace(GOOD, points_per_image=20.0), "shows 20 of 9,000 points, expected 50 or more: poses are likely wrong"),
         (replace(GOOD, error=1.8), "1.8 pixels off in the mean, expected below 1.5: poses are likely wrong"),
-        (replace(GOOD, view_degrees=5.0), "a view of 5 degrees, expected 15 to 130"),
-        (replace(GOOD, view_degrees=160.0), "a view of 160 degrees"),
+        (replace(GOOD, fov_degrees=5.0), "a view of 5 degrees, expected 15 to 130"),
+        (replace(GOOD, fov_degrees=160.0), "a view of 160 degrees"),
     ):
         (line,) = found.remarks()
         assert words in line
-    few = replace(GOOD, placed=NAMES[:38]).remarks()[0]
+    few = replace(GOOD, with_pose=NAMES[:38]).remarks()[0]
     assert "take more frames" not in few

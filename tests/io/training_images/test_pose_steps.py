@@ -23,7 +23,7 @@ def colmap(monkeypatch: pytest.MonkeyPatch) -> ColmapStub:
     return stub
 
 
-def photographs(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Path:
+def write_images(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Path:
     """Writes photographs whose names have spaces."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     for k in range(count):
@@ -34,16 +34,16 @@ def photographs(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Path
 def test_photographs_of_one_size_share_one_lens_of_one_focal_length(colmap: ColmapStub, tmp_path: Path) -> None:
     """Also where features are found in several calls; those of two sizes have a lens each."""
     colmap.pieces = [range(9)]
-    ls.io.find_poses(photographs(tmp_path / "one", 9))
+    ls.io.find_poses(write_images(tmp_path / "one", 9))
     assert colmap.lenses == [(LENS_MODEL, "single", k > 0) for k in range(3)]
     colmap.lenses.clear()
-    ls.io.find_poses(photographs(tmp_path / "two", 9, (8, 9)))
+    ls.io.find_poses(write_images(tmp_path / "two", 9, (8, 9)))
     assert colmap.lenses == [(LENS_MODEL, "per image", False)] * 3
 
 
 def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """In every step; the same call goes on from it, says so, and leaves nothing behind."""
-    photographs(tmp_path, 9)
+    write_images(tmp_path, 9)
     colmap.pieces = [range(9)]
     for step, kept in (
         ("extract", "features of 4 of 9 photographs, 0 compared pairs"),
@@ -71,7 +71,7 @@ def test_other_photographs_are_begun_anew(colmap: ColmapStub, tmp_path: Path, ca
         paths[1].unlink,
         lambda: write_png(paths[2], np.full((6, 8, 3), 0.25)),
     ):
-        photographs(tmp_path, 4)
+        write_images(tmp_path, 4)
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):
                 ls.io.find_poses(tmp_path)
@@ -87,7 +87,7 @@ def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path,
     """With the names that photographs have, and how many have no pose."""
     colmap.pieces = [(0, 1, 2), (3, 4, 5, 6, 7)]
     told: list[tuple[str, float]] = []
-    model = ls.io.find_poses(photographs(tmp_path, 9), progress=lambda what, share: told.append((what, share)))
+    model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: told.append((what, share)))
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
     assert "in 2 pieces that do not join, of 5 and 3 photographs: the largest is taken" in caplog.text
     assert "no pose was found for 4 of 9 photographs (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
@@ -99,7 +99,7 @@ def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path,
 def test_pieces_that_add_nothing_are_not_told(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """COLMAP also gives pairs, and what the largest model has as well."""
     colmap.pieces = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
-    ls.io.find_poses(photographs(tmp_path, 9))
+    ls.io.find_poses(write_images(tmp_path, 9))
     assert caplog.text == ""
 
 
@@ -107,7 +107,7 @@ def test_when_all_are_placed_what_is_left_is_told(colmap: ColmapStub, tmp_path: 
     """The last adjustment of many photographs takes long: a bar at 99 % says why it stands."""
     colmap.pieces = [range(5)]
     told: list[tuple[str, float]] = []
-    ls.io.find_poses(photographs(tmp_path, 5), progress=lambda what, share: told.append((what, share)))
+    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: told.append((what, share)))
     assert told[-2:] == [("finding poses, all placed, adjusting", 0.99), ("finding poses", 1.0)]
 
 
@@ -125,5 +125,5 @@ def test_why_there_are_no_poses_is_said(
     """In one line, and nothing is left."""
     colmap.pieces, colmap.features, colmap.verified = (), features, verified
     with pytest.raises(ls.FormatError, match=f"no poses were found for its 9 photographs: {reason}"):
-        ls.io.find_poses(photographs(tmp_path, 9))
+        ls.io.find_poses(write_images(tmp_path, 9))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}

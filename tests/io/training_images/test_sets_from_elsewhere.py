@@ -13,11 +13,11 @@ import pytest
 from PIL import Image
 
 import lumisplat as ls
-from support.files.photograph_files import (
+from support.files.training_image_files import (
     ring_cameras,
-    write_blender_photographs,
-    write_colmap_photographs,
-    write_transforms_photographs,
+    write_blender_images,
+    write_colmap_images,
+    write_nerfstudio_images,
 )
 
 POINTS = np.random.default_rng(3).normal(size=(7, 3))
@@ -32,7 +32,7 @@ HALF[:, :20] = 255
 @pytest.mark.parametrize("folder", ["masks", "mask"])
 def test_masks_are_found_by_the_names_that_programs_give_them(tmp_path: Path, name: str, folder: str) -> None:
     """Masks are found by the names that programs give them."""
-    write_colmap_photographs(tmp_path, ring_cameras(3), POINTS)
+    write_colmap_images(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / folder).mkdir()
     for k in range(3):
         Image.fromarray(HALF).save(tmp_path / folder / name.format(f"view_{k}"))
@@ -44,7 +44,7 @@ def test_masks_are_found_by_the_names_that_programs_give_them(tmp_path: Path, na
 
 def test_a_mask_may_lie_beside_its_image_or_in_a_folder_like_that_of_the_image(tmp_path: Path) -> None:
     """A mask may lie beside its image or in a folder like that of the image."""
-    write_transforms_photographs(tmp_path, ring_cameras(3))
+    write_nerfstudio_images(tmp_path, ring_cameras(3))
     content = json.loads((tmp_path / "transforms.json").read_text())
     for place in ("images/left", "masks/left"):
         (tmp_path / place).mkdir(parents=True)
@@ -61,7 +61,7 @@ def test_masks_that_match_no_image_or_some_only_are_counted_in_a_line(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Masks that match no image or some only are counted in a line."""
-    write_colmap_photographs(tmp_path, ring_cameras(3), POINTS)
+    write_colmap_images(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / "masks").mkdir()
     Image.fromarray(HALF).save(tmp_path / "masks" / "other_7.png")
     assert ls.io.load_training_images(tmp_path, hold_out=0).training[0].mask() is None
@@ -78,7 +78,7 @@ def test_a_test_file_without_its_images_does_not_stop_training(
 ) -> None:
     """What is held out instead is said: the images of the validation file, else some of those to learn from."""
     cameras = ring_cameras(6, 16, 12)
-    write_blender_photographs(tmp_path, {"train": cameras[:4], "test": cameras[4:5], "val": cameras[5:]})
+    write_blender_images(tmp_path, {"train": cameras[:4], "test": cameras[4:5], "val": cameras[5:]})
     shutil.rmtree(tmp_path / "test")
     if not has_val:
         shutil.rmtree(tmp_path / "val")
@@ -94,7 +94,7 @@ def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, cap
     """Whatever its number; the others are counted, and so are the images that the model does not have."""
     cameras = ring_cameras(7, 16, 12)
     for model, part in (("sparse/0", cameras[:2]), ("sparse/2", cameras[4:]), ("sparse/10", cameras[2:4])):
-        write_colmap_photographs(tmp_path, part, POINTS, model=model, text=model == "sparse/2")
+        write_colmap_images(tmp_path, part, POINTS, model=model, text=model == "sparse/2")
     found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert [view.name for view in found.training] == ["view_4", "view_5", "view_6"]
     assert "has 3 models: 2 with 3 images is taken, and 0 with 2, 10 with 2 are left out" in caplog.text
@@ -107,7 +107,7 @@ def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, cap
 def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Images without a pose are counted."""
     cameras = ring_cameras(4, 16, 12)
-    write_transforms_photographs(tmp_path, cameras)
+    write_nerfstudio_images(tmp_path, cameras)
     content = json.loads((tmp_path / "transforms.json").read_text())
     del content["frames"][2]
     (tmp_path / "transforms.json").write_text(json.dumps(content))
@@ -121,14 +121,14 @@ def test_backslashes_are_slashes_where_no_file_has_that_name(tmp_path: Path, lay
     """Backslashes are slashes where no file has that name."""
     cameras = ring_cameras(3, 16, 12)
     if layout == "colmap":
-        write_colmap_photographs(tmp_path, cameras, POINTS, text=True)
+        write_colmap_images(tmp_path, cameras, POINTS, text=True)
         (tmp_path / "images/left").mkdir()
         for camera in cameras:
             (tmp_path / f"images/{camera.name}.png").rename(tmp_path / f"images/left/{camera.name}.png")
         listed = tmp_path / "sparse/0/images.txt"
         listed.write_text(listed.read_text().replace("view_", "left\\view_"))
     else:
-        write_transforms_photographs(tmp_path, cameras)
+        write_nerfstudio_images(tmp_path, cameras)
         content = json.loads((tmp_path / "transforms.json").read_text())
         for frame in content["frames"]:
             frame["file_path"] = frame["file_path"].replace("/", "\\")
@@ -142,7 +142,7 @@ def test_backslashes_are_slashes_where_no_file_has_that_name(tmp_path: Path, lay
 
 def test_a_file_whose_name_has_a_backslash_is_that_file(tmp_path: Path) -> None:
     """A file whose name has a backslash is that file."""
-    write_colmap_photographs(tmp_path, ring_cameras(2, 16, 12), POINTS, text=True)
+    write_colmap_images(tmp_path, ring_cameras(2, 16, 12), POINTS, text=True)
     (tmp_path / "images/view_0.png").rename(tmp_path / "images/a\\view_0.png")
     listed = tmp_path / "sparse/0/images.txt"
     listed.write_text(listed.read_text().replace(" view_0", " a\\view_0"))
@@ -151,7 +151,7 @@ def test_a_file_whose_name_has_a_backslash_is_that_file(tmp_path: Path) -> None:
 
 def test_backslashes_do_not_lead_out_of_the_folder(tmp_path: Path) -> None:
     """Backslashes do not lead out of the folder."""
-    write_transforms_photographs(tmp_path / "set", ring_cameras(2, 16, 12))
+    write_nerfstudio_images(tmp_path / "set", ring_cameras(2, 16, 12))
     content = json.loads((tmp_path / "set/transforms.json").read_text())
     content["frames"][0]["file_path"] = "..\\view_0.png"
     (tmp_path / "set/transforms.json").write_text(json.dumps(content))
@@ -179,7 +179,7 @@ def _with_points(text: bytes) -> bytes:
 @pytest.mark.parametrize("change", [_marked, _wide, _without_points, _with_points])
 def test_text_of_colmap_may_have_a_mark_and_may_lack_points(tmp_path: Path, change: Callable[[bytes], bytes]) -> None:
     """Text of colmap may have a mark and may lack points."""
-    write_colmap_photographs(tmp_path, ring_cameras(4, 16, 12), POINTS, text=True)
+    write_colmap_images(tmp_path, ring_cameras(4, 16, 12), POINTS, text=True)
     for name in ("images", "cameras", "points3D"):
         file = tmp_path / f"sparse/0/{name}.txt"
         file.write_bytes(
@@ -194,7 +194,7 @@ def test_text_of_colmap_may_have_a_mark_and_may_lack_points(tmp_path: Path, chan
 @pytest.mark.parametrize(("model", "count"), [(2, 1), (3, 2), (4, 4), (5, 4)])
 def test_distortion_beyond_any_lens_is_one_line(tmp_path: Path, value: float, model: int, count: int) -> None:
     """Distortion beyond any lens is one line."""
-    write_colmap_photographs(tmp_path, ring_cameras(2, 16, 12), POINTS)
+    write_colmap_images(tmp_path, ring_cameras(2, 16, 12), POINTS)
     values = (*((45.0, 8.0, 6.0) if model < 4 else (45.0, 45.0, 8.0, 6.0)), *([value] * count))
     packed = struct.pack(f"<QiiQQ{len(values)}d", 1, 1, model, 16, 12, *values)
     (tmp_path / "sparse/0/cameras.bin").write_bytes(packed)

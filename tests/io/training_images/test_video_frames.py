@@ -27,7 +27,7 @@ def scene(seed: int, blur: float = 0.0) -> Image.Image:
     return picture.filter(ImageFilter.GaussianBlur(blur))
 
 
-def filmed(path: Path, pictures: list[Image.Image], fps: int = 10, **coding: int) -> Path:
+def write_video(path: Path, pictures: list[Image.Image], fps: int = 10, **coding: int) -> Path:
     """Writes a film."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "8"})
@@ -52,7 +52,7 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
     pictures = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
     told: list[float] = []
     files = ls.io.extract_frames(
-        filmed(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: told.append(share)
+        write_video(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: told.append(share)
     )
     assert [file.relative_to(tmp_path).as_posix() for file in files] == [f"walk/images/{n:04}.jpg" for n in (1, 2, 3)]
     for file, number in zip(files, sharp, strict=True):
@@ -62,9 +62,9 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
 
 def test_a_stretch_as_long_as_the_film_has_one_photograph_and_a_short_one_all_frames(tmp_path: Path) -> None:
     """Whatever the length."""
-    film = filmed(tmp_path / "a.mp4", [scene(number) for number in range(7)])
-    assert len(ls.io.extract_frames(film, tmp_path / "one", every=10.0)) == 1
-    assert len(ls.io.extract_frames(film, tmp_path / "all", every=0.01)) == 7
+    video = write_video(tmp_path / "a.mp4", [scene(number) for number in range(7)])
+    assert len(ls.io.extract_frames(video, tmp_path / "one", every=10.0)) == 1
+    assert len(ls.io.extract_frames(video, tmp_path / "all", every=0.01)) == 7
 
 
 def test_sharpness_falls_with_blur() -> None:
@@ -79,19 +79,19 @@ def test_sharpness_falls_with_blur() -> None:
 
 def test_frames_that_are_stored_on_their_side_are_turned(tmp_path: Path) -> None:
     """As telephones store what was filmed upright: red at the left was filmed at the bottom or the top."""
-    film = filmed(tmp_path / "a.mp4", [scene(0)] * 3)
+    video = write_video(tmp_path / "a.mp4", [scene(0)] * 3)
     for angle, where in ((90, np.s_[-20:]), (-90, np.s_[:20]), (180, np.s_[:, -20:])):
-        turned = turned_film(film, tmp_path / f"{angle}.mp4", angle)
+        turned = rotated_video(video, tmp_path / f"{angle}.mp4", angle)
         (file,) = ls.io.extract_frames(turned, tmp_path / f"turned {angle}")
         red = pixels(file)[where].reshape(-1, 3).mean(axis=0)
         assert red[0] > 200.0 and red[1] < 60.0, angle
         assert pixels(file).shape[:2] == (SIZE[::-1] if angle == 180 else SIZE)
 
 
-def turned_film(film: Path, path: Path, angle: int) -> Path:
+def rotated_video(video: Path, path: Path, angle: int) -> Path:
     """A copy that says that its frames are to be turned to the left: the matrix in its track header."""
     cos, sin = round(np.cos(np.deg2rad(angle))), round(np.sin(np.deg2rad(angle)))
-    data = bytearray(film.read_bytes())
+    data = bytearray(video.read_bytes())
     at = data.index(b"tkhd") + 4 + 40
     one, deep = 1 << 16, 1 << 30
     matrix = [cos * one, -sin * one, 0, sin * one, cos * one, 0, 0, 0, deep]
@@ -102,17 +102,17 @@ def turned_film(film: Path, path: Path, angle: int) -> Path:
 
 def test_large_frames_are_made_smaller(tmp_path: Path) -> None:
     """Never larger."""
-    film = filmed(tmp_path / "a.mp4", [scene(0)] * 2)
+    video = write_video(tmp_path / "a.mp4", [scene(0)] * 2)
     for size, expected in ((48, (48, 32)), (1600, SIZE)):
-        (file,) = ls.io.extract_frames(film, tmp_path / str(size), size=size)
+        (file,) = ls.io.extract_frames(video, tmp_path / str(size), size=size)
         assert pixels(file).shape[1::-1] == expected
 
 
 def test_hdr_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """HLG, as telephones film it by default."""
-    film = filmed(tmp_path / "a.mp4", [scene(0)] * 2, color_trc=18)
+    video = write_video(tmp_path / "a.mp4", [scene(0)] * 2, color_trc=18)
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        ls.io.extract_frames(film, tmp_path / "walk")
+        ls.io.extract_frames(video, tmp_path / "walk")
     assert "is HDR (HLG)" in caplog.text and caplog.text.count("HDR (") == 1
 
 
@@ -131,18 +131,20 @@ def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
         ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows the same throughout"),
     ):
         with pytest.raises(ls.FormatError, match=message):
-            ls.io.extract_frames(filmed(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
+            ls.io.extract_frames(write_video(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
         assert not list(tmp_path.glob("walk/*"))
     wide = scene(1).resize((2 * SIZE[0], SIZE[1]))
     slow = [wide.crop((k // 4, 0, k // 4 + SIZE[0], SIZE[1])) for k in range(12)]
-    assert len(ls.io.extract_frames(filmed(tmp_path / "slow.mp4", slow), tmp_path / "slow")) == 3, "two pixels in all"
+    assert len(ls.io.extract_frames(write_video(tmp_path / "slow.mp4", slow), tmp_path / "slow")) == 3, (
+        "two pixels in all"
+    )
 
 
 def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """In one line each."""
-    film = filmed(tmp_path / "a.mp4", [scene(0)] * 4)
+    video = write_video(tmp_path / "a.mp4", [scene(0)] * 4)
     (tmp_path / "text.mp4").write_text("no film")
-    (tmp_path / "cut.mp4").write_bytes(film.read_bytes()[:200])
+    (tmp_path / "cut.mp4").write_bytes(video.read_bytes()[:200])
     (tmp_path / "there" / "images").mkdir(parents=True)
     (tmp_path / "file").write_text("")
     with av.open(str(tmp_path / "sound.mp4"), "w") as container:
@@ -164,7 +166,7 @@ def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeyp
         assert not list(tmp_path.glob("walk/*"))
     for every, size in ((0.0, 100), (1.0, 3)):
         with pytest.raises(ls.ConfigError):
-            ls.io.extract_frames(film, tmp_path / "walk", every=every, size=size)
+            ls.io.extract_frames(video, tmp_path / "walk", every=every, size=size)
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(ls.errors.MissingExtraError, match=r"lumisplat\[video\]"):
-        ls.io.extract_frames(film, tmp_path / "walk")
+        ls.io.extract_frames(video, tmp_path / "walk")

@@ -13,7 +13,7 @@ from lumisplat.io.images.exr import read_exr, write_exr
 from lumisplat.io.images.texture import write_png
 from lumisplat.math.directions import panorama_directions
 from lumisplat.relighting.evaluation import LayerRenderer, over_black, relit_scene
-from support.files.photograph_files import write_blender_photographs
+from support.files.training_image_files import write_blender_images
 
 SIZE, VIEWS = 32, 2
 CHANNELS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
@@ -46,7 +46,7 @@ def write_relightable_set(folder: Path, gaussians: ls.Gaussians) -> Path:
     """The set of which this capture, with its albedo, knows all."""
     names = [f"r_{index:03}" for index in range(2 + VIEWS)]
     posed = [replace(camera, name=name) for camera, name in zip(cameras(), names, strict=True)]
-    write_blender_photographs(folder, {"train": posed[:2], "test": posed[2:]})
+    write_blender_images(folder, {"train": posed[:2], "test": posed[2:]})
     for part in ("train", "test"):
         path = folder / f"transforms_{part}.json"
         path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_angle_x": 0.6}))

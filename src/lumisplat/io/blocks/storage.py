@@ -32,7 +32,7 @@ from lumisplat.scene.gaussians import Gaussians
 BLOCK_DEPTH_MAX = 16
 """How often a cell is cut in eight: Gaussians that are in one place cannot be told apart."""
 
-BLOCK_LEVEL_SHARE = 4
+BLOCK_LEVEL_RATIO = 4
 """Gaussians of a level for one of the next coarser one."""
 
 BLOCK_CELLS_MAX = 2**16
@@ -47,7 +47,7 @@ _GAUSSIAN_FLOATS = 11
 _COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
 """Where a row has its mean, quaternion, scales, opacity and harmonics."""
 
-_OURS = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
+_CAPTURE_FILES = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
 """Files of a capture that is not finished."""
 
 
@@ -297,7 +297,7 @@ def write_blocks(
         raise ConfigError(f"levels is {levels} and block_max {block_max}, expected 0 or more, and 1 or more")
     place = Path(folder)
     try:
-        is_new = _made(place)
+        is_new = _prepare_folder(place)
         try:
             with atomic_write(place / _INDEX) as temporary:  # locked: another run sees that one is at work
                 index = _Writer(place, cell, levels, block_max).write(chunks, progress or (lambda _: None))
@@ -314,7 +314,7 @@ def write_blocks(
         raise FormatError(folder, f"cannot be written: {error.strerror or error}") from None
 
 
-def _made(place: Path) -> bool:
+def _prepare_folder(place: Path) -> bool:
     """Makes the folder, and removes what a run that was killed has left in it; whether there was none."""
     if (place / _INDEX).exists():
         raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
@@ -324,7 +324,7 @@ def _made(place: Path) -> bool:
         raise FormatError(place, "is a file, expected a folder for the blocks")
     is_new = not place.exists()
     place.mkdir(parents=True, exist_ok=True)
-    other = next((file.name for file in place.iterdir() if not _OURS.fullmatch(file.name)), None)
+    other = next((file.name for file in place.iterdir() if not _CAPTURE_FILES.fullmatch(file.name)), None)
     if other is not None:
         raise FormatError(place, f"holds other files ({other}): give a new folder")
     _remove_leftovers(place)
@@ -333,7 +333,7 @@ def _made(place: Path) -> bool:
 
 def _remove_leftovers(place: Path) -> None:
     for file in place.iterdir():
-        if _OURS.fullmatch(file.name):
+        if _CAPTURE_FILES.fullmatch(file.name):
             file.unlink()
 
 
@@ -448,7 +448,7 @@ class _Writer:
         path.rename(self._folder / f"{name}.bin")
         levels = [BlockLevel(f"{name}.bin", count, largest, total / count)]
         for number in range(1, self._levels + 1):
-            fewer = max(1, levels[-1].count // BLOCK_LEVEL_SHARE)
+            fewer = max(1, levels[-1].count // BLOCK_LEVEL_RATIO)
             before = read_rows(self._folder / levels[-1].file, self._width, levels[-1].count)
             coarser = decimate(unpacked(before, antialiased=False), fewer)
             file = f"{name}_{number}.bin"

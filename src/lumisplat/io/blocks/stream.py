@@ -75,7 +75,7 @@ class PlyStream:
                         self._refuse(problems, first, len(rows))
                     columns = _subset(columns, ~invalid)
                 if first == 0 and columns.count:
-                    self._tell_rounding(rows, columns)
+                    self._warn_rounding(rows, columns)
                 if columns.count:
                     yield gaussians_from_columns(self.path, columns)
                 first += len(rows)
@@ -84,7 +84,7 @@ class PlyStream:
         if dropped:
             _log.warning("%s: dropped %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", why)
 
-    def _tell_rounding(self, rows: PlyRows, columns: SplatColumns) -> None:
+    def _warn_rounding(self, rows: PlyRows, columns: SplatColumns) -> None:
         """Logs a line if float32, which blocks have, cannot hold the positions of the first rows."""
         with np.errstate(all="ignore"):
             width = float(np.median(columns.log_scales.max(axis=1)))

@@ -65,10 +65,12 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
     """
     if camera.model is not CameraModel.PINHOLE or camera.is_distorted or camera.camera_from_world_end is not None:
         raise SceneError("blocks are chosen for pinholes, without distortion or rolling shutter: load all of them")
-    seen, nearest = _seen(index, camera)
+    visible, nearest = _visible(index, camera)
     focal = max(camera.fx, camera.fy)
     sizes = pixels * nearest / focal
-    return [BlockPart(number, _level(index.blocks[number], sizes[number])) for number in np.flatnonzero(seen).tolist()]
+    return [
+        BlockPart(number, _level(index.blocks[number], sizes[number])) for number in np.flatnonzero(visible).tolist()
+    ]
 
 
 def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
@@ -163,7 +165,7 @@ def _level(block: Block, size: float) -> int:
     return fine[-1] if fine else 0
 
 
-def _seen(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Doubles]:
+def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Doubles]:
     """Whether blocks may be seen, (B,), and the view depth of what is nearest of them, not before the near plane."""
     (low, high), scale = index.bounds, index.scale_max
     choices = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -233,7 +235,7 @@ def plan_views(
 
 def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_bytes: int, pixels: float) -> WorkerPlan:
     """The plan of one worker."""
-    kept: OrderedDict[BlockPart, int] = OrderedDict()
+    cache: OrderedDict[BlockPart, int] = OrderedDict()
     held = most = moved = tiles = too_large = 0
     for view in views:
         for parts in _windows(index, cameras[view], memory_bytes, pixels):
@@ -241,13 +243,13 @@ def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_b
             too_large += _bytes_of(index, parts) > memory_bytes
             for part in parts:
                 size = _bytes_of(index, [part])
-                if part not in kept:
+                if part not in cache:
                     moved, held = moved + size, held + size
-                kept[part] = size
-                kept.move_to_end(part)
-            wanted = set(parts)
-            while held > memory_bytes and (oldest := next(iter(kept))) not in wanted:
-                held -= kept.pop(oldest)
+                cache[part] = size
+                cache.move_to_end(part)
+            needed = set(parts)
+            while held > memory_bytes and (oldest := next(iter(cache))) not in needed:
+                held -= cache.pop(oldest)
             most = max(most, held)
     return WorkerPlan(views, tiles, most, moved, too_large)
 

@@ -13,7 +13,7 @@ from lumisplat.scene.camera import Camera, camera_pose
 
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr", ".heic")
 
-BOX = (1280, 720)
+DEFAULT_SIZE_MAX = (1280, 720)
 """Largest width and height, pixels, of a camera for which no size is given."""
 
 
@@ -64,10 +64,10 @@ def size_of_aspect(aspect: float, width: int | None, height: int | None) -> tupl
         height: Height that is wanted. If both are None, the largest size within 1280 x 720.
     """
     if width is None and height is None:
-        if aspect >= BOX[0] / BOX[1]:
-            width = BOX[0]
+        if aspect >= DEFAULT_SIZE_MAX[0] / DEFAULT_SIZE_MAX[1]:
+            width = DEFAULT_SIZE_MAX[0]
         else:
-            height = BOX[1]
+            height = DEFAULT_SIZE_MAX[1]
     if width is None:
         assert height is not None
         width = max(1, round(height * aspect))

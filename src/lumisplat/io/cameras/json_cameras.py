@@ -203,7 +203,9 @@ def frame_image(folder: Path, values: Entry) -> Path | None:
     """The image of a frame in a folder, else in its ``images``; its extension may be left off. None: there is none."""
     stem = str(values.get("file_path", ""))
     candidates = (
-        named_path(place, stem + extension) for place in (folder, folder / "images") for extension in _IMAGE_EXTENSIONS
+        named_path(directory, stem + extension)
+        for directory in (folder, folder / "images")
+        for extension in _IMAGE_EXTENSIONS
     )
     return next((path for path in candidates if os.path.isfile(path)), None)
 
@@ -228,7 +230,7 @@ def write_transforms(path: PathLike, cameras: Sequence[Camera]) -> None:
         }
         for k, camera in enumerate(cameras)
     ]
-    name = next(name for name, known in _MODELS.items() if known is model)
+    name = next(name for name, other in _MODELS.items() if other is model)
     text = json.dumps({"camera_model": name, "frames": frames}, indent=1)
     with atomic_write(path) as temporary:
         Path(temporary).write_text(text + "\n", encoding="utf-8")
@@ -247,8 +249,8 @@ def _common_model(cameras: Sequence[Camera]) -> CameraModel:
 def _refuse_lenses(cameras: Sequence[Camera]) -> None:
     for k, camera in enumerate(cameras):
         if camera.aperture > 0.0 or camera.camera_from_world_end is not None:
-            what = "an aperture" if camera.aperture > 0.0 else "a rolling shutter"
-            raise SceneError(f"camera {k} ({camera.name}) has {what}, which a transforms.json cannot hold")
+            feature = "an aperture" if camera.aperture > 0.0 else "a rolling shutter"
+            raise SceneError(f"camera {k} ({camera.name}) has {feature}, which a transforms.json cannot hold")
 
 
 def _model(values: Entry) -> CameraModel:

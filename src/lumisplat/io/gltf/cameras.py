@@ -15,7 +15,7 @@ import numpy as np
 from lumisplat.config.checks import is_number, is_whole
 from lumisplat.constants import NEAR_PLANE
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.cameras.common import BOX, pose_of_node, size_of_aspect
+from lumisplat.io.cameras.common import DEFAULT_SIZE_MAX, pose_of_node, size_of_aspect
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
 from lumisplat.io.gltf.nodes import (
@@ -96,7 +96,7 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         if yfov >= math.pi:
             raise SceneError(f"yfov is {yfov:g}, expected less than pi (radians)")
         has_aspect = lens is not None and lens.aspectRatio is not None
-        aspect = _positive(lens, "aspectRatio") if has_aspect else BOX[0] / BOX[1]
+        aspect = _positive(lens, "aspectRatio") if has_aspect else DEFAULT_SIZE_MAX[0] / DEFAULT_SIZE_MAX[1]
         model, half_height = CameraModel.PINHOLE, math.tan(0.5 * yfov)
     elif definition.type == "orthographic":
         lens = definition.orthographic

@@ -60,7 +60,7 @@ class ExrRows:
         self._kinds = {name: channels[name] for name in sorted(channels)}
         file.write(_header(width, height, self._kinds))
         self._table = file.tell()
-        self._places: list[int] = []
+        self._offsets: list[int] = []
         file.write(bytes(8 * -(-height // _BLOCK_ROWS)))
         self._waiting: list[bytes] = []
         self._row = 0
@@ -71,7 +71,7 @@ class ExrRows:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
         if error is None:
             self._file.seek(self._table)
-            self._file.write(struct.pack(f"<{len(self._places)}Q", *self._places))
+            self._file.write(struct.pack(f"<{len(self._offsets)}Q", *self._offsets))
 
     def write(self, rows: Rows) -> None:
         """Writes the next rows."""
@@ -88,7 +88,7 @@ class ExrRows:
         packed = zlib.compress(_predicted(content), 4)
         if len(packed) >= len(content):
             packed = content
-        self._places.append(self._file.tell())
+        self._offsets.append(self._file.tell())
         self._file.write(struct.pack("<ii", first, len(packed)) + packed)
         self._waiting = []
 
@@ -163,13 +163,15 @@ class PngRows:
 
     def _filtered(self, row: _Bytes) -> bytes:
         """A row as differences from what is beside it, by the filter whose differences are smallest in sum."""
-        left, corner = self._beside(row), self._beside(self._above)
-        found = row - left, row - self._above, row - _paeth(left, self._above, corner)
-        sizes = [int(np.abs(differences.view(np.int8).astype(np.int16)).sum(dtype=np.int64)) for differences in found]
+        left, corner = self._left_neighbors(row), self._left_neighbors(self._above)
+        candidates = row - left, row - self._above, row - _paeth(left, self._above, corner)
+        sizes = [
+            int(np.abs(differences.view(np.int8).astype(np.int16)).sum(dtype=np.int64)) for differences in candidates
+        ]
         best = int(np.argmin(sizes))
-        return bytes([_FILTERS[best]]) + found[best].tobytes()
+        return bytes([_FILTERS[best]]) + candidates[best].tobytes()
 
-    def _beside(self, row: _Bytes) -> _Bytes:
+    def _left_neighbors(self, row: _Bytes) -> _Bytes:
         """Each byte's like in the pixel to the left."""
         return np.concatenate([np.zeros(self._channels, np.uint8), row[: -self._channels]])
 

@@ -217,7 +217,7 @@ def _read_repeats(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint
     return np.frombuffer(bytes(row), np.uint8), at
 
 
-def read_picture(path: PathLike) -> FloatArray:
+def read_display_image(path: PathLike) -> FloatArray:
     """As `lumisplat.io.load_image`."""
     if Path(path).suffix.lower() in LINEAR:
         return np.clip(encode_srgb(read_radiance(path)), 0.0, 1.0).astype(np.float32)

@@ -52,16 +52,16 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
         raise FormatError(path, f"unknown extension '{suffix}' of an animation, expected {expected}")
     if not 0.0 < fps <= _FPS_MAX:
         raise ConfigError(f"fps is {fps}, expected more than 0, at most {_FPS_MAX:g}")
-    pictures = [to_bytes(frame, path) for frame in frames]
-    if len({picture.shape for picture in pictures}) != 1 or pictures[0].shape[2] != 3:
-        shapes = sorted({picture.shape for picture in pictures})
+    frames_8bit = [to_bytes(frame, path) for frame in frames]
+    if len({frame_8bit.shape for frame_8bit in frames_8bit}) != 1 or frames_8bit[0].shape[2] != 3:
+        shapes = sorted({frame_8bit.shape for frame_8bit in frames_8bit})
         raise SceneError(f"an animation takes pictures of one shape (H, W, 3), got {shapes or 'none'}")
     if suffix == ".gif":
-        images = _quantise(pictures)
+        images = _quantise(frames_8bit)
         # With the palette given, Pillow does not repeat it for each frame.
         options: dict[str, Any] = {"format": "GIF", "optimize": False, "palette": _palette_bytes(images[0])}
     else:
-        images = [Image.fromarray(picture) for picture in pictures]
+        images = [Image.fromarray(frame_8bit) for frame_8bit in frames_8bit]
         options = {"format": "WEBP", "quality": 90} if suffix == ".webp" else {"format": "PNG"}
     with atomic_write(path) as temporary:
         durations = _durations_ms(len(images), fps, unit=10 if suffix == ".gif" else 1)
@@ -74,26 +74,26 @@ def _durations_ms(count: int, fps: float, unit: int) -> list[int]:
     return [int(length) * unit for length in np.diff(ends)]
 
 
-def _quantise(pictures: list[_Bytes]) -> list[Image.Image]:
+def _quantise(frames_8bit: list[_Bytes]) -> list[Image.Image]:
     """The pictures in one palette of 256 colours, with ordered dithering."""
     from PIL import Image
 
     # An odd step, so that the pixels are not all in a few columns.
-    step = max(1, len(pictures) * pictures[0].size // (3 * _PALETTE_PIXELS)) | 1
-    samples = np.concatenate([picture.reshape(-1, 3)[::step] for picture in pictures])
+    step = max(1, len(frames_8bit) * frames_8bit[0].size // (3 * _PALETTE_PIXELS)) | 1
+    samples = np.concatenate([frame_8bit.reshape(-1, 3)[::step] for frame_8bit in frames_8bit])
     # Maximum coverage, because median cut has no colour left for small objects.
     palette = Image.fromarray(samples[None]).quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3)
     colors = np.unique(np.array(palette.getpalette()).reshape(-1, 3), axis=0).astype(np.float64)
     distances = np.linalg.norm(colors[:, None] - colors[None], axis=2) + 1e9 * np.eye(len(colors))
-    height, width, _ = pictures[0].shape
+    height, width, _ = frames_8bit[0].shape
     y, x = np.mgrid[:height, :width]
     # Interleaved gradient noise (Jimenez 2014): unlike white noise, any 3 x 3 pixels have each value about once. Its
     # amplitude is about the distance between colours of the palette.
     noise = (52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0 - 0.5
     offsets = np.median(distances.min(axis=1)) * noise[..., None] + 0.5
     images: list[Image.Image] = []
-    for picture in pictures:
-        noisy = np.clip(picture + offsets, 0.0, 255.0).astype(np.uint8)
+    for frame_8bit in frames_8bit:
+        noisy = np.clip(frame_8bit + offsets, 0.0, 255.0).astype(np.uint8)
         images.append(Image.fromarray(noisy).quantize(palette=palette, dither=Image.Dither.NONE))
     return images
 
@@ -119,33 +119,33 @@ def _write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) ->
         raise MissingExtraError("a video", "video") from None
     if not 0.0 < fps <= _VIDEO_FPS_MAX:
         raise ConfigError(f"fps is {fps}, expected more than 0, at most {_VIDEO_FPS_MAX:g}")
-    pictures = _with_equal_shapes(to_bytes(frame, path) for frame in frames)
-    first = next(pictures)
+    frames_8bit = _with_equal_shapes(to_bytes(frame, path) for frame in frames)
+    first = next(frames_8bit)
     with atomic_write(path) as temporary:
         try:
             rate = Fraction(fps).limit_denominator(_FPS_DENOMINATOR)
-            _encode(av, temporary, chain([first], pictures), first.shape, rate)
+            _encode(av, temporary, chain([first], frames_8bit), first.shape, rate)
         except av.error.FFmpegError as error:
             raise FormatError(path, f"cannot be written: {error.strerror or error}") from None
 
 
-def _with_equal_shapes(pictures: Iterable[_Bytes]) -> Iterator[_Bytes]:
+def _with_equal_shapes(frames_8bit: Iterable[_Bytes]) -> Iterator[_Bytes]:
     """The pictures, one by one."""
     expected = "a video takes pictures of one shape (H, W, 3), got"
     shape: tuple[int, ...] | None = None
-    for picture in pictures:
+    for frame_8bit in frames_8bit:
         if shape is None:
-            shape = picture.shape
+            shape = frame_8bit.shape
             if shape[2] != 3:
                 raise SceneError(f"{expected} {shape}")
-        if picture.shape != shape:
-            raise SceneError(f"{expected} {sorted({picture.shape, shape})}")
-        yield picture
+        if frame_8bit.shape != shape:
+            raise SceneError(f"{expected} {sorted({frame_8bit.shape, shape})}")
+        yield frame_8bit
     if shape is None:
         raise SceneError(f"{expected} none")
 
 
-def _encode(av: Any, path: Path, pictures: Iterable[_Bytes], shape: tuple[int, ...], rate: Fraction) -> None:
+def _encode(av: Any, path: Path, frames_8bit: Iterable[_Bytes], shape: tuple[int, ...], rate: Fraction) -> None:
     """Encodes pictures of one shape with PyAV."""
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=rate, options=_QUALITY)
@@ -154,8 +154,8 @@ def _encode(av: Any, path: Path, pictures: Iterable[_Bytes], shape: tuple[int, .
         coding = stream.codec_context
         coding.color_primaries = coding.color_trc = coding.colorspace = _BT709
         coding.color_range = _LIMITED_RANGE
-        for number, picture in enumerate(pictures):
-            frame = av.VideoFrame.from_ndarray(_even(picture), format="rgb24").reformat(
+        for number, frame_8bit in enumerate(frames_8bit):
+            frame = av.VideoFrame.from_ndarray(_even(frame_8bit), format="rgb24").reformat(
                 format="yuv420p", dst_colorspace="ITU709", src_color_range="JPEG", dst_color_range="MPEG"
             )
             frame.pts, frame.time_base = number, 1 / rate
@@ -163,7 +163,7 @@ def _encode(av: Any, path: Path, pictures: Iterable[_Bytes], shape: tuple[int, .
         container.mux(stream.encode())
 
 
-def _even(picture: _Bytes) -> _Bytes:
+def _even(frame_8bit: _Bytes) -> _Bytes:
     """The picture, with its last row or column repeated if their number is odd."""
-    height, width, _ = picture.shape
-    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    height, width, _ = frame_8bit.shape
+    return np.pad(frame_8bit, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -29,11 +29,11 @@ from lumisplat.io.gltf.container import GltfFile
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,
-    inserted,
+    insert_entry,
     is_placed,
     placement,
     scene_up,
-    turned_upright,
+    stand_upright,
 )
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, TABLES, TEXT, WHOLE, TomlTable, Values
 from lumisplat.io.splats.sequence import read_sequence
@@ -65,7 +65,7 @@ ACTOR_KEYS = {
 }
 KEYFRAME_KEYS = {"time": NUMBER, **PLACEMENT}
 _FORMS = ("gaussians", "mesh")
-_OF_KIND = {
+_KEY_OWNERS = {
     "count": "a rig or a mesh as Gaussians",
     "form": "a rig or a mesh",
     "vertex_colors": "a rig",
@@ -77,13 +77,13 @@ Load = Callable[..., Gaussians | Mesh | Scene]
 """Loads a file by its path; entries that say so give ``lod`` and ``budget``, too."""
 
 
-def read_actors(document: TomlTable, load: Load, around: Scene) -> list[Actor]:
+def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
     """The actors of a scene file that are not hidden, in order. A file named twice in the same form is loaded once.
 
     Args:
         document: Top table of the scene file.
         load: Reads one capture or mesh.
-        around: What stands still; an actor that says no place is put into its captures, beside the actors before it.
+        scene: What stands still; an actor that says no place is put into its captures, beside the actors before it.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -91,10 +91,10 @@ def read_actors(document: TomlTable, load: Load, around: Scene) -> list[Actor]:
     subjects, up = Subjects(load), scene_up(document)
     actors: list[Actor] = []
     for table in document.tables("actors"):
-        actor = read_actor(table, subjects, up, around if around.splats else None)
+        actor = read_actor(table, subjects, up, scene if scene.splats else None)
         if not table.values.get("hidden", False):
             actors.append(actor)
-            around = with_instances(around, actor.at(0.0))
+            scene = with_instances(scene, actor.at(0.0))
     return actors
 
 
@@ -105,14 +105,14 @@ def with_instances(scene: Scene, instances: Sequence[SplatInstance | MeshInstanc
     return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
 
 
-def read_actor(table: TomlTable, subjects: Subjects, up: Vector, around: Scene | None = None) -> Actor:
+def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | None = None) -> Actor:
     """The actor of an entry.
 
     Args:
         table: The entry.
         subjects: Makes what it shows.
         up: Unit vector that points up in the scene.
-        around: What is there already, not empty; an actor that says no place is put into it. None: it stays as it is in
+        scene: What is there already, not empty; an actor that says no place is put into it. None: it stays as it is in
             its file.
 
     Raises:
@@ -122,11 +122,11 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, around: Scene |
     world_from_file = placement(table, up)
     motion = _motion(table)
     subject = subjects.get(table, given)
-    if around is not None and not is_placed(given) and subjects.is_upright(table, given):
+    if scene is not None and not is_placed(given) and subjects.has_y_up(table, given):
         if motion is None:
-            world_from_file = inserted(table, around, Actor(subject).at(0.0), None)
+            world_from_file = insert_entry(table, scene, Actor(subject).at(0.0), None)
         elif not any("rotation_wxyz" in frame.values for frame in table.tables("keyframes")):
-            world_from_file = turned_upright(table, up)
+            world_from_file = stand_upright(table, up)
     settings = {key: given[key] for key in ("name", "clip", "loop", "speed", "casts_shadow", "relight") if key in given}
     try:
         return Actor(subject, motion, world_from_file, **settings)
@@ -160,11 +160,11 @@ class Subjects:
     """The subjects that entries name, in the form that they ask for, each made once."""
 
     load: Load
-    _made: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
+    _subjects: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
     _captures: set[Path] = field(default_factory=set[Path])
     """Files of captures, which have the up of captures; others have y up."""
 
-    def is_upright(self, table: TomlTable, given: Values) -> bool:
+    def has_y_up(self, table: TomlTable, given: Values) -> bool:
         """Whether the file of an entry has y up: it is no capture, and no folder of such."""
         self.get(table, given)
         return table.file("path") not in self._captures
@@ -174,15 +174,15 @@ class Subjects:
         file = table.file("path")
         if given.get("form", "gaussians") not in _FORMS:
             raise table.wrong("form", " or ".join(_FORMS))
-        key = file, *(given.get(name) for name in _OF_KIND)
-        if key not in self._made:
+        key = file, *(given.get(name) for name in _KEY_OWNERS)
+        if key not in self._subjects:
             try:
-                self._made[key] = self._make(table, file, given)
+                self._subjects[key] = self._make(table, file, given)
             except FormatError:
                 raise
             except SceneError as error:
                 raise table.failed(error) from None
-        return self._made[key]
+        return self._subjects[key]
 
     def _make(self, table: TomlTable, file: Path, given: Values) -> Subject:
         if file.suffix.lower() == ".toml":
@@ -190,29 +190,29 @@ class Subjects:
         as_mesh = given.get("form") == "mesh"
         mesh_keys = {"form"} if as_mesh else {"form", "count"}
         if file.is_dir() and not (file / "meta.json").is_file():
-            _refuse_others(table, given, {"fps"}, "a folder of frames")
+            _refuse_foreign_keys(table, given, {"fps"}, "a folder of frames")
             self._captures.add(file)
             return read_sequence(file, given.get("fps", 25.0), self.load)
         if file.suffix.lower() in (".glb", ".gltf") and is_rigged(GltfFile(file)):
-            _refuse_others(table, given, {*mesh_keys, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
+            _refuse_foreign_keys(table, given, {*mesh_keys, "vertex_colors"}, "a rig as a mesh" if as_mesh else "a rig")
             rig = read_rig(file, given.get("vertex_colors", True))
             return rig if as_mesh else bind_gaussians(rig, given.get("count"))
         loaded = self.load(file)
         if isinstance(loaded, Gaussians):
-            _refuse_others(table, given, set(), "a capture")
+            _refuse_foreign_keys(table, given, set(), "a capture")
             self._captures.add(file)
             return loaded
         if isinstance(loaded, Scene) and not loaded.meshes:
             raise table.error(f"path is {given['path']!r}, which has nothing to see", "path")
-        _refuse_others(table, given, mesh_keys, "a mesh")
+        _refuse_foreign_keys(table, given, mesh_keys, "a mesh")
         if as_mesh:
             return loaded
         placed = loaded.meshes if isinstance(loaded, Scene) else (MeshInstance(loaded),)
         return gaussians_from_instances(placed, given.get("count"))
 
 
-def _refuse_others(table: TomlTable, given: Values, known: set[str], kind: str) -> None:
+def _refuse_foreign_keys(table: TomlTable, given: Values, known: set[str], kind: str) -> None:
     """Refuses keys that have no meaning for the kind of the file."""
-    for key, owner in _OF_KIND.items():
+    for key, owner in _KEY_OWNERS.items():
         if key in given and key not in known:
             raise table.error(f"{key} is of {owner}, but path is {given['path']!r}, {kind}", key)

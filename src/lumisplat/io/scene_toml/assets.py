@@ -29,7 +29,7 @@ from lumisplat.io.scene_toml.materials import MaterialTable, entry_material
 from lumisplat.io.scene_toml.placement import (
     PLACEMENT,
     STANDING,
-    inserted,
+    insert_entry,
     is_placed,
     placement,
 )
@@ -154,7 +154,7 @@ class Assets:
     """Up of the scene."""
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
     """Assets that are not from files, by what entries give as their path."""
-    _made: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
+    _cache: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
     """By file and changes."""
 
     def splats(self, table: TomlTable) -> PlacedEntry:
@@ -175,19 +175,19 @@ class Assets:
         except SceneError as error:
             raise table.failed(error) from None
 
-    def meshes(self, table: TomlTable, around: Scene | None = None) -> PlacedEntry:
+    def meshes(self, table: TomlTable, existing: Scene | None = None) -> PlacedEntry:
         """The meshes and lights of an entry in the world, and the captures of a scene that has such.
 
         Args:
             table: The entry.
-            around: What is there already, not empty; an entry that says no place is put into it. None: it stays as it
+            existing: What is there already, not empty; an entry that says no place is put into it. None: it stays as it
                 is in its file.
         """
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
         scene = self._part(table, given, assets[-1])
-        if around is not None and (scene.meshes or scene.splats) and not is_placed(given):
-            world_from_file = inserted(table, around, (*scene.meshes, *scene.splats), scene.up)
+        if existing is not None and (scene.meshes or scene.splats) and not is_placed(given):
+            world_from_file = insert_entry(table, existing, (*scene.meshes, *scene.splats), scene.up)
         wanted = scene.lights if given.get("lights", True) else ()
         try:
             meshes = [
@@ -216,14 +216,14 @@ class Assets:
 
     def part_names(self, table: TomlTable) -> list[str]:
         """The names of the meshes of an entry's file, whichever of them it shows."""
-        return _names(self._assets(table, "meshes", table.values)[-1])
+        return _mesh_names(self._assets(table, "meshes", table.values)[-1])
 
     def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
         """The one mesh that an entry shows, without lights; all if it does not say."""
         part = given.get("part")
         if part is None:
             return scene
-        names = _names(scene)
+        names = _mesh_names(scene)
         if isinstance(part, int) and not 0 <= part < len(names):
             raise table.error(
                 f"part is {part}, expected 0 to {len(names) - 1}: the file has {len(names)} meshes", "part"
@@ -251,15 +251,15 @@ class Assets:
             if "part" in given:
                 raise table.error("part is of a file with several meshes, but there is no path", "part")
             key = ("shape", repr((given["shape"], given.get("size"))))
-            loaded = self._once(key, lambda: _as_scene(_shape_mesh(table, given)))
+            loaded = self._cached(key, lambda: _as_scene(_shape_mesh(table, given)))
         changes = {name: given[name] for name in _CHANGES if name in given}
         if changes:
             key = (*key, repr(changes))
-        changed = self._once(key, lambda: _with_changes(loaded, table, changes)) if changes else loaded
+        changed = self._cached(key, lambda: _with_changes(loaded, table, changes)) if changes else loaded
         if "material" not in given:
             return loaded, changed
         key = (*key, "material", repr(given["material"]))
-        return loaded, changed, self._once(key, lambda: self._with_material(changed, table))
+        return loaded, changed, self._cached(key, lambda: self._with_material(changed, table))
 
     def _loaded(self, table: TomlTable, heading: str, given: Values) -> tuple[_Key, Scene]:
         """The contents of an entry's file, and what they are known by."""
@@ -267,25 +267,25 @@ class Assets:
             key = "shape" if "shape" in given else "size"
             raise table.error(f"path and {key} are both given: an entry is a file or a shape", key)
         scene = self.memory.get(given["path"])
-        known_by = ("memory", given["path"])
+        key = ("memory", given["path"])
         if scene is None:
             file = table.file("path")
             if file.suffix.lower() == ".toml":
                 raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
-            levels = _levels(table, file, given)
-            known_by = ("file", str(file), repr(levels))
-            scene = self._once(known_by, lambda: _as_scene(self.load(file, **levels)))
+            level_arguments = _level_arguments(table, file, given)
+            key = ("file", str(file), repr(level_arguments))
+            scene = self._cached(key, lambda: _as_scene(self.load(file, **level_arguments)))
         if _is_capture(scene) is not (heading == "splats"):
             whole = "a scene" if scene.splats else "a mesh"
             found, other = ("a capture", "splats") if _is_capture(scene) else (whole, "meshes")
             raise table.error(f"path is {given['path']!r}, which is {found}: list it under [[{other}]]", "path")
-        return known_by, scene
+        return key, scene
 
-    def _once(self, key: _Key, make: Callable[[], Scene]) -> Scene:
+    def _cached(self, key: _Key, make: Callable[[], Scene]) -> Scene:
         """What is known by a key, made unless there is an entry that has it."""
-        scene = self._made.get(key)
+        scene = self._cache.get(key)
         if scene is None:
-            scene = self._made[key] = make()
+            scene = self._cache[key] = make()
         return scene
 
     def _with_material(self, scene: Scene, table: TomlTable) -> Scene:
@@ -297,27 +297,27 @@ class Assets:
             for key, mesh in meshes.items():
                 changed = with_checked(mesh, material=material.apply_to(mesh.material))
                 meshes[key] = drop_unplaced_textures(table.path, changed)
-            own = material.apply_to(None) if _is_capture(scene) else None
+            capture_material = material.apply_to(None) if _is_capture(scene) else None
         except SceneError as error:
             raise table.failed(error) from None
         return replace(
             scene,
-            splats=tuple(replace(i, material=own or i.material) for i in scene.splats),
+            splats=tuple(replace(i, material=capture_material or i.material) for i in scene.splats),
             meshes=tuple(replace(i, mesh=meshes[id(i.mesh)]) for i in scene.meshes),
         )
 
 
-def _levels(table: TomlTable, file: Path, given: Values) -> dict[str, int | None]:
+def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, int | None]:
     """What an entry says of the level of detail of its file, as arguments of `lumisplat.load`; else nothing."""
-    said = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
-    if len(said) == 2:
+    stated = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
+    if len(stated) == 2:
         raise table.error("lod and lod_budget do not go together: each chooses the level by itself", "lod_budget")
-    for key, least in said:
+    for key, least in stated:
         if given[key] < least:
             raise table.wrong(key, f"{least} or more")
         if format_of(file) != STREAMED_SOG:
             raise table.error(f"{key} is of a streamed SOG, got {given['path']!r}", key)
-    return {"lod": given.get("lod"), "budget": given.get("lod_budget")} if said else {}
+    return {"lod": given.get("lod"), "budget": given.get("lod_budget")} if stated else {}
 
 
 def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
@@ -347,7 +347,7 @@ def _is_capture(scene: Scene) -> bool:
     return bool(scene.splats) and scene.up is None
 
 
-def _names(scene: Scene) -> list[str]:
+def _mesh_names(scene: Scene) -> list[str]:
     """The names of the meshes of a file."""
     return [instance.name or instance.mesh.name for instance in scene.meshes]
 

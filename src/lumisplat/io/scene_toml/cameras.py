@@ -106,7 +106,7 @@ def read_scene_cameras(
                 if "path" in table.values:
                     cameras += _cameras_of_file(table, load, width, height)
                 else:
-                    cameras.append(_view(table, up))
+                    cameras.append(_entry_camera(table, up))
         except FormatError:
             raise
         except SceneError as error:
@@ -119,11 +119,11 @@ def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, hei
     file = table.file("path")
     if file.suffix.lower() == ".toml":
         raise table.error(f"path is {given['path']!r}, a scene file itself: list its cameras here instead", "path")
-    own_width, own_height = given.get("width"), given.get("height")
-    asked = (width, height) if own_width is None and own_height is None else (own_width, own_height)
-    loaded = [_move(camera, placement(table)) for camera in load(file, width=asked[0], height=asked[1])]
+    entry_width, entry_height = given.get("width"), given.get("height")
+    size = (width, height) if entry_width is None and entry_height is None else (entry_width, entry_height)
+    loaded = [_move(camera, placement(table)) for camera in load(file, width=size[0], height=size[1])]
     exposure = {"exposure": given["exposure"]} if "exposure" in given else {}
-    return [replace(camera.scaled(own_width, own_height), **exposure) for camera in loaded]
+    return [replace(camera.scaled(entry_width, entry_height), **exposure) for camera in loaded]
 
 
 def read_camera_path(document: TomlTable) -> CameraPath | None:
@@ -134,18 +134,18 @@ def read_camera_path(document: TomlTable) -> CameraPath | None:
     """
     for table in document.tables("cameras"):
         if "keyframes" in table.values:
-            return _moving_view(table, scene_up(document))
+            return _entry_path(table, scene_up(document))
     return None
 
 
-def _view(table: TomlTable, up: Vector) -> Camera:
+def _entry_camera(table: TomlTable, up: Vector) -> Camera:
     """The camera of an entry, of one that moves at its first keyframe."""
     if "keyframes" in table.values:
-        return _moving_view(table, up).cameras[0]
+        return _entry_path(table, up).cameras[0]
     return _camera(table, table.take(_VIEW_KEYS, required=("eye", "target")), up)
 
 
-def _moving_view(table: TomlTable, up: Vector) -> CameraPath:
+def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
     """The way of an entry through its keyframes; a key that one leaves out keeps the value of the one before."""
     last = table.take(_VIEW_KEYS)
     del last["keyframes"]
@@ -181,7 +181,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
         values["up"] = up_vector(values["up"]) if "up" in values else up
     except SceneError as error:
         raise table.error(str(error), "up") from None
-    of_lens = {key: values.pop(key) for key in ("exposure", "distortion") if key in values}  # not of look_at
+    lens = {key: values.pop(key) for key in ("exposure", "distortion") if key in values}  # not of look_at
     widest, fov_y = 360.0 if values["model"] is CameraModel.FISHEYE else 180.0, values.get("fov_y_degrees", 45.0)
     if not 0.0 < fov_y < widest:
         raise table.error(
@@ -189,7 +189,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
         )
     values = with_radians(table, values, widest)
     try:
-        return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), **of_lens)
+        return replace(Camera.look_at(values.pop("eye"), values.pop("target"), **values), **lens)
     except SceneError as error:
         raise table.failed(error) from None
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 _Config = TypeVar("_Config")
 
-_SWITCH = {"on": True, "off": False}
+_FLAG_WORDS = {"on": True, "off": False}
 """Words for a flag that may be None, as the shell has them: ``--lighting off``."""
 
 
@@ -90,9 +90,9 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
     known = [*all_settings(type(base))]
     *groups, key = name.split(".")
     if name not in known:
-        near = [other for other in known if other.rpartition(".")[2] == key]
-        near = near or difflib.get_close_matches(name, known, 1)
-        hint = f", did you mean {' or '.join(near)}?" if near else ""
+        similar = [other for other in known if other.rpartition(".")[2] == key]
+        similar = similar or difflib.get_close_matches(name, known, 1)
+        hint = f", did you mean {' or '.join(similar)}?" if similar else ""
         raise ConfigError(f"there is no setting '{name}'{hint}")
     values = {key: value}
     for group in reversed(groups):
@@ -117,12 +117,12 @@ def _setting(table: TomlTable, setting: Setting, base: object) -> object:
             return read_settings(table.table(key), setting.group, cast(Any, base))
         case "flag":
             if none and isinstance(value, str):
-                value = _SWITCH.get(value, value)
+                value = _FLAG_WORDS.get(value, value)
             if not FLAG.accepts(value):
                 raise table.wrong(key, FLAG.expected + (none and f', as words "on" or "off", or "{none}"'))
             return value
         case "choice":
-            return _member(table, setting)
+            return _enum_member(table, setting)
         case "color" | "vector" | "span" | "names":
             return tuple(cast(list[object], value)) if isinstance(value, list) else value
         case _:
@@ -134,7 +134,7 @@ def _word_for_none(setting: Setting) -> str:
     return "none" if setting.kind == "color" else "auto"
 
 
-def _member(table: TomlTable, setting: Setting) -> Enum:
+def _enum_member(table: TomlTable, setting: Setting) -> Enum:
     """The member of an enum that a key names by its value."""
     key, value = setting.name, table.values[setting.name]
     members = {str(member.value): member for member in setting.choices}
@@ -159,11 +159,11 @@ def _table(config: object, base: object = None) -> dict[str, Any]:
             if group := _table(value, before):
                 table[one.name] = group
         elif base is None or value != before:
-            table[one.name] = _written(one, value)
+            table[one.name] = _toml_value(one, value)
     return table
 
 
-def _written(setting: Setting, value: object) -> object:
+def _toml_value(setting: Setting, value: object) -> object:
     """The value of a setting as a table has it."""
     if value is None:
         return _word_for_none(setting)

@@ -49,10 +49,10 @@ def read_light(table: TomlTable) -> Light:
     if name == "environment":
         raise table.error("type is 'environment': write it as a table of its own, [environment]", "type")
     if kind is None:
-        meant = f"expected {', '.join(LIGHT_KINDS)}"
+        hint = f"expected {', '.join(LIGHT_KINDS)}"
         if isinstance(name, str):
-            meant = f"did you mean {_OTHER_NAMES[name]!r}?" if name in _OTHER_NAMES else suggestion(name, LIGHT_KINDS)
-        raise table.error(f"type is {name!r}, {meant}" if "type" in table.values else f"lacks type, {meant}", "type")
+            hint = f"did you mean {_OTHER_NAMES[name]!r}?" if name in _OTHER_NAMES else suggestion(name, LIGHT_KINDS)
+        raise table.error(f"type is {name!r}, {hint}" if "type" in table.values else f"lacks type, {hint}", "type")
     given = table.take({"type": TEXT, **schema(kind), **_aim_keys(kind)}, _required(kind, table))
     del given["type"]
     values = with_radians(table, given)

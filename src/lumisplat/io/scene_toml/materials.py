@@ -33,19 +33,19 @@ class MaterialTable:
     kind: type[MaterialPbr] | type[MaterialSimple]
     values: Values
 
-    def apply_to(self, own: Material | None) -> Material:
+    def apply_to(self, file_material: Material | None) -> Material:
         """The material of a surface whose file gives it the material ``own``.
 
         Values that are not set stay as in ``own`` if it is of the same kind; of a material of the other kind, only
         colour, texture and name stay. A texture is shown as it is on a surface that has no colour of its own, not times
         the grey of such surfaces.
         """
-        if isinstance(own, self.kind):
-            is_grey = isinstance(own, MaterialPbr) and own.base_color == MaterialPbr().base_color
+        if isinstance(file_material, self.kind):
+            is_grey = isinstance(file_material, MaterialPbr) and file_material.base_color == MaterialPbr().base_color
             white = {"base_color": (1.0, 1.0, 1.0)} if is_grey and "base_color_texture" in self.values else {}
-            return replace(own, **(white | self.values))
-        kept = {} if own is None else {name: getattr(own, name) for name in _SHARED}
-        return self.kind(**(kept | self.values))
+            return replace(file_material, **(white | self.values))
+        shared = {} if file_material is None else {name: getattr(file_material, name) for name in _SHARED}
+        return self.kind(**(shared | self.values))
 
 
 def read_materials(document: TomlTable) -> dict[str, MaterialTable]:
@@ -95,6 +95,6 @@ def entry_material(entry: TomlTable, named: Mapping[str, MaterialTable]) -> Mate
     if is_object(given):
         return _read_material(entry.table("material"))
     if given not in named:
-        meant = suggestion(given, named) if named else f"there is no [materials.{given}]"
-        raise entry.error(f"material is {given!r}, {meant}", "material")
+        hint = suggestion(given, named) if named else f"there is no [materials.{given}]"
+        raise entry.error(f"material is {given!r}, {hint}", "material")
     return named[given]

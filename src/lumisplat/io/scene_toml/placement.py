@@ -27,7 +27,7 @@ from lumisplat.io.gltf.scene import read_gltf
 from lumisplat.io.ply import read_ply_header
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable, is_list
 from lumisplat.io.splats.orientation import orientation_of, orientation_of_comments
-from lumisplat.io.splats.sog import OURS, read_meta
+from lumisplat.io.splats.sog import LUMISPLAT_KEY, read_meta
 from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.gaussians import Gaussians
@@ -45,10 +45,10 @@ STANDING = {"rotation_degrees": VECTOR, "look_at": VECTOR, "front": TEXT, "uprig
 
 _ROUNDING = 1e-15
 """Of the length of a direction that was normalised."""
-_TURNS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
+_ROTATION_KEYS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 
-_LEANS = 0.7
+_UPRIGHT_MIN = 0.7
 """Height of y along up below which what has y up does not stand."""
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
@@ -63,10 +63,10 @@ def _is_saved(document: TomlTable) -> bool:
 
 def is_placed(values: Mapping[str, Any]) -> bool:
     """Whether an entry says where it is or how it is turned: then it stands as it says, and nothing is assumed."""
-    return any(key in values for key in ("position", *_TURNS)) or values.get("ground", False) is not False
+    return any(key in values for key in ("position", *_ROTATION_KEYS)) or values.get("ground", False) is not False
 
 
-def keep_saved_places(document: TomlTable) -> None:
+def keep_saved_positions(document: TomlTable) -> None:
     """Keeps meshes and actors of a scene file that a program saved where they were: at the origin, it wrote no place.
 
     Programs write up as a direction of length 1, to the last digit. Those of today write all places.
@@ -77,18 +77,18 @@ def keep_saved_places(document: TomlTable) -> None:
         for table in document.tables(heading):
             if "path" in table.values and not is_placed(table.values):
                 table.values["upright"] = False
-                _say(
+                _warn(
                     table,
                     "has no place, and up is as in saved files: it is as in its file; upright = true stands it up",
                 )
 
 
-def warn_if_not_turned(document: TomlTable, up: Vector) -> None:
+def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
     """Says of meshes and actors of files that they lie as in their files, where y is not up, though they have a place.
 
     Files that a program saved mean it, and so does who writes ``upright = false``.
     """
-    if not document.tables("splats") or up[1] > _LEANS or _is_saved(document):
+    if not document.tables("splats") or up[1] > _UPRIGHT_MIN or _is_saved(document):
         return
     for heading in ("meshes", "actors"):
         for table in document.tables(heading):
@@ -96,54 +96,54 @@ def warn_if_not_turned(document: TomlTable, up: Vector) -> None:
             if (
                 "path" in keys
                 and is_placed(table.values)
-                and keys.isdisjoint((*_TURNS, "front", "hidden", "keyframes"))
+                and keys.isdisjoint((*_ROTATION_KEYS, "front", "hidden", "keyframes"))
             ):
-                _say(
+                _warn(
                     table,
                     "says a place and no rotation, and has y up as in its file, though y is not up in the scene: "
                     "upright = true stands it up (upright = false keeps it, without this line)",
                 )
 
 
-def inserted(
-    table: TomlTable, scene: Scene, things: Sequence[MeshInstance | SplatInstance], things_up: Vector | None
+def insert_entry(
+    table: TomlTable, scene: Scene, instances: Sequence[MeshInstance | SplatInstance], instances_up: Vector | None
 ) -> npt.NDArray[np.float64]:
     """Puts what an entry without a place shows into the captures of a scene, and says so: ``world_from_file``.
 
     Args:
         table: The entry; ``scale``, ``front`` and ``ground = false`` are obeyed.
         scene: What is there already, with a capture at least.
-        things: What the entry shows, where its file has it.
-        things_up: Up in that file; None: y.
+        instances: What the entry shows, where its file has it.
+        instances_up: Up in that file; None: y.
 
     Raises:
         FormatError: The scale is not positive.
     """
     try:
-        found = insertion(scene, things, things_up, *(table.values.get(key) for key in ("scale", "front")))
+        found = insertion(scene, instances, instances_up, *(table.values.get(key) for key in ("scale", "front")))
     except SceneError as error:
         raise table.failed(error) from None
     matrix = found.world_from_thing
     if "ground" in table.values:
         matrix[:3, 3] = 0.0
-        _say(table, "says no place, and stands upright where its file has it (upright = false: as in its file)")
+        _warn(table, "says no place, and stands upright where its file has it (upright = false: as in its file)")
     else:
-        _say(table, f"says no place, and stands upright {found.where} (upright = false: as in its file): {found}")
+        _warn(table, f"says no place, and stands upright {found.where} (upright = false: as in its file): {found}")
     return matrix
 
 
-def turned_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
+def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
     """Stands an actor upright that keyframes move, but do not turn, and says so: ``world_from_file``.
 
     Raises:
         FormatError: The scale is not positive.
     """
     matrix = placement(TomlTable.of(table.path, {**table.values, "upright": True}), up)
-    _say(table, "says no rotation, and stands upright (upright = false: as in its file)")
+    _warn(table, "says no rotation, and stands upright (upright = false: as in its file)")
     return matrix
 
 
-def _say(table: TomlTable, line: str) -> None:
+def _warn(table: TomlTable, line: str) -> None:
     asset = table.values.get("path")
     named = table.is_of_file or asset is None
     _log.warning("%s", table.error(line) if named else f"{Path(str(asset)).name}: {line}")
@@ -160,10 +160,12 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
         FormatError: A value is not finite, the scale is not positive, the rotation has zero length, or it is given
             twice.
     """
-    words = [key for key in STANDING if key in table.values]
-    if words:
+    rotation_keys = [key for key in STANDING if key in table.values]
+    if rotation_keys:
         if "rotation_wxyz" in table.values:
-            raise table.error(f"rotation_wxyz and {words[0]} are both given: choose one of them", words[0])
+            raise table.error(
+                f"rotation_wxyz and {rotation_keys[0]} are both given: choose one of them", rotation_keys[0]
+            )
         given = {key: table.values.get(key) for key in ("position", "rotation_degrees", "scale", "look_at", "front")}
         stands = table.values.get("upright", "front" in table.values) or "look_at" in table.values
         try:
@@ -211,9 +213,9 @@ def _up_by_values(path: Path, kind: str) -> Vector | None:
         return orientation_of_comments(path, read_ply_header(path).comments).up
     if kind in (BLOCKS, STREAMED_SOG):
         stored = json.loads(read_bytes(path / kind if path.is_dir() else path))
-        return orientation_of(path, stored if kind == BLOCKS else stored.get(OURS)).up
+        return orientation_of(path, stored if kind == BLOCKS else stored.get(LUMISPLAT_KEY)).up
     if kind == ".sog":
-        return orientation_of(path, read_meta(path).get(OURS)).up
+        return orientation_of(path, read_meta(path).get(LUMISPLAT_KEY)).up
     return read_spz_orientation(path).up if kind == ".spz" else None
 
 
@@ -236,14 +238,14 @@ def _silenced() -> Generator[None]:
     """Drops the log lines of this thread."""
     thread = threading.get_ident()
 
-    def is_of_others(record: logging.LogRecord) -> bool:
+    def is_other_thread(record: logging.LogRecord) -> bool:
         return record.thread != thread
 
-    _log.addFilter(is_of_others)
+    _log.addFilter(is_other_thread)
     try:
         yield
     finally:
-        _log.removeFilter(is_of_others)
+        _log.removeFilter(is_other_thread)
 
 
 def _up_of(loaded: Gaussians | Scene) -> Vector | None:
@@ -299,9 +301,9 @@ def _stated(table: TomlTable) -> Vector | None:
     if stands or not isinstance(path, str) or (up := stated_up(table.path.parent / path)) is None:
         return None
     keys = {key: kind for key, kind in (PLACEMENT | STANDING).items() if key.startswith("rotation")}
-    turned = {key: value for key, value in table.values.items() if key in keys and keys[key].accepts(value)}
+    rotation = {key: value for key, value in table.values.items() if key in keys and keys[key].accepts(value)}
     try:
-        return up_vector(placement(TomlTable.of(table.path, turned))[:3, :3] @ up)
+        return up_vector(placement(TomlTable.of(table.path, rotation))[:3, :3] @ up)
     except FormatError:  # said where the entry is read
         return None
 

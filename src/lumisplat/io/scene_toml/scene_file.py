@@ -50,7 +50,7 @@ from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_
 from lumisplat.io.scene_toml.config_file import read_settings
 from lumisplat.io.scene_toml.lights import read_environment, read_light
 from lumisplat.io.scene_toml.materials import read_materials
-from lumisplat.io.scene_toml.placement import keep_saved_places, scene_up, warn_if_not_turned
+from lumisplat.io.scene_toml.placement import keep_saved_positions, scene_up, warn_if_not_upright
 from lumisplat.io.scene_toml.toml_table import NUMBER, TABLE, WHOLE, TomlTable
 from lumisplat.scene.animation.actors import Actor, Animation
 from lumisplat.scene.animation.camera_path import CameraPath
@@ -61,8 +61,8 @@ from lumisplat.scene.scene import Scene
 ANIMATION_KEYS = {"fps": NUMBER, "duration": NUMBER, "frames": WHOLE, "lighting": TABLE}
 _FPS = 25.0
 
-_TOP = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
-_SHOWN = ("splats", "meshes", "actors", "lights", "environment")
+_HEADINGS = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
+_VISIBLE_HEADINGS = ("splats", "meshes", "actors", "lights", "environment")
 """Headings that put something into the scene."""
 
 
@@ -90,8 +90,8 @@ def read_document(path: PathLike) -> TomlTable:
         FormatError: The file is not TOML, or has an unknown heading.
     """
     document = TomlTable.read(path, "a scene file")
-    document.check_keys(_TOP)
-    keep_saved_places(document)
+    document.check_keys(_HEADINGS)
+    keep_saved_positions(document)
     captures = document.tables("splats")
     if captures:
         document.values["splats"] = [with_present_keys(table.values) for table in captures]
@@ -118,12 +118,12 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
         document = read_document(path)
         if direction is not None:
             document.values.setdefault("up", direction)
-        if all(document.values.get(key, []) == [] for key in _SHOWN):
-            raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _SHOWN))}")
+        if all(document.values.get(key, []) == [] for key in _VISIBLE_HEADINGS):
+            raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _VISIBLE_HEADINGS))}")
         _read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
         scene = _static_scene(document, load)
-        shown = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
-        return with_instances(scene, shown)
+        instances = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
+        return with_instances(scene, instances)
 
 
 def _static_scene(document: TomlTable, load: Load) -> Scene:
@@ -131,7 +131,7 @@ def _static_scene(document: TomlTable, load: Load) -> Scene:
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     up = scene_up(document)
-    warn_if_not_turned(document, up)
+    warn_if_not_upright(document, up)
     assets = Assets(load, read_materials(document), up)
     splats = [(assets.splats(table), table) for table in document.tables("splats")]
     captures = [entry for entry, table in splats if not table.values.get("hidden", False)]
@@ -192,7 +192,7 @@ def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: 
     if "frames" in given:
         count = given["frames"]
     else:
-        longest = max((*map(_own_duration, actors), moving.duration if moving is not None else 0.0))
+        longest = max((*map(_duration, actors), moving.duration if moving is not None else 0.0))
         count = given.get("duration", longest) * fps
     if count > ANIMATION_FRAMES_MAX:
         raise table.error(
@@ -203,6 +203,6 @@ def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: 
     return max(1, round(count))
 
 
-def _own_duration(actor: Actor) -> float:
+def _duration(actor: Actor) -> float:
     """Time of the last keyframe, else the duration of the clip or the frames, seconds."""
     return actor.motion.duration if actor.motion is not None else actor.own_duration

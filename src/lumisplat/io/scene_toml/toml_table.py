@@ -300,8 +300,8 @@ class TomlTable:
         while where and where not in lines:
             where = where[:-1]
         label = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in self._where).lstrip(".")
-        place = f"line {lines[where]}{label and ', ' + label}: " if where else ""
-        return FormatError(self.path, place + problem)
+        location = f"line {lines[where]}{label and ', ' + label}: " if where else ""
+        return FormatError(self.path, location + problem)
 
     def failed(self, error: LumisplatError) -> FormatError:
         """The error of an object made from this table, at the line of the first key that its message names."""
@@ -419,7 +419,7 @@ _KINDS: dict[str, Kind] = {
     "text": TEXT,
     "choice": TEXT,
 }
-_OTHERS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
+_FIELD_KINDS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
 """Kinds of values by that of a field; other fields are images, given by file names."""
 
 DEGREES = "_degrees"
@@ -433,7 +433,7 @@ def key_of(field: Setting | Field[Any]) -> str:
 
 def schema(kind: type) -> dict[str, Kind]:
     """The keys of a scene dataclass in a scene file, with their kinds."""
-    return {key_of(one): _KINDS.get(one.kind, _OTHERS.get(one.name, TEXT)) for one in settings_of(kind)}
+    return {key_of(one): _KINDS.get(one.kind, _FIELD_KINDS.get(one.name, TEXT)) for one in settings_of(kind)}
 
 
 def required_keys(kind: type) -> list[str]:

@@ -118,7 +118,7 @@ _GS_IR = MaterialColumns(
 )
 
 
-def says_linear(comments: tuple[str, ...]) -> bool:
+def has_linear_comment(comments: tuple[str, ...]) -> bool:
     """Whether header comments say that the materials are ours."""
     return any(map(_LINEAR.fullmatch, comments))
 
@@ -133,7 +133,7 @@ def material_columns_of(names: tuple[str, ...], comments: tuple[str, ...]) -> Ma
     Returns:
         One of the four above; `LINEAR` also if nobody is recognised.
     """
-    if says_linear(comments):
+    if has_linear_comment(comments):
         return LINEAR
     if {"base_color_0", "incidents_dc_0"} <= set(names):
         return _R3DG_FIRST if "metallic" in names else R3DG
@@ -182,9 +182,9 @@ class SplatColumns:
     def property_names(self, field: str) -> Sequence[str]:
         """PLY properties of a field, one for each of its columns."""
         if field == "sh":
-            return harmonic_names("f", self.sh.shape[1])
+            return sh_names("f", self.sh.shape[1])
         if field == "incident":
-            return harmonic_names("incidents", 0 if self.incident is None else self.incident.shape[1])
+            return sh_names("incidents", 0 if self.incident is None else self.incident.shape[1])
         return PROPERTY_NAMES.get(field) or self.material_columns.properties[field]
 
 
@@ -194,7 +194,7 @@ PROPERTY_NAMES = {
     "log_scales": ("scale_0", "scale_1", "scale_2"),
     "opacities": ("opacity",),
 }
-"""PLY properties of each field that all captures have, in order; those of SH are `harmonic_names`."""
+"""PLY properties of each field that all captures have, in order; those of SH are `sh_names`."""
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
@@ -215,7 +215,7 @@ _PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
 
 
-def harmonic_names(prefix: str, coefficients: int) -> list[str]:
+def sh_names(prefix: str, coefficients: int) -> list[str]:
     """PLY properties of SH in the order of ``sh.reshape(N, -1)``; the rest is channel-major in files, unlike ``sh``.
 
     Args:
@@ -385,18 +385,18 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
         values: Floats | None = getattr(columns, attribute)
         if values is None:
             continue
-        what = "NaN or infinite values"
+        problem = "NaN or infinite values"
         valid = np.isfinite(values)
         if attribute == "log_scales":
             valid = np.isfinite(scales)  # the exponential may overflow; that of -inf is the least scale
         elif attribute == "opacities" and columns.opacities_are_logits:
-            what, valid = "NaN values", ~np.isnan(values)  # infinite logits are of opacities 0 and 1
+            problem, valid = "NaN values", ~np.isnan(values)  # infinite logits are of opacities 0 and 1
         if not valid.all():
             names = columns.property_names(attribute)
             bad = ~valid.reshape(columns.count, -1)
             invalid |= bad.any(axis=1)
             counts = np.count_nonzero(bad, axis=0)
-            problems += [f"{n:,} {what} in {name}" for n, name in zip(counts, names, strict=True) if n]
+            problems += [f"{n:,} {problem} in {name}" for n, name in zip(counts, names, strict=True) if n]
     for name, values in (("rotations", columns.rotations_wxyz), ("normals", columns.normals)):
         if values is not None and not (is_set := values.any(axis=1)).all():
             invalid |= ~is_set

@@ -23,8 +23,8 @@ from lumisplat.io.ply import PlyHeader, PlyRows, ply_header_bytes, read_ply_elem
 from lumisplat.io.splats.columns import (
     Floats,
     SplatColumns,
-    harmonic_names,
     pack_smallest_three,
+    sh_names,
     unpack_smallest_three,
     warn_lost_materials,
 )
@@ -142,7 +142,7 @@ def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
         raise FormatError(header.path, f"has {element.count:,} sh rows of {rest} values for {len(dc):,} Gaussians")
     sh = np.empty((len(dc), 1 + rest // 3, 3), dtype=np.float32)
     sh[:, 0] = dc
-    names = harmonic_names("f", sh.shape[1])[3:]
+    names = sh_names("f", sh.shape[1])[3:]
     _require(header, "sh", "u1", names)
     values = (np.arange(256, dtype=np.float32) - 127.5) / 32.0
     values[[0, 255]] = (-4.0, 4.0)

@@ -159,14 +159,14 @@ def _read_section(file: _File, start: int, head: _Section) -> tuple[SplatColumns
 
 def _row(level: int, degree: int) -> np.dtype[np.void]:
     """How a Gaussian is stored."""
-    number, position, harmonic = (("<f4", "<f4", "<f4"), ("<f2", "<u2", "<f2"), ("<f2", "<u2", "u1"))[level]
+    number, position, sh = (("<f4", "<f4", "<f4"), ("<f2", "<u2", "<f2"), ("<f2", "<u2", "u1"))[level]
     return np.dtype(
         [
             ("mean", position, 3),
             ("scale", number, 3),
             ("wxyz", number, 4),
             ("rgba", "u1", 4),
-            ("sh", harmonic, (_COMPONENTS[degree],)),
+            ("sh", sh, (_COMPONENTS[degree],)),
         ]
     )
 

@@ -32,10 +32,10 @@ from lumisplat.io.splats.columns import (
     Floats,
     SplatColumns,
     columns_from_gaussians,
-    harmonic_names,
+    has_linear_comment,
     material_columns_of,
     recognise_activated,
-    says_linear,
+    sh_names,
     stored_activated,
 )
 from lumisplat.io.splats.orientation import (
@@ -143,8 +143,8 @@ def read_splat_ply(
     recognise_activated(header.path, columns, scale_columns(vertex))
     _flatten_2d(columns, vertex)
     _about_origin(header.path, columns)
-    _tell_incomplete_materials(header, vertex, columns)
-    _leave_out_unknown_materials(header, vertex, columns)
+    _warn_incomplete_materials(header, vertex, columns)
+    _drop_unknown_materials(header, vertex, columns)
     return columns
 
 
@@ -243,7 +243,7 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
     if degree > SH_DEGREE_MAX:
         raise FormatError(path, f"has SH degree {degree}, at most {SH_DEGREE_MAX} is supported")
     coefficients = (degree + 1) ** 2
-    required = [name for field in _REQUIRED for name in PROPERTY_NAMES[field]] + harmonic_names("f", coefficients)
+    required = [name for field in _REQUIRED for name in PROPERTY_NAMES[field]] + sh_names("f", coefficients)
     missing = [name for name in required if name not in vertex.names and _COLOR_OF_DC.get(name) not in vertex.names]
     if missing and missing != ["scale_2"]:
         raise FormatError(path, f"is not a complete Gaussian capture: no {', '.join(missing[:6])}")
@@ -262,7 +262,9 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
         names = materials.properties.get(field)
         return empty(*shape) if names and set(names) <= set(vertex.names) else None
 
-    light = [count for count in SH_DEGREE_FROM_COUNT if set(harmonic_names("incidents", count)) <= set(vertex.names)]
+    incident_counts = [
+        count for count in SH_DEGREE_FROM_COUNT if set(sh_names("incidents", count)) <= set(vertex.names)
+    ]
     wide = any(prop.name in PROPERTY_NAMES["means"] and prop.code == "f8" for prop in vertex.properties)
     return SplatColumns(
         means=np.empty((vertex.count, 3), np.float64) if wide else empty(3),
@@ -274,7 +276,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
         albedo=optional("albedo", 3),
         roughness=optional("roughness"),
         metallic=optional("metallic"),
-        incident=empty(max(light), 3) if incident and light else None,
+        incident=empty(max(incident_counts), 3) if incident and incident_counts else None,
         material_columns=materials,
         antialiased=antialiased_from_comments(header.comments),
         kernel_degree=kernel_degree_from_comments(header.comments),
@@ -293,7 +295,7 @@ def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
     return targets
 
 
-def _tell_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
+def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
     """Logs which materials are not read because a column of them is missing."""
     for field, names in columns.material_columns.properties.items():
         missing = [name for name in names if name not in vertex.names]
@@ -301,14 +303,14 @@ def _tell_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: S
             _log.warning("%s: %s left out: no %s", os.fspath(header.path), field, ", ".join(missing))
 
 
-def _leave_out_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
+def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
     """Removes materials whose meaning nobody knows, and logs why.
 
     Several trainers use our names for values before their activation. Without our comment, columns are ours if the file
     has no others than we write, and all values are in range.
     """
     fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
-    if columns.material_columns is not LINEAR or not fields or says_linear(header.comments):
+    if columns.material_columns is not LINEAR or not fields or has_linear_comment(header.comments):
         return
     ours = {name for name, _ in _column_views(replace(columns, incident=None))} | {"nx", "ny", "nz"}
     foreign = [name for name in vertex.names if name not in ours]
@@ -342,20 +344,22 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
     values = dict(_column_views(columns))
     comments = _comments_as_stored(gaussians, columns)
     materials = [name for field in FIELDS[1:] for name in LINEAR.properties[field] if name in values]
-    if materials and not says_linear(comments):
+    if materials and not has_linear_comment(comments):
         comments += (LINEAR_COMMENT,)
-    light = [] if columns.incident is None else _harmonics_in_order("incidents", columns.incident.shape[1])
-    _write_columns(path, comments, [*_inria_names(columns.sh.shape[1]), *materials, *light], values, columns.count)
+    incident_names = [] if columns.incident is None else _sh_names_in_file_order("incidents", columns.incident.shape[1])
+    _write_columns(
+        path, comments, [*_inria_names(columns.sh.shape[1]), *materials, *incident_names], values, columns.count
+    )
 
 
 def _inria_names(coefficients: int) -> list[str]:
     """The properties of INRIA's files, in their order."""
-    names = ["x", "y", "z", "nx", "ny", "nz", *_harmonics_in_order("f", coefficients), "opacity"]
+    names = ["x", "y", "z", "nx", "ny", "nz", *_sh_names_in_file_order("f", coefficients), "opacity"]
     return [*names, *PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
 
 
-def _harmonics_in_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
-    """The names of `harmonic_names` in the order of files."""
+def _sh_names_in_file_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
+    """The names of `sh_names` in the order of files."""
     rest = [f"{prefix}_rest_{i}" for i in range(channels * (coefficients - 1))]
     return [*(f"{prefix}_dc_{channel}" for channel in range(channels)), *rest]
 
@@ -393,24 +397,29 @@ def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
             f"R3DG's columns hold albedo, roughness and normals, and the capture has no {' and no '.join(missing)}: "
             "lumisplat delight, or lumisplat train --relightable, finds them",
         )
-    light = gaussians.incident
-    whole = replace(
+    incident = gaussians.incident
+    padded = replace(
         gaussians,
         sh=_padded(gaussians.sh),
-        incident=np.zeros((gaussians.count, _COEFFICIENTS, 3), np.float32) if light is None else _padded(light),
+        incident=np.zeros((gaussians.count, _COEFFICIENTS, 3), np.float32) if incident is None else _padded(incident),
     )
-    columns = columns_from_gaussians(whole)
+    columns = columns_from_gaussians(padded)
     columns.material_columns = R3DG
     for name in R3DG.sigmoids:
         values = getattr(columns, name)
-        _say_if_outside(path, name, values)
+        _warn_if_outside(path, name, values)
         setattr(columns, name, R3DG.stored(name, values))
     if columns.metallic is not None and columns.metallic.any():
         _log.warning("%s: R3DG's columns cannot store metallic: left out, metals become dielectrics", os.fspath(path))
     columns.metallic = None
     names = [*_inria_names(_COEFFICIENTS), *R3DG.properties["albedo"], *R3DG.properties["roughness"]]
-    names += [*_harmonics_in_order("incidents", _COEFFICIENTS), *_harmonics_in_order("visibility", _COEFFICIENTS, 1)]
-    comments = tuple(comment for comment in _comments_as_stored(gaussians, columns) if not says_linear((comment,)))
+    names += [
+        *_sh_names_in_file_order("incidents", _COEFFICIENTS),
+        *_sh_names_in_file_order("visibility", _COEFFICIENTS, 1),
+    ]
+    comments = tuple(
+        comment for comment in _comments_as_stored(gaussians, columns) if not has_linear_comment((comment,))
+    )
     _write_columns(path, comments, names, dict(_column_views(columns)), columns.count)
 
 
@@ -419,7 +428,7 @@ def _padded(sh: Floats) -> Floats:
     return np.pad(sh, ((0, 0), (0, _COEFFICIENTS - sh.shape[1]), (0, 0)))
 
 
-def _say_if_outside(path: PathLike, name: str, values: Floats) -> None:
+def _warn_if_outside(path: PathLike, name: str, values: Floats) -> None:
     """Logs how many values their columns cannot hold."""
     low, high = R3DG.limits(name)
     beyond = np.maximum(low - values, values - high)

@@ -388,17 +388,17 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
 def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
     """Says of how many Gaussians a file keeps less than they have."""
     least, most = f"{math.exp(_LOG_SCALE_MIN):.2g}", f"{math.exp(_LOG_SCALE_MAX):.3g}"
-    kept = "clipped, save as .ply to keep them"
+    remedy = "clipped, save as .ply to keep them"
     clamped = (
         (columns.log_scales < _LOG_SCALE_MIN, f"are thinner than {least}, where SPZ ends: widened"),
         (columns.log_scales > _LOG_SCALE_MAX, f"are wider than {most}, where SPZ ends: narrowed"),
-        (np.abs(columns.sh[:, :1]) > _DC_MAX, f"have a colour too bright or too dark for SPZ: {kept}"),
-        (np.abs(columns.sh[:, 1:]) > 1.0, f"have SH coefficients beyond -1..1, where SPZ ends: {kept}"),
+        (np.abs(columns.sh[:, :1]) > _DC_MAX, f"have a colour too bright or too dark for SPZ: {remedy}"),
+        (np.abs(columns.sh[:, 1:]) > 1.0, f"have SH coefficients beyond -1..1, where SPZ ends: {remedy}"),
     )
-    for beyond, what in clamped:
+    for beyond, problem in clamped:
         count = np.count_nonzero(beyond.reshape(columns.count, -1).any(axis=1))
         if count:
-            _log.warning("%s: %s Gaussians %s", os.fspath(path), count, what)
+            _log.warning("%s: %s Gaussians %s", os.fspath(path), count, problem)
 
 
 def position_bits(path: PathLike, largest: float) -> int:

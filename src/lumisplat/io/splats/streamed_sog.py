@@ -23,7 +23,7 @@ from lumisplat.io.files.source import STREAMED_SOG, PathLike, parsing, read_byte
 from lumisplat.io.splats.columns import REQUIRED, SplatColumns, joined_columns, warn_losses
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
 from lumisplat.io.splats.sog import (
-    OURS,
+    LUMISPLAT_KEY,
     coarse_steps,
     read_sog,
     remove_file,
@@ -43,10 +43,10 @@ SOG_CHUNK_COUNT = 512 * 1024
 SOG_CHUNK_EXTENT = 16.0
 """Largest extent of a leaf, scene units, again splat-transform's: viewers choose the level of a leaf as a whole."""
 
-SOG_LEAF_LEAST = 8192
+SOG_LEAF_MIN = 8192
 """Gaussians of a leaf that is not divided any more, however large: scenes need not be in metres."""
 
-SOG_LEVEL_LEAST = 20_000
+SOG_LEVEL_MIN = 20_000
 """Gaussians that the coarsest level has at least, of a capture that has as many: they are loaded in an instant."""
 
 _log = logging.getLogger("lumisplat")
@@ -103,7 +103,9 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
         if any(part.opacities_are_logits != parts[0].opacities_are_logits for part in parts):
             raise FormatError(path, "names captures of SOG version 1 and of version 2, expected one version")
         joined = joined_columns(parts)
-        return replace(joined, orientation=orientation_of(path, meta[OURS])) if OURS in meta else joined
+        return (
+            replace(joined, orientation=orientation_of(path, meta[LUMISPLAT_KEY])) if LUMISPLAT_KEY in meta else joined
+        )
 
 
 def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -171,7 +173,7 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
 
 
 @dataclass(slots=True)
-class _Unit:
+class _OpenCapture:
     """A capture that is being filled with rows of leaves."""
 
     name: str
@@ -179,12 +181,12 @@ class _Unit:
     count: int = 0
 
 
-class _Units:
+class _OpenCaptures:
     """The captures of all levels, written when they are full; ``written`` receives the files."""
 
     def __init__(self, folder: Path, levels: int, written: list[Path]) -> None:
         self._folder, self._written = folder, written
-        self._open = [_Unit(f"{level}_0") for level in range(levels)]
+        self._open = [_OpenCapture(f"{level}_0") for level in range(levels)]
         self._number = [0] * levels
         self.names: list[str] = []
         """As leaves refer to them."""
@@ -195,40 +197,40 @@ class _Units:
 
     def add(self, level: int, part: Gaussians) -> dict[str, int]:
         """Rows for a level of a leaf; where they are, as the tree says it."""
-        unit = self._open[level]
-        name = f"{unit.name}/meta.json"
-        if not unit.parts:
+        capture = self._open[level]
+        name = f"{capture.name}/meta.json"
+        if not capture.parts:
             self.names.append(name)
-        place = {"file": self.names.index(name), "offset": unit.count, "count": part.count}
-        unit.parts.append(part)
-        unit.count += part.count
+        location = {"file": self.names.index(name), "offset": capture.count, "count": part.count}
+        capture.parts.append(part)
+        capture.count += part.count
         self.counts[level] += part.count
-        if unit.count >= SOG_CHUNK_COUNT:
+        if capture.count >= SOG_CHUNK_COUNT:
             self._write(level)
-        return place
+        return location
 
     def close(self) -> None:
         """Writes those that are not full."""
-        for level, unit in enumerate(self._open):
-            if unit.parts:
+        for level, capture in enumerate(self._open):
+            if capture.parts:
                 self._write(level)
 
     def _write(self, level: int) -> None:
-        unit = self._open[level]
-        meta = self._folder / unit.name / "meta.json"
-        capture = merge_gaussians(unit.parts)
+        capture = self._open[level]
+        meta = self._folder / capture.name / "meta.json"
+        merged = merge_gaussians(capture.parts)
         if level == 0:
-            steps = coarse_steps(capture)
+            steps = coarse_steps(merged)
             self.coarse = (self.coarse[0] + len(steps), max(self.coarse[1], float(steps.max(initial=0.0))))
-        write_folder(meta, sog_contents(capture), self._written)
+        write_folder(meta, sog_contents(merged), self._written)
         self._number[level] += 1
-        self._open[level] = _Unit(f"{level}_{self._number[level]}")
+        self._open[level] = _OpenCapture(f"{level}_{self._number[level]}")
 
 
 def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
     """Writes a streamed SOG into the folder of its ``lod-meta.json``, which goes first if it is there, and comes last.
 
-    Each level has half the Gaussians of the one before; the coarsest has some `SOG_LEVEL_LEAST`. Values are quantised
+    Each level has half the Gaussians of the one before; the coarsest has some `SOG_LEVEL_MIN`. Values are quantised
     as by `write_sog`.
 
     Raises:
@@ -243,44 +245,44 @@ def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
 
 def _write_all(path: Path, gaussians: Gaussians, written: list[Path]) -> None:
     levels = level_count(gaussians.count)
-    units = _Units(path.parent, levels, written)
-    tree = _node(units, gaussians, levels)
-    units.close()
-    warn_coarse_positions(path, *units.coarse)
+    captures = _OpenCaptures(path.parent, levels, written)
+    tree = _node(captures, gaussians, levels)
+    captures.close()
+    warn_coarse_positions(path, *captures.coarse)
     meta: dict[str, Any] = {
         "version": 1,
         "asset": {"generator": "Lumisplat"},
-        "count": sum(units.counts),
-        "counts": units.counts,
+        "count": sum(captures.counts),
+        "counts": captures.counts,
         "lodLevels": levels,
-        "filenames": units.names,
+        "filenames": captures.names,
         "tree": tree,
     }
     if stated := orientation_values(gaussians.up, gaussians.first_view):
-        meta[OURS] = stated
+        meta[LUMISPLAT_KEY] = stated
     with atomic_write(path) as temporary:
         temporary.write_text(json.dumps(meta, separators=(",", ":")))
 
 
 def level_count(count: int) -> int:
     """Levels of detail of so many Gaussians, the finest included."""
-    return 1 + max(0, int(math.log2(max(count, 1) / SOG_LEVEL_LEAST)))
+    return 1 + max(0, int(math.log2(max(count, 1) / SOG_LEVEL_MIN)))
 
 
-def _node(units: _Units, gaussians: Gaussians, levels: int) -> dict[str, Any]:
+def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[str, Any]:
     """A node of the tree, whose rows are added to the captures."""
     low, high = gaussians.bounds()
     axis = int((high - low).argmax())
-    most = SOG_LEAF_LEAST if high[axis] - low[axis] > SOG_CHUNK_EXTENT else SOG_CHUNK_COUNT
+    most = SOG_LEAF_MIN if high[axis] - low[axis] > SOG_CHUNK_EXTENT else SOG_CHUNK_COUNT
     if gaussians.count > most and high[axis] > low[axis]:
         below = _lower_half(gaussians.means[:, axis])
-        children = [_node(units, gaussians.subset(rows), levels) for rows in (below, ~below)]
+        children = [_node(captures, gaussians.subset(rows), levels) for rows in (below, ~below)]
         bounds = [np.array([child["bound"][end] for child in children]) for end in ("min", "max")]
         return {"bound": _bound(bounds[0].min(axis=0), bounds[1].max(axis=0)), "children": children}
     lods: dict[str, dict[str, int]] = {}
     corners: list[tuple[Doubles, Doubles]] = []
     for level, part in enumerate(_levels(gaussians, levels)):
-        lods[f"{level}"] = units.add(level, sort_morton(part))
+        lods[f"{level}"] = captures.add(level, sort_morton(part))
         corners.append(_extent(part))
     lows, highs = zip(*corners, strict=True)
     return {"bound": _bound(np.min(lows, axis=0), np.max(highs, axis=0)), "lods": lods}

@@ -39,12 +39,12 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 _MASK_ENDINGS = (".mask", "_mask", "-mask")
 """Ends of names, before the extension, that say that a file is a mask."""
 
-_SHOWN = 3
+_NAMES_LISTED = 3
 """How many names a message lists."""
 
 
 @dataclass(frozen=True, slots=True)
-class Listed:
+class ListedImage:
     """A photograph that a file lists, and that is there."""
 
     camera: Camera
@@ -55,7 +55,7 @@ class Listed:
     """The ``file_path`` of its frame, in its shortest spelling."""
 
 
-def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[Listed]:
+def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedImage]:
     """Lists the images of a ``transforms.json``; those that are missing are left out, and a log line names them.
 
     Args:
@@ -70,7 +70,7 @@ def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[Listed]
         frames = content.get("frames") if is_object(content) else None
         if not is_object(content) or not is_list(frames) or not frames:
             raise FormatError(path, "lists no photographs: expected 'frames', each with file_path and transform_matrix")
-        found: list[Listed] = []
+        found: list[ListedImage] = []
         missing: list[str] = []
         masks = Masks(path.parent)
         for index, entry in enumerate(frames):
@@ -84,7 +84,7 @@ def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[Listed]
             camera = decode_frame(path, index, entry, partial(transforms_camera, path, content, None))
             assert image is not None
             mask = _listed_mask(path, values.get("mask_path")) or masks.of(image)
-            found.append(Listed(camera, image, mask, _shortest_name(name)))
+            found.append(ListedImage(camera, image, mask, _shortest_name(name)))
         if may_lack_all and not found:
             return []
         _report_missing(path, missing, len(frames), f"{path.parent} or its images")
@@ -97,7 +97,7 @@ def _shortest_name(name: str) -> str:
     return str(PurePosixPath(name.replace("\\", "/")))
 
 
-def colmap_images(model: Path, folder: Path) -> list[Listed]:
+def colmap_images(model: Path, folder: Path) -> list[ListedImage]:
     """The photographs of a sparse model; those that are missing are left out, and a log line names them.
 
     Args:
@@ -108,7 +108,7 @@ def colmap_images(model: Path, folder: Path) -> list[Listed]:
         FormatError: The model is damaged, or no image is there.
     """
     images = folder / "images" if (folder / "images").is_dir() else folder
-    found: list[Listed] = []
+    found: list[ListedImage] = []
     missing: list[str] = []
     masks = Masks(folder)
     listed = read_colmap_images(model)
@@ -116,7 +116,7 @@ def colmap_images(model: Path, folder: Path) -> list[Listed]:
         with parsing(model, "a sparse model of COLMAP"):
             image = referenced_file(images / "images", name)
         if os.path.isfile(image):
-            found.append(Listed(camera, image, masks.of(image)))
+            found.append(ListedImage(camera, image, masks.of(image)))
         else:
             missing.append(name)
     _report_missing(model, missing, len(listed), str(images))
@@ -124,7 +124,7 @@ def colmap_images(model: Path, folder: Path) -> list[Listed]:
     return found
 
 
-def report_without_pose(file: Path, folder: Path, listed: Sequence[Listed]) -> None:
+def report_without_pose(file: Path, folder: Path, listed: Sequence[ListedImage]) -> None:
     """Logs how many images lie beside those of a file without being listed in it, so that they have no pose.
 
     Args:
@@ -133,13 +133,17 @@ def report_without_pose(file: Path, folder: Path, listed: Sequence[Listed]) -> N
         listed: What the file lists.
     """
     images = folder / "images"
-    there = _files_below(images) if images.is_dir() else [path for path in folder.iterdir() if path.is_file()]
-    known = {os.path.abspath(one.image) for one in listed}
-    pictures = [path for path in there if path.suffix.lower() in IMAGE_SUFFIXES and not _is_mask_name(path)]
-    lost = sorted(path.name for path in pictures if os.path.abspath(path) not in known)
-    if lost and len(lost) < len(pictures):
+    files = _files_below(images) if images.is_dir() else [path for path in folder.iterdir() if path.is_file()]
+    listed_paths = {os.path.abspath(one.image) for one in listed}
+    candidates = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES and not _is_mask_name(path)]
+    without_pose = sorted(path.name for path in candidates if os.path.abspath(path) not in listed_paths)
+    if without_pose and len(without_pose) < len(candidates):
         _log.warning(
-            "%s: %d of %d images have no pose (%s): left out", file, len(lost), len(pictures), some_names(lost)
+            "%s: %d of %d images have no pose (%s): left out",
+            file,
+            len(without_pose),
+            len(candidates),
+            some_names(without_pose),
         )
 
 
@@ -167,10 +171,12 @@ class Masks:
     def __init__(self, folder: Path) -> None:
         self._images = folder / "images"
         places = (folder / name for name in ("masks", "mask"))
-        self._place = next((place for place in places if place.is_dir()), None)
-        files = [] if self._place is None else _files_below(self._place)
+        self._folder = next((place for place in places if place.is_dir()), None)
+        files = [] if self._folder is None else _files_below(self._folder)
         self._files = sorted(path for path in files if path.suffix.lower() in IMAGE_SUFFIXES)
-        self._by_key = {_mask_key(path.relative_to(self._place)): path for path in reversed(self._files) if self._place}
+        self._by_key = {
+            _mask_key(path.relative_to(self._folder)): path for path in reversed(self._files) if self._folder
+        }
 
     def of(self, image: Path) -> Path | None:
         """Returns the mask of an image; None: it has none."""
@@ -181,20 +187,20 @@ class Masks:
         beside = image.with_name(f"{image.name}.mask.png")
         return beside if beside.is_file() else None
 
-    def report(self, listed: Sequence[Listed]) -> None:
+    def report(self, listed: Sequence[ListedImage]) -> None:
         """Logs a line if a folder of masks has none for any of the images, or for some of them only."""
         masked = sum(one.mask is not None for one in listed)
         if not self._files or masked == len(listed):
             return
         if masked:
             _log.warning(
-                "%s has masks of %d of %d images: the others count as a whole", self._place, masked, len(listed)
+                "%s has masks of %d of %d images: the others count as a whole", self._folder, masked, len(listed)
             )
             return
         names, image = some_names([path.name for path in self._files]), listed[0].image
         _log.warning(
             "%s is ignored: none of its %d files (%s) is named after an image, expected such as %s.png or %s.mask.png",
-            self._place,
+            self._folder,
             len(self._files),
             names,
             image.stem,
@@ -234,8 +240,8 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) 
 def some_names(names: Sequence[str]) -> str:
     """The first few names, for a message."""
     # Names of files may be bytes that are no text: such a line could not be printed.
-    shown = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_SHOWN])
-    return ", ".join(shown) + (", ..." if len(names) > _SHOWN else "")
+    shown = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_NAMES_LISTED])
+    return ", ".join(shown) + (", ..." if len(names) > _NAMES_LISTED else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +262,9 @@ class Splits:
         training, test, validation = (_names(path, content, f"{part}_filenames") for part in ("train", "test", "val"))
         return cls(training, validation if test is None else test)
 
-    def divide(self, path: Path, listed: list[Listed], *, holds_out: bool) -> tuple[list[Listed], list[Listed] | None]:
+    def divide(
+        self, path: Path, listed: list[ListedImage], *, holds_out: bool
+    ) -> tuple[list[ListedImage], list[ListedImage] | None]:
         """Frames to learn from, and to measure with; None: the file does not say which.
 
         Args:
@@ -270,14 +278,14 @@ class Splits:
         if self.training is None and self.held_out is None:
             return listed, None
         held_out = self.held_out or frozenset()
-        learnt = [one for one in listed if (one.name in self.training if self.training else one.name not in held_out)]
-        if not learnt:
+        training = [one for one in listed if (one.name in self.training if self.training else one.name not in held_out)]
+        if not training:
             raise FormatError(path, "has none of the frames that its train_filenames name")
         if self.held_out is None:
-            rest = [one for one in listed if one not in learnt]
+            rest = [one for one in listed if one not in training]
         else:
-            rest = [one for one in listed if one.name in held_out and one not in learnt]
-        return learnt, rest if holds_out else []
+            rest = [one for one in listed if one.name in held_out and one not in training]
+        return training, rest if holds_out else []
 
 
 def nerfstudio_points(path: Path) -> tuple[Doubles, FloatArray] | None:

@@ -26,7 +26,7 @@ from lumisplat.io.cameras.common import unique_names
 from lumisplat.io.files.source import PathLike, references_outside
 from lumisplat.io.images.texture import check_undamaged, image_size, read_texture
 from lumisplat.io.training_images.listing import (
-    Listed,
+    ListedImage,
     Splits,
     colmap_images,
     nerfstudio_points,
@@ -47,11 +47,11 @@ on small machines."""
 HOLD_OUT = 8
 """One photograph of so many is not trained with, as Mip-NeRF 360 and those after it do."""
 
-SAME_PLACE = 1e-3
+SAME_POSITION = 1e-3
 """Distance of two cameras, as a share of the extent of all, up to which they stand in one place: between them, hardly
 anything moves in the picture."""
 
-SAME_TURN = 1e-3
+SAME_ROTATION = 1e-3
 """Angle between two cameras, radians, up to which they are turned alike: a pixel or two."""
 
 _log = logging.getLogger("lumisplat")
@@ -74,25 +74,25 @@ def camera_target(cameras: Sequence[Camera]) -> Doubles:
 
 def count_positions(cameras: Sequence[Camera]) -> int:
     """From how many places cameras see, those that are as good as the same counted once."""
-    return len(_different(cameras, turned=False))
+    return len(_distinct(cameras, with_rotation=False))
 
 
 def count_poses(cameras: Sequence[Camera]) -> int:
     """How many poses cameras have, those that are as good as the same counted once."""
-    return len(_different(cameras, turned=True))
+    return len(_distinct(cameras, with_rotation=True))
 
 
-def _different(cameras: Sequence[Camera], *, turned: bool) -> list[int]:
+def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
     """Numbers of cameras that are in another place than all of these before them, or if ``turned`` otherwise turned."""
     eyes = np.stack([camera.eye for camera in cameras])
-    turns = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
-    near = SAME_PLACE * max(camera_extent(cameras), COINCIDENT_EXTENT / SAME_PLACE * float(np.abs(eyes).max()))
+    rotations = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
+    near = SAME_POSITION * max(camera_extent(cameras), COINCIDENT_EXTENT / SAME_POSITION * float(np.abs(eyes).max()))
     found: list[int] = []
-    for number, (eye, turn) in enumerate(zip(eyes, turns, strict=True)):
+    for number, (eye, rotation) in enumerate(zip(eyes, rotations, strict=True)):
         same = np.linalg.norm(eyes[found] - eye, axis=1) <= near
-        if turned:
+        if with_rotation:
             # The Frobenius norm of the difference of two rotations is 2 sqrt(2) times the sine of half their angle.
-            same &= np.linalg.norm(turns[found] - turn, axis=(1, 2)) <= np.sqrt(2.0) * SAME_TURN
+            same &= np.linalg.norm(rotations[found] - rotation, axis=(1, 2)) <= np.sqrt(2.0) * SAME_ROTATION
         if not same.any():
             found.append(number)
     return found
@@ -113,22 +113,22 @@ class TrainingImage:
     """The image."""
     background: Color | None
     """Display-referred sRGB, 0..1, behind the transparent pixels; None: they stay premultiplied, as over black."""
-    _source: Source = field(repr=False)
+    _source: ImageSource = field(repr=False)
     _cache: _PixelCache = field(repr=False)
 
     def pixels(self) -> FloatArray:
         """Display-referred sRGB, 0..1, over the background, shape (H, W, 3)."""
-        kept = self._kept()
-        color = _share(kept.color)
-        if kept.alpha is None or self.background is None:
+        decoded = self._decoded()
+        color = _unit_range(decoded.color)
+        if decoded.alpha is None or self.background is None:
             return color
-        behind = (1.0 - _share(kept.alpha))[..., None] * np.array(self.background)
+        behind = (1.0 - _unit_range(decoded.alpha))[..., None] * np.array(self.background)
         return (color + behind).astype(np.float32)
 
     def alpha(self) -> FloatArray | None:
         """How much of each pixel shows something, 0..1, shape (H, W); None: the image has no transparency."""
-        alpha = self._kept().alpha
-        return None if alpha is None else _share(alpha)
+        alpha = self._decoded().alpha
+        return None if alpha is None else _unit_range(alpha)
 
     def mask(self) -> FloatArray | None:
         """How much of each pixel counts, 0..1, shape (H, W); None: all of it.
@@ -136,23 +136,23 @@ class TrainingImage:
         It is 0 where the mask of the photograph is black, and where its lens does not show what the pinhole sees; of
         lenses that stay as they are, where there is no ray.
         """
-        mask = self._kept().mask
-        return None if mask is None else _share(mask)
+        mask = self._decoded().mask
+        return None if mask is None else _unit_range(mask)
 
     @property
     def fingerprint(self) -> str:
         """What tells it from others without decoding it: its camera and lens, and the bytes of its image and mask."""
-        told = hashlib.sha256(f"{self.name} {self.background}".encode())
+        digest = hashlib.sha256(f"{self.name} {self.background}".encode())
         try:
             for file in (self.path, self._source.mask):
-                told.update(b"none" if file is None else hashlib.sha256(file.read_bytes()).digest())
+                digest.update(b"none" if file is None else hashlib.sha256(file.read_bytes()).digest())
         except OSError as error:
             raise FormatError(error.filename or self.path, f"cannot be read: {error.strerror or error}") from None
-        told.update(_told(self.camera))
-        told.update(_told(self._source.camera))
-        return told.hexdigest()
+        digest.update(_camera_bytes(self.camera))
+        digest.update(_camera_bytes(self._source.camera))
+        return digest.hexdigest()
 
-    def _kept(self) -> Pixels:
+    def _decoded(self) -> Pixels:
         return self._cache.get(self.path, partial(decode, self._source))
 
 
@@ -197,41 +197,41 @@ class TrainingImages:
         Raises:
             FormatError: A file is no longer there.
         """
-        told = hashlib.sha256("".join(photograph.fingerprint for photograph in self.training).encode())
+        digest = hashlib.sha256("".join(image.fingerprint for image in self.training).encode())
         for array in (self.points, self.point_colors):
-            told.update(b"none" if array is None else array.tobytes())
-        return told.hexdigest()
+            digest.update(b"none" if array is None else array.tobytes())
+        return digest.hexdigest()
 
 
-def _told(camera: Camera) -> bytes:
+def _camera_bytes(camera: Camera) -> bytes:
     """All that a camera is."""
     values = (getattr(camera, one.name) for one in fields(camera))
     return b" ".join(value.tobytes() if isinstance(value, np.ndarray) else str(value).encode() for value in values)
 
 
-def _share(plane: Plane) -> FloatArray:
+def _unit_range(plane: Plane) -> FloatArray:
     return np.divide(plane, 255.0, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)
-class _Found:
+class _FolderContents:
     """What a folder holds."""
 
     file: Path
     """The one that lists the photographs."""
-    photographs: list[Listed]
-    held_out: list[Listed] | None = None
+    images: list[ListedImage]
+    held_out: list[ListedImage] | None = None
     """Photographs that have a file of their own; None: there is none."""
     points: tuple[Doubles, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class _Wanted:
+class _ImageSettings:
     """How photographs are to be."""
 
     scale: float
     background: Color | None
-    straight: bool
+    straighten: bool
 
 
 def load_training_images(
@@ -289,17 +289,17 @@ def load_training_images(
     color = display_color("background", background)
     with references_outside(allow_outside):
         found = _find(Path(folder), hold_out > 0)
-    if len(found.photographs) < 2:
+    if len(found.images) < 2:
         raise FormatError(
             found.file, "has a single photograph, expected two or more: depth shows between photographs only"
         )
-    set_of = partial(_views, found.file, _Wanted(scale, color, straighten), _PixelCache(cache_bytes))
-    views = set_of(found.photographs)
+    views_of = partial(_views, found.file, _ImageSettings(scale, color, straighten), _PixelCache(cache_bytes))
+    views = views_of(found.images)
     if found.held_out is None:
         held = [view for index, view in enumerate(views) if hold_out and index % hold_out == 0]
         views = [view for view in views if view not in held]
     else:
-        held = set_of(found.held_out)
+        held = views_of(found.held_out)
     cameras = [view.camera for view in views]
     points, colors = found.points or (None, None)
     return TrainingImages(
@@ -313,7 +313,7 @@ def load_training_images(
     )
 
 
-def _find(folder: Path, with_held_out: bool) -> _Found:
+def _find(folder: Path, with_held_out: bool) -> _FolderContents:
     """What a folder holds, its files read."""
     if not folder.exists():
         raise MissingFileError(folder, "no such folder")
@@ -321,13 +321,13 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         raise FormatError(folder, f"is a file, expected the folder that holds {_EXPECTED}")
     train = folder / "transforms_train.json"
     if train.is_file():
-        return _Found(train, transforms_images(train), _held_out(folder) if with_held_out else None)
+        return _FolderContents(train, transforms_images(train), _held_out(folder) if with_held_out else None)
     if (folder / "transforms.json").is_file():
         file = folder / "transforms.json"
         listed = transforms_images(file)
         report_without_pose(file, folder, listed)
-        learnt, held_out = Splits.of(file).divide(file, listed, holds_out=with_held_out)
-        return _Found(file, learnt, held_out, nerfstudio_points(file))
+        training, held_out = Splits.of(file).divide(file, listed, holds_out=with_held_out)
+        return _FolderContents(file, training, held_out, nerfstudio_points(file))
     model = find_model(folder)
     if model is None:
         raise FormatError(
@@ -337,10 +337,10 @@ def _find(folder: Path, with_held_out: bool) -> _Found:
         )
     listed = colmap_images(model, folder)
     report_without_pose(model, folder, listed)
-    return _Found(model, listed, points=read_colmap_points(model))
+    return _FolderContents(model, listed, points=read_colmap_points(model))
 
 
-def _held_out(folder: Path) -> list[Listed] | None:
+def _held_out(folder: Path) -> list[ListedImage] | None:
     """Returns the images of ``transforms_test.json``, else of ``transforms_val.json``; None: there are none.
 
     Some exporters write a test file and leave its images to be rendered: a log line says what is held out then.
@@ -378,54 +378,58 @@ def find_model(folder: Path) -> Path | None:
     return next((path for path in (*models, sparse, folder) if is_colmap(path)), None)
 
 
-def _views(file: Path, wanted: _Wanted, cache: _PixelCache, listed: Sequence[Listed]) -> list[TrainingImage]:
+def _views(
+    file: Path, settings: _ImageSettings, cache: _PixelCache, listed: Sequence[ListedImage]
+) -> list[TrainingImage]:
     """The photographs of a file, in the order of their names, smaller by a factor."""
-    for photograph in listed:
-        _check(file, photograph)
-    ordered = sorted(listed, key=lambda photograph: photograph.image)
-    cameras = unique_names([photograph.camera for photograph in ordered])
-    bent = sum(is_bent(camera) for camera in cameras)
-    if bent and wanted.straight:
-        _log.warning("%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, bent)
+    for entry in listed:
+        _check(file, entry)
+    ordered = sorted(listed, key=lambda entry: entry.image)
+    cameras = unique_names([entry.camera for entry in ordered])
+    curvilinear = sum(is_curvilinear(camera) for camera in cameras)
+    if curvilinear and settings.straighten:
+        _log.warning(
+            "%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, curvilinear
+        )
     views: list[TrainingImage] = []
-    for camera, photograph in zip(cameras, ordered, strict=True):
-        lens = _smaller(camera, wanted.scale)
-        source = Source(lens, photograph.image, photograph.mask, straightens=wanted.straight)
-        seen = pinhole_of(lens) if wanted.straight else lens
-        views.append(TrainingImage(camera.name, seen, photograph.image, wanted.background, source, cache))
+    for camera, entry in zip(cameras, ordered, strict=True):
+        lens = _scaled(camera, settings.scale)
+        source = ImageSource(lens, entry.image, entry.mask, straightens=settings.straighten)
+        shown = pinhole_of(lens) if settings.straighten else lens
+        views.append(TrainingImage(camera.name, shown, entry.image, settings.background, source, cache))
     return views
 
 
-def _check(file: Path, photograph: Listed) -> None:
+def _check(file: Path, entry: ListedImage) -> None:
     """Refuses a photograph that is not what its camera says."""
-    camera, size = photograph.camera, image_size(photograph.image)
+    camera, size = entry.camera, image_size(entry.image)
     if camera.model is CameraModel.ORTHOGRAPHIC:
         raise FormatError(file, f"{camera.name} is of an orthographic camera, expected a pinhole or a fisheye")
     if size != (camera.width, camera.height):
         raise FormatError(
-            photograph.image,
+            entry.image,
             f"has {size[0]} x {size[1]} pixels, its camera in {file} {camera.width} x {camera.height}: expected the "
             "photographs that the cameras were made for (scale makes them smaller)",
         )
-    check_undamaged(photograph.image)
-    if photograph.mask is None:
+    check_undamaged(entry.image)
+    if entry.mask is None:
         return
-    if (mask_size := image_size(photograph.mask)) != size:
+    if (mask_size := image_size(entry.mask)) != size:
         raise FormatError(
-            photograph.mask,
-            f"has {mask_size[0]} x {mask_size[1]} pixels, expected the {size[0]} x {size[1]} of {photograph.image}",
+            entry.mask,
+            f"has {mask_size[0]} x {mask_size[1]} pixels, expected the {size[0]} x {size[1]} of {entry.image}",
         )
-    _read_mask(photograph.mask)
+    _read_mask(entry.mask)
 
 
-def _smaller(camera: Camera, scale: float) -> Camera:
+def _scaled(camera: Camera, scale: float) -> Camera:
     """The camera at a share of its size, in whole pixels."""
     return camera.scaled(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
 
 
 Plane = npt.NDArray[np.uint8]
 
-_SHARE_MIN = 1e-3
+_COVERAGE_MIN = 1e-3
 """Share of a pixel that counts, below which it is rounding."""
 
 
@@ -473,7 +477,7 @@ class _PixelCache:
         return pixels
 
 
-def is_bent(camera: Camera) -> bool:
+def is_curvilinear(camera: Camera) -> bool:
     """Whether straight lines are not straight in the pictures of a camera."""
     return camera.is_distorted or camera.model is CameraModel.FISHEYE
 
@@ -495,12 +499,12 @@ def lens_points(camera: Camera) -> tuple[Doubles, Flags]:
     """
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     center, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
-    seen = (np.stack([x, y], axis=-1) - center) / focal
+    directions = (np.stack([x, y], axis=-1) - center) / focal
     if camera.model is CameraModel.FISHEYE:
-        tangent = np.linalg.norm(seen, axis=-1, keepdims=True)
-        seen = seen * np.divide(np.arctan(tangent), tangent, out=np.ones_like(tangent), where=tangent > 0.0)
-    reached = np.linalg.norm(seen, axis=-1) <= distortion_reach(camera.distortion)
-    points = distort(np.where(reached[..., None], seen, 0.0), camera.distortion) * focal + center
+        tangent = np.linalg.norm(directions, axis=-1, keepdims=True)
+        directions = directions * np.divide(np.arctan(tangent), tangent, out=np.ones_like(tangent), where=tangent > 0.0)
+    reached = np.linalg.norm(directions, axis=-1) <= distortion_reach(camera.distortion)
+    points = distort(np.where(reached[..., None], directions, 0.0), camera.distortion) * focal + center
     inside = ((points >= 0.0) & (points <= (camera.width, camera.height))).all(axis=-1)
     return points, reached & inside
 
@@ -516,12 +520,12 @@ def _straightened(plane: Plane, points: Doubles, covered: Flags) -> Plane:
     Returns:
         Shape (H, W, C).
     """
-    seen = cubic_samples(plane.astype(np.float32), np.where(covered[..., None], points, 0.5))
-    return np.where(covered[..., None], seen + 0.5, 0.0).astype(np.uint8)
+    resampled = cubic_samples(plane.astype(np.float32), np.where(covered[..., None], points, 0.5))
+    return np.where(covered[..., None], resampled + 0.5, 0.0).astype(np.uint8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Source:
+class ImageSource:
     """What a photograph is made of."""
 
     camera: Camera
@@ -532,7 +536,7 @@ class Source:
     """Whether a lens that distorts, or a fisheye, is made a pinhole."""
 
 
-def decode(source: Source) -> Pixels:
+def decode(source: ImageSource) -> Pixels:
     """The pixels of a photograph.
 
     Means over areas are those of display-referred values, as captures blend in them.
@@ -550,15 +554,17 @@ def decode(source: Source) -> Pixels:
     if source.mask is not None:
         planes["mask"] = _read_mask(source.mask)
     lens = source.camera
-    smaller = {name: _reduced(plane, lens.width, lens.height) for name, plane in planes.items()}
+    smaller = {name: _area_reduced(plane, lens.width, lens.height) for name, plane in planes.items()}
     planes = (
-        _counted(planes, smaller) if "mask" in planes and planes["color"].shape != smaller["color"].shape else smaller
+        _masked_means(planes, smaller)
+        if "mask" in planes and planes["color"].shape != smaller["color"].shape
+        else smaller
     )
-    if is_bent(lens) and not source.straightens:
+    if is_curvilinear(lens) and not source.straightens:
         has_ray = lens.ray_directions().any(axis=2, keepdims=True)
         if not has_ray.all():
             planes["mask"] = np.where(has_ray, planes.get("mask", 255), 0).astype(np.uint8)
-    elif is_bent(lens):
+    elif is_curvilinear(lens):
         points, covered = lens_points(lens)
         if not covered.all():
             planes.setdefault("mask", np.full((lens.height, lens.width, 1), 255, np.uint8))
@@ -582,7 +588,7 @@ def _read_mask(path: Path) -> Plane:
     return 255 * counts.astype(np.uint8)
 
 
-def _counted(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, Plane]:
+def _masked_means(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, Plane]:
     """Smaller planes that are means over what counts of their areas: what does not is not mixed in.
 
     Args:
@@ -591,15 +597,15 @@ def _counted(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, P
     """
     height, width = smaller["mask"].shape[:2]
     counts = planes["mask"] > 0
-    share = area_mean(counts, width, height)
+    coverage = area_mean(counts, width, height)
     made = dict(smaller)
     for name in smaller.keys() - {"mask"}:
-        mean = area_mean(planes[name] * counts, width, height) / np.maximum(share, _SHARE_MIN)
-        made[name] = np.where(share > _SHARE_MIN, mean + 0.5, smaller[name]).astype(np.uint8)
+        mean = area_mean(planes[name] * counts, width, height) / np.maximum(coverage, _COVERAGE_MIN)
+        made[name] = np.where(coverage > _COVERAGE_MIN, mean + 0.5, smaller[name]).astype(np.uint8)
     return made
 
 
-def _reduced(plane: Plane, width: int, height: int) -> Plane:
+def _area_reduced(plane: Plane, width: int, height: int) -> Plane:
     """The mean over the area of each pixel; by whole factors as Pillow reduces, which is the same and fast."""
     from PIL import Image
 

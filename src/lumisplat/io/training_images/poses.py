@@ -49,32 +49,32 @@ NEXT_FRAMES = 10
 ALL_PAIRS_UP_TO = 40
 """So many photographs in any order are all compared with each other."""
 
-MOST_ALIKE = 5
+SIMILAR_IMAGES = 5
 """With how many photographs that look like it each one is compared, beside its neighbours in a film."""
 
-ALIKE_FEATURES = 128
+SIMILARITY_FEATURES = 128
 """Largest features of a photograph, by which those that look like it are found."""
 
-ALIKE_MATCHES = 4
+SIMILARITY_MATCHES_MIN = 4
 """Fewer of these in common are chance (Wu 2013, section 4)."""
 
-ALIKE_RATIO = 0.8
+LOWE_RATIO = 0.8
 """Features match if their angle is below this share of that to the next best one (Lowe 2004, section 7.1)."""
 
-SMALLEST_PIECE = 3
+MODEL_IMAGES_MIN = 3
 """Photographs of a model, at least: with two, nothing tells a right pose from a wrong one."""
 
-FEW_POINTS = 50
+POINTS_PER_IMAGE_MIN = 50
 """Points that a photograph shows, in the mean, below which poses are likely to be wrong: COLMAP asks for 30."""
 
-LARGE_ERROR = 1.5
+REPROJECTION_ERROR_MAX = 1.5
 """Mean distance of points from where their photographs show them, in pixels of `COMPARED_PIXELS`, above which poses are
 likely to be wrong: 0.4 to 1 is usual, and COLMAP leaves out what is beyond 4."""
 
-LOST_SHARE = 0.25
+WITHOUT_POSE_MAX = 0.25
 """Share of photographs without a pose above which a film wants to be taken anew."""
 
-USUAL_VIEW_DEGREES = 15.0, 130.0
+USUAL_FOV_DEGREES = 15.0, 130.0
 """Angles of view along the longer side that lenses of telephones and cameras have."""
 
 _log = logging.getLogger("lumisplat")
@@ -84,9 +84,9 @@ Pairs = list[tuple[int, int]]
 
 _BATCH = 4
 """Photographs whose features are found between two reports of progress."""
-_PAIRS = 32
+_PAIR_BATCH = 32
 """Pairs that are compared between two reports."""
-_WATCHED_S = 0.2
+_INTERRUPT_POLL_S = 0.2
 """How often is looked for Ctrl C, seconds."""
 
 _WORK = "poses.unfinished"
@@ -103,42 +103,42 @@ def compared_pairs(
 
     Args:
         count: How many photographs there are.
-        descriptors: Gives the largest features of each, as of `most_alike`, where they are needed.
+        descriptors: Gives the largest features of each, as of `similar_pairs`, where they are needed.
         ordered: The photographs are frames of a film, in their order.
         report: Called with the fraction done, 0..1.
     """
     if count <= (NEXT_FRAMES if ordered else ALL_PAIRS_UP_TO):
         return [(i, j) for i in range(count) for j in range(i + 1, count)]
-    near = NEXT_FRAMES if ordered else 0
-    pairs = {(i, i + step) for step in range(1, near + 1) for i in range(count - step)}
-    return sorted(pairs.union(most_alike(descriptors(), near, report)))
+    neighbors = NEXT_FRAMES if ordered else 0
+    pairs = {(i, i + step) for step in range(1, neighbors + 1) for i in range(count - step)}
+    return sorted(pairs.union(similar_pairs(descriptors(), neighbors, report)))
 
 
-def most_alike(descriptors: Sequence[FloatArray], near: int, report: Callable[[float], None]) -> Pairs:
-    """For each photograph the `MOST_ALIKE` others that share most of their largest features with it.
+def similar_pairs(descriptors: Sequence[FloatArray], neighbors: int, report: Callable[[float], None]) -> Pairs:
+    """For each photograph the `SIMILAR_IMAGES` others that share most of their largest features with it.
 
     Large features are few, and are found again from elsewhere: pairs whose largest ones do not match seldom match at
     all (Wu 2013, "Towards Linear-Time Incremental Structure from Motion", section 4, preemptive matching).
 
     Args:
-        descriptors: Of the largest features of each photograph, of length 1, shape (at most `ALIKE_FEATURES`, D).
-        near: Photographs whose indices differ by no more are left out.
+        descriptors: Of the largest features of each photograph, of length 1, shape (at most `SIMILARITY_FEATURES`, D).
+        neighbors: Photographs whose indices differ by no more are left out.
         report: Called with the fraction done, 0..1.
     """
     count = len(descriptors)
     shared = np.zeros((count, count), np.int64)
     for i in range(count):
         report(1.0 - (1.0 - i / count) ** 2)
-        for j in range(i + near + 1, count):
-            shared[i, j] = shared[j, i] = _shared(descriptors[i], descriptors[j])
+        for j in range(i + neighbors + 1, count):
+            shared[i, j] = shared[j, i] = _matching_features(descriptors[i], descriptors[j])
     pairs: set[tuple[int, int]] = set()
     for i in range(count):
-        best = np.argsort(-shared[i], kind="stable")[:MOST_ALIKE]
-        pairs.update((min(i, int(j)), max(i, int(j))) for j in best if shared[i, j] >= ALIKE_MATCHES)
+        best = np.argsort(-shared[i], kind="stable")[:SIMILAR_IMAGES]
+        pairs.update((min(i, int(j)), max(i, int(j))) for j in best if shared[i, j] >= SIMILARITY_MATCHES_MIN)
     return sorted(pairs)
 
 
-def _shared(a: FloatArray, b: FloatArray) -> int:
+def _matching_features(a: FloatArray, b: FloatArray) -> int:
     """How many features of two photographs are each other's nearest, and much nearer than the second one."""
     if min(len(a), len(b)) < 2:
         return 0
@@ -149,11 +149,11 @@ def _shared(a: FloatArray, b: FloatArray) -> int:
     mutual = cosines.argmax(axis=0)[nearest] == rows
     cosines[rows, nearest] = -1.0
     second = np.arccos(np.minimum(cosines.max(axis=1), 1.0))
-    return int(np.count_nonzero(mutual & (angle < ALIKE_RATIO * second)))
+    return int(np.count_nonzero(mutual & (angle < LOWE_RATIO * second)))
 
 
 def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) -> FloatArray:
-    """The descriptors of the largest features of a photograph, of length 1, shape (at most `ALIKE_FEATURES`, D).
+    """The descriptors of the largest features of a photograph, of length 1, shape (at most `SIMILARITY_FEATURES`, D).
 
     Args:
         keypoints: As COLMAP has them: x, y and an affine shape, shape (N, 6), of which the determinant is the squared
@@ -164,12 +164,12 @@ def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) 
         size = np.abs(keypoints[:, 2] * keypoints[:, 5] - keypoints[:, 3] * keypoints[:, 4])
     else:
         size = keypoints[:, 2]
-    chosen = descriptors[np.argsort(-size, kind="stable")[:ALIKE_FEATURES]].astype(np.float32)
+    chosen = descriptors[np.argsort(-size, kind="stable")[:SIMILARITY_FEATURES]].astype(np.float32)
     return chosen / np.maximum(np.linalg.norm(chosen, axis=1, keepdims=True), 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class ColmapRun:
     """Poses of photographs in the making; each step reads what the ones before have written."""
 
     pycolmap: Any
@@ -202,7 +202,7 @@ class Mapping:
         }
         listed = self.work / "photographs.json"
         if listed.is_file() and self._database.is_file() and listed.read_text() == json.dumps(known):
-            _log.warning("%s: goes on from %s", self.work, self.found())
+            _log.warning("%s: goes on from %s", self.work, self.summary())
             return
         shutil.rmtree(self.work, ignore_errors=True)
         (self.work / "images").mkdir(parents=True)
@@ -210,7 +210,7 @@ class Mapping:
             (self.work / "images" / link).symlink_to((self.images / name).resolve())
         listed.write_text(json.dumps(known))
 
-    def found(self) -> str:
+    def summary(self) -> str:
         """What is in the folder, in words."""
         if not self._database.is_file():
             return "nothing yet"
@@ -249,9 +249,11 @@ class Mapping:
         )
         self.report("choosing pairs", 1.0)
         listed = self.work / "pairs.txt"
-        for start in range(0, len(pairs), _PAIRS):
+        for start in range(0, len(pairs), _PAIR_BATCH):
             self.report("comparing photographs", start / len(pairs))
-            listed.write_text("".join(f"{self._links[i]} {self._links[j]}\n" for i, j in pairs[start : start + _PAIRS]))
+            listed.write_text(
+                "".join(f"{self._links[i]} {self._links[j]}\n" for i, j in pairs[start : start + _PAIR_BATCH])
+            )
             options = self.pycolmap.ImportedPairingOptions(match_list_path=listed)
             self._call(self.pycolmap.match_image_pairs, self._database, pairing_options=options)
         self.report("comparing photographs", 1.0)
@@ -265,28 +267,28 @@ class Mapping:
                 for link in self._links
             ]
 
-    def place(self) -> list[Any]:
+    def estimate_poses(self) -> list[Any]:
         """Finds poses: models of COLMAP that do not join, the one of most photographs first; there may be none."""
-        finished, placed = 0, 0
+        finished, with_pose = 0, 0
 
         def first_pair() -> None:
-            nonlocal finished, placed
-            finished, placed = finished + placed * (placed >= SMALLEST_PIECE), 2
-            tell()
+            nonlocal finished, with_pose
+            finished, with_pose = finished + with_pose * (with_pose >= MODEL_IMAGES_MIN), 2
+            report_step()
 
         def next_image() -> None:
-            nonlocal placed
-            placed += 1
-            tell()
+            nonlocal with_pose
+            with_pose += 1
+            report_step()
 
-        def tell() -> None:
-            done = min(finished + placed, len(self.names))
+        def report_step() -> None:
+            done = min(finished + with_pose, len(self.names))
             step = "all placed, adjusting" if done == len(self.names) else f"{done} of {len(self.names)} placed"
             self.report(f"finding poses, {step}", min(done / len(self.names), 0.99))
 
         self.report("finding poses", 0.0)
-        options = self.pycolmap.IncrementalPipelineOptions(random_seed=0, min_model_size=SMALLEST_PIECE)
-        found: dict[int, Any] = self._call(
+        options = self.pycolmap.IncrementalPipelineOptions(random_seed=0, min_model_size=MODEL_IMAGES_MIN)
+        models: dict[int, Any] = self._call(
             self.pycolmap.incremental_mapping,
             self._database,
             self.work / "images",
@@ -297,17 +299,17 @@ class Mapping:
         )
         self.report("finding poses", 1.0)
         name_of = dict(zip(self._links, self.names, strict=True))
-        for model in found.values():
+        for model in models.values():
             for image in model.images.values():
                 image.name = name_of[image.name]
-        return sorted(found.values(), key=lambda model: -model.num_reg_images())
+        return sorted(models.values(), key=lambda model: -model.num_reg_images())
 
-    def why_none(self) -> str:
+    def failure_reason(self) -> str:
         """What photographs without poses lack."""
         with self.pycolmap.Database.open(self._database) as database:
             features = database.num_keypoints() / len(self.names)
             pairs = sum(shared > 0 for shared in database.read_two_view_geometry_num_inliers()[1])
-        if features < FEW_POINTS:
+        if features < POINTS_PER_IMAGE_MIN:
             return f"they show too little texture, {features:.0f} features each: more light, or something patterned"
         if pairs < len(self.names) - 1:
             return f"only {pairs} pairs show the same things: neighbours must overlap by two thirds, and be sharp"
@@ -320,7 +322,7 @@ class Mapping:
             running = pool.submit(step, *args, cancellation_token=token, **options)
             try:
                 while not running.done():
-                    wait([running], timeout=_WATCHED_S)
+                    wait([running], timeout=_INTERRUPT_POLL_S)
             except KeyboardInterrupt:
                 token.cancel()
                 raise
@@ -333,16 +335,16 @@ class PoseReport:
 
     names: Sequence[str]
     """Of all photographs."""
-    placed: Sequence[str]
+    with_pose: Sequence[str]
     """Of those that have a pose."""
-    pieces: Sequence[int]
+    model_sizes: Sequence[int]
     """Photographs of the model that is taken, and those that only another one has, if they are more than a pair."""
     points: int
-    shown: float
+    points_per_image: float
     """Points that a photograph shows, in the mean."""
     error: float
     """Mean distance of points from where photographs show them, pixels of the size that was compared."""
-    view_degrees: float
+    fov_degrees: float
     """Angle of view along the longer side, the one that is least usual."""
 
     @classmethod
@@ -350,7 +352,7 @@ class PoseReport:
         """The figures of models of COLMAP, of which the first is taken."""
         best = models[0]
         names_of = [{model.image(index).name for index in model.reg_image_ids()} for model in models]
-        others = [len(found - names_of[0]) for found in names_of[1:]]
+        others = [len(other - names_of[0]) for other in names_of[1:]]
         cameras = best.cameras.values()
         views = [
             2.0 * math.degrees(math.atan2(0.5 * max(camera.width, camera.height), camera.mean_focal_length()))
@@ -359,47 +361,50 @@ class PoseReport:
         shrink = min(COMPARED_PIXELS / max(max(camera.width, camera.height) for camera in cameras), 1.0)
         return cls(
             names=names,
-            placed=sorted(names_of[0]),
-            pieces=[len(names_of[0]), *(count for count in others if count >= SMALLEST_PIECE)],
+            with_pose=sorted(names_of[0]),
+            model_sizes=[len(names_of[0]), *(count for count in others if count >= MODEL_IMAGES_MIN)],
             points=best.num_points3D(),
-            shown=best.compute_mean_observations_per_reg_image(),
+            points_per_image=best.compute_mean_observations_per_reg_image(),
             error=best.compute_mean_reprojection_error() * shrink,
-            view_degrees=max(views, key=lambda view: abs(view - sum(USUAL_VIEW_DEGREES) / 2.0)),
+            fov_degrees=max(views, key=lambda view: abs(view - sum(USUAL_FOV_DEGREES) / 2.0)),
         )
 
     def remarks(self) -> list[str]:
         """What a user has to know, a line each; none: all is well."""
-        low, high = USUAL_VIEW_DEGREES
-        found: list[str] = []
-        if len(self.pieces) > 1:
-            *others, last = map(str, self.pieces)
-            found.append(
-                f"poses came out in {len(self.pieces)} pieces that do not join, of {', '.join(others)} and {last} "
+        low, high = USUAL_FOV_DEGREES
+        remarks: list[str] = []
+        if len(self.model_sizes) > 1:
+            *others, last = map(str, self.model_sizes)
+            remarks.append(
+                f"poses came out in {len(self.model_sizes)} pieces that do not join, of {', '.join(others)} and {last} "
                 "photographs: the largest is taken"
             )
-        if len(self.placed) < len(self.names):
-            found.append(self._lost())
-        if self.shown < FEW_POINTS:
-            found.append(
-                f"a photograph shows {self.shown:.0f} of {self.points:,} points, expected {FEW_POINTS} or more: "
-                "poses are likely wrong; the background must have texture, too"
+        if len(self.with_pose) < len(self.names):
+            remarks.append(self._without_pose_text())
+        if self.points_per_image < POINTS_PER_IMAGE_MIN:
+            remarks.append(
+                f"a photograph shows {self.points_per_image:.0f} of {self.points:,} points, "
+                f"expected {POINTS_PER_IMAGE_MIN} or more: poses are likely wrong; "
+                "the background must have texture, too"
             )
-        if self.error > LARGE_ERROR:
-            found.append(
-                f"points are {self.error:.1f} pixels off in the mean, expected below {LARGE_ERROR:g}: poses are likely "
-                "wrong; nothing may move, blur or be zoomed"
+        if self.error > REPROJECTION_ERROR_MAX:
+            remarks.append(
+                f"points are {self.error:.1f} pixels off in the mean, expected below {REPROJECTION_ERROR_MAX:g}: "
+                "poses are likely wrong; nothing may move, blur or be zoomed"
             )
-        if not low <= self.view_degrees <= high:
-            found.append(
-                f"the lens came out with a view of {self.view_degrees:.0f} degrees, expected {low:.0f} to {high:.0f}: "
+        if not low <= self.fov_degrees <= high:
+            remarks.append(
+                f"the lens came out with a view of {self.fov_degrees:.0f} degrees, expected {low:.0f} to {high:.0f}: "
                 "poses are likely wrong; walk around things, rather than turn on the spot"
             )
-        return found
+        return remarks
 
-    def _lost(self) -> str:
-        lost = sorted({*self.names} - {*self.placed})
-        line = f"no pose was found for {len(lost)} of {len(self.names)} photographs ({some_names(lost)})"
-        if len(lost) > LOST_SHARE * len(self.names):
+    def _without_pose_text(self) -> str:
+        without_pose = sorted({*self.names} - {*self.with_pose})
+        line = (
+            f"no pose was found for {len(without_pose)} of {len(self.names)} photographs ({some_names(without_pose)})"
+        )
+        if len(without_pose) > WITHOUT_POSE_MAX * len(self.names):
             line += ": walk slower, without blur, past more texture, or take more frames (frames --every)"
         return line
 
@@ -429,7 +434,7 @@ def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | 
         MissingExtraError: pycolmap is not installed.
     """
     folder = Path(folder)
-    names = _photographs(folder)
+    names = _image_names(folder)
     if (folder / "sparse").exists():
         raise FormatError(
             folder / "sparse", "is there already: load_training_images reads it; remove it to find poses anew"
@@ -438,57 +443,57 @@ def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | 
         pycolmap: Any = import_module("pycolmap")
     except ImportError:
         raise MissingExtraError("find_poses", "poses") from None
-    mapping = Mapping(pycolmap, _images(folder), names, folder / _WORK, progress or (lambda _, share: None))
-    with _quiet(pycolmap, mapping, folder):
-        mapping.prepare()
-        mapping.extract()
-        mapping.match(ordered)
-        models = mapping.place()
+    run = ColmapRun(pycolmap, _image_folder(folder), names, folder / _WORK, progress or (lambda _, share: None))
+    with _colmap_errors(pycolmap, run, folder):
+        run.prepare()
+        run.extract()
+        run.match(ordered)
+        models = run.estimate_poses()
         if not models:
-            raise FormatError(folder, f"no poses were found for its {len(names)} photographs: {mapping.why_none()}")
-        model = mapping.work / "model"
+            raise FormatError(folder, f"no poses were found for its {len(names)} photographs: {run.failure_reason()}")
+        model = run.work / "model"
         model.mkdir(exist_ok=True)
         models[0].write(model)
         (folder / "sparse").mkdir()
         os.replace(model, folder / "sparse" / "0")
-        shutil.rmtree(mapping.work)
+        shutil.rmtree(run.work)
     for remark in PoseReport.of(names, models).remarks():
         _log.warning("%s: %s", folder, remark)
     return folder / "sparse" / "0"
 
 
-def _images(folder: Path) -> Path:
+def _image_folder(folder: Path) -> Path:
     return folder / "images" if (folder / "images").is_dir() else folder
 
 
-def _photographs(folder: Path) -> Sequence[str]:
+def _image_names(folder: Path) -> Sequence[str]:
     """The names of the photographs of a folder, in order."""
     if not folder.is_dir():
         raise MissingFileError(folder, "no such folder")
-    images = _images(folder)
+    images = _image_folder(folder)
     names = sorted(path.name for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
     if len(names) < 2:
-        found = "one photograph" if names else "no photographs"
-        raise FormatError(images, f"has {found}, expected two or more ({', '.join(IMAGE_SUFFIXES)})")
+        count = "one photograph" if names else "no photographs"
+        raise FormatError(images, f"has {count}, expected two or more ({', '.join(IMAGE_SUFFIXES)})")
     return names
 
 
 @contextmanager
-def _quiet(pycolmap: Any, mapping: Mapping, folder: Path) -> Generator[None]:
+def _colmap_errors(pycolmap: Any, run: ColmapRun, folder: Path) -> Generator[None]:
     """COLMAP's own lines stay off the terminal, and its errors become ours, after which nothing is left."""
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = 3
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"{mapping.work} holds {mapping.found()}; the same command continues") from None
+        raise KeyboardInterrupt(f"{run.work} holds {run.summary()}; the same command continues") from None
     except FormatError:
-        shutil.rmtree(mapping.work, ignore_errors=True)
+        shutil.rmtree(run.work, ignore_errors=True)
         raise
     except OSError as error:
-        raise FormatError(mapping.work, f"cannot be written: {error.strerror or error}") from None
+        raise FormatError(run.work, f"cannot be written: {error.strerror or error}") from None
     except (RuntimeError, ValueError) as error:
-        shutil.rmtree(mapping.work, ignore_errors=True)
+        shutil.rmtree(run.work, ignore_errors=True)
         raise FormatError(folder, f"COLMAP cannot find poses: {' '.join(str(error).split())[:200]}") from error
     finally:
         pycolmap.logging.minloglevel = level

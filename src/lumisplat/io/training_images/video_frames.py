@@ -28,26 +28,26 @@ _COMPARED_SIZE = 480
 """Longer side of the pictures whose sharpness is compared, pixels: noise of single pixels is no detail."""
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
 """Transfer functions whose values are not display-referred sRGB (ITU-T H.273), and what they are called."""
-_TURNS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image.Transpose.ROTATE_270)
+_ROTATIONS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image.Transpose.ROTATE_270)
 """By quarters of a turn to the left."""
 
 _STILL_SIZE = 16
 """Longer side of the pictures by which is seen whether anything moves: noise is averaged away."""
-_STILL = 0.5
+_STILL_DIFFERENCE = 0.5
 """Mean difference of grey values, 0..255, below which two of them show the same from the same place."""
-_BLACK = 16
+_BLACK_LEVEL = 16
 """Grey values that show nothing, 0..255: as dark as the black of a film is, and its noise."""
 
 
 def extract_frames(
-    film: PathLike, folder: PathLike, *, every: float = 0.5, size: int = 1600, progress: Progress | None = None
+    video: PathLike, folder: PathLike, *, every: float = 0.5, size: int = 1600, progress: Progress | None = None
 ) -> list[Path]:
     """Takes photographs from a film: of each stretch of time its sharpest frame, upright.
 
     They are in ``images`` of the folder, as `find_poses` and COLMAP expect them, or none is.
 
     Args:
-        film: A video that FFmpeg reads: .mp4, .mov, .webm, ...
+        video: A file that FFmpeg reads: .mp4, .mov, .webm, ...
         folder: Is made if need be; there must be no ``images`` in it.
         every: Length of a stretch, seconds: neighbours should overlap by two thirds.
         size: Longer side of photographs, pixels; larger frames are made smaller.
@@ -63,11 +63,11 @@ def extract_frames(
         MissingExtraError: PyAV is not installed.
         MissingFileError: There is no such file.
     """
-    film, images = Path(film), Path(folder) / "images"
+    video, images = Path(video), Path(folder) / "images"
     check_positive("every", every)
     check_whole("size", size, 16, 2**15)
-    if not film.is_file():
-        raise MissingFileError(film, "no such file")
+    if not video.is_file():
+        raise MissingFileError(video, "no such file")
     if images.exists():
         raise FormatError(images, "is there already: remove it, or give another folder")
     try:
@@ -79,16 +79,16 @@ def extract_frames(
         with tempfile.TemporaryDirectory(prefix=".frames-", dir=images.parent) as temporary:
             made = Path(temporary) / "images"
             made.mkdir()
-            seen = _Seen()
+            check = _FrameCheck()
             names: list[str] = []
-            for picture in _sharpest(av, film, every, progress):
-                seen.add(picture)
-                names.append(_save(picture, made / f"{len(names) + 1:04}.jpg", size))
-            if problem := seen.problem():
-                raise FormatError(film, problem)
+            for image in _sharpest_frames(av, video, every, progress):
+                check.add(image)
+                names.append(_save(image, made / f"{len(names) + 1:04}.jpg", size))
+            if problem := check.problem():
+                raise FormatError(video, problem)
             os.replace(made, images)
     except av.error.FFmpegError as error:
-        raise FormatError(film, f"is no film that can be read: {error.strerror or error}") from None
+        raise FormatError(video, f"is no film that can be read: {error.strerror or error}") from None
     except OSError as error:
         raise FormatError(images, f"cannot be written: {error.strerror or error}") from None
     return [images / name for name in names]
@@ -99,40 +99,40 @@ class _Candidate:
     """The sharpest frame so far of a stretch."""
 
     sharpness: float
-    picture: Image.Image
+    image: Image.Image
 
 
-def _sharpest(av: Any, film: Path, every: float, progress: Progress | None) -> Generator[Image.Image]:
+def _sharpest_frames(av: Any, video: Path, every: float, progress: Progress | None) -> Generator[Image.Image]:
     """The sharpest frame of each stretch, upright; stretches without frames have none."""
-    with av.open(str(film)) as container:
+    with av.open(str(video)) as container:
         if not container.streams.video:
-            raise FormatError(film, "has no pictures")
+            raise FormatError(video, "has no pictures")
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         length = (container.duration or 0) / av.time_base
         best: _Candidate | None = None
-        stretch = 0
+        interval = 0
         for frame in container.decode(stream):
             if frame.is_corrupt:
                 continue
             time = frame.time or 0.0
             if best is None:
-                _say_if_hdr(film, frame)
-            elif int(time / every) > stretch:
-                yield best.picture
+                _warn_if_hdr(video, frame)
+            elif int(time / every) > interval:
+                yield best.image
                 best = None
-            stretch = int(time / every)
-            picture = _upright(frame)
-            found = sharpness(picture)
+            interval = int(time / every)
+            image = _upright(frame)
+            found = sharpness(image)
             if best is None or found > best.sharpness:
-                best = _Candidate(found, picture)
+                best = _Candidate(found, image)
             if progress is not None and length > 0.0:
                 progress("reading the film", min(time / length, 1.0))
         if best is not None:
-            yield best.picture
+            yield best.image
 
 
-class _Seen:
+class _FrameCheck:
     """What the photographs of a film show, small and grey."""
 
     def __init__(self) -> None:
@@ -141,9 +141,9 @@ class _Seen:
         self._brightest = 0.0
         self._moved = 0.0
 
-    def add(self, picture: Image.Image) -> None:
+    def add(self, image: Image.Image) -> None:
         """Looks at the next one."""
-        small = picture.convert("L")
+        small = image.convert("L")
         small.thumbnail((_STILL_SIZE, _STILL_SIZE), Image.Resampling.BOX)
         grey = np.asarray(small, np.float32)
         if self._first is None:
@@ -157,43 +157,43 @@ class _Seen:
         """Why no capture can be made of them."""
         if self._count == 0:
             return "has no frames"
-        if self._brightest <= _BLACK:
+        if self._brightest <= _BLACK_LEVEL:
             return "is black throughout: was the lens covered?"
-        if self._count > 1 and self._moved < _STILL:
+        if self._count > 1 and self._moved < _STILL_DIFFERENCE:
             return (
                 "shows the same throughout: expected a walk around a thing, as depth shows from different places only"
             )
         return None
 
 
-def sharpness(picture: Image.Image) -> float:
+def sharpness(image: Image.Image) -> float:
     """Variance of the Laplacian of its grey values (Pech-Pacheco et al. 2000), at a size of some hundred pixels."""
-    small = picture.convert("L")
+    small = image.convert("L")
     small.thumbnail((_COMPARED_SIZE, _COMPARED_SIZE), Image.Resampling.BOX)
     grey = np.asarray(small, np.float32)
-    middle = grey[1:-1, 1:-1]
-    laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4.0 * middle
+    center = grey[1:-1, 1:-1]
+    laplacian = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:] - 4.0 * center
     return float(laplacian.var()) if laplacian.size else 0.0
 
 
 def _upright(frame: Any) -> Image.Image:
     """A frame as it is meant to be seen: telephones store films on their side, and say so."""
-    picture = Image.fromarray(frame.to_ndarray(format="rgb24"))
-    turn = _TURNS[round(float(frame.rotation) / 90.0) % 4]
-    return picture if turn is None else picture.transpose(turn)
+    image = Image.fromarray(frame.to_ndarray(format="rgb24"))
+    rotation = _ROTATIONS[round(float(frame.rotation) / 90.0) % 4]
+    return image if rotation is None else image.transpose(rotation)
 
 
-def _say_if_hdr(film: Path, frame: Any) -> None:
+def _warn_if_hdr(video: Path, frame: Any) -> None:
     kind = _HDR_TRANSFERS.get(int(frame.color_trc))
     if kind is not None:
-        _log.warning("%s: is HDR (%s), and its photographs are pale: film with HDR switched off", film, kind)
+        _log.warning("%s: is HDR (%s), and its photographs are pale: film with HDR switched off", video, kind)
 
 
-def _save(picture: Image.Image, path: Path, size: int) -> str:
+def _save(image: Image.Image, path: Path, size: int) -> str:
     """Writes a photograph of at most such a size; its name."""
-    shrink = min(size / max(picture.size), 1.0)
+    shrink = min(size / max(image.size), 1.0)
     if shrink < 1.0:
-        width, height = (max(math.floor(side * shrink + 0.5), 1) for side in picture.size)
-        picture = picture.resize((width, height), Image.Resampling.LANCZOS)
-    picture.save(path, quality=_JPEG_QUALITY, subsampling=0)
+        width, height = (max(math.floor(side * shrink + 0.5), 1) for side in image.size)
+        image = image.resize((width, height), Image.Resampling.LANCZOS)
+    image.save(path, quality=_JPEG_QUALITY, subsampling=0)
     return path.name

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from lumisplat.config import Pipeline, RasterStrategy, RenderConfig, ToneMap
 from lumisplat.errors import ConfigError, SceneError, check_instance
 from lumisplat.frame.frame import Frame
-from lumisplat.io.images.radiance import LINEAR, read_picture, read_radiance
+from lumisplat.io.images.radiance import LINEAR, read_display_image, read_radiance
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
 from lumisplat.math.resampling import area_mean
 from lumisplat.math.tone_map import remove_tone_map
@@ -127,7 +127,7 @@ def _read(
     label = label if path is None else str(path)
     if path is not None:
         is_linear = path.suffix.lower() in LINEAR
-        values: npt.NDArray[Any] = read_radiance(path) if is_linear else read_picture(path)
+        values: npt.NDArray[Any] = read_radiance(path) if is_linear else read_display_image(path)
     else:
         is_linear, values = bool(linear), np.asarray(image)
     values = _checked(label, values)
@@ -191,7 +191,7 @@ def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
     Raises:
         SceneError: The mask has another size.
     """
-    values: npt.NDArray[Any] = np.asarray(mask) if _path_of(mask) is None else read_picture(mask)
+    values: npt.NDArray[Any] = np.asarray(mask) if _path_of(mask) is None else read_display_image(mask)
     if values.dtype == np.uint8:
         values = values / 255.0
     if values.ndim == 3:

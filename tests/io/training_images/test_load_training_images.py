@@ -15,14 +15,14 @@ from PIL import Image
 import lumisplat as ls
 from lumisplat.io.images.texture import read_texture, write_png
 from lumisplat.io.training_images.loading import camera_target
-from support.files.photograph_files import (
+from support.files.training_image_files import (
     change_frame,
-    photograph,
     point_colors,
+    render_image,
     ring_cameras,
-    write_blender_photographs,
-    write_colmap_photographs,
-    write_transforms_photographs,
+    write_blender_images,
+    write_colmap_images,
+    write_nerfstudio_images,
 )
 
 BYTE = 0.5 / 255.0 + 1e-6
@@ -41,38 +41,38 @@ def test_every_layout_gives_the_same_views(tmp_path, layout):
     lens: dict[str, Any] = {"fy": 45.0, "cx": 20.0, "cy": 15.0} if layout == "blender" else {}
     cameras = ring_cameras(**lens)
     if layout == "transforms":
-        write_transforms_photographs(tmp_path, cameras)
+        write_nerfstudio_images(tmp_path, cameras)
     elif layout == "blender":
-        write_blender_photographs(tmp_path, {"train": cameras}, alpha=None)
+        write_blender_images(tmp_path, {"train": cameras}, alpha=None)
     else:
         model = {"colmap sparse": "sparse", "colmap bare": "."}.get(layout, "sparse/0")
-        write_colmap_photographs(tmp_path, cameras, POINTS, text="text" in layout, model=model)
+        write_colmap_images(tmp_path, cameras, POINTS, text="text" in layout, model=model)
     found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert [view.name for view in found.training] == [camera.name for camera in cameras]
     assert not found.held_out
     for view, camera in zip(found.training, cameras, strict=True):
         assert same_view(view.camera, camera) and view.camera.name == view.name
         assert view.pixels().dtype == np.float32
-        np.testing.assert_allclose(view.pixels(), photograph(camera), atol=BYTE)
+        np.testing.assert_allclose(view.pixels(), render_image(camera), atol=BYTE)
         assert view.alpha() is None and view.mask() is None
 
 
 @pytest.mark.parametrize("text", [False, True])
 def test_points_of_colmap_are_where_to_begin(tmp_path, text):
     """Positions and colours, whatever the length of their tracks; other layouts have none."""
-    found = ls.io.load_training_images(write_colmap_photographs(tmp_path / "c", ring_cameras(), POINTS, text=text))
+    found = ls.io.load_training_images(write_colmap_images(tmp_path / "c", ring_cameras(), POINTS, text=text))
     assert found.points is not None and found.point_colors is not None
     np.testing.assert_allclose(found.points, POINTS, rtol=1e-6)
     np.testing.assert_allclose(found.point_colors, point_colors(7) / 255.0, atol=1e-6)
-    none = ls.io.load_training_images(write_colmap_photographs(tmp_path / "n", ring_cameras(), POINTS[:0], text=text))
+    none = ls.io.load_training_images(write_colmap_images(tmp_path / "n", ring_cameras(), POINTS[:0], text=text))
     assert none.points is None and none.point_colors is None
-    assert ls.io.load_training_images(write_transforms_photographs(tmp_path / "t", ring_cameras())).points is None
+    assert ls.io.load_training_images(write_nerfstudio_images(tmp_path / "t", ring_cameras())).points is None
 
 
 def test_every_eighth_by_name_is_held_out(tmp_path):
     """The first and each so many after it, in the order of names, not of the file; none for 0."""
     cameras = [replace(camera, name=f"v{k:02d}") for k, camera in enumerate(ring_cameras(18, 8, 6))]
-    write_transforms_photographs(tmp_path, cameras[::-1])
+    write_nerfstudio_images(tmp_path, cameras[::-1])
     names = [camera.name for camera in cameras]
     for step, held in ((8, names[::8]), (3, names[::3]), (0, []), (50, names[:1])):
         found = ls.io.load_training_images(tmp_path, hold_out=step)
@@ -84,7 +84,7 @@ def test_blender_says_itself_what_is_held_out(tmp_path):
     """transforms_test.json, else transforms_val.json, else every eighth; with hold_out=0, nothing is."""
     cameras = ring_cameras(6, 16, 12)
     parts = {"train": cameras[:3], "test": cameras[3:5], "val": cameras[4:]}
-    write_blender_photographs(tmp_path, parts)
+    write_blender_images(tmp_path, parts)
     found = ls.io.load_training_images(tmp_path)
     assert [view.name for view in found.training] == ["view_0", "view_1", "view_2"]
     assert [view.path.parent.name for view in found.held_out] == ["test", "test"]
@@ -98,10 +98,10 @@ def test_blender_says_itself_what_is_held_out(tmp_path):
 def test_transparent_pixels_lie_over_the_background(tmp_path):
     """Half of the picture and half of white; without a background, half of the picture, to be composited later."""
     camera = ring_cameras(3, 16, 12)
-    write_blender_photographs(tmp_path, {"train": camera}, alpha=102 / 255)
+    write_blender_images(tmp_path, {"train": camera}, alpha=102 / 255)
     for background, behind in ((None, 0.0), ("transparent", 0.0), ("white", 1.0), ((0.0, 0.5, 1.0), (0.0, 0.5, 1.0))):
         view = ls.io.load_training_images(tmp_path, background=background, hold_out=0).training[0]
-        expected = 0.4 * photograph(camera[0]) + 0.6 * np.array(behind)
+        expected = 0.4 * render_image(camera[0]) + 0.6 * np.array(behind)
         np.testing.assert_allclose(view.pixels(), expected, atol=2 * BYTE)
         alpha = view.alpha()
         assert alpha is not None
@@ -113,7 +113,7 @@ def test_smaller_photographs_are_means_over_areas(tmp_path, scale, size):
     """In display-referred values; cameras see the same at the new size."""
     cameras = ring_cameras(2)
     noise = [np.random.default_rng(k).uniform(size=(30, 40, 3)) for k in range(2)]
-    write_transforms_photographs(tmp_path, cameras, noise)
+    write_nerfstudio_images(tmp_path, cameras, noise)
     view = ls.io.load_training_images(tmp_path, scale=scale, hold_out=0).training[0]
     assert (view.camera.width, view.camera.height) == size
     assert same_view(view.camera, cameras[0].scaled(*size))
@@ -128,9 +128,9 @@ def test_what_is_black_in_a_mask_does_not_count(tmp_path, place):
     """Named by the file, or beside the photographs; any other value counts, as nerfstudio and COLMAP have it."""
     cameras = ring_cameras(3)
     if place == "colmap":
-        write_colmap_photographs(tmp_path, cameras, POINTS)
+        write_colmap_images(tmp_path, cameras, POINTS)
     else:
-        write_transforms_photographs(tmp_path, cameras)
+        write_nerfstudio_images(tmp_path, cameras)
     name = {"mask_path": "of/zero.png", "beside": "masks/view_0.png", "colmap": "masks/view_0.png.png"}[place]
     (tmp_path / name).parent.mkdir()
     grey = np.zeros((30, 40), np.uint8)
@@ -152,7 +152,7 @@ def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, sca
     """What a mask hides may have any colour; at its edge, pixels are means over what counts of their areas."""
     views = []
     for name, painted in (("a", 0), ("b", 255)):
-        write_transforms_photographs(tmp_path / name, ring_cameras(2))
+        write_nerfstudio_images(tmp_path / name, ring_cameras(2))
         image = next(iter(sorted((tmp_path / name).rglob("view_0.*"))))
         hidden = np.zeros((30, 40), np.uint8)
         hidden[:13, :17] = 255
@@ -171,7 +171,7 @@ def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, sca
 
 def test_the_scene_is_where_the_cameras_look(tmp_path):
     """1.1 times the radius of the ring of training cameras, and its middle."""
-    write_transforms_photographs(tmp_path, ring_cameras(6, 8, 6))
+    write_nerfstudio_images(tmp_path, ring_cameras(6, 8, 6))
     found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert found.extent == pytest.approx(3.3)
     np.testing.assert_allclose(found.target, (1.0, 2.0, 3.0), atol=1e-9)
@@ -184,11 +184,11 @@ def test_parallel_cameras_look_at_their_middle(tmp_path):
     pose = np.array(camera.camera_from_world)
     pose[0, 3] += 2.0
     moved[1] = replace(moved[1], camera_from_world=pose)
-    write_transforms_photographs(tmp_path / "a", moved)
+    write_nerfstudio_images(tmp_path / "a", moved)
     found = ls.io.load_training_images(tmp_path / "a", hold_out=0)
     np.testing.assert_allclose(found.target, 0.5 * (moved[0].eye + moved[1].eye), atol=1e-9)
     assert found.extent == pytest.approx(1.1)
-    write_transforms_photographs(tmp_path / "b", [moved[0], replace(moved[0], name="m2")])
+    write_nerfstudio_images(tmp_path / "b", [moved[0], replace(moved[0], name="m2")])
     still = ls.io.load_training_images(tmp_path / "b", hold_out=0)
     assert still.extent == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(still.target, moved[0].eye, atol=1e-9)
@@ -207,7 +207,7 @@ def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
     """Those used last are kept, and others decoded again, with the same pixels; with no memory, each time."""
     from lumisplat.io.training_images import loading as module
 
-    write_transforms_photographs(tmp_path, ring_cameras(5))
+    write_nerfstudio_images(tmp_path, ring_cameras(5))
     read: list[str] = []
     original = module.read_texture
     monkeypatch.setattr(module, "read_texture", lambda path: read.append(path.stem) or original(path))
@@ -234,8 +234,8 @@ def test_missing_photographs_are_left_out(tmp_path, caplog):
     """Those that are there are used; a line counts the others and names the first."""
     cameras = ring_cameras(8, 8, 6)
     for folder in (
-        write_transforms_photographs(tmp_path / "t", cameras),
-        write_colmap_photographs(tmp_path / "c", cameras, POINTS),
+        write_nerfstudio_images(tmp_path / "t", cameras),
+        write_colmap_images(tmp_path / "c", cameras, POINTS),
     ):
         for k in (1, 3, 4, 6):
             (folder / "images" / f"view_{k}.png").unlink()
@@ -250,8 +250,8 @@ def test_undistortion_is_said_once(tmp_path, caplog):
     """One line for all photographs, and none without a lens."""
     lens: dict[str, Any] = {"distortion": (0.05, -0.02, 0.0, 0.0, 0.001, 0.0)}
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
-        ls.io.load_training_images(write_transforms_photographs(tmp_path / "bent", ring_cameras(4, **lens)))
-        ls.io.load_training_images(write_transforms_photographs(tmp_path / "straight", ring_cameras(4)))
+        ls.io.load_training_images(write_nerfstudio_images(tmp_path / "bent", ring_cameras(4, **lens)))
+        ls.io.load_training_images(write_nerfstudio_images(tmp_path / "straight", ring_cameras(4)))
     (line,) = (record.getMessage() for record in caplog.records)
     assert line.endswith(
         "/bent/transforms.json: 4 photographs of distorting lenses are straightened: resampled as of pinholes"
@@ -261,10 +261,10 @@ def test_undistortion_is_said_once(tmp_path, caplog):
 def test_photographs_in_folders_have_names_of_their_own(tmp_path):
     """Equal names in several folders get numbers."""
     cameras = ring_cameras(2, 8, 6)
-    write_transforms_photographs(tmp_path, cameras)
+    write_nerfstudio_images(tmp_path, cameras)
     for side in ("left", "right"):
         (tmp_path / "images" / side).mkdir()
-        write_png(tmp_path / "images" / side / "a.png", photograph(cameras[0]))
+        write_png(tmp_path / "images" / side / "a.png", render_image(cameras[0]))
     for index, side in enumerate(("right", "left")):
         change_frame(tmp_path / "transforms.json", index, file_path=f"images/{side}/a.png")
     views = ls.io.load_training_images(tmp_path, hold_out=0).training
@@ -273,8 +273,8 @@ def test_photographs_in_folders_have_names_of_their_own(tmp_path):
 
 def test_files_may_name_photographs_outside_if_trusted(tmp_path):
     """As other files may, with allow_outside."""
-    folder = write_transforms_photographs(tmp_path / "inner", ring_cameras(2, 8, 6))
-    write_png(tmp_path / "outer.png", photograph(ring_cameras(2, 8, 6)[0]))
+    folder = write_nerfstudio_images(tmp_path / "inner", ring_cameras(2, 8, 6))
+    write_png(tmp_path / "outer.png", render_image(ring_cameras(2, 8, 6)[0]))
     change_frame(folder / "transforms.json", 0, file_path="../outer.png")
     with pytest.raises(ls.FormatError, match=r"names '../outer.png', which is not in its folder"):
         ls.io.load_training_images(folder)
@@ -288,7 +288,7 @@ def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension)
     (tmp_path / "images").mkdir()
     (tmp_path / "masks").mkdir()
     for camera in cameras:
-        write_png(tmp_path / "images" / f"{camera.name}.png", photograph(camera))
+        write_png(tmp_path / "images" / f"{camera.name}.png", render_image(camera))
         if extension != ".png":
             (tmp_path / "images" / f"{camera.name}.png").rename(tmp_path / "images" / f"{camera.name}{extension}")
         Image.new("L", (8, 6), 255).save(tmp_path / "masks" / f"{camera.name}.png")
@@ -299,7 +299,7 @@ def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension)
     ]
     for view, camera in zip(views, cameras, strict=True):
         assert same_view(view.camera, camera) and view.mask() is not None
-        np.testing.assert_allclose(view.pixels(), photograph(camera), atol=BYTE)
+        np.testing.assert_allclose(view.pixels(), render_image(camera), atol=BYTE)
 
 
 @pytest.mark.data

@@ -37,12 +37,12 @@ def radiance(directions: np.ndarray) -> np.ndarray:
     return 0.5 + 0.4 * np.sin(directions @ waves.T + (0.1, 0.5, 1.2))
 
 
-def photograph(camera: ls.Camera) -> np.ndarray:
+def render_image(camera: ls.Camera) -> np.ndarray:
     """What a camera shows of the world, shape (H, W, 3)."""
     return radiance(camera.ray_directions() @ camera.camera_from_world[:3, :3])
 
 
-def write_transforms_photographs(
+def write_nerfstudio_images(
     folder: Path, cameras: Sequence[ls.Camera], images: Sequence[np.ndarray] | None = None, **shared: Any
 ) -> Path:
     """The layout of nerfstudio: ``transforms.json`` and ``images``."""
@@ -51,7 +51,7 @@ def write_transforms_photographs(
     content = json.loads((folder / "transforms.json").read_text()) | shared
     for k, (frame, camera) in enumerate(zip(content["frames"], cameras, strict=True)):
         frame["file_path"] = f"images/{camera.name}.png"
-        write_png(folder / frame["file_path"], photograph(camera) if images is None else images[k])
+        write_png(folder / frame["file_path"], render_image(camera) if images is None else images[k])
     (folder / "transforms.json").write_text(json.dumps(content))
     return folder
 
@@ -63,15 +63,13 @@ def change_frame(path: Path, index: int, **values: Any) -> None:
     path.write_text(json.dumps(content))
 
 
-def write_blender_photographs(
-    folder: Path, parts: Mapping[str, Sequence[ls.Camera]], alpha: float | None = 0.5
-) -> Path:
+def write_blender_images(folder: Path, parts: Mapping[str, Sequence[ls.Camera]], alpha: float | None = 0.5) -> Path:
     """NeRF-synthetic's layout: ``transforms_train.json`` and others, RGBA without sizes, and names without .png."""
     for part, cameras in parts.items():
         (folder / part).mkdir(parents=True)
         frames: list[dict[str, Any]] = []
         for camera in cameras:
-            pixels = photograph(camera)
+            pixels = render_image(camera)
             if alpha is not None:
                 pixels = np.dstack([pixels, np.full(pixels.shape[:2], alpha)])
             write_png(folder / part / f"{camera.name}.png", pixels)
@@ -82,14 +80,14 @@ def write_blender_photographs(
     return folder
 
 
-def write_colmap_photographs(
+def write_colmap_images(
     folder: Path, cameras: Sequence[ls.Camera], points: np.ndarray, *, text: bool = False, model: str = "sparse/0"
 ) -> Path:
     """COLMAP's layout: a model of one pinhole, its images in ``images``, and points that are red, green, blue, ..."""
     for name in ("images", model):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for camera in cameras:
-        write_png(folder / "images" / f"{camera.name}.png", photograph(camera))
+        write_png(folder / "images" / f"{camera.name}.png", render_image(camera))
     (_write_text if text else _write_binary)(folder / model, cameras, points)
     return folder
 

@@ -17,12 +17,12 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.io.cameras.colmap import read_colmap_points
-from support.files.photograph_files import (
+from support.files.training_image_files import (
     change_frame,
     ring_cameras,
-    write_blender_photographs,
-    write_colmap_photographs,
-    write_transforms_photographs,
+    write_blender_images,
+    write_colmap_images,
+    write_nerfstudio_images,
 )
 
 POINTS = np.random.default_rng(3).normal(size=(7, 3))
@@ -33,13 +33,13 @@ NAN_POSE = np.full((4, 4), np.nan).tolist()
 @pytest.fixture
 def nerfstudio(tmp_path) -> Path:
     """A folder with transforms.json."""
-    return write_transforms_photographs(tmp_path / "n", CAMERAS)
+    return write_nerfstudio_images(tmp_path / "n", CAMERAS)
 
 
 @pytest.fixture
 def colmap(tmp_path) -> Path:
     """A folder with a model of COLMAP."""
-    return write_colmap_photographs(tmp_path / "c", CAMERAS, POINTS)
+    return write_colmap_images(tmp_path / "c", CAMERAS, POINTS)
 
 
 def refusal(folder: Path, **options: Any) -> str:
@@ -101,7 +101,7 @@ def test_poses_that_are_not_numbers(nerfstudio, colmap, tmp_path):
     at = images.index(b"view_1.png") - struct.calcsize("<di")
     (colmap / "sparse/0/images.bin").write_bytes(images[:at] + struct.pack("<d", np.nan) + images[at + 8 :])
     assert "sparse/0/images.bin: image 2 (view_1.png): " in refusal(colmap)
-    blender = write_blender_photographs(tmp_path / "b", {"train": CAMERAS})
+    blender = write_blender_images(tmp_path / "b", {"train": CAMERAS})
     change_frame(blender / "transforms_train.json", 2, transform_matrix=NAN_POSE)
     assert "transforms_train.json: frame 2 (./train/view_2) has transform_matrix" in refusal(blender)
 
@@ -132,7 +132,7 @@ def test_masks_that_cannot_be(nerfstudio):
 
 def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
     """No picture at all, and one that is cut off, are found at once, an empty one when its pixels are asked for."""
-    blender = write_blender_photographs(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
+    blender = write_blender_images(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
     with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: it shows nothing to learn from"):
         ls.io.load_training_images(blender).held_out[0].pixels()
     image = nerfstudio / "images" / "view_1.png"
@@ -191,7 +191,7 @@ def test_points_that_are_nowhere(colmap, tmp_path):
     stored[16:24] = struct.pack("<d", np.inf)
     path.write_bytes(stored)
     assert "has 1 of 7 points without a finite position, the first is 0" in refusal(colmap)
-    text = write_colmap_photographs(tmp_path / "t", CAMERAS, POINTS, text=True) / "sparse/0/points3D.txt"
+    text = write_colmap_images(tmp_path / "t", CAMERAS, POINTS, text=True) / "sparse/0/points3D.txt"
     for line, problem in (
         ("1 nan 0 0 1 2 3 0.5", "has 1 of 1 points without a finite position"),
         ("1 0 0 0 1", "point 0 has too few values"),

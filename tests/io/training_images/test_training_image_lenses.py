@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.training_images.loading import lens_points
-from support.files.photograph_files import photograph, ring_cameras, write_transforms_photographs
+from support.files.training_image_files import render_image, ring_cameras, write_nerfstudio_images
 
 FISHEYE = ls.CameraModel.FISHEYE
 LENSES: dict[str, dict[str, Any]] = {
@@ -26,17 +26,17 @@ LENSES: dict[str, dict[str, Any]] = {
 def test_pinholes_see_the_world_where_it_is(tmp_path, lens, scale):
     """Taken through the lens, straightened, and compared with what the pinhole's own rays see, to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
-    folder = write_transforms_photographs(tmp_path, cameras, [_large(camera) for camera in cameras])
+    folder = write_nerfstudio_images(tmp_path, cameras, [_large(camera) for camera in cameras])
     for view in ls.io.load_training_images(folder, hold_out=0, scale=scale).training:
         assert view.camera.model is ls.CameraModel.PINHOLE and not view.camera.is_distorted
         mask = view.mask()
         counts = np.ones(view.pixels().shape[:2], bool) if mask is None else mask > 0.0
         assert counts.mean() > 0.7
-        error = np.abs(view.pixels() - photograph(view.camera))[counts]
+        error = np.abs(view.pixels() - render_image(view.camera))[counts]
         assert error.max() < 4.0 / 255.0 / scale and error.mean() < 0.6 / 255.0
         assert not view.pixels()[~counts].any()
         # The pixels as they are are far off: the test sees what it is about.
-        assert np.abs(photograph(cameras[0]) - photograph(_pinhole(cameras[0]))).max() > 3.0 * error.max()
+        assert np.abs(render_image(cameras[0]) - render_image(_pinhole(cameras[0]))).max() > 3.0 * error.max()
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
@@ -66,7 +66,7 @@ def test_what_a_lens_does_not_show_does_not_count(tmp_path):
     """A cushion's corners are beyond the picture of the lens: masked and black; of a barrel all is seen."""
     masks = {}
     for name in ("cushion", "barrel"):
-        folder = write_transforms_photographs(
+        folder = write_nerfstudio_images(
             tmp_path / name, ring_cameras(2, 60, 45, **LENSES[name] | {"fx": 40.0, "fy": 40.0})
         )
         masks[name] = ls.io.load_training_images(folder, hold_out=0).training[0].mask()
@@ -78,7 +78,7 @@ def test_what_a_lens_does_not_show_does_not_count(tmp_path):
 
 def test_beyond_the_fold_a_lens_shows_nothing(tmp_path):
     """Where the polynomial turns back, a picture has no place for a ray, however near the polynomial brings it."""
-    folder = write_transforms_photographs(
+    folder = write_nerfstudio_images(
         tmp_path, ring_cameras(2, 120, 90, fx=60.0, fy=60.0, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
     )
     mask = ls.io.load_training_images(folder, hold_out=0).training[0].mask()
@@ -96,6 +96,6 @@ def _pinhole(camera: ls.Camera) -> ls.Camera:
 
 def _large(camera: ls.Camera) -> np.ndarray:
     """What a camera shows; pixels without a ray are grey."""
-    seen = photograph(camera)
+    seen = render_image(camera)
     seen[~camera.ray_directions().any(axis=-1)] = 0.5
     return seen
