@@ -17,7 +17,7 @@ import pytest
 import warp as wp
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import file_marks
+from lumisplat.cli.input.loading import file_fingerprints
 from lumisplat.cli.output.frame_folder import check_video
 from lumisplat.renderer.renderer import Renderer
 from support.files.cli_files import Workplace
@@ -460,7 +460,7 @@ def test_files_that_a_scene_is_made_of(tmp_path):
     (tmp_path / "scene.toml").write_text(
         'a = ["walk", "broken.gltf", "statue.obj", "", ".", ".."]\n[[b]]\npath = "body.gltf"\nname = "frames"\n'
     )
-    marks = file_marks([tmp_path / "scene.toml"], tmp_path / "frames")
+    marks = file_fingerprints([tmp_path / "scene.toml"], tmp_path / "frames")
     assert set(marks) == {
         "scene.toml", "walk/0001.ply", "walk/0002.ply", "statue.obj", "statue.mtl", "bark.png", "body.gltf", "body.bin",
         "broken.gltf",

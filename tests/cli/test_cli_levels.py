@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import file_marks
+from lumisplat.cli.input.loading import file_fingerprints
 from support.files.cli_files import Workplace
 from support.files.splat_files import streamed
 from support.kinds import expect_kind
@@ -100,5 +100,5 @@ def test_frames_depend_on_the_captures_of_all_levels(work: Workplace) -> None:
     work.path("stage.usda").write_text("#usda 1.0\n(\n    subLayers = [@./city/notes.usda@]\n)\n")
     work.path("city/notes.usda").write_text("#usda 1.0\n")
     work.path("scene.toml").write_text('[[splats]]\npath = "city"\n[[meshes]]\npath = "stage.usda"\n')
-    marks = file_marks([work.path("scene.toml")], work.path("frames"))
+    marks = file_fingerprints([work.path("scene.toml")], work.path("frames"))
     assert {"city/lod-meta.json", "city/0_0/meta.json", "city/0_0/means_l.webp", "city/notes.usda"} <= marks.keys()

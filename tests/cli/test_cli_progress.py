@@ -10,7 +10,7 @@ import warp as wp
 from rich.progress import Progress
 
 from lumisplat.cli.output import console
-from lumisplat.cli.output.console import progress_bars, spoken_time
+from lumisplat.cli.output.console import duration_text, progress_bars
 from support.files.cli_files import Workplace
 
 SIZE = ("--width", "16", "--height", "12", "--device", "cpu")
@@ -43,7 +43,7 @@ def test_a_bar_says_what_is_left(monkeypatch) -> None:
 )
 def test_spoken_times(seconds: float, spoken: str) -> None:
     """Whole seconds, then whole minutes, whose hours carry."""
-    assert spoken_time(seconds) == spoken
+    assert duration_text(seconds) == spoken
 
 
 def test_details_stay_in_the_bar_of_their_label(monkeypatch) -> None:
@@ -65,7 +65,7 @@ def test_frames_of_a_time_or_a_noise_say_what_they_have(work, caplog) -> None:
     assert timed.status == 0 and timed.out.endswith("), 1 sample\n"), timed.err
     enough = work.run(*path, "--set=noise=0.9", "--stats")
     assert re.search(r"\), 16 samples, noise 0\.\d{3}\n", enough.out) and "noise" in enough.out
-    caplog.clear()  # that the frame of one sample is grainy, which test_cli_grain.py asks
+    caplog.clear()  # that the frame of one sample is grainy, which test_cli_noise.py asks
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run(*path, "--set=noise=0.0001", "--samples", "18").status == 0
     (line,) = [record.getMessage() for record in caplog.records if "noise" in record.getMessage()]

@@ -12,7 +12,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.cli.output import comparisons
-from lumisplat.cli.output.comparisons import write_beside, write_json
+from lumisplat.cli.output.comparisons import write_comparison, write_json
 from support.files.small_disks import small_disk
 
 NOISE = np.random.default_rng(0).random((60, 40, 3))
@@ -23,11 +23,11 @@ def test_a_full_disk_leaves_the_report_of_before(tmp_path: Path) -> None:
     """No half of a file, and nothing beside it."""
     with small_disk(tmp_path / "disk", "16k") as disk:
         write_json(disk / "report.json", {"psnr": 31.0})
-        write_beside(disk / "door.png", [(SMALL, SMALL)])
+        write_comparison(disk / "door.png", [(SMALL, SMALL)])
         with pytest.raises(ls.FormatError, match=r"report\.json: cannot be written: No space left on device"):
             write_json(disk / "report.json", {"psnr": list(range(4000))})
         with pytest.raises(ls.FormatError, match=r"door\.png: cannot be written: No space left on device"):
-            write_beside(disk / "door.png", [(NOISE, NOISE[::-1])])
+            write_comparison(disk / "door.png", [(NOISE, NOISE[::-1])])
         assert sorted(os.listdir(disk)) == ["door.png", "report.json"]
         assert json.loads((disk / "report.json").read_text()) == {"psnr": 31.0}
         with Image.open(disk / "door.png") as picture:

@@ -45,7 +45,7 @@ class FakeMaker:
             raise ls.errors.MissingFileError(self.needs, "no such file")
         frames = FrameList(
             folder=FrameFolder(self.folder, "png", "fake.json"),
-            origin={"kind": self.kind, "needs": str(self.needs.stat().st_size) if self.needs else ""},
+            provenance={"kind": self.kind, "needs": str(self.needs.stat().st_size) if self.needs else ""},
             wanted=tuple(range(self.count)),
             in_sequence=self.in_sequence,
         )

@@ -29,9 +29,9 @@ from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.doctor import Doctor
 from lumisplat.cli.commands.evaluate import Evaluate
 from lumisplat.cli.commands.export import Export
+from lumisplat.cli.commands.extract_frames import Frames
 from lumisplat.cli.commands.farm import Farm
 from lumisplat.cli.commands.fit import Fit
-from lumisplat.cli.commands.frames import Frames
 from lumisplat.cli.commands.info import Info
 from lumisplat.cli.commands.metrics import Metrics
 from lumisplat.cli.commands.orbit import Orbit

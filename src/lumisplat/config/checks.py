@@ -281,7 +281,7 @@ def display_color(name: str, value: object) -> Color | None:
     """
     if value is None or (isinstance(value, str) and value.strip().lower() in NO_COLOR):
         return None
-    parts = _of_text(value) if isinstance(value, str) else _of_numbers(value)
+    parts = _color_from_text(value) if isinstance(value, str) else _color_from_numbers(value)
     if parts is None:
         raise ConfigError(
             f"{name} is {quoted(value)}, expected three numbers in 0..1, '#ff8800', a name such as 'white', "
@@ -290,7 +290,7 @@ def display_color(name: str, value: object) -> Color | None:
     return parts
 
 
-def _of_numbers(value: object) -> Color | None:
+def _color_from_numbers(value: object) -> Color | None:
     """Returns three numbers in 0..1; None: it is something else."""
     if not isinstance(value, Iterable):
         return None
@@ -302,16 +302,16 @@ def _of_numbers(value: object) -> Color | None:
     return red, green, blue
 
 
-def _of_text(text: str) -> Color | None:
+def _color_from_text(text: str) -> Color | None:
     """Returns a colour that is written; None: no colour is written so."""
     from PIL import ImageColor
 
     try:
-        return _of_numbers([float(part) for part in text.replace(",", " ").split()])
+        return _color_from_numbers([float(part) for part in text.replace(",", " ").split()])
     except ValueError:
         pass
     try:
         channels = ImageColor.getrgb(text.strip())
     except ValueError:
         return None
-    return _of_numbers([channel / 255.0 for channel in channels])  # not a colour with alpha, of four
+    return _color_from_numbers([channel / 255.0 for channel in channels])  # not a colour with alpha, of four

@@ -27,7 +27,7 @@ class RealtimeQuality(Enum):
     """For pictures to keep: more rays, and means over more frames, which follow changes more slowly."""
 
 
-_OF_QUALITY: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
+_QUALITY_PRESETS: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
     RealtimeQuality.PREVIEW: {
         "": {"light_interval": 2, "highlight_rays": False, "antialiasing": False},
         "filter": {"passes": 2},
@@ -147,7 +147,7 @@ class RealtimeConfig:
     @property
     def of_quality(self) -> RealtimeConfig:
         """The settings that frames have: what ``quality`` says in place of defaults."""
-        changes = _OF_QUALITY[self.quality]
+        changes = _QUALITY_PRESETS[self.quality]
         groups = {
             "filter": _changed(self.filter, changes.get("filter", {})),
             "probes": _changed(self.probes, changes.get("probes", {})),

@@ -13,7 +13,7 @@ import warp as wp
 from PIL import Image
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import file_marks
+from lumisplat.cli.input.loading import file_fingerprints
 from support.files.cli_files import Workplace
 
 SIZE = ("--width", "24", "--height", "16", "--device", "cpu")
@@ -96,7 +96,7 @@ def test_of_binary_usd(work) -> None:
         for end in ("png", "later.png"):
             write_texture(work.path(f"tex/{name}.{end}"), 200)
     (work.path("scene.toml")).write_text('[[meshes]]\npath = "one.usdc"\n')
-    marks = file_marks([work.path("scene.toml")], work.path("out"))
+    marks = file_fingerprints([work.path("scene.toml")], work.path("out"))
     assert set(marks) == {
         "scene.toml", "one.usdc", "other.usd", "tex/one.usdc.png", "tex/one.usdc.later.png", "tex/other.usd.png",
         "tex/other.usd.later.png",
@@ -111,7 +111,7 @@ def test_a_changed_texture_of_usd_is_refused(work) -> None:
     body = ls.load(work.path("body.gltf"))
     assert isinstance(body, ls.Scene | ls.Mesh)
     ls.save(work.path("body.usdc"), ls.Scene(meshes=[ls.MeshInstance(body)]) if isinstance(body, ls.Mesh) else body)
-    textures = [name for name in file_marks([work.path("body.usdc")], work.path("out")) if name.endswith(".png")]
+    textures = [name for name in file_fingerprints([work.path("body.usdc")], work.path("out")) if name.endswith(".png")]
     assert len(textures) == 1
     command = ("orbit", "@body.usdc", "-o", "@out", *SIZE, "--seconds", "0.2", "--fps", "10")
     assert work.run(*command).status == 0

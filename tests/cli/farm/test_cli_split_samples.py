@@ -104,8 +104,8 @@ def test_a_killed_process(work, tmp_path: Path) -> None:
     wait_for(lambda: blocks(work) >= 4)
     killed.kill()
     killed.wait()
-    there = {path: path.stat().st_mtime_ns for path in work.path("shared.samples").glob("[!.]*.npz")}
-    assert 4 <= len(there) < 10 and not work.path("shared.exr").exists()
+    finished = {path: path.stat().st_mtime_ns for path in work.path("shared.samples").glob("[!.]*.npz")}
+    assert 4 <= len(finished) < 10 and not work.path("shared.exr").exists()
     assert subprocess.run(command, cwd=tmp_path, check=False).returncode == 0
     assert_same(work.path("shared.exr"), work.path("alone.exr"))
 

@@ -57,7 +57,7 @@ class Farm:
         return dict(Counter(frame for _, frame in self.ray.given))
 
     @property
-    def there(self) -> list[int]:
+    def finished(self) -> list[int]:
         """Frames that are there."""
         return [index for index in self.frames.wanted if self.frames.folder.is_finished(index)]
 
@@ -101,7 +101,7 @@ def test_each_frame_is_given_out_once(tmp_path: Path) -> None:
     """A worker has one at a time; the line says what it took; no worker stays."""
     farm = Farm(tmp_path, 9)
     assert farm.run().startswith(f"9 frames in {tmp_path / 'out'}\n9 frames by 2 workers in ")
-    assert farm.tries == dict.fromkeys(range(9), 1) and farm.there == list(range(9))
+    assert farm.tries == dict.fromkeys(range(9), 1) and farm.finished == list(range(9))
     assert not farm.ray.living
     assert {worker for worker, _ in farm.ray.given} == {0, 1}
 
@@ -135,7 +135,7 @@ def test_a_frame_that_kills_twice_is_left_and_named(tmp_path: Path) -> None:
         f"frame 3: a worker was lost: its process has ended; {tmp_path / 'out'} holds 5 of 6 frames; the same command "
         "continues"
     )
-    assert FramesMissingError.status == 3 and farm.tries[3] == 2 and farm.there == [0, 1, 2, 4, 5]
+    assert FramesMissingError.status == 3 and farm.tries[3] == 2 and farm.finished == [0, 1, 2, 4, 5]
 
 
 def test_failures_in_a_row_end_the_job(tmp_path: Path) -> None:
@@ -147,7 +147,7 @@ def test_failures_in_a_row_end_the_job(tmp_path: Path) -> None:
     other = Farm(tmp_path / "other", 20, lambda _, index: failed(FULL) if index and index % 2 else None)
     with pytest.raises(FramesMissingError, match=r"holds 1[0-9] of 20 frames"):
         other.run()
-    assert set(range(0, 20, 2)) <= set(other.there)
+    assert set(range(0, 20, 2)) <= set(other.finished)
 
 
 def test_a_mistake_in_the_first_frame_ends_the_job(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_workers_that_cannot_start(tmp_path: Path, caplog: Any) -> None:
     assert caplog.messages == ["one worker fewer: no GPU"]
     farm = Farm(tmp_path, 9, lambda worker, index: answer(error=lost) if worker == 0 and index is None else None)
     farm.run()
-    assert len(farm.there) == 9 and "one worker fewer: lost.ply: no such file" in caplog.messages
+    assert len(farm.finished) == 9 and "one worker fewer: lost.ply: no such file" in caplog.messages
 
 
 def test_workers_that_die_before_they_are_ready_are_not_replaced_for_ever(tmp_path: Path) -> None:
@@ -190,13 +190,13 @@ def test_when_a_file_vanishes_the_living_workers_go_on(tmp_path: Path, caplog: A
     farm = Farm(tmp_path, 9, trouble)
     with pytest.raises(FramesMissingError, match=r"garden\.ply: no such file"):
         farm.run()
-    assert len(farm.there) >= 5
+    assert len(farm.finished) >= 5
 
 
 def test_a_worker_that_sees_other_files_is_not_used(tmp_path: Path, caplog: Any) -> None:
     """A mixed film is worse than a slow one; the line says what differs."""
     farm = Farm(tmp_path, 9)
-    other = replace(farm.frames, origin=farm.frames.origin | {"needs": "older.ply"})
+    other = replace(farm.frames, provenance=farm.frames.provenance | {"needs": "older.ply"})
     farm.ray.does = farm._does(lambda worker, index: answer(frames=other) if index is None and worker == 1 else None)
     farm.run()
     assert {worker for worker, _ in farm.ray.given} == {0}
@@ -245,7 +245,7 @@ def test_frames_of_others_come_after_these(tmp_path: Path) -> None:
     farm = Farm(tmp_path / "other", 5, always(0, failed(FULL)), needs=needs)
     with pytest.raises(FramesMissingError, match="frame 0 and 1 more frame: "):
         farm.run()
-    assert farm.there == [1, 3, 4] and 2 not in farm.tries
+    assert farm.finished == [1, 3, 4] and 2 not in farm.tries
 
 
 def test_a_worker_that_hangs_is_ended(tmp_path: Path, caplog: Any) -> None:
@@ -313,9 +313,9 @@ def test_no_frame_is_lost_whatever_happens(tmp_path_factory: Any, seed, count: i
     try:
         farm.run()
     except FramesMissingError:
-        assert len(farm.there) < count
+        assert len(farm.finished) < count
     else:
-        assert farm.there == list(range(count))
+        assert farm.finished == list(range(count))
     assert max(farm.tries.values()) <= 2 and not farm.ray.living
 
 

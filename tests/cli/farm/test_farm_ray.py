@@ -214,9 +214,9 @@ def test_a_driver_that_is_stopped(ray: Any, tmp_path: Path, sent: signal.Signals
         assert "Traceback" not in err and "its ports are open on 127.0.0.1 alone" in err
     assert not (tmp_path / "hostile").exists()
     begun = len(maker.begun)
-    there = len(maker.contents)
-    assert f"{there} of them were there" in farm(ray, maker)
-    assert maker.contents == expected(200) and len(maker.begun) - begun == 200 - there
+    finished = len(maker.contents)
+    assert f"{finished} of them were there" in farm(ray, maker)
+    assert maker.contents == expected(200) and len(maker.begun) - begun == 200 - finished
 
 
 def is_running(process: int) -> bool:

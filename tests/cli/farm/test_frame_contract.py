@@ -15,7 +15,7 @@ import warp as wp
 import lumisplat as ls
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.farm.failed_frames import FramesMissingError
-from lumisplat.cli.farm.job import FrameJob, make_alone
+from lumisplat.cli.farm.job import FrameJob, make_frames
 from support.files.cli_files import Workplace
 from support.frame_makers import FakeMaker
 
@@ -34,7 +34,7 @@ def orbit(work: Workplace, folder: str, *options: str):
     return work.run("orbit", "@capture.ply", "-o", f"@{folder}", "--seconds", "0.3", "--fps", "20", *SIZE, *options)
 
 
-def pictures(work: Workplace, folder: str) -> dict[str, bytes]:
+def images(work: Workplace, folder: str) -> dict[str, bytes]:
     """The frames of a folder."""
     return {path.name: path.read_bytes() for path in sorted(work.path(folder).glob("*.png"))}
 
@@ -44,7 +44,7 @@ def test_parts_of_an_orbit_make_the_whole(work) -> None:
     assert orbit(work, "whole").status == 0
     for part, count in (("1-5x2", 3), ("0,4", 2), ("2", 1)):
         assert f"{count} frame{'s' * (count > 1)} in" in orbit(work, "parts", "--frames", part).out
-    assert pictures(work, "parts") == pictures(work, "whole")
+    assert images(work, "parts") == images(work, "whole")
     refused = orbit(work, "parts", "--frames", "4-6")
     assert refused.status == 2 and "of an animation of 6 frames, 0-5: '4-6' is not among them" in refused.err
 
@@ -59,11 +59,11 @@ def test_pictures_are_resumed(work) -> None:
     """With --resume those that are there stay, of the same scene and settings alone; without it, all are made anew."""
     assert render(work, "whole").status == 0
     assert render(work, "out", "--resume", "--frames", "1").status == 0
-    assert [*pictures(work, "out")] == ["right.png"] and work.path("out/render.json").exists()
+    assert [*images(work, "out")] == ["right.png"] and work.path("out/render.json").exists()
     before = work.path("out/right.png").stat().st_mtime_ns
     assert "2 frames in" in (out := render(work, "out", "--resume").out) and "1 of them was there" in out
     assert work.path("out/right.png").stat().st_mtime_ns == before
-    assert pictures(work, "out") == pictures(work, "whole")
+    assert images(work, "out") == images(work, "whole")
     refused = render(work, "out", "--resume", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0")
     assert refused.status == 2 and "holds frames of other settings or files (raster.sh_degree" in refused.err
     assert render(work, "out", "--set=raster.sh_degree=0", "--set=trace.sh_degree=0").status == 0
@@ -105,7 +105,7 @@ def test_what_cannot_be_resumed_is_said(work, options: tuple[str, ...], message:
 def test_another_run_that_begins_in_the_folder_stops_this_one(tmp_path: Path) -> None:
     """Before and after its frame is written: no frame of its own is left among the others."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
-    other = replace(job.frames, origin={"kind": "other"})
+    other = replace(job.frames, provenance={"kind": "other"})
 
     def overtaken_while_rendering(index: int, report: object) -> ls.Frame:
         other.begin(True)
@@ -125,7 +125,7 @@ def test_another_run_that_begins_in_the_folder_stops_this_one(tmp_path: Path) ->
 def test_a_run_that_was_overtaken_leaves_the_frames_of_the_other(tmp_path: Path) -> None:
     """It does not write over one that the other has made in the meantime."""
     job = FakeMaker(tmp_path / "out").open_frames(lambda *_: None)
-    theirs = replace(job.frames, origin={"kind": "other"})
+    theirs = replace(job.frames, provenance={"kind": "other"})
 
     def overtaken(index: int, report: object) -> ls.Frame:
         theirs.begin(True)
@@ -141,8 +141,8 @@ def test_a_run_that_was_overtaken_leaves_the_frames_of_the_other(tmp_path: Path)
 def test_a_kill_while_frames_are_removed_leaves_nothing_to_go_on_with(tmp_path: Path, monkeypatch) -> None:
     """The stamp goes first, so that old frames are not taken for new ones."""
     maker = FakeMaker(tmp_path / "out")
-    make_alone(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")
-    frames = replace(maker.open_frames(lambda *_: None).frames, origin={"kind": "other"})
+    make_frames(maker.open_frames(lambda *_: None), lambda *_: None, overwrite=False, video=None, fewer="")
+    frames = replace(maker.open_frames(lambda *_: None).frames, provenance={"kind": "other"})
     unlink = Path.unlink
 
     def cut_off(path: Path, missing_ok: bool = False) -> None:
@@ -160,7 +160,7 @@ def test_a_kill_while_frames_are_removed_leaves_nothing_to_go_on_with(tmp_path: 
 
 def alone(job: FrameJob) -> str:
     """The frames of a job, in this process."""
-    return make_alone(job, lambda *_: None, overwrite=False, video=None, fewer="--frames")
+    return make_frames(job, lambda *_: None, overwrite=False, video=None, fewer="--frames")
 
 
 @pytest.mark.parametrize(

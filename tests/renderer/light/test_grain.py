@@ -135,7 +135,7 @@ def test_the_demo_chooses_its_samples(caplog: pytest.LogCaptureFixture, tmp_path
     def start(config: ls.RenderConfig) -> ls.Renderer:
         return ls.create_renderer(config, "cpu")
 
-    list(demo.lit_pictures(content, front_camera(16, 16), tmp_path, start, lambda label, share: None))
+    list(demo.lit_images(content, front_camera(16, 16), tmp_path, start, lambda label, share: None))
     assert not [record for record in caplog.records if "grainy" in record.getMessage()]
     start(ls.RenderConfig(samples=1)).render(content, front_camera(16, 16))
     assert [record for record in caplog.records if "grainy" in record.getMessage()]

@@ -15,11 +15,11 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
-from lumisplat.cli.input.loading import WITH_CAMERAS, file_marks, scene_settings
+from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
+from lumisplat.cli.input.loading import WITH_CAMERAS, file_fingerprints, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.command import LIGHTING, Flag, given_settings, setting
-from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, found_light, print_stats, print_table, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
@@ -60,7 +60,7 @@ class Animate(FrameCommand):
         """Renders the frames that are missing, then the video."""
         with progress_bars() as report:
             job = self.open_frames(report)
-            lines = make_alone(job, report, overwrite=self.overwrite, video=self.video, fewer="--frames")
+            lines = make_frames(job, report, overwrite=self.overwrite, video=self.video, fewer="--frames")
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
@@ -86,11 +86,11 @@ class Animate(FrameCommand):
         environment = self.light.environment_light()
         renderer = self.start_renderer(report, config, profile=self.stats)
         animation = self._animation(environment, report)
-        config = self.light.exposed_captures(renderer, config, with_actors(animation.scene, animation.actors_at(0.0)))
+        config = self.light.with_capture_gain(renderer, config, with_actors(animation.scene, animation.actors_at(0.0)))
         cameras = self._cameras(animation)
         frames = FrameList(
             folder=folder,
-            origin=self._origin(animation, config, renderer.device, folder.folder),
+            provenance=self._provenance(animation, config, renderer.device, folder.folder),
             wanted=tuple(frame_numbers("--frames", self.frames, animation.frame_count)),
             fps=animation.fps,
             in_sequence=config.pipeline.is_sequence,
@@ -126,12 +126,12 @@ class Animate(FrameCommand):
                 raise ls.ConfigError(f"{source} has no camera named '{self.camera}': there are {listed}")
             cameras = named
         if self.camera_path is not None:
-            return self.cameras_along(self.camera_path, animation.times.tolist())
+            return self.cameras_on_path(self.camera_path, animation.times.tolist())
         if animation.camera_path is not None and self.camera is None and not (self.cameras or self.viewpoint.is_given):
             along = (animation.camera_path.at(float(time)) for time in animation.times)
             return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
         if not cameras:
-            cameras = [self.own_camera(with_actors(animation.scene, animation.actors_at(0.0)), self.scene)]
+            cameras = [self.viewpoint_camera(with_actors(animation.scene, animation.actors_at(0.0)), self.scene)]
         if len(cameras) not in (1, count):
             raise ls.ConfigError(
                 f"{source} has {len(cameras)} cameras, expected one, or one for each of the {count} frames: choose by "
@@ -139,7 +139,9 @@ class Animate(FrameCommand):
             )
         return cameras * count if len(cameras) == 1 else cameras
 
-    def _origin(self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
+    def _provenance(
+        self, animation: ls.Animation, config: ls.RenderConfig, device: str, folder: Path
+    ) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [
             self.scene,
@@ -151,9 +153,9 @@ class Animate(FrameCommand):
             "device": device,
             "fps": f"{animation.fps!r}",
             **{name: f"{getattr(self, name)}" for name in chosen},
-            **shared_origin(self, config),
+            **shared_provenance(self, config),
             **dict(flat_settings("actors.", animation.lighting)),
-            **file_marks(files, folder),
+            **file_fingerprints(files, folder),
         }
 
 

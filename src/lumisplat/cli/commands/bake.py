@@ -14,7 +14,7 @@ from lumisplat.cli.options.camera import UpOption, parse_up
 from lumisplat.cli.options.command import (
     DeviceCommand,
     Flag,
-    PlacingCommand,
+    InsertingCommand,
     SetCommand,
     changed_config,
     setting,
@@ -26,7 +26,7 @@ from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bake(PlacingCommand, DeviceCommand, SetCommand):
+class Bake(InsertingCommand, DeviceCommand, SetCommand):
     """Write a lit scene as a capture that every viewer shows.
 
     The result has the splat sets as they look in its light, shadows and bounces included.

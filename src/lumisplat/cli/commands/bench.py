@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings
 from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions, parse_up
-from lumisplat.cli.options.command import DeviceCommand, PipelineCommand, PlacingCommand, given_settings, setting
+from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, PipelineCommand, given_settings, setting
 from lumisplat.cli.options.frame import EnvironmentOptions, unused_options
 from lumisplat.cli.output.console import (
     Report,
@@ -44,7 +44,7 @@ class _SteadyFrames:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bench(PlacingCommand, DeviceCommand, PipelineCommand):
+class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     """Time loading, the first frame and steady frames of a scene.
 
     Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times

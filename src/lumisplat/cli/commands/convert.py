@@ -16,7 +16,7 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns, size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.command import Flag, LevelsCommand
-from lumisplat.cli.output.console import Report, byte_size, progress_bars, spoken_up
+from lumisplat.cli.output.console import Report, byte_size, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 _Range = tuple[float | None, float | None]
@@ -190,7 +190,7 @@ def _levelled(gaussians: ls.Gaussians, done: list[str]) -> ls.Gaussians:
     if found.height is not None and found.share is not None:
         how = f"by the ground at height {found.height:.4g}, {found.share:.0%} of what shows"
     turned = f"turned by {math.degrees(math.acos(min(max(cosine, -1.0), 1.0))):.1f} degrees"
-    done.append(f"--level: up was {spoken_up(found.up)}, {how}; {turned}, it is {spoken_up(level.up)}")
+    done.append(f"--level: up was {up_name(found.up)}, {how}; {turned}, it is {up_name(level.up)}")
     return level
 
 

@@ -10,12 +10,12 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
-from lumisplat.cli.input.loading import camera_file, file_marks, scene_file, scene_settings
+from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
+from lumisplat.cli.input.loading import camera_file, file_fingerprints, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, PlacingCommand, given_options, given_settings, setting, without_none
-from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
+from lumisplat.cli.options.command import Flag, InsertingCommand, given_options, given_settings, setting, without_none
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
 from lumisplat.cli.output.frame_source import FrameSource
@@ -23,12 +23,12 @@ from lumisplat.cli.output.images import check_folder, refuse_standard_output
 
 _log = logging.getLogger("lumisplat")
 
-_NOT_OF_VIEWS = ("views", "shard_views")
+_NOT_IN_PROVENANCE = ("views", "shard_views")
 """Settings of which the views that are there do not depend."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Dataset(FrameCommand, PlacingCommand):
+class Dataset(FrameCommand, InsertingCommand):
     """Render training data: random views, light and objects.
 
     With layers such as depth, normals and ids, cameras for nerfstudio, and shards for WebDataset. A view follows from
@@ -67,7 +67,7 @@ class Dataset(FrameCommand, PlacingCommand):
         """Renders the views that are missing, then what follows from all of them."""
         with progress_bars() as report:
             job = self.open_frames(report)
-            lines = make_alone(job, report, overwrite=self.overwrite, video=None, fewer="--views")
+            lines = make_frames(job, report, overwrite=self.overwrite, video=None, fewer="--views")
         print(lines)
         self.finish()
 
@@ -146,7 +146,7 @@ class Dataset(FrameCommand, PlacingCommand):
         return FrameJob(
             frames=FrameList(
                 folder=FrameFolder(self.output, "json", "dataset.json", names),
-                origin=self._origin(settings, config, renderer.device),
+                provenance=self._provenance(settings, config, renderer.device),
                 wanted=wanted,
                 unit="view",
             ),
@@ -183,7 +183,7 @@ class Dataset(FrameCommand, PlacingCommand):
             raise ls.ConfigError("views are to be near cameras, and there are none: give --cameras FILE")
         return cameras
 
-    def _origin(self, settings: ls.config.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
+    def _provenance(self, settings: ls.config.DatasetConfig, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a view follows from, except its number."""
         # Not the settings file: what it says is among the settings, and some of that may change.
         files = [*self.scene, *(path for path in (self.cameras, self.light.environment) if path is not None)]
@@ -196,10 +196,10 @@ class Dataset(FrameCommand, PlacingCommand):
             **{
                 name: value
                 for name, value in flat_settings("dataset.", settings)
-                if name.removeprefix("dataset.") not in _NOT_OF_VIEWS
+                if name.removeprefix("dataset.") not in _NOT_IN_PROVENANCE
             },
-            **shared_origin(self, config),
-            **file_marks(files, self.output),
+            **shared_provenance(self, config),
+            **file_fingerprints(files, self.output),
         }
 
 

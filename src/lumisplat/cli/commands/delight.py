@@ -10,7 +10,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import holds_materials
-from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
+from lumisplat.cli.options.camera import UpOption, parse_up, upright, warn_if_up_is_guessed
 from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, given_settings_of, setting
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_output
@@ -68,19 +68,19 @@ class Delight(LevelsCommand, DeviceCommand):
             report("writing", 0.0)
             ls.save(self.output, found.gaussians)
             if self.sky is not None and not found.is_inside:
-                self._save_sky(found, self.sky, capture)
+                self._save_environment(found, self.sky, capture)
         print(f"{self.output}: {counted(capture.count, 'Gaussian')} with albedo, roughness and normals")
         for remark in found.remarks:
             print(remark)
         if self.sky is not None:
-            told = "the sky as an image" if not found.is_inside else "is not written: a room has no sky"
-            print(f"{self.sky}: {told}")
+            outcome = "the sky as an image" if not found.is_inside else "is not written: a room has no sky"
+            print(f"{self.sky}: {outcome}")
 
-    def _save_sky(self, found: ls.inverse.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
+    def _save_environment(self, found: ls.inverse.MaterialEstimate, sky: Path, capture: ls.Gaussians) -> None:
         """Writes the image of the sky."""
         try:
             scene = upright(ls.Scene([capture]), self.up)
-            say_guessed_up(scene)
+            warn_if_up_is_guessed(scene)
             found.save_sky(sky, scene.upright_wxyz)
         except ls.FormatError as error:
             error.add_note(f"{self.output} is written")

@@ -51,15 +51,15 @@ class Demo(DeviceCommand):
                 renderer.render(scene, shot.camera).save(shot.path)
                 print(shot.path, flush=True)
             report("rendering", 1.0)
-            self._write_lit_pictures(scene, shots[0].camera, report)
+            self._write_lit_images(scene, shots[0].camera, report)
 
-    def _write_lit_pictures(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
+    def _write_lit_images(self, scene: ls.Scene, camera: ls.Camera, report: Report) -> None:
         """Writes the lit pictures, and prints the path of each as soon as it is written."""
 
         def start(config: ls.RenderConfig) -> ls.Renderer:
             return self.start_renderer(report, config)
 
-        for path in lit_pictures(ls.demo_scene_lit(scene), camera, self.output, start, report):
+        for path in lit_images(ls.demo_scene_lit(scene), camera, self.output, start, report):
             print(path, flush=True)
 
     def _save_assets(self, scene: ls.Scene, cameras: list[ls.Camera]) -> None:
@@ -95,7 +95,7 @@ _Start = Callable[["ls.RenderConfig"], "ls.Renderer"]
 """Makes a renderer."""
 
 
-def lit_pictures(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
+def lit_images(scene: ls.Scene, camera: ls.Camera, folder: Path, start: _Start, report: Report) -> Iterator[Path]:
     """Renders and writes ``lit-PIPELINE.png`` for each pipeline, ``lit-aovs.png`` and ``lit-swing.gif``.
 
     Args:
@@ -147,10 +147,10 @@ def _swing(scene: ls.Scene, camera: ls.Camera, start: _Start, report: Report) ->
     turn = _SWING_FRAMES // 2
     for step in range(turn + 1):
         report("moving a light", step / (turn + 1))
-        share = math.cos(math.pi * step / turn)
+        swing = math.cos(math.pi * step / turn)
         (x, y, z), (dx, dy, dz) = spot.position, spot.direction
-        position = (_SWING_MIDDLE + share * (x - _SWING_MIDDLE), y, z)
-        moved = replace(spot, position=position, direction=(share * dx, dy, dz))
+        position = (_SWING_MIDDLE + swing * (x - _SWING_MIDDLE), y, z)
+        moved = replace(spot, position=position, direction=(swing * dx, dy, dz))
         pictures.append(renderer.render(replace(scene, lights=(moved, *others)), camera).pixels_srgb())
     report("moving a light", 1.0)
     return pictures + pictures[-2:0:-1]
@@ -176,12 +176,12 @@ def _write_sheet(frame: ls.Frame, path: Path) -> None:
     tiles = _tiles(frame)
     width, height = max(1, frame.camera.width // 2), max(1, frame.camera.height // 2)
     sheet = Image.new("RGB", (_COLUMNS * width, -(-len(tiles) // _COLUMNS) * height))
-    for place, (name, picture) in enumerate(tiles.items()):
+    for index, (name, picture) in enumerate(tiles.items()):
         # Colours of indices must not mix.
         how = Image.Resampling.NEAREST if "index" in name else Image.Resampling.BOX
         tile = picture.resize((width, height), how)
         _label(tile, name)
-        sheet.paste(tile, (place % _COLUMNS * width, place // _COLUMNS * height))
+        sheet.paste(tile, (index % _COLUMNS * width, index // _COLUMNS * height))
     sheet.save(path)
 
 

@@ -22,9 +22,9 @@ from lumisplat.cli.output.comparisons import (
     compare,
     mean,
     plain,
-    write_beside,
+    write_comparison,
     write_json,
-    write_side_by_side,
+    write_view_comparison,
 )
 from lumisplat.cli.output.console import counted, print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder, file_stems, make_folder
@@ -121,7 +121,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
             {"mean": plain(means), "views": listed, "ms_ssim_scales": scales, "scale": self.scale},
         )
         for one, stem in zip(worst, file_stems([one.view.name for one in worst]), strict=True):
-            write_side_by_side(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
+            write_view_comparison(one.view, renderer.render(scene, one.view.camera), self.output / f"{stem}.png")
         print(f"{self.output}: metrics.json, and the worst {counted(len(worst), 'view')} beside the photographs")
 
     def _compare_materials(self, captures: Sequence[Path], folder: Path) -> None:
@@ -166,7 +166,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
         self, folder: Path, background: tuple[float, float, float], *, straighten: bool
     ) -> Sequence[ls.io.TrainingImage]:
         """The photographs that are held out."""
-        photographs = ls.io.load_training_images(
+        images = ls.io.load_training_images(
             folder,
             scale=self.scale,
             hold_out=self.hold_out,
@@ -174,16 +174,16 @@ class Evaluate(LoadingCommand, DeviceCommand):
             straighten=straighten,
             allow_outside=self.allow_outside,
         )
-        if not photographs.held_out:
+        if not images.held_out:
             raise ls.ConfigError(f"--hold-out is {self.hold_out}: no photograph is left to compare, expected 2 or more")
         if self.output is not None:
-            check_report(self.output, _files_of(photographs))
-        return photographs.held_out
+            check_report(self.output, _files_of(images))
+        return images.held_out
 
 
-def _files_of(photographs: ls.io.TrainingImages) -> list[Path]:
+def _files_of(images: ls.io.TrainingImages) -> list[Path]:
     """Of all: those of a folder for training may have the names of those that are held out in another."""
-    return [view.path for view in (*photographs.training, *photographs.held_out)]
+    return [view.path for view in (*images.training, *images.held_out)]
 
 
 def _common_scales(views: Sequence[ls.io.TrainingImage]) -> int:
@@ -232,16 +232,16 @@ def _figure_rows(result: ls.inverse.MaterialEvaluation) -> tuple[list[str], list
 def _write_material_report(folder: Path, result: ls.inverse.MaterialEvaluation) -> None:
     """Writes metrics.json and, for the worst views, a picture with a row for each thing that was found."""
     overall: Figures = {name: getattr(result, name) for name in (*_FIGURES, "albedo_psnr_linear")}
-    told = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
+    figures = plain(overall) | {"relit": _relit(result.relit), "albedo_scale": list(result.albedo_scale)}
     views = [
         {"name": view.name, **plain({name: getattr(view, name) for name in _VIEW_FIGURES}), "relit": _relit(view.relit)}
         for view in result.views
     ]
     make_folder(folder)
-    write_json(folder / "metrics.json", {"all": told, "views": views, "remarks": list(result.remarks)})
+    write_json(folder / "metrics.json", {"all": figures, "views": views, "remarks": list(result.remarks)})
     worst = sorted(result.views, key=_quality)[:_WORST]
     for view, stem in zip(worst, file_stems([view.name for view in worst]), strict=True):
-        write_beside(folder / f"{stem}.png", list(view.pictures.values()))
+        write_comparison(folder / f"{stem}.png", list(view.pictures.values()))
 
 
 def _quality(view: ls.inverse.MaterialView) -> float:

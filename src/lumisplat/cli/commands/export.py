@@ -11,14 +11,14 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, gltf_document, size_on_disk, toml_values
-from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up, upright
-from lumisplat.cli.options.command import PlacingCommand
+from lumisplat.cli.options.camera import UpOption, parse_up, upright, warn_if_up_is_guessed
+from lumisplat.cli.options.command import InsertingCommand
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.images import check_folder
 
 
 @dataclass(frozen=True, kw_only=True)
-class Export(PlacingCommand):
+class Export(InsertingCommand):
     """Write a scene for other programs, as glTF or OpenUSD.
 
     For viewers on the web, Blender, engines: lumisplat export scene.toml -o scene.glb
@@ -51,7 +51,7 @@ class Export(PlacingCommand):
                 animation.scene if animation else self.load_scene(self.scene, report, given_up=parse_up(self.up)),
                 self.up,
             )
-            say_guessed_up(scene)
+            warn_if_up_is_guessed(scene)
             report("writing", 0.0)
             if animation:
                 ls.save(self.output, replace(animation, scene=scene, cameras=cameras))

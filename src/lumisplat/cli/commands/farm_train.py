@@ -32,12 +32,12 @@ from lumisplat.cli.input.arguments import ArgumentsError, panels_as_errors
 from lumisplat.cli.input.loading import toml_values
 from lumisplat.cli.options.command import Flag
 from lumisplat.cli.output.console import Report
-from lumisplat.cli.output.frame_folder import FrameFolder, stored_origin
+from lumisplat.cli.output.frame_folder import FrameFolder, stored_provenance
 from lumisplat.cli.output.images import make_folder
 
 _log = logging.getLogger("lumisplat")
 
-_OF_ALL = ("folder", "output", "overwrite", "stop_after", "device", "debug")
+_SHARED_OPTIONS = ("folder", "output", "overwrite", "stop_after", "device", "debug")
 """Options that are none of single folders, and on which captures do not depend."""
 _SETTINGS = "settings of "
 """Begins the names by which an origin has the settings of single captures."""
@@ -75,7 +75,7 @@ class FarmTrain(Train):
         run_farm(self, overwrite=self.overwrite, video=None)
         folder = self._folder()
         for index in range(len(self.folder)):
-            print(folder.told(index), end="")
+            print(folder.report(index), end="")
         if any(map(folder.is_stopped, range(len(self.folder)))):
             print(f"{'the same command without --overwrite' if self.overwrite else 'the same command'} continues")
 
@@ -92,7 +92,7 @@ class FarmTrain(Train):
         self.quiet_warp()
         frames = FrameList(
             folder=self._folder(),
-            origin=self._origin(),
+            provenance=self._provenance(),
             wanted=tuple(range(len(trainings))),
             unit="training",
         )
@@ -139,21 +139,21 @@ class FarmTrain(Train):
         result, found = training.make(report)
         printed = io.StringIO()
         with redirect_stdout(printed):
-            training.tell(result, found)
+            training.print_results(result, found)
         return printed.getvalue(), result.is_finished
 
     def _write(self, made: Any, index: int) -> None:
         """Writes what came of a training, which says that it is done."""
         text, is_finished = made
-        self._folder().tell(index, text, is_finished=is_finished)
+        self._folder().write_report(index, text, is_finished=is_finished)
 
-    def _origin(self) -> dict[str, str]:
+    def _provenance(self) -> dict[str, str]:
         """All that captures follow from, but their photographs."""
         own = {entry.name: f"{getattr(self, entry.name)}" for entry in fields(Train)}
         settings = TrainSettings.read(self.settings, self._names())
         return {
             "lumisplat": ls.__version__,
-            **{k: v for k, v in own.items() if k not in _OF_ALL},
+            **{k: v for k, v in own.items() if k not in _SHARED_OPTIONS},
             **{f"{_SETTINGS}{name}": settings.text(name) for name in self._names()},
         }
 
@@ -166,12 +166,12 @@ class CaptureFolder(FrameFolder):
         """As of `FrameFolder.is_stopped`."""
         return self._unfinished(index).is_file()
 
-    def told(self, index: int) -> str:
+    def report(self, index: int) -> str:
         """What came of a training."""
         path = self.path(index)
         return (path if path.is_file() else self._unfinished(index)).read_text(encoding="utf-8")
 
-    def tell(self, index: int, text: str, *, is_finished: bool) -> None:
+    def write_report(self, index: int, text: str, *, is_finished: bool) -> None:
         """Writes what came of a training.
 
         Raises:
@@ -201,17 +201,17 @@ class CaptureFolder(FrameFolder):
             self._unfinished(index).unlink(missing_ok=True)
         super()._clear(stamp)
 
-    def _stamped(self, stamp: Path, origin: Mapping[str, str]) -> dict[str, object]:
+    def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
         """Captures of other commands stay in the stamp, if what all share is the same."""
-        others = {name: value for name, value in (stored_origin(stamp) or {}).items() if name.startswith(_SETTINGS)}
-        return others | dict(origin)
+        others = {name: value for name, value in (stored_provenance(stamp) or {}).items() if name.startswith(_SETTINGS)}
+        return others | dict(provenance)
 
-    def _differing(self, stored: Mapping[str, object], origin: Mapping[str, str]) -> list[str]:
+    def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
         """Captures may be added to those that are there, each with settings of its own."""
         return [
             name
-            for name in super()._differing(stored, origin)
-            if not name.startswith(_SETTINGS) or (name in stored and name in origin)
+            for name in super()._differing(stored, provenance)
+            if not name.startswith(_SETTINGS) or (name in stored and name in provenance)
         ]
 
 
@@ -265,7 +265,7 @@ class TrainSettings:
         Raises:
             FormatError: A key is no option of single folders, or a value is none of it.
         """
-        known = [entry.name for entry in fields(Train) if entry.name not in _OF_ALL]
+        known = [entry.name for entry in fields(Train) if entry.name not in _SHARED_OPTIONS]
         args: list[str] = []
         for key, value in self.tables.get(name, {}).items():
             if key.replace("-", "_") not in known:

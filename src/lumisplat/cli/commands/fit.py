@@ -16,13 +16,13 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings
 from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand, PipelineName, SetCommand, setting
-from lumisplat.cli.output.comparisons import check_report, write_beside, write_json
+from lumisplat.cli.output.comparisons import check_report, write_comparison, write_json
 from lumisplat.cli.output.console import print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder, file_stems, make_folder
 
 _log = logging.getLogger("lumisplat")
 
-_PHOTOGRAPHS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
+_IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,13 +83,13 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
         """Fits, writes, prints."""
         if self.no_intensities and self.keep_hues:
             raise ls.ConfigError("--no-intensities keeps what --keep-hues is to find: give one of them")
-        scenes = [file for file in self.files if file.suffix.lower() not in _PHOTOGRAPHS]
-        photographs = [file for file in self.files if file.suffix.lower() in _PHOTOGRAPHS]
-        if not scenes or not photographs:
+        scenes = [file for file in self.files if file.suffix.lower() not in _IMAGE_EXTENSIONS]
+        images = [file for file in self.files if file.suffix.lower() in _IMAGE_EXTENSIONS]
+        if not scenes or not images:
             missing = "scene" if not scenes else "photograph"
             raise ls.ConfigError(f"no {missing} given: lumisplat fit room.toml photo.jpg -o fitted.toml")
-        self._check_output(photographs)
-        cameras = self._cameras(camera_file(scenes), photographs)
+        self._check_output(images)
+        cameras = self._cameras(camera_file(scenes), images)
         config = self._config(scene_settings(scene_file(scenes)))
         with progress_bars() as report:
             self.quiet_warp()
@@ -99,7 +99,7 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             fit = ls.fit_lights(
                 document.scene(),
                 cameras,
-                photographs,
+                images,
                 masks=list(self.mask) or None,
                 environment_degree=self._degree(),
                 intensities=not self.no_intensities,
@@ -119,14 +119,14 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             fitted.save(self.output, overwrite=self.overwrite)
             if self.report is not None:
                 renderer = ls.create_renderer(replace(config, tone_map=ls.ToneMap(self.tone_map)), self.device)
-                _write_report(self.report, fit, cameras, photographs, renderer)
+                _write_report(self.report, fit, cameras, images, renderer)
         for line in (*fit.remarks, *remarks):
             _log.warning("%s", line)
         print_columns(*_light_rows(fit))
         residuals = ", ".join(f"{view.residual:.4f}" for view in fit.views)
         print(f"{self.output}: residual {residuals} (1 is white)")
 
-    def _check_output(self, photographs: list[Path]) -> None:
+    def _check_output(self, images: list[Path]) -> None:
         """Refuses what cannot be written, before anything slow is done."""
         if self.output.suffix.lower() != ".toml":
             raise ls.FormatError(self.output, "is no .toml: the scene in the light that is found is saved as one")
@@ -136,9 +136,9 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             raise ls.FormatError(self.output, "is a folder, expected the name of a file to write")
         check_folder(_assets_of(self.output), self.output)
         if self.report is not None:
-            check_report(self.report, photographs)
+            check_report(self.report, images)
 
-    def _cameras(self, file: Path | None, photographs: list[Path]) -> list[ls.Camera]:
+    def _cameras(self, file: Path | None, images: list[Path]) -> list[ls.Camera]:
         """The camera of each photograph."""
         path = self.cameras or file
         if path is None:
@@ -148,15 +148,15 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
             raise ls.FormatError(
                 path, "has no cameras: say by [[cameras]], or by --cameras FILE, who took the photographs"
             )
-        if self.camera and len(self.camera) != len(photographs):
+        if self.camera and len(self.camera) != len(images):
             raise ls.ConfigError(
-                f"--camera names {len(self.camera)} and there are {len(photographs)} photographs: name one for each"
+                f"--camera names {len(self.camera)} and there are {len(images)} photographs: name one for each"
             )
         if self.camera:
             return [_named(path, known, name) for name in self.camera]
-        if len(known) == len(photographs) == 1:
+        if len(known) == len(images) == 1:
             return known
-        return [_named(path, known, photograph.stem) for photograph in photographs]
+        return [_named(path, known, image.stem) for image in images]
 
     def _config(self, base: ls.RenderConfig) -> ls.RenderConfig:
         """How light behaves: by paths, unless another pipeline is given."""
@@ -219,19 +219,19 @@ def _fitted_document(
             document = document.removed(entry.id)
         elif entry.lights and entry.kind == "meshes":
             document = document.changed(entry.id, lights=False)
-    lamps = [light for light in fit.lights if not isinstance(light, ls.LightEnvironment)]
-    for light in ls.io.SceneDocument.of(ls.Scene(lights=lamps)).entries:
+    lights = [light for light in fit.lights if not isinstance(light, ls.LightEnvironment)]
+    for light in ls.io.SceneDocument.of(ls.Scene(lights=lights)).entries:
         document, _ = document.added("lights", light.table)
     for light in fit.lights:
         if isinstance(light, ls.LightEnvironment):
-            table: dict[str, Any] = _sky_table(light)
+            table: dict[str, Any] = _environment_table(light)
             if fit.environment is not None:
                 image = {"path": _relative_name(document, _written(fit, output))}
             document, _ = document.added("environment", table | (image if light.image is not None else {}))
     return document, remarks
 
 
-def _sky_table(light: ls.LightEnvironment) -> dict[str, Any]:
+def _environment_table(light: ls.LightEnvironment) -> dict[str, Any]:
     """The table of an environment, but for its image."""
     (entry,) = ls.io.SceneDocument.of(ls.Scene(lights=[light])).entries
     return {key: value for key, value in entry.table.items() if key != "path"}
@@ -317,14 +317,14 @@ def _light_rows(fit: ls.inverse.LightFit) -> tuple[list[str], list[list[str]]]:
     rows: list[list[str]] = []
     for number, light in enumerate(fit.lights):
         power = _power(fit, number)
-        place = getattr(light, "position", None)
+        position = getattr(light, "position", None)
         error = float(fit.position_errors[number].max())
         rows.append(
             [
                 _name(fit, number),
                 *(f"{x:.4g}" for x in power),
                 f"{float(fit.standard_errors[number].max()):.2g}",
-                "" if place is None else ", ".join(f"{x:z.4g}" for x in place),
+                "" if position is None else ", ".join(f"{x:z.4g}" for x in position),
                 "" if math.isnan(error) else f"{error:.2g}",
                 f"{fit.shares[number]:.1%}",
             ]
@@ -336,7 +336,7 @@ def _write_report(
     folder: Path,
     fit: ls.inverse.LightFit,
     cameras: Sequence[ls.Camera],
-    photographs: Sequence[Path],
+    images: Sequence[Path],
     renderer: ls.Renderer,
 ) -> None:
     """Writes report.json and a picture for each photograph: it, the scene in the light that was found, the difference.
@@ -345,16 +345,16 @@ def _write_report(
         FormatError: A file cannot be written.
     """
     make_folder(folder)
-    write_json(folder / "report.json", _figures(fit, photographs))
-    stems = file_stems([photograph.stem for photograph in photographs])
-    for view, camera, photograph, stem in zip(fit.views, cameras, photographs, stems, strict=True):
+    write_json(folder / "report.json", _figures(fit, images))
+    stems = file_stems([image.stem for image in images])
+    for view, camera, image, stem in zip(fit.views, cameras, images, stems, strict=True):
         width = min(camera.width, _WIDTH)
         shown = replace(camera.scaled(width), exposure=view.camera.exposure)
         frame = renderer.render(fit.scene, shown)
-        write_beside(folder / f"{stem}.png", [_beside(ls.load_image(photograph), frame)])
+        write_comparison(folder / f"{stem}.png", [_beside(ls.load_image(image), frame)])
 
 
-def _figures(fit: ls.inverse.LightFit, photographs: Sequence[Path]) -> dict[str, Any]:
+def _figures(fit: ls.inverse.LightFit, images: Sequence[Path]) -> dict[str, Any]:
     lights = [
         {
             "light": _name(fit, number),
@@ -372,7 +372,7 @@ def _figures(fit: ls.inverse.LightFit, photographs: Sequence[Path]) -> dict[str,
             "clipped": view.clipped,
             "masked": view.masked,
         }
-        for path, view, stops in zip(photographs, fit.views, fit.exposures, strict=True)
+        for path, view, stops in zip(images, fit.views, fit.exposures, strict=True)
     ]
     return {"lights": lights, "base_colors": fit.base_colors, "views": views, "remarks": list(fit.remarks)}
 
@@ -389,12 +389,12 @@ def _power(fit: ls.inverse.LightFit, number: int) -> list[float]:
     return [float(channel * light.intensity) for channel in light.color]
 
 
-def _beside(photograph: Any, frame: ls.Frame) -> tuple[Any, Any]:
+def _beside(image: Any, frame: ls.Frame) -> tuple[Any, Any]:
     """A photograph at the size of a frame, and that, display colours, shape (H, W, 3)."""
     import numpy as np
     from PIL import Image
 
     picture = frame.pixels_srgb()[..., :3]
     height, width = picture.shape[:2]
-    whole = Image.fromarray((255.0 * photograph + 0.5).astype(np.uint8)).resize((width, height), Image.Resampling.BOX)
+    whole = Image.fromarray((255.0 * image + 0.5).astype(np.uint8)).resize((width, height), Image.Resampling.BOX)
     return np.asarray(whole, np.float32) / 255.0, picture

@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, gltf_document, size_on_disk, toml_values
 from lumisplat.cli.options.command import Flag, LevelsCommand
-from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars, spoken_up
+from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars, up_name
 from lumisplat.cli.output.images import file_stems
 
 if TYPE_CHECKING:
@@ -224,7 +224,7 @@ def gaussian_rows(gaussians: ls.Gaussians) -> Rows:
     if gaussians.kernel_degree != 2:  # all but a few captures
         rows.append(("kernel degree", f"{gaussians.kernel_degree}"))
     if gaussians.up is not None:
-        rows.append(("up", spoken_up(gaussians.up)))
+        rows.append(("up", up_name(gaussians.up)))
     if (view := gaussians.first_view) is not None:
         rows.append(("first view", f"from {_point(view.eye)}, {math.degrees(view.fov_y):.3g} degrees high"))
     extras = [name for name in ("normals", "albedo", "roughness", "metallic", "incident") if name in arrays]

@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 _log = logging.getLogger("lumisplat")
 
-_OF_PICTURES = {"psnr": "psnr", "ssim": "ssim", "ms-ssim": "ms_ssim", "flip": "flip"}
+_IMAGE_METRICS = {"psnr": "psnr", "ssim": "ssim", "ms-ssim": "ms_ssim", "flip": "flip"}
 _USUAL = ("psnr", "ssim", "flip")
-_OF_SHADOWS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
-METRICS = (*_OF_PICTURES, *_OF_SHADOWS)
+_SHADOW_METRICS = {"sae": "sae", "sm-iou": "sm_iou", "bf": "boundary_f"}
+METRICS = (*_IMAGE_METRICS, *_SHADOW_METRICS)
 """What ``--metrics`` may hold."""
-_OF_LIGHT = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
+_LIGHT_METRICS = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,12 +69,12 @@ class Metrics(LoadingCommand):
             raise ls.ConfigError(
                 f"{_counted(self.files)}, expected an image and its reference, or an avatar and --scene"
             )
-        self._compare_pictures(*self.files)
+        self._compare_images(*self.files)
 
-    def _compare_pictures(self, image: Path, reference: Path) -> None:
+    def _compare_images(self, image: Path, reference: Path) -> None:
         """Prints the figures of each pair of pictures, and their means."""
         names = _wanted(self.metrics)
-        pairs = picture_pairs(image, reference)
+        pairs = image_pairs(image, reference)
         with progress_bars() as report:
             figures, problems = _compared(pairs, names, report)
         for problem in problems:
@@ -107,7 +107,7 @@ class Metrics(LoadingCommand):
         elif self.json:
             print(json.dumps(plain(figures[0]), indent=2))
         else:
-            rows = [[label, digits(name, figures[0][name])] for name, label in _OF_LIGHT.items()]
+            rows = [[label, digits(name, figures[0][name])] for name, label in _LIGHT_METRICS.items()]
             print_columns(["", paths[0].name], rows)
 
     def _capture(self, path: Path, report: Report) -> _Capture:
@@ -121,19 +121,19 @@ class Metrics(LoadingCommand):
         """The figures of light, by name."""
         points = ls.metrics.LitPoints.of(avatar)
         options = {} if self.radius is None else {"radius": self.radius}
-        return {name: _metric(name)(points, scene, **options) for name in _OF_LIGHT}
+        return {name: _metric(name)(points, scene, **options) for name in _LIGHT_METRICS}
 
 
 def _print_gain(before: Figures, after: Figures, *, as_json: bool) -> None:
     """Prints the figures of an avatar before and after it was relit, and by how much they fell."""
     table = {
         name: {"original": before[name], "relit": after[name], "delta": before[name] - after[name]}
-        for name in _OF_LIGHT
+        for name in _LIGHT_METRICS
     }
     if as_json:
         print(json.dumps(table, indent=2))
         return
-    rows = [[_OF_LIGHT[name], *(digits(name, value) for value in row.values())] for name, row in table.items()]
+    rows = [[_LIGHT_METRICS[name], *(digits(name, value) for value in row.values())] for name, row in table.items()]
     print_columns(["", "original", "relit", "delta"], rows)
 
 
@@ -169,16 +169,16 @@ def _compared(pairs: Sequence[Pair], names: Sequence[str], report: Report) -> tu
 
 def _figure(name: str, pair: Pair) -> float:
     """One figure of one pair."""
-    load = _loaded_picture if name in _OF_PICTURES else _shadow_strength
+    load = _loaded_image if name in _IMAGE_METRICS else _shadow_strength
     image, reference = load(pair.image), load(pair.reference)
     try:
-        return _metric((_OF_PICTURES | _OF_SHADOWS)[name])(image, reference)
+        return _metric((_IMAGE_METRICS | _SHADOW_METRICS)[name])(image, reference)
     except ls.SceneError as error:
         raise ls.FormatError(pair.image, f"cannot be compared with {pair.reference}: {error}") from None
 
 
 @lru_cache(maxsize=2)
-def _loaded_picture(path: Path) -> npt.NDArray[np.float32]:
+def _loaded_image(path: Path) -> npt.NDArray[np.float32]:
     """A picture in display colours; the last two are kept for the next metric."""
     return ls.load_image(path)
 
@@ -212,7 +212,7 @@ class Pair:
     reference: Path
 
 
-def picture_pairs(image: Path, reference: Path) -> list[Pair]:
+def image_pairs(image: Path, reference: Path) -> list[Pair]:
     """The pairs of two files or two folders, in the order of their names.
 
     Pictures of folders are paired by their names without the extension: a PNG may have an EXR as reference.

@@ -11,12 +11,12 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
-from lumisplat.cli.input.loading import block_views, file_marks, scene_file, scene_settings
+from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
+from lumisplat.cli.input.loading import block_views, file_fingerprints, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
-from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, check_video
 from lumisplat.cli.output.images import check_writable, refuse_standard_output
@@ -59,7 +59,7 @@ class Orbit(ViewsCommand, FrameCommand):
         with progress_bars() as report:
             job = self.open_frames(report)
             fewer = "--frames, --seconds, --fps"
-            lines = make_alone(job, report, overwrite=self.overwrite, video=self.video, fewer=fewer)
+            lines = make_frames(job, report, overwrite=self.overwrite, video=self.video, fewer=fewer)
         print(lines)
 
     def open_frames(self, report: Report) -> FrameJob:
@@ -77,7 +77,7 @@ class Orbit(ViewsCommand, FrameCommand):
         wanted = tuple(frame_numbers("--frames", self.frames, count))
         self.viewpoint.check(None)
         along = (
-            self.cameras_along(self.camera_path, [index / self.fps for index in range(count)])
+            self.cameras_on_path(self.camera_path, [index / self.fps for index in range(count)])
             if self.camera_path is not None
             else []
         )
@@ -90,14 +90,14 @@ class Orbit(ViewsCommand, FrameCommand):
         blocks = block_views(self.scene, config, self.lod_pixels, lit=lit, whole=whole, upright=up)
         scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
-        config = self.light.exposed_captures(renderer, config, scene)
+        config = self.light.with_capture_gain(renderer, config, scene)
         cameras = along or self._round(scene, count)
         for line in frame_remarks(config, scene, dict(given_settings(self)), self.light, device=self.device):
             _log.warning("%s", line)
         source = self.frame_source(renderer, blocks=blocks)
         frames = FrameList(
             folder=folder,
-            origin=self._origin(config, renderer.device, folder.folder),
+            provenance=self._provenance(config, renderer.device, folder.folder),
             wanted=wanted,
             fps=self.fps,
             in_sequence=config.pipeline.is_sequence,
@@ -111,7 +111,7 @@ class Orbit(ViewsCommand, FrameCommand):
 
     def _round(self, scene: ls.Scene, count: int) -> list[ls.Camera]:
         """The cameras round the scene."""
-        start, target = self.own_camera(scene, all_around=True), self.viewpoint.target_point(scene)
+        start, target = self.viewpoint_camera(scene, all_around=True), self.viewpoint.target_point(scene)
         return ls.orbit_cameras(scene, count, start, turns=self.turns, target=target)
 
     def _frame_count(self) -> int:
@@ -125,7 +125,7 @@ class Orbit(ViewsCommand, FrameCommand):
             raise ls.ConfigError(f"--seconds {self.seconds:g} at --fps {self.fps:g} are more than a million frames")
         return max(1, round(self.seconds * self.fps))
 
-    def _origin(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
+    def _provenance(self, config: ls.RenderConfig, device: str, folder: Path) -> dict[str, str]:
         """All that a frame follows from, except its number."""
         files = [*self.scene, *(path for path in (self.camera_path, self.light.environment) if path is not None)]
         chosen = (
@@ -142,6 +142,6 @@ class Orbit(ViewsCommand, FrameCommand):
             "device": device,
             "scene": " ".join(map(str, self.scene)),
             **{name: f"{getattr(self, name)}" for name in chosen},
-            **shared_origin(self, config),
-            **file_marks(files, folder),
+            **shared_provenance(self, config),
+            **file_fingerprints(files, folder),
         }

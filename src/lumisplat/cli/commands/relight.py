@@ -12,10 +12,10 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.camera import UpOption, parse_up, say_guessed_up
+from lumisplat.cli.options.camera import UpOption, parse_up, warn_if_up_is_guessed
 from lumisplat.cli.options.command import (
     DeviceCommand,
-    PlacingCommand,
+    InsertingCommand,
     SetCommand,
     changed_config,
     given_settings_of,
@@ -24,14 +24,14 @@ from lumisplat.cli.options.command import (
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
-_CONSTANT_HARMONIC = 0.5 / math.sqrt(math.pi)
+_SH_Y00 = 0.5 / math.sqrt(math.pi)
 """A probe's first coefficient times this is its mean radiance."""
 _GAMMA_MAX = 1000.0
 """Largest ``gamma`` of `RelightConfig`."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Relight(PlacingCommand, DeviceCommand, SetCommand):
+class Relight(InsertingCommand, DeviceCommand, SetCommand):
     """Relight an avatar or object by the light of a scene.
 
     The scene is rendered all around the place where the avatar stands; how bright it is towards each Gaussian's normal
@@ -84,17 +84,17 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
             renderer = self.start_renderer(report, rendering)
             avatar = self._loaded_avatar(report)
             scene = self.load_scene(self.scene, report, given_up=parse_up(self.up))
-            place = at or _middle(avatar)
+            position = at or _middle(avatar)
             report("gathering light", 0.0)
-            probe = ls.avatars.EnvironmentProbe.capture(scene, place, self.degree, near=self.near, renderer=renderer)
+            probe = ls.avatars.EnvironmentProbe.capture(scene, position, self.degree, near=self.near, renderer=renderer)
             report("relighting", 0.0)
             relit = ls.relight(avatar, probe, config).gaussians
             report("writing", 0.0)
             ls.save(self.output, relit)
             if self.probe is not None:
-                say_guessed_up(scene)
+                warn_if_up_is_guessed(scene)
                 probe.save(self.probe, rotation_wxyz=scene.upright_wxyz)
-        self._print_summary(relit, probe, place)
+        self._print_summary(relit, probe, position)
 
     def _check_outputs(self) -> None:
         """Raises FormatError where a file of that name cannot be written, before anything slow is done."""
@@ -115,12 +115,13 @@ class Relight(PlacingCommand, DeviceCommand, SetCommand):
         )
 
     def _print_summary(
-        self, relit: ls.Gaussians, probe: ls.avatars.EnvironmentProbe, place: tuple[float, float, float]
+        self, relit: ls.Gaussians, probe: ls.avatars.EnvironmentProbe, position: tuple[float, float, float]
     ) -> None:
         """Prints what was written, how bright the light is, and which --gamma keeps the avatar's brightness."""
-        mean = _CONSTANT_HARMONIC * probe.coefficients[0]
+        mean = _SH_Y00 * probe.coefficients[0]
         print(
-            f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at ({', '.join(f'{x:g}' for x in place)})"
+            f"{self.output}: {counted(relit.count, 'Gaussian')} in the light at "
+            f"({', '.join(f'{x:g}' for x in position)})"
         )
         print(f"mean light there, red green blue, 1 is display white: {' '.join(f'{x:.3f}' for x in mean)}")
         brightness = float(mean.mean())

@@ -13,13 +13,20 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.job import FrameJob, FrameList, make_alone
+from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
 from lumisplat.cli.farm.parts import Parts
-from lumisplat.cli.input.loading import BlockViews, block_views, camera_file, file_marks, scene_file, scene_settings
+from lumisplat.cli.input.loading import (
+    BlockViews,
+    block_views,
+    camera_file,
+    file_fingerprints,
+    scene_file,
+    scene_settings,
+)
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
 from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
-from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_origin
+from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import FrameProgress, Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_source import REALTIME_FRAMES, FrameSource, WarmUp
@@ -40,12 +47,12 @@ _log = logging.getLogger("lumisplat")
 
 _STAMP = "render.json"
 _NUMBERS = re.compile(r"[\d:x\s-]+")
-_NOT_OF_PICTURES = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
+_NOT_IN_PROVENANCE = ("output", "resume", "overwrite", "frames", "tiles", "debug", "stats", "device", "changes")
 """Options of which the pictures that are there do not depend."""
 
 
 @dataclass(frozen=True)
-class _Pictures:
+class _ImageJob:
     """What the pictures of a command are made of."""
 
     scene: ls.Scene
@@ -94,14 +101,14 @@ class Render(ViewsCommand, FrameCommand):
             with progress_bars() as report:
                 job = self.open_frames(report)
                 job = replace(job, frames=replace(job.frames, go_on="with --resume"))
-                lines = make_alone(job, report, overwrite=not self.resume, video=None, fewer="--frames")
+                lines = make_frames(job, report, overwrite=not self.resume, video=None, fewer="--frames")
             print(lines)
             return
         with progress_bars() as report:
-            pictures = self._open(report)
-            print(self._render(pictures, report))
-        if pictures.writer.legend:
-            print(pictures.writer.legend)
+            job = self._open(report)
+            print(self._render(job, report))
+        if job.writer.legend:
+            print(job.writer.legend)
 
     def open_frames(self, report: Report) -> FrameJob:
         """Checks all that can be checked, and loads the scene, to render pictures that are missing.
@@ -120,12 +127,12 @@ class Render(ViewsCommand, FrameCommand):
         tiles_text, splits_samples = self._parts
         if tiles_text:
             self._check_tiles()
-        pictures = self._open(report)
-        shots, folder = pictures.shots, pictures.shots[0].path.parent
-        config, source = pictures.source.renderer.config, pictures.source
+        job = self._open(report)
+        shots, folder = job.shots, job.shots[0].path.parent
+        config, source = job.source.renderer.config, job.source
         frames = FrameList(
             folder=FrameFolder(folder, "", _STAMP, tuple(shot.path.name for shot in shots)),
-            origin=self._origin(config, source.renderer.device),
+            provenance=self._provenance(config, source.renderer.device),
             wanted=tuple(self._wanted(shots)),
             in_sequence=config.pipeline.is_sequence and self.camera_path is not None,
         )
@@ -133,7 +140,7 @@ class Render(ViewsCommand, FrameCommand):
         if tiles_text:
             parts = parts.cut(tiles_text, has_layers=bool(self._layers.names))
         if splits_samples:
-            parts = parts.split(ls.farm.sample_blocks(source.renderer, pictures.scene))
+            parts = parts.split(ls.farm.sample_blocks(source.renderer, job.scene))
         if tiles_text or splits_samples:
             unit = "part" if splits_samples else "tile"
             frames = replace(frames, folder=parts.folder, wanted=parts.wanted, needs=parts.needs, unit=unit)
@@ -144,18 +151,18 @@ class Render(ViewsCommand, FrameCommand):
             if isinstance(made, ls.farm.SamplePart):
                 made.save(parts.folder.path(index))
             else:
-                self._write(pictures, made, parts.shot(index))
+                self._write(job, made, parts.shot(index))
 
         return FrameJob(
             frames=frames,
-            render=lambda index, report: parts.make(source, pictures.scene, index, report),
+            render=lambda index, report: parts.make(source, job.scene, index, report),
             write=write,
             summarise=(lambda frame, _: print_stats(frame, config.pipeline))
             if self.stats and not splits_samples
             else None,
         )
 
-    def _open(self, report: Report) -> _Pictures:
+    def _open(self, report: Report) -> _ImageJob:
         """Checks all that can be checked, and loads the scene."""
         writer = FrameWriter(self._layers.names, self.view)
         base = scene_settings(scene_file(self.scene))
@@ -171,11 +178,11 @@ class Render(ViewsCommand, FrameCommand):
         blocks = self._blocks(config, lit=environment is not None)
         scene = blocks.preview if blocks else self.load_scene(self.scene, report, given_up=parse_up(self.viewpoint.up))
         scene = self.light.lit_scene(scene, environment)
-        config = self.light.exposed_captures(renderer, config, scene)
+        config = self.light.with_capture_gain(renderer, config, scene)
         for line in frame_remarks(config, scene, dict(given_settings(self)), self.light, device=self.device):
             _log.warning("%s", line)
-        shots = shots or self._shots([self.own_camera(scene, *self.scene)])
-        return _Pictures(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)
+        shots = shots or self._shots([self.viewpoint_camera(scene, *self.scene)])
+        return _ImageJob(scene, shots, self.frame_source(renderer, self._warm_up(), blocks), writer)
 
     def _blocks(self, config: ls.RenderConfig, *, lit: bool) -> BlockViews | None:
         """What shows a capture in blocks, view by view; None: scenes are loaded whole."""
@@ -224,9 +231,9 @@ class Render(ViewsCommand, FrameCommand):
         )
         return parts if is_named else []
 
-    def _render(self, pictures: _Pictures, report: Report) -> str:
+    def _render(self, job: _ImageJob, report: Report) -> str:
         """Renders and writes the pictures; what was written, in a line."""
-        shots = [pictures.shots[index] for index in self._wanted(pictures.shots)]
+        shots = [job.shots[index] for index in self._wanted(job.shots)]
         make_folder(shots[0].path.parent)
         with suppress(OSError):
             (shots[0].path.parent / _STAMP).unlink()  # what it said of these pictures is no longer true
@@ -234,40 +241,40 @@ class Render(ViewsCommand, FrameCommand):
         progress = FrameProgress(report, "rendering", len(shots), fewer)
         frame: ls.Frame | None = None
         for shot in shots:
-            frame = pictures.source.frame(pictures.scene, shot.camera, report)
-            self._write(pictures, frame, shot)
+            frame = job.source.frame(job.scene, shot.camera, report)
+            self._write(job, frame, shot)
             progress.add(frame)
         assert frame is not None
         if self.stats:
-            print_stats(frame, pictures.source.renderer.config.pipeline)
+            print_stats(frame, job.source.renderer.config.pipeline)
         return _summary(shots, frame)
 
-    def _origin(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
+    def _provenance(self, config: ls.RenderConfig, device: str) -> dict[str, str]:
         """All that a picture follows from, except its number."""
         files = [
             *self.scene,
             *(path for path in (self.cameras, self.camera_path, self.light.environment) if path is not None),
         ]
-        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in _NOT_OF_PICTURES}
+        own = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in _NOT_IN_PROVENANCE}
         return {
             "lumisplat": ls.__version__,
             "device": device,
             **{name: f"{value}" for name, value in own.items() if not is_dataclass(value)},
             "split_samples": f"{self._parts[1]}",
             "scene": " ".join(map(str, self.scene)),
-            **shared_origin(self, config),
-            **file_marks(files, self.output),
+            **shared_provenance(self, config),
+            **file_fingerprints(files, self.output),
         }
 
-    def _write(self, pictures: _Pictures, frame: ls.Frame, shot: Shot) -> None:
+    def _write(self, job: _ImageJob, frame: ls.Frame, shot: Shot) -> None:
         """Writes a picture, with its mattes; its samples in depth come first, as a picture says that it is done."""
         if self._layers.deep:
-            renderer = pictures.source.renderer
-            camera = pictures.source.focused(pictures.scene, shot.camera)
-            deep = ls.layers.render_deep(pictures.scene, camera, frame, renderer.config, device=renderer.device)
+            renderer = job.source.renderer
+            camera = job.source.focused(job.scene, shot.camera)
+            deep = ls.layers.render_deep(job.scene, camera, frame, renderer.config, device=renderer.device)
             deep.save(shot.path.with_suffix(".deep.exr"))
-        mattes = self._mattes(pictures.scene, shot.camera, pictures.source.renderer)
-        pictures.writer.write(frame, shot.path, mattes)
+        mattes = self._mattes(job.scene, shot.camera, job.source.renderer)
+        job.writer.write(frame, shot.path, mattes)
 
     def _mattes(self, scene: ls.Scene, camera: ls.Camera, renderer: ls.Renderer) -> ls.layers.Mattes | None:
         """Mattes of a picture, if they are asked for."""

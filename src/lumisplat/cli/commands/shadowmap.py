@@ -11,8 +11,8 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.command import DeviceCommand, PlacingCommand, setting, without_none
-from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, spoken_up
+from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, setting, without_none
+from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ _CAPTURES = (".ply", ".spz")
 
 
 @dataclass(frozen=True, kw_only=True)
-class ShadowMap(PlacingCommand, DeviceCommand):
+class ShadowMap(InsertingCommand, DeviceCommand):
     """Bake the shadows of avatars and objects into a capture."""
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
@@ -76,7 +76,7 @@ class ShadowMap(PlacingCommand, DeviceCommand):
         print(summary)
         if scene_file(self.casters):
             whose = "as in the capture" if casters.up == up else "as their scene.toml says"
-            print(f"casters: up is {spoken_up(casters.up_direction)}, {whose}")
+            print(f"casters: up is {up_name(casters.up_direction)}, {whose}")
 
     def _save_capture(self, casters: ls.Scene, capture: ls.Gaussians, lights: tuple[Light, ...], report: Report) -> str:
         """Writes the capture with the shadows; a summary."""

@@ -12,8 +12,8 @@ import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns
 from lumisplat.cli.input.numbers import seconds_of
 from lumisplat.cli.options.command import DeviceCommand, Flag, given_settings_of, setting
-from lumisplat.cli.output.comparisons import plain, write_json, write_picture
-from lumisplat.cli.output.console import Report, counted, print_columns, progress_bars, spoken_time
+from lumisplat.cli.output.comparisons import plain, write_image, write_json
+from lumisplat.cli.output.console import Report, counted, duration_text, print_columns, progress_bars
 from lumisplat.cli.output.images import file_stems, make_folder, refuse_standard_output
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ class Train(DeviceCommand):
         self.quiet_warp()
         with progress_bars() as report:
             made = self.make(report)
-        self.tell(*made)
+        self.print_results(*made)
 
     def check(self) -> None:
         """Checks what can be checked before photographs are read.
@@ -142,7 +142,7 @@ class Train(DeviceCommand):
             ls.io.find_poses(self.folder, ordered=self.poses == "colmap-film", progress=report)
         config = self._config()
         try:
-            photographs = ls.io.load_training_images(
+            images = ls.io.load_training_images(
                 self.folder,
                 scale=self.scale,
                 hold_out=self.hold_out,
@@ -151,7 +151,7 @@ class Train(DeviceCommand):
                 allow_outside=self.allow_outside,
             )
             result = ls.train(
-                photographs,
+                images,
                 config,
                 output=self.output,
                 stop_after=self._seconds(),
@@ -162,18 +162,18 @@ class Train(DeviceCommand):
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{self._again} continues; with --stop-after 1s, it writes the capture") from None
-        return result, self._materials(result, photographs, self._materials_config(), report)
+        return result, self._materials(result, images, self._materials_config(), report)
 
-    def tell(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
+    def print_results(self, result: ls.training.TrainResult, found: ls.inverse.FoundMaterials | None) -> None:
         """Says what came of it."""
-        self._tell(result)
+        self._print_results(result)
         if found is not None:
-            self._tell_materials(found)
+            self._print_materials(found)
 
     def _materials(
         self,
         result: ls.training.TrainResult,
-        photographs: ls.io.TrainingImages,
+        images: ls.io.TrainingImages,
         config: ls.config.MaterialsConfig,
         report: Report,
     ) -> ls.inverse.FoundMaterials | None:
@@ -181,21 +181,21 @@ class Train(DeviceCommand):
         if not self.relightable or not result.is_finished:
             return None
         if result.cameras is not None:  # poses have moved
-            moved = zip(photographs.training, result.cameras, strict=True)
-            photographs = replace(photographs, training=tuple(replace(one, camera=camera) for one, camera in moved))
+            moved = zip(images.training, result.cameras, strict=True)
+            images = replace(images, training=tuple(replace(one, camera=camera) for one, camera in moved))
         try:
             found = ls.inverse.find_materials(
-                result.gaussians, photographs, config, output=self.output, device=self.device, progress=report
+                result.gaussians, images, config, output=self.output, device=self.device, progress=report
             )
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"{self._again} continues; {self.output} has no materials yet") from None
-        _write_materials(self.output.with_suffix(".training") / "materials", found, photographs, self.device)
+        _write_materials(self.output.with_suffix(".training") / "materials", found, images, self.device)
         return found
 
-    def _tell_materials(self, found: ls.inverse.FoundMaterials) -> None:
+    def _print_materials(self, found: ls.inverse.FoundMaterials) -> None:
         """Says what is beside the capture, and what is doubtful."""
-        sky = self.output.with_name(self.output.stem + ".environment.exr")
-        print(f"{sky}: the sky; {self.output.with_suffix('.training')}/materials has pictures of both")
+        environment = self.output.with_name(self.output.stem + ".environment.exr")
+        print(f"{environment}: the sky; {self.output.with_suffix('.training')}/materials has pictures of both")
         if found.too_light > _TOO_LIGHT:
             print(
                 f"{found.too_light:.0%} of what is seen is lighter than the sky that was found can make it: "
@@ -232,7 +232,7 @@ class Train(DeviceCommand):
             raise ls.ConfigError(f"{error}, or random: another one in each step") from None
         return self.background
 
-    def _tell(self, result: ls.training.TrainResult) -> None:
+    def _print_results(self, result: ls.training.TrainResult) -> None:
         """Says what came of it."""
         score = result.score
         if score is not None:
@@ -241,7 +241,7 @@ class Train(DeviceCommand):
                 ["held out", "PSNR, dB"], [["mean", f"{score.psnr:.2f}"], *([n, f"{v:.2f}"] for n, v in worst)]
             )
         steps = f"{result.iterations:,} of {self._config().iterations:,} steps"
-        print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {spoken_time(result.seconds)}")
+        print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {duration_text(result.seconds)}")
         if result.pruned:
             limit = f"a weight of {self._config().prune_below:g} in any image"
             print(
@@ -258,32 +258,32 @@ class Train(DeviceCommand):
 
 _VIEWS = 4
 """Photographs beside which materials are shown, at most."""
-_SKY_PX = 16
+_ENVIRONMENT_PX = 16
 """Side of a pixel of the sky's picture."""
-_SKY_MEAN = 0.3
+_ENVIRONMENT_MEAN = 0.3
 """Mean of the sky in its picture, linear: how bright it is there is a convention, and above 1 is white."""
 _SH_C0 = 0.28209479177387814
 
 
-def _write_materials(
-    folder: Path, found: ls.inverse.FoundMaterials, photographs: ls.io.TrainingImages, device: str
-) -> None:
+def _write_materials(folder: Path, found: ls.inverse.FoundMaterials, images: ls.io.TrainingImages, device: str) -> None:
     """Writes a picture for some views, held out ones if there are any, the sky as a picture, and figures."""
     import numpy as np
 
     make_folder(folder)
-    views = (photographs.held_out or photographs.training)[:_VIEWS]
+    views = (images.held_out or images.training)[:_VIEWS]
     renderer = ls.create_renderer(ls.RenderConfig(lighting=False), device)
     layers = [ls.Scene([layer]) for layer in _layers(found.gaussians)]
     for view, stem in zip(views, file_stems([view.name for view in views]), strict=True):
         shown = [view.pixels(), *(renderer.render(layer, view.camera).color for layer in layers)]
-        write_picture(folder / f"{stem}.png", np.concatenate(shown, axis=1))
+        write_image(folder / f"{stem}.png", np.concatenate(shown, axis=1))
     image = found.environment.image
     if image is not None:
-        exposed = image * (_SKY_MEAN / max(float(image.mean()), 1e-9))
-        write_picture(folder / "environment.png", np.kron(_encoded(exposed), np.ones((_SKY_PX, _SKY_PX, 1))))
-    told = plain({"error": found.error, "too_light": found.too_light}) | {"gaussians": found.gaussians.count}
-    write_json(folder / "materials.json", told)
+        exposed = image * (_ENVIRONMENT_MEAN / max(float(image.mean()), 1e-9))
+        write_image(
+            folder / "environment.png", np.kron(_encoded(exposed), np.ones((_ENVIRONMENT_PX, _ENVIRONMENT_PX, 1)))
+        )
+    figures = plain({"error": found.error, "too_light": found.too_light}) | {"gaussians": found.gaussians.count}
+    write_json(folder / "materials.json", figures)
 
 
 def _layers(gaussians: ls.Gaussians) -> list[ls.Gaussians]:

@@ -12,14 +12,14 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.options.camera import UpOption, parse_up
-from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, PlacingCommand, SamplesCommand
+from lumisplat.cli.options.command import DeviceCommand, Flag, InsertingCommand, LevelsCommand, SamplesCommand
 from lumisplat.cli.options.frame import LightGroup, LightOptions
 
 _PORT = 8080
 
 
 @dataclass(frozen=True, kw_only=True)
-class View(LevelsCommand, PlacingCommand, DeviceCommand, SamplesCommand):
+class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     """Look at a scene in a browser, edit it and light it.
 
     Prints one line, the address of the page, and serves it until it is interrupted. Drag to turn, scroll to come

@@ -28,7 +28,7 @@ _IP = re.compile(r"^\s*ip: (\S+)", re.MULTILINE)
 """In what Ray says of an actor."""
 _VERSIONS = re.compile(r"Ray: (\S+)\s+Python: (\S+)")
 """In what Ray says of two sides that differ."""
-_SAID = 300
+_ERROR_CHARS = 300
 """Characters of what Ray says that are passed on."""
 
 _log = logging.getLogger("lumisplat")
@@ -64,7 +64,7 @@ def connected(address: str, cpus: int) -> Generator[Any]:
         with contextlib.chdir(sys.prefix):
             ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR, **options)
     except Exception as error:  # Ray raises whatever its parts do
-        raise ls.ConfigError(f"--address {address}: {_why_not(error)}") from None
+        raise ls.ConfigError(f"--address {address}: {_connection_problem(error)}") from None
     try:
         resources = ray.cluster_resources()
         line = f"Ray {ray.__version__} at {address}: {resources.get('CPU', 0):g} CPUs, {resources.get('GPU', 0):g} GPUs"
@@ -145,7 +145,7 @@ def _listens(host: str, port: int) -> bool:
     return True
 
 
-def _why_not(error: BaseException) -> str:
+def _connection_problem(error: BaseException) -> str:
     """Why a cluster cannot be used, of an error of Ray's."""
     if "Version mismatch" in str(error) and len(sides := _VERSIONS.findall(str(error))) == 2:
         there, here = (f"Ray {ray} with Python {python}" for ray, python in sides)
@@ -153,7 +153,7 @@ def _why_not(error: BaseException) -> str:
     return f"no cluster of Ray can be used there: {_short(error)}"
 
 
-def end_of_actor(error: BaseException) -> str:
+def actor_failure(error: BaseException) -> str:
     """How an actor has ended, of an error of Ray's, in a few words."""
     text, cause = str(error), getattr(error, "cause", None)
     where = f" on {found[1]}" if (found := _IP.search(text)) else ""
@@ -171,4 +171,4 @@ def end_of_actor(error: BaseException) -> str:
 def _short(error: BaseException) -> str:
     """The beginning of what Ray says, which goes on for pages."""
     words = " ".join(str(error).split()) or type(error).__name__
-    return words if len(words) <= _SAID else f"{words[:_SAID]} ..."
+    return words if len(words) <= _ERROR_CHARS else f"{words[:_ERROR_CHARS]} ..."

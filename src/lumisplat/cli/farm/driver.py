@@ -21,11 +21,11 @@ from typing import Annotated, Any, Protocol
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
-from lumisplat.cli.farm.cluster import LOCAL, connected, end_of_actor, usable_cores
-from lumisplat.cli.farm.job import FrameList, FrameMaker, film_lines
+from lumisplat.cli.farm.cluster import LOCAL, actor_failure, connected, usable_cores
+from lumisplat.cli.farm.job import FrameList, FrameMaker, finish_frames
 from lumisplat.cli.farm.worker import Answer, Order, Worker
 from lumisplat.cli.input.numbers import seconds_of
-from lumisplat.cli.output.console import Report, counted, one_line, progress_bars, spoken_time
+from lumisplat.cli.output.console import Report, counted, duration_text, one_line, progress_bars
 from lumisplat.cli.output.frame_folder import check_video
 from lumisplat.cli.output.images import refuse_standard_output
 
@@ -159,7 +159,7 @@ class Driver:
         self._refusals: list[BaseException] = []
         """Why workers could not start, of which no line has told: if none can, the last one is the job's error."""
         self._refusal: BaseException | None = None
-        self._said: set[str] = set()
+        self._logged: set[str] = set()
 
     def run(self) -> str:
         """Makes the frames that are missing, then the video.
@@ -173,7 +173,7 @@ class Driver:
             LumisplatError: No worker can work, or the first frame shows a mistake that comes again in all.
         """
         begun = self.clock()
-        count, needs, threads = self._room()
+        count, needs, threads = self._resources()
         actor = self.ray.remote(max_restarts=0, max_task_retries=0, **needs)(Worker)
         self._make_worker: Callable[[], Any] = lambda: actor.remote(self.order, threads)
         self._count = count
@@ -184,16 +184,16 @@ class Driver:
             while self._tasks and not self._is_finished:
                 answered, _ = self.ray.wait(list(self._tasks), num_returns=1, timeout=_WAIT_S)
                 for ref in answered:
-                    self._hear(ref)
+                    self._receive(ref)
                 self._end_hung()
         except KeyboardInterrupt:
-            raise KeyboardInterrupt(*([self._frames.there(self.overwrite)] if self._frames else [])) from None
+            raise KeyboardInterrupt(*([self._frames.count_line(self.overwrite)] if self._frames else [])) from None
         finally:
             for worker in [*self._idle, *(task.worker for task in self._tasks.values())]:
                 self.ray.kill(worker)
-        return self._lines(begun)
+        return self._summary(begun)
 
-    def _room(self) -> tuple[int, dict[str, float], int]:
+    def _resources(self) -> tuple[int, dict[str, float], int]:
         """Returns how many workers there are, what each needs of the cluster, and its threads.
 
         One has a GPU to itself where there are any, else its cores. Those that a cluster has no room for wait until
@@ -208,12 +208,12 @@ class Driver:
         share = 1.0 / -(-count // gpus) if gpus and here else 1.0
         return count, {"num_gpus": share, "num_cpus": 1} if gpus else {"num_cpus": cores}, cores
 
-    def _lines(self, begun: float) -> str:
+    def _summary(self, begun: float) -> str:
         """Returns what there is now, once nothing is left to do; raises what stands against it."""
         why = self._refusal or ls.DeviceError(
             "no worker could be started" if self._frames is None else "all workers were lost"
         )
-        self._say_who_refused(told=one_line(why))
+        self._log_refusals(reported=one_line(why))
         if (frames := self._frames) is None:
             raise why
         self._failed |= dict.fromkeys(self._waiting, why)
@@ -225,17 +225,17 @@ class Driver:
                 )
         if missing:
             raise frames.missing_error(missing, self.overwrite)
-        lines = film_lines(frames, len(self._done), self.video, self.report)
+        lines = finish_frames(frames, len(self._done), self.video, self.report)
         if not self._done:
             return lines
         lost = f", {counted(self._lost, 'worker')} lost and replaced" if self._lost else ""
         return (
             f"{lines}\n{counted(len(self._done), frames.unit)} by {counted(self._count, 'worker')} in "
-            f"{spoken_time(self.clock() - begun)}, {self._cost:.3g} s of a worker each{lost}"
+            f"{duration_text(self.clock() - begun)}, {self._mean_seconds:.3g} s of a worker each{lost}"
         )
 
     @property
-    def _cost(self) -> float:
+    def _mean_seconds(self) -> float:
         """Mean of what a frame takes of a worker, seconds; 0 if that is not known."""
         made = [seconds for seconds in self._done.values() if seconds > 0.0]
         return sum(made) / len(made) if made else 0.0
@@ -249,25 +249,25 @@ class Driver:
         worker = self._make_worker()
         self._tasks[worker.open.remote()] = _Task(worker, None, self.clock())
 
-    def _hear(self, ref: Any) -> None:
+    def _receive(self, ref: Any) -> None:
         """Takes the answer of a worker, or that it is gone."""
         task = self._tasks.pop(ref)
         try:
             answer: Answer = self.ray.get(ref)
         except self.ray.exceptions.RayError as error:
-            self._bury(task, end_of_actor(error))
+            self._replace_worker(task, actor_failure(error))
         else:
             for line in answer.lines:
-                self._say(line)
+                self._log_once(line)
             if answer.error is not None and answer.host != socket.gethostname():
                 answer.error.add_note(f"on {answer.host}")
             if task.frame is None:
-                self._opened(task.worker, answer)
+                self._worker_ready(task.worker, answer)
             else:
-                self._made(task.worker, task.frame, answer)
-        self._hand_out()
+                self._frame_done(task.worker, task.frame, answer)
+        self._assign_frames()
 
-    def _opened(self, worker: Any, answer: Answer) -> None:
+    def _worker_ready(self, worker: Any, answer: Answer) -> None:
         """Takes a worker that is ready, if it sees the same frames as the first one."""
         if answer.frames is None:
             assert answer.error is not None
@@ -276,14 +276,14 @@ class Driver:
         if self._frames is None:
             self._begin(answer.frames)
         elif answer.frames != self._frames:
-            ours, theirs = self._frames.origin, answer.frames.origin
+            ours, theirs = self._frames.provenance, answer.frames.provenance
             others = {name for name in ours | theirs if ours.get(name) != theirs.get(name)}
             named = ", ".join(sorted(others)[:3]) or "frames"
             self._refuse(worker, ls.SceneError(f"a worker sees other {named} than the first one, and is not used"))
             return
         self._idle.append(worker)
         self._bad_starts = 0
-        self._say_who_refused()
+        self._log_refusals()
 
     def _begin(self, frames: FrameList) -> None:
         """Makes the folder ready for the frames that the first worker sees."""
@@ -292,7 +292,7 @@ class Driver:
             check_video(self.video, frames.fps or 0.0)
         self._waiting = deque(frames.begin(self.overwrite))
         self._frames, self._wanted = frames, len(self._waiting)
-        self._show()
+        self._report_progress()
         if frames.in_sequence and self._waiting and self._count > 1:
             raise ls.ConfigError(
                 "frames of --pipeline realtime follow from those before them: workers cannot share them; render "
@@ -305,28 +305,28 @@ class Driver:
         self._refusal = error
         self._refusals.append(error)
         if self._frames is not None and (self._idle or self._tasks):
-            self._say_who_refused()
+            self._log_refusals()
 
-    def _say_who_refused(self, told: str = "") -> None:
+    def _log_refusals(self, reported: str = "") -> None:
         """Logs each reason, but for the one that is told as the job's error."""
         for reason in map(one_line, self._refusals):
-            if reason != told:
-                self._say(f"one worker fewer: {reason}")
+            if reason != reported:
+                self._log_once(f"one worker fewer: {reason}")
         self._refusals.clear()
 
-    def _made(self, worker: Any, frame: int, answer: Answer) -> None:
+    def _frame_done(self, worker: Any, frame: int, answer: Answer) -> None:
         """Takes a frame that is done or has failed; its worker goes on."""
         self._idle.append(worker)
         if answer.error is None:
             self._failures = 0
             self._done[frame] = answer.seconds
-            self._show()
+            self._report_progress()
         elif answer.is_mistake and not self._done:
             raise answer.error
         else:
             self._count_failure(frame, answer.error)
 
-    def _bury(self, task: _Task, how: str, error: BaseException | None = None) -> None:
+    def _replace_worker(self, task: _Task, how: str, error: BaseException | None = None) -> None:
         """Starts another worker in place of a lost one, and counts the frame that it was at as failed, by its end."""
         self.ray.kill(task.worker)
         self._lost += 1
@@ -349,8 +349,8 @@ class Driver:
             if task.frame is not None and self.clock() - task.since > limit:
                 del self._tasks[ref]
                 how = f"it takes longer than --frame-timeout {timeout}"
-                self._bury(task, f"{how}, and was ended", ls.DeviceError(how))
-        self._hand_out()
+                self._replace_worker(task, f"{how}, and was ended", ls.DeviceError(how))
+        self._assign_frames()
 
     def _count_failure(self, frame: int, error: BaseException) -> None:
         """Tries a frame again, later, or leaves it."""
@@ -360,13 +360,13 @@ class Driver:
             self._waiting.append(frame)
         else:
             self._failed[frame] = error
-            self._show()
+            self._report_progress()
         if self._failures >= FAILURES_IN_A_ROW and self._waiting:
             how = f"given up after {FAILURES_IN_A_ROW} failures in a row, the last: {one_line(error)}"
             self._failed |= dict.fromkeys(self._waiting, ls.DeviceError(how))
             self._waiting.clear()
 
-    def _hand_out(self) -> None:
+    def _assign_frames(self) -> None:
         """Gives a frame to each worker that has none."""
         while self._idle and (frame := self._next()) is not None:
             worker = self._idle.pop(0)
@@ -387,17 +387,17 @@ class Driver:
                 return frame
         return None
 
-    def _show(self) -> None:
+    def _report_progress(self) -> None:
         """Shows how far it is, and what a frame costs."""
         if self._wanted == 0 or self._frames is None:
             return
         ended = len(self._done) + len(self._failed)
-        cost = f", {self._cost:.3g} s of a worker each" if self._cost else ""
+        cost = f", {self._mean_seconds:.3g} s of a worker each" if self._mean_seconds else ""
         failed = f", {len(self._failed)} failed" if self._failed else ""
         self.report(f"{self._frames.unit}s, {ended} of {self._wanted}{cost}{failed}", ended / self._wanted)
 
-    def _say(self, line: str) -> None:
+    def _log_once(self, line: str) -> None:
         """Logs a line, once, whichever worker says it."""
-        if line not in self._said:
-            self._said.add(line)
+        if line not in self._logged:
+            self._logged.add(line)
             _log.warning("%s", line)

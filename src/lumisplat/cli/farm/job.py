@@ -23,7 +23,7 @@ class FrameList:
 
     folder: FrameFolder
     """Where they go."""
-    origin: dict[str, str]
+    provenance: dict[str, str]
     """All that they are made of, by name."""
     wanted: tuple[int, ...]
     """Their numbers."""
@@ -45,10 +45,10 @@ class FrameList:
             ConfigError: There are frames of another origin.
             FormatError: The folder cannot be written to.
         """
-        self.folder.prepare(self.origin, overwrite)
+        self.folder.prepare(self.provenance, overwrite)
         return [index for index in self.wanted if not self.folder.is_finished(index)]
 
-    def there(self, overwrite: bool = False) -> str:
+    def count_line(self, overwrite: bool = False) -> str:
         """How many of the frames are there, and how to go on."""
         count = sum(map(self.folder.is_finished, self.wanted))
         again = f"the same command {self.go_on}" if overwrite else "the same command"
@@ -62,10 +62,10 @@ class FrameList:
         for index in sorted(failed):
             reasons.setdefault(one_line(failed[index]), []).append(index)
         named = list(reasons.items())[:NAMED_REASONS]
-        told = [f"{self._frames(indices)}: {reason}" for reason, indices in named]
+        messages = [f"{self._frames(indices)}: {reason}" for reason, indices in named]
         rest = len(failed) - sum(len(indices) for _, indices in named)
-        told += [f"and {counted(rest, f'more {self.unit}')}"] if rest else []
-        return FramesMissingError(f"{'; '.join(told)}; {self.there(overwrite)}")
+        messages += [f"and {counted(rest, f'more {self.unit}')}"] if rest else []
+        return FramesMissingError(f"{'; '.join(messages)}; {self.count_line(overwrite)}")
 
     def _frames(self, indices: list[int]) -> str:
         others = f" and {counted(len(indices) - 1, f'more {self.unit}')}" if len(indices) > 1 else ""
@@ -95,7 +95,7 @@ class FrameJob:
             LumisplatError: As of ``render`` and ``write``.
             OSError: Likewise.
         """
-        folder, origin = self.frames.folder, self.frames.origin
+        folder, provenance = self.frames.folder, self.frames.provenance
         if folder.is_finished(index):
             return None
         try:
@@ -104,10 +104,10 @@ class FrameJob:
             if folder.is_finished(index):  # another process has made it, and removed its parts
                 return None
             raise
-        folder.check_current(origin)
+        folder.check_current(provenance)
         self.write(frame, index)
         try:
-            folder.check_current(origin)
+            folder.check_current(provenance)
         except ls.ConfigError:
             with suppress(OSError):
                 folder.path(index).unlink()
@@ -131,7 +131,7 @@ def is_mistake(error: BaseException, frames: FrameList) -> bool:
     return isinstance(error, ls.ConfigError | ls.SceneError | ls.errors.MissingExtraError)
 
 
-def make_alone(job: FrameJob, report: Report, *, overwrite: bool, video: Path | None, fewer: str) -> str:
+def make_frames(job: FrameJob, report: Report, *, overwrite: bool, video: Path | None, fewer: str) -> str:
     """Makes the frames that are missing, then the video.
 
     Args:
@@ -155,9 +155,9 @@ def make_alone(job: FrameJob, report: Report, *, overwrite: bool, video: Path | 
     missing = frames.begin(overwrite)
     try:
         _make(job, missing, report, overwrite=overwrite, fewer=fewer)
-        return film_lines(frames, len(missing), video, report)
+        return finish_frames(frames, len(missing), video, report)
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(frames.there(overwrite)) from None
+        raise KeyboardInterrupt(frames.count_line(overwrite)) from None
 
 
 def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool, fewer: str) -> None:
@@ -181,7 +181,7 @@ def _make(job: FrameJob, missing: list[int], report: Report, *, overwrite: bool,
         job.summarise(frame, made)
 
 
-def film_lines(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
+def finish_frames(frames: FrameList, made: int, video: Path | None, report: Report) -> str:
     """Joins parts, or writes the video of all frames, if there is to be one; what there is now, in lines.
 
     Args:
@@ -196,10 +196,10 @@ def film_lines(frames: FrameList, made: int, video: Path | None, report: Report)
     if isinstance(folder := frames.folder, PartFolder):
         joined = folder.join(report)
         return f"{joined[0]}" if len(joined) == 1 else f"{len(joined)} pictures in {folder.folder}"
-    there = len(frames.wanted) - made
-    were = "was" if there == 1 else "were"
+    reused = len(frames.wanted) - made
+    were = "was" if reused == 1 else "were"
     lines = f"{counted(len(frames.wanted), frames.unit)} in {frames.folder.folder}"
-    lines += f", {there} of them {were} there" * bool(there)
+    lines += f", {reused} of them {were} there" * bool(reused)
     if video is None or frames.fps is None:
         return lines
     write_video(video, [frames.folder.path(index) for index in frames.wanted], frames.fps, report)

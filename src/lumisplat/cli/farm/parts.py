@@ -27,7 +27,7 @@ _GRID = re.compile(r"(\d+)x(\d+)")
 
 
 @dataclass(frozen=True)
-class PartedPicture:
+class SplitImage:
     """A picture, and the files of its tiles by the windows that they show; none: a unit of work writes it."""
 
     path: Path
@@ -56,7 +56,7 @@ class PartedPicture:
 class PartFolder(FrameFolder):
     """Parts of one or more pictures, numbered picture after picture."""
 
-    pictures: tuple[PartedPicture, ...] = ()
+    images: tuple[SplitImage, ...] = ()
     holders: tuple[tuple[Path, ...], ...] = ()
     """Of each part, the files that it is a part of: once one of them is there, the part is needed no more."""
 
@@ -72,15 +72,15 @@ class PartFolder(FrameFolder):
         """Writes the pictures whose parts are there, removes the parts, and returns the pictures that are there now.
 
         Raises:
-            FormatError: As of `PartedPicture.join`.
+            FormatError: As of `SplitImage.join`.
         """
-        whole = [picture for picture in self.pictures if picture.is_whole]
-        for number, picture in enumerate(whole):
+        whole = [image for image in self.images if image.is_whole]
+        for number, image in enumerate(whole):
             report("joining parts", number / len(whole))
-            picture.join()
-            _remove_parts(self._parts.get(picture.path, []))
+            image.join()
+            _remove_parts(self._parts.get(image.path, []))
         report("joining parts", 1.0)
-        return [picture.path for picture in whole]
+        return [image.path for image in whole]
 
     @cached_property
     def _parts(self) -> dict[Path, list[Path]]:
@@ -92,7 +92,7 @@ class PartFolder(FrameFolder):
         return parts
 
     def _frames(self) -> list[Path]:
-        return list(dict.fromkeys([*super()._frames(), *(one.path for one in self.pictures if one.path.is_file())]))
+        return list(dict.fromkeys([*super()._frames(), *(one.path for one in self.images if one.path.is_file())]))
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,9 @@ class Parts:
         """
         folder = shots[0].path.parent
         name = stamp if folder == output else f"{output.stem}.{stamp}"
-        pictures = tuple(PartedPicture(shot.path) for shot in shots)
+        images = tuple(SplitImage(shot.path) for shot in shots)
         names = tuple(shot.path.name for shot in shots)
-        return Parts(PartFolder(folder, "", name, names, pictures, ((),) * len(shots)), tuple(shots), wanted)
+        return Parts(PartFolder(folder, "", name, names, images, ((),) * len(shots)), tuple(shots), wanted)
 
     def cut(self, grid: str, *, has_layers: bool) -> Parts:
         """Cuts pictures into tiles.
@@ -134,7 +134,7 @@ class Parts:
             ConfigError: There are no such tiles, or the format is none of rows.
         """
         tiles: list[list[Shot]] = []
-        pictures: list[PartedPicture] = []
+        images: list[SplitImage] = []
         for shot in self.shots:
             _check_format(shot.path, has_layers=has_layers)
             folder = shot.path.with_suffix(".tiles")
@@ -144,12 +144,12 @@ class Parts:
                 if camera.window is not None
             }
             tiles.append([*files.values()])
-            pictures.append(PartedPicture(shot.path, {window: tile.path for window, tile in files.items()}))
-        holders = tuple((picture.path,) for picture in pictures for _ in picture.tiles)
+            images.append(SplitImage(shot.path, {window: tile.path for window, tile in files.items()}))
+        holders = tuple((image.path,) for image in images for _ in image.tiles)
         cut = self._divided([[tile.path for tile in files] for files in tiles], holders)
         return replace(
             cut,
-            folder=replace(cut.folder, pictures=tuple(pictures)),
+            folder=replace(cut.folder, images=tuple(images)),
             shots=tuple(shot for files in tiles for shot in files),
         )
 
@@ -157,10 +157,10 @@ class Parts:
         """Splits the samples of pictures or tiles into blocks of these numbers."""
         units: list[list[Path]] = []
         holders: list[tuple[Path, ...]] = []
-        for shot, picture in zip(self.shots, self.folder.holders, strict=True):
+        for shot, wholes in zip(self.shots, self.folder.holders, strict=True):
             folder = shot.path.with_suffix(".samples")
             units.append([*(folder / f"{block.start:06d}.npz" for block in blocks), shot.path])
-            holders += [*[(shot.path, *picture)] * len(blocks), picture]
+            holders += [*[(shot.path, *wholes)] * len(blocks), wholes]
         return replace(self._divided(units, tuple(holders)), blocks=tuple(blocks))
 
     def _divided(self, units: list[list[Path]], holders: tuple[tuple[Path, ...], ...]) -> Parts:

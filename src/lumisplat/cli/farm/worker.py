@@ -74,9 +74,9 @@ class Worker:
                 what = "is no folder where a worker runs: the scene and the frames lie where all see them"
                 raise ls.FormatError(self._order.folder, what)
             os.chdir(self._order.folder)
-            self._job = self._order.command.open_frames(_nothing)
+            self._job = self._order.command.open_frames(_no_progress)
         except Exception as error:
-            return self._answer(error=self._told(error))
+            return self._answer(error=self._portable_error(error))
         return self._answer(frames=self._job.frames)
 
     def make(self, frame: int) -> Answer:
@@ -84,10 +84,10 @@ class Worker:
         assert self._job is not None
         begun = time.perf_counter()
         try:
-            made = self._job.make(frame, _nothing)
+            made = self._job.make(frame, _no_progress)
         except Exception as error:
             wrong = isinstance(error, ls.ConfigError) or (self._made == 0 and is_mistake(error, self._job.frames))
-            return self._answer(error=self._told(error), is_mistake=wrong)
+            return self._answer(error=self._portable_error(error), is_mistake=wrong)
         self._made += 1
         return self._answer(seconds=0.0 if made is None else time.perf_counter() - begun)
 
@@ -103,12 +103,12 @@ class Worker:
         host = socket.gethostname()
         return Answer(lines=lines, host=host, frames=frames, error=error, is_mistake=is_mistake, seconds=seconds)
 
-    def _told(self, error: Exception) -> BaseException:
+    def _portable_error(self, error: Exception) -> BaseException:
         """Returns an error as one that crosses to the driver, and prints it if all of it is wanted."""
         if not isinstance(error, ls.LumisplatError | OSError | MemoryError):  # a mistake of ours
             at = traceback.extract_tb(error.__traceback__)[-1]
-            said = ls.LumisplatError(f"{type(error).__name__}: {error}, in {at.filename}, line {at.lineno}")
-            said.__cause__, error = error, said
+            described = ls.LumisplatError(f"{type(error).__name__}: {error}, in {at.filename}, line {at.lineno}")
+            described.__cause__, error = error, described
         if self._order.debug:
             traceback.print_exception(error)
         return error
@@ -126,5 +126,5 @@ class _Collected(logging.Handler):
         self._lines.append(record.getMessage())
 
 
-def _nothing(label: str, fraction: float) -> None:
+def _no_progress(label: str, fraction: float) -> None:
     """Shows no progress: that of single frames is not the driver's."""

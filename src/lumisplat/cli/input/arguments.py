@@ -97,7 +97,7 @@ def moved_option(args: Sequence[str], options: Iterable[str]) -> str | None:
         value = "VALUE" if not given or given.startswith("--") else given
         if option in known:
             continue
-        if (settings := (_SETTINGS | _OF_FRAMES).get(option)) and "--set" in known:
+        if (settings := (_SETTINGS | _RENDER_OPTIONS).get(option)) and "--set" in known:
             texts = (name if "=" in name else f"{name}={value}" for name in settings)
             return f"{option} is a setting: {' '.join(f'--set {text}' for text in texts)}"
         if option in _OPTIONS and _OPTIONS[option].split()[0] in known:
@@ -186,11 +186,11 @@ def _group(field: Field[Any]) -> Any:
 
 _OPTION_OF = {"aovs": "--aov"}
 """Setting -> its option, of those whose option has another name."""
-_OF_COMMANDS = {"NormalEstimate": "--normals", "Absorption": "--absorption", "ReceiverSampling": "--sampling"}
+_OPTION_OF_ENUM = {"NormalEstimate": "--normals", "Absorption": "--absorption", "ReceiverSampling": "--sampling"}
 """Enum -> the option of a command that takes its values."""
-_TOP = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
+_SETTINGS_WITH_OPTION = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
 """Settings that have an option of their own."""
-_OF_FRAMES = {f"--{name.replace('_', '-')}": (name,) for name in _TOP if name not in _OPTION_OF}
+_RENDER_OPTIONS = {f"--{name.replace('_', '-')}": (name,) for name in _SETTINGS_WITH_OPTION if name not in _OPTION_OF}
 """The options of commands that render frames, which others give by --set."""
 
 _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
@@ -254,7 +254,7 @@ def _member(found: re.Match[str]) -> str:
     if not (isinstance(kind, type) and issubclass(kind, Enum)) or found[2] not in kind.__members__:
         return found[0]
     value = kind[found[2]].value
-    if option := _OF_COMMANDS.get(found[1]):
+    if option := _OPTION_OF_ENUM.get(found[1]):
         return f"{option} {value}"
     return found[0] if setting is None else _typed(setting, f"{value}")
 
@@ -270,7 +270,7 @@ def _field(found: re.Match[str]) -> str:
 
 def _typed(setting: str, value: str) -> str:
     """A setting and its value, which may be empty, as they are typed."""
-    if setting in _TOP:
+    if setting in _SETTINGS_WITH_OPTION:
         return f"{_OPTION_OF.get(setting, '--' + setting.replace('_', '-'))} {value}".rstrip()
     return f"--set {setting}={value}" if value else f"--set {setting}"
 

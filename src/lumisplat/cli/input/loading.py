@@ -1,6 +1,6 @@
 """Loads the files of a scene, the settings that come with them, and captures in blocks view by view.
 
-`file_marks` tells whether a file of a scene, or one that it refers to, has changed: by size and time.
+`file_fingerprints` tells whether a file of a scene, or one that it refers to, has changed: by size and time.
 """
 
 from __future__ import annotations
@@ -56,17 +56,17 @@ def load_scene(
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
     around = around or ls.Scene()
     scenes = {path: as_scene(load(path)) for path in paths}
-    put = [path for path in scenes if path.suffix.lower() != ".toml" and not scenes[path].splats]
+    inserted = [path for path in scenes if path.suffix.lower() != ".toml" and not scenes[path].splats]
     if keep_coordinates or not any(scene.splats for scene in (around, *scenes.values())):
-        put = []
-    stated = [scene for path, scene in scenes.items() if path not in put]
+        inserted = []
+    stated = [scene for path, scene in scenes.items() if path not in inserted]
     scene = ls.Scene(
         up=up or _stated_up(scenes, around),
         splats=(*around.splats, *(splat for scene in stated for splat in scene.splats)),
         meshes=tuple(mesh for scene in stated for mesh in scene.meshes),
         lights=tuple(light for scene in stated for light in scene.lights),
     )
-    for path in put:
+    for path in inserted:
         scene = ls.insert(scene, scenes[path], name=path.name)
     if not around.splats:
         return scene
@@ -82,8 +82,8 @@ def _stated_up(scenes: Mapping[Path, ls.Scene], around: ls.Scene) -> tuple[float
         if path.suffix.lower() == ".toml" and "up" in toml_values(path):
             return scene.up
     listed = (around, *scenes.values())
-    said = [scene for scene in listed if scene.splats] or listed
-    return next((scene.up_direction for scene in said if scene.up_source != "guess"), None)
+    deciding = [scene for scene in listed if scene.splats] or listed
+    return next((scene.up_direction for scene in deciding if scene.up_source != "guess"), None)
 
 
 def as_scene(asset: ls.Gaussians | ls.Mesh | ls.Scene) -> ls.Scene:
@@ -245,13 +245,13 @@ def holds_materials(path: Path) -> bool:
     return holds_all_columns(path) or path.suffix.lower() in _SCENES
 
 
-_OF_OBJ = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
-_OF_USDA = re.compile(r"@([^@\n]+)@")
+_OBJ_REFERENCE = re.compile(r"^(?:mtllib|map_\w+|norm|bump)\s+(?:.*\s)?(\S+)\s*$", re.MULTILINE)
+_USDA_REFERENCE = re.compile(r"@([^@\n]+)@")
 _OBJ_HEAD = 2**20
 """Bytes of an OBJ that are searched for its material library."""
 
 
-def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
+def file_fingerprints(paths: list[Path], excluded: Path) -> dict[str, str]:
     """Size and time of files and of all files that they refer to, by their paths from the first one's folder.
 
     A text in a file refers to a file if it is its path from the folder of the file that holds the text; the path of a
@@ -259,13 +259,13 @@ def file_marks(paths: list[Path], apart: Path) -> dict[str, str]:
 
     Args:
         paths: The files to begin with; the first is the scene file.
-        apart: A folder that is left out, that of the frames.
+        excluded: A folder that is left out, that of the frames.
     """
     found: dict[Path, str] = {}
     waiting = list(paths)
     while waiting:
         path = Path(os.path.abspath(waiting.pop()))
-        if path in found or path == Path(os.path.abspath(apart)) or not path.exists():
+        if path in found or path == Path(os.path.abspath(excluded)) or not path.exists():
             continue
         if path.is_dir():
             waiting += [file for file in path.iterdir() if file.is_file() and not file.name.startswith(".")]
@@ -310,10 +310,10 @@ def _texts(path: Path) -> Iterator[str]:
     elif suffix in (".usda", ".usd", ".usdc"):
         with path.open("rb") as stream:
             is_binary = stream.read(8) == b"PXR-USDC"
-        yield from _of_usd(path) if is_binary else _OF_USDA.findall(path.read_text(errors="replace"))
+        yield from _usd_references(path) if is_binary else _USDA_REFERENCE.findall(path.read_text(errors="replace"))
     elif suffix in (".obj", ".mtl"):
         with path.open("rb") as stream:
-            yield from _OF_OBJ.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))
+            yield from _OBJ_REFERENCE.findall(stream.read(_OBJ_HEAD).decode(errors="replace"))
 
 
 def gltf_document(path: Path) -> Any:
@@ -325,7 +325,7 @@ def gltf_document(path: Path) -> Any:
         return json.loads(stream.read(int.from_bytes(head[12:16], "little"))) if head[16:20] == b"JSON" else None
 
 
-def _of_usd(path: Path) -> list[str]:
+def _usd_references(path: Path) -> list[str]:
     """The files that a binary layer of OpenUSD refers to: layers, and the values of all attributes and times."""
     try:
         library: Any = importlib.import_module("pxr.UsdUtils")

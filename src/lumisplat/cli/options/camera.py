@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes, arg
 import lumisplat as ls
 from lumisplat.cli.input.numbers import numbers, vector
 from lumisplat.cli.options.command import given_options, setting
-from lumisplat.cli.output.console import spoken_up
+from lumisplat.cli.output.console import up_name
 
 _log = logging.getLogger("lumisplat")
 
@@ -190,11 +190,11 @@ def upright(scene: ls.Scene, up: str) -> ls.Scene:
     return scene if direction is None else replace(scene, up=direction)
 
 
-def say_guessed_up(scene: ls.Scene) -> None:
+def warn_if_up_is_guessed(scene: ls.Scene) -> None:
     """Logs a line if which way is up in a scene with captures is a guess, for those who use it."""
     if scene.splats and scene.up_source == "guess":
-        said = "which way is up, no file says: %s is a guess; --up says it, lumisplat convert --level finds it"
-        _log.warning(said, spoken_up(scene.up_direction))
+        message = "which way is up, no file says: %s is a guess; --up says it, lumisplat convert --level finds it"
+        _log.warning(message, up_name(scene.up_direction))
 
 
 def parse_up(text: str) -> str | tuple[float, float, float] | None:

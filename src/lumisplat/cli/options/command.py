@@ -82,7 +82,7 @@ class LoadingCommand(Command):
         return False
 
     @property
-    def keeps_places(self) -> bool:
+    def keeps_coordinates(self) -> bool:
         """Whether meshes beside captures stay as they are in their files."""
         return False
 
@@ -141,20 +141,20 @@ class LoadingCommand(Command):
             paths,
             lambda path: self.load_asset(path, report, up),
             given_up,
-            keep_coordinates=self.keeps_places,
+            keep_coordinates=self.keeps_coordinates,
             around=around,
         )
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlacingCommand(LoadingCommand):
+class InsertingCommand(LoadingCommand):
     """Options of the commands that put meshes into captures."""
 
     keep_coordinates: Flag = False
     """Keep meshes where their files have them, not on a capture's ground."""
 
     @property
-    def keeps_places(self) -> bool:
+    def keeps_coordinates(self) -> bool:
         """As the option says."""
         return self.keep_coordinates
 
@@ -233,7 +233,7 @@ class LevelsCommand(LoadingCommand):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewsCommand(LevelsCommand, PlacingCommand):
+class ViewsCommand(LevelsCommand, InsertingCommand):
     """Options of the commands that show captures in blocks view by view."""
 
     lod: Annotated[
@@ -308,9 +308,9 @@ class SetCommand(Command):
             if not name or not equals:
                 raise ls.ConfigError(f"--set {text}: expected NAME=VALUE, such as trace.hits_per_pass=8")
             name = name.removeprefix("render.")
-            place = next((place for place in (LIGHTING, CREASE) if name.startswith(place)), "")
-            if place == prefix:
-                found[name.removeprefix(LIGHTING) if place == LIGHTING else name] = value
+            table = next((table for table in (LIGHTING, CREASE) if name.startswith(table)), "")
+            if table == prefix:
+                found[name.removeprefix(LIGHTING) if table == LIGHTING else name] = value
         return found
 
     def changed(self, base: _Config, prefix: str = "") -> _Config:

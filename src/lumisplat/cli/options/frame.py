@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import OmitArgPrefixes, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.camera import CameraGroup, CameraOptions, say_guessed_up
+from lumisplat.cli.options.camera import CameraGroup, CameraOptions, warn_if_up_is_guessed
 from lumisplat.cli.options.command import (
     CREASE,
     Changes,
@@ -25,7 +25,7 @@ from lumisplat.cli.options.command import (
     without_none,
 )
 from lumisplat.cli.output.frame_folder import flat_settings
-from lumisplat.cli.output.frame_source import FrameSource, SceneOfViews, WarmUp
+from lumisplat.cli.output.frame_source import FrameSource, SceneForView, WarmUp
 
 if TYPE_CHECKING:
     from lumisplat.scene.materials import Material
@@ -77,7 +77,7 @@ class EnvironmentOptions(LightOptions):
         gain = None if self.capture_gain == "auto" else self.capture_gain
         return super().changes() | without_none({"capture_gain": gain})
 
-    def exposed_captures(self, renderer: ls.Renderer, config: ls.RenderConfig, scene: ls.Scene) -> ls.RenderConfig:
+    def with_capture_gain(self, renderer: ls.Renderer, config: ls.RenderConfig, scene: ls.Scene) -> ls.RenderConfig:
         """The settings with the gain of captured light that --capture-gain auto finds; the renderer has them, too.
 
         Args:
@@ -128,7 +128,7 @@ class EnvironmentOptions(LightOptions):
         """
         if environment is None:
             return scene
-        say_guessed_up(scene)
+        warn_if_up_is_guessed(scene)
         half = 0.5 * math.radians(self.environment_rotation or 0.0)
         w, x, y, z = scene.upright_wxyz
         c, s = math.cos(half), math.sin(half)
@@ -202,7 +202,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return replace(config, aovs=(*config.aovs, "albedo"))
 
     def frame_source(
-        self, renderer: ls.Renderer, warm_up: WarmUp | None = None, blocks: SceneOfViews | None = None
+        self, renderer: ls.Renderer, warm_up: WarmUp | None = None, blocks: SceneForView | None = None
     ) -> FrameSource:
         """What renders the frames of the command.
 
@@ -259,14 +259,14 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
             raise ls.ConfigError(f"--camera-path and {other} are both given: choose one")
         return ls.io.load_camera_path(path, width=self.width, height=self.height)
 
-    def cameras_along(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
+    def cameras_on_path(self, path: Path, times: Sequence[float]) -> list[ls.Camera]:
         """The cameras of --camera-path at the times of frames, over which all of the path is spread."""
-        way = self.load_camera_path(path)
-        stretched = way.stretched(float(times[-1])) if times[-1] > 0.0 else way
+        whole = self.load_camera_path(path)
+        stretched = whole.stretched(float(times[-1])) if times[-1] > 0.0 else whole
         along = (stretched.at(float(time)) for time in times)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
-    def own_camera(self, scene: ls.Scene, *files: Path, all_around: bool = False) -> ls.Camera:
+    def viewpoint_camera(self, scene: ls.Scene, *files: Path, all_around: bool = False) -> ls.Camera:
         """The camera of the viewpoint; without its options, as of `lumisplat.frame_camera`.
 
         Args:
@@ -278,7 +278,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
             SceneError: The scene is empty, or too large; names the files.
         """
         if self.light.environment is None:  # else it is said already
-            say_guessed_up(scene)
+            warn_if_up_is_guessed(scene)
         try:
             camera = self.viewpoint.camera(scene, self.width, self.height, all_around=all_around)
         except ls.SceneError as error:
@@ -286,7 +286,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
         return self.light.exposed(camera)
 
 
-def shared_origin(command: FrameCommand, config: ls.RenderConfig) -> dict[str, str]:
+def shared_provenance(command: FrameCommand, config: ls.RenderConfig) -> dict[str, str]:
     """What frames follow from of the options that all of these commands have."""
     return {
         "exposure": f"{command.light.exposure}",
@@ -317,8 +317,8 @@ def frame_remarks(
     """
     yield from unused_options(config, scene, given, light)
     yield from _unused_albedos(config, scene)
-    yield from _dark_sides(config, scene)
-    yield from _lit_fog(config, scene, device)
+    yield from _unlit_sides(config, scene)
+    yield from _captures_without_surface(config, scene, device)
     yield from _clipped_light(config, scene, light)
 
 
@@ -344,7 +344,7 @@ def unused_options(
         yield f"not used by --pipeline {config.pipeline.value}: --shadows hard (its shadows are soft)"
 
 
-def _lit_fog(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
+def _captures_without_surface(config: ls.RenderConfig, scene: ls.Scene, device: str) -> Iterator[str]:
     """A line for each capture that takes light or shadows, and has no surface for them."""
     if config.lighting is False or not any(light.enabled for light in scene.lights):
         return
@@ -365,7 +365,7 @@ def _unused_albedos(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
         )
 
 
-def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
+def _unlit_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
     """A line if one lamp alone lights things beside a capture, which was captured in light from everywhere.
 
     Whoever has set up several lamps has thought of the sides.
@@ -376,11 +376,11 @@ def _dark_sides(config: ls.RenderConfig, scene: ls.Scene) -> Iterator[str]:
     if config.lighting is False or len(lights) != 1 or is_surrounded or not scene.splats or bounces:
         return
     relit = [splats.material for splats in scene.splats if splats.material is not None and not splats.shadow_catcher]
-    things = {
+    surfaces = {
         "meshes": any(_needs_light(instance.mesh.material) for instance in scene.meshes),
         "relit captures": any(map(_needs_light, relit)),
     }
-    dark = " and ".join(name for name, is_dark in things.items() if is_dark)
+    dark = " and ".join(name for name, is_dark in surfaces.items() if is_dark)
     if dark:
         yield (
             f"sides of {dark} that no light reaches are black: [environment] in a scene.toml (such as intensity = 0.3, "

@@ -67,13 +67,13 @@ def compare(view: ls.io.TrainingImage, frame: ls.Frame, scales: int) -> Comparis
     return Comparison(view, figures, float(region.mean()), problems)
 
 
-def write_side_by_side(view: ls.io.TrainingImage, frame: ls.Frame, path: Path) -> None:
+def write_view_comparison(view: ls.io.TrainingImage, frame: ls.Frame, path: Path) -> None:
     """Writes photograph, picture and difference, from left to right; what does not count has no difference.
 
     Raises:
         FormatError: The file cannot be written.
     """
-    write_beside(path, [(view.pixels(), frame.pixels_srgb())], _region(view))
+    write_comparison(path, [(view.pixels(), frame.pixels_srgb())], _region(view))
 
 
 def _region(view: ls.io.TrainingImage) -> npt.NDArray[np.bool_]:
@@ -117,19 +117,19 @@ _GAIN = 4.0
 """By how much differences are shown stronger than they are."""
 
 
-def check_report(folder: Path, photographs: Iterable[Path]) -> None:
+def check_report(folder: Path, images: Iterable[Path]) -> None:
     """Checks whether a report can be written, without harm to photographs: its pictures have their names.
 
     Args:
         folder: Of the report.
-        photographs: What it is about.
+        images: The images that the report compares.
 
     Raises:
         ConfigError: It is the folder of a photograph.
         FormatError: Nothing can be written there.
     """
     check_folder(folder)
-    if any(photograph.absolute().parent.resolve() == folder.resolve() for photograph in photographs):
+    if any(image.absolute().parent.resolve() == folder.resolve() for image in images):
         raise ls.ConfigError(
             f"{folder} has the photographs, whose places pictures of a report would take: name another"
         )
@@ -145,7 +145,7 @@ def write_json(path: Path, content: Mapping[str, object]) -> None:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
 
 
-def write_picture(path: Path, color: Picture) -> None:
+def write_image(path: Path, color: Picture) -> None:
     """Writes a PNG.
 
     Raises:
@@ -158,7 +158,7 @@ def write_picture(path: Path, color: Picture) -> None:
         Image.fromarray((255.0 * np.clip(color, 0.0, 1.0) + 0.5).astype(np.uint8)).save(temporary)
 
 
-def write_beside(
+def write_comparison(
     path: Path, rows: Sequence[tuple[Picture, Picture]], region: npt.NDArray[np.bool_] | None = None
 ) -> None:
     """Writes pairs of pictures side by side with their difference, four times as strong.
@@ -175,7 +175,7 @@ def write_beside(
 
     shown = 1.0 if region is None else region[..., None]
     beside = [np.concatenate([a, b, shown * np.clip(_GAIN * np.abs(a - b), 0.0, 1.0)], axis=1) for a, b in rows]
-    write_picture(path, np.concatenate(beside))
+    write_image(path, np.concatenate(beside))
 
 
 @contextmanager

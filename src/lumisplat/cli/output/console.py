@@ -39,14 +39,14 @@ def progress_bars() -> Generator[Report]:
         tasks: dict[str, tuple[TaskID, float, float]] = {}
         """With when they were reported first, and the fraction that was done by then."""
 
-        told = 0.0 if console.is_terminal else time.monotonic()
+        last_line = 0.0 if console.is_terminal else time.monotonic()
 
         def report(label: str, fraction: float) -> None:
-            nonlocal told
-            if not console.is_terminal and fraction < 1.0 and time.monotonic() - told > LINE_EVERY_S:
-                told = time.monotonic()
-                _, begun, first = tasks.get(name := label.partition(", ")[0], (None, told, fraction))
-                left = _time_left(told - begun, first, fraction)
+            nonlocal last_line
+            if not console.is_terminal and fraction < 1.0 and time.monotonic() - last_line > LINE_EVERY_S:
+                last_line = time.monotonic()
+                _, begun, first = tasks.get(name := label.partition(", ")[0], (None, last_line, fraction))
+                left = _time_left(last_line - begun, first, fraction)
                 print(f"{label}: {fraction:.0%}" + f", {left}" * bool(left), file=sys.stderr, flush=True)
             name = label.partition(", ")[0]
             if fraction >= 1.0:
@@ -136,10 +136,10 @@ def found_light(lighter: ls.AvatarLighter) -> str | None:
 
 def _time_left(seconds: float, first: float, fraction: float) -> str:
     """How long the rest takes if it took so many seconds from one fraction to another; nothing before that is known."""
-    return f"{spoken_time(seconds * (1.0 - fraction) / (fraction - first))} left" if fraction > first else ""
+    return f"{duration_text(seconds * (1.0 - fraction) / (fraction - first))} left" if fraction > first else ""
 
 
-def spoken_time(seconds: float) -> str:
+def duration_text(seconds: float) -> str:
     """A duration as people say it: ``40 s``, ``14 min``, ``2 h 5 min``."""
     if seconds < 99.5:
         return f"{seconds:.0f} s"
@@ -156,7 +156,7 @@ def byte_size(count: float) -> str:
     return f"{count:.2f} GB"
 
 
-def spoken_up(direction: tuple[float, float, float]) -> str:
+def up_name(direction: tuple[float, float, float]) -> str:
     """A direction that is up by its name, ``y-down``, or as numbers."""
     named = (name for name in ls.Scene.UP_NAMES if ls.Scene(up=name).up == direction)
     return next(named, ",".join(f"{value:.3g}" for value in direction))
@@ -243,6 +243,6 @@ class FrameProgress:
             _log.warning(
                 "%s to go, about %s: quicker with %s",
                 counted(left, self._unit),
-                spoken_time(left * seconds),
+                duration_text(left * seconds),
                 " or ".join([", ".join(remedies)] * bool(remedies) + ["a smaller --width"]),
             )

@@ -82,11 +82,11 @@ class FrameFolder:
     def tidy(self, index: int) -> None:
         """Removes what a frame was made of, once it is there."""
 
-    def prepare(self, origin: Mapping[str, str], overwrite: bool) -> None:
+    def prepare(self, provenance: Mapping[str, str], overwrite: bool) -> None:
         """Makes the folder ready for frames of an origin; frames of this origin that are there already stay.
 
         Args:
-            origin: All that frames are made of, by name.
+            provenance: Everything that the frames depend on, by name.
             overwrite: Whether to remove all frames that are there first.
 
         Raises:
@@ -95,21 +95,21 @@ class FrameFolder:
         """
         stamp = self.folder / self.stamp
         if self._frames() and not overwrite:
-            overwrite = self._check(stamp, origin)
+            overwrite = self._check(stamp, provenance)
         make_folder(self.folder)
         temporary = stamp.with_name(f".{stamp.stem}.{secrets.token_hex(6)}.lumisplat.json")  # as those of frames
         try:
-            temporary.write_text(json.dumps(self._stamped(stamp, origin), indent=1) + "\n")
+            temporary.write_text(json.dumps(self._stamped(stamp, provenance), indent=1) + "\n")
             if overwrite:
                 self._clear(stamp)
             while not _put(temporary, stamp):  # another run has begun at the same moment, or before its first frame
-                stored = stored_origin(stamp)
+                stored = stored_provenance(stamp)
                 if overwrite:
                     self._clear(stamp)
                 elif stored is None:
                     stamp.unlink(missing_ok=True)
-                elif self._differing(stored, origin):
-                    raise self._begun_by_another(stored, origin)
+                elif self._differing(stored, provenance):
+                    raise self._begun_by_another(stored, provenance)
                 else:
                     os.replace(temporary, stamp)  # perhaps with more of the same origin
                     return
@@ -129,14 +129,14 @@ class FrameFolder:
         for path in self._frames():
             path.unlink(missing_ok=True)
 
-    def check_current(self, origin: Mapping[str, str]) -> None:
+    def check_current(self, provenance: Mapping[str, str]) -> None:
         """Checks that no run with other settings has begun in the folder.
 
         Raises:
             ConfigError: One has, or the stamp is gone.
         """
-        stored = stored_origin(self.folder / self.stamp)
-        if stored is None or self._differing(stored, origin):
+        stored = stored_provenance(self.folder / self.stamp)
+        if stored is None or self._differing(stored, provenance):
             raise ls.ConfigError(
                 f"{self.folder}: {self.stamp} is not what this run has written: another run with other settings has "
                 "begun there, or the folder was emptied; this one stops, so that frames do not mix"
@@ -149,37 +149,40 @@ class FrameFolder:
             return [path for name in self.names if (path := self.folder / name).is_file()]
         return sorted(path for path in self.folder.iterdir() if _FRAME.fullmatch(path.name))
 
-    def _check(self, stamp: Path, origin: Mapping[str, str]) -> bool:
+    def _check(self, stamp: Path, provenance: Mapping[str, str]) -> bool:
         """Returns whether the frames that are there are to be replaced; raises ConfigError if they may not be."""
         advice = f"give --overwrite to remove them, or another folder{' by -o' if self.is_default else ''}"
-        stored = stored_origin(stamp)
+        stored = stored_provenance(stamp)
         if stored is None:
             raise ls.ConfigError(
                 f"{self.folder} holds frames, but no {self.stamp} that says what they are of: {advice}"
             )
-        if not (changed := self._differing(stored, origin)):
+        if not (changed := self._differing(stored, provenance)):
             return False
-        if not self.is_default or stored.keys() != origin.keys():  # frames of other files are no earlier try of these
+        if (
+            not self.is_default or stored.keys() != provenance.keys()
+        ):  # frames of other files are no earlier try of these
             what = f"other settings or files ({_listed(changed)})"
             raise ls.ConfigError(f"{self.folder} holds frames of {what}: {advice}")
         old = f"{counted(len(self._frames()), 'frame')} of other settings or files ({_listed(changed)})"
         _log.warning("%s: %s replaced; -o FOLDER keeps both", self.folder, old)
         return True
 
-    def _begun_by_another(self, stored: Mapping[str, object], origin: Mapping[str, str]) -> ls.ConfigError:
+    def _begun_by_another(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> ls.ConfigError:
         """What to say of a run of another origin that has begun in the folder, and made no frame yet."""
+        differing = self._differing(stored, provenance)
         return ls.ConfigError(
-            f"{self.folder}: another run has begun there, which differs in {_listed(self._differing(stored, origin))}: "
+            f"{self.folder}: another run has begun there, which differs in {_listed(differing)}: "
             "choose another folder, or give --overwrite if it has ended without a frame"
         )
 
-    def _stamped(self, stamp: Path, origin: Mapping[str, str]) -> dict[str, object]:
+    def _stamped(self, stamp: Path, provenance: Mapping[str, str]) -> dict[str, object]:
         """What the stamp is to say."""
-        return dict(origin)
+        return dict(provenance)
 
-    def _differing(self, stored: Mapping[str, object], origin: Mapping[str, str]) -> list[str]:
+    def _differing(self, stored: Mapping[str, object], provenance: Mapping[str, str]) -> list[str]:
         """Names of what differs between what a stamp says and an origin."""
-        return sorted(name for name in {*stored, *origin} if stored.get(name) != origin.get(name))
+        return sorted(name for name in {*stored, *provenance} if stored.get(name) != provenance.get(name))
 
 
 def _listed(names: list[str]) -> str:
@@ -198,7 +201,7 @@ def _put(temporary: Path, stamp: Path) -> bool:
     return True
 
 
-def stored_origin(stamp: Path) -> dict[str, object] | None:
+def stored_provenance(stamp: Path) -> dict[str, object] | None:
     """What a stamp says; None: there is none, or it is none."""
     try:
         stored: Any = json.loads(stamp.read_text())

@@ -12,7 +12,7 @@ from lumisplat.cli.output.console import Report, counted
 
 _log = logging.getLogger("lumisplat.noise")  # as that of the noise of known lights
 
-GRAIN = 0.1
+NOISE_MAX = 0.1
 """Noise of a frame of paths above which a line says what helps: 5 % of the pixels are off by a tenth or more."""
 
 
@@ -30,7 +30,7 @@ class WarmUp:
     """Before every picture, which are of different places; else before the first of a sequence only."""
 
 
-class SceneOfViews(Protocol):
+class SceneForView(Protocol):
     """What has a scene for each view."""
 
     def scene(self, camera: ls.Camera, release: Callable[[], None]) -> ls.Scene:
@@ -50,7 +50,7 @@ class FrameSource:
     denoises: bool = False
     """Whether the light of lit frames is denoised."""
     warm_up: WarmUp = field(default_factory=WarmUp)
-    blocks: SceneOfViews | None = None
+    blocks: SceneForView | None = None
     """In place of scenes, what each camera sees of a capture in blocks."""
     _is_warm: bool = field(default=False, init=False)
     _has_warned: bool = field(default=False, init=False)
@@ -81,7 +81,7 @@ class FrameSource:
         """A frame that was rendered, denoised if it is to be; one that is not may have a line of advice."""
         if self.denoises and frame.has("light"):
             return frame.denoised()
-        if not self._has_warned and (line := grain_line(frame)):
+        if not self._has_warned and (line := noise_advice(frame)):
             self._has_warned = True
             _log.warning("%s", line)
         return frame
@@ -112,7 +112,7 @@ class FrameSource:
         return self.renderer.focused(scene, camera, x, y)
 
 
-def grain_line(frame: ls.Frame) -> str | None:
+def noise_advice(frame: ls.Frame) -> str | None:
     """Returns what helps against the noise of a frame of paths; None: there is little, or its noise was chosen."""
     config, noise = frame.config, None if frame.stats is None else frame.stats.noise
     if config is None or not config.pipeline.traces_paths or config.noise is not None:
@@ -121,7 +121,7 @@ def grain_line(frame: ls.Frame) -> str | None:
         return None  # a kept capture: what is left are its edges
     if noise is None and frame.samples == 1:
         found = ""  # one sample does not tell
-    elif noise is not None and noise > GRAIN:
+    elif noise is not None and noise > NOISE_MAX:
         found = f" (about {noise:.2g} of noise)"
     else:
         return None

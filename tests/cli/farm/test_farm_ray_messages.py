@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lumisplat.cli.farm.cluster import end_of_actor
+from lumisplat.cli.farm.cluster import actor_failure
 
 
 class RayTaskError(Exception):
@@ -46,4 +46,4 @@ HEAD = "The actor died unexpectedly before finishing this task.\n\tclass_name: R
 )
 def test_ends_of_actors(error: Exception, words: str) -> None:
     """In a few words, of what Ray 2.60 says in pages."""
-    assert end_of_actor(error) == words
+    assert actor_failure(error) == words
