@@ -1,4 +1,4 @@
-"""``lumisplat frames`` from the shell."""
+"""Tests ``lumisplat extract-frames`` from the shell."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import lumisplat as ls
 from lumisplat.cli import main
 
 
-def test_a_film_becomes_photographs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """It says how many, and what to do with them."""
-    film, folder = tmp_path / "walk.mp4", tmp_path / "walk"
-    ls.save_animation(film, np.random.default_rng(0).uniform(size=(6, 48, 64, 3)), fps=4)
-    assert main(["frames", str(film), "-o", str(folder)]) == 0
+def test_writes_images_and_prints_the_next_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The next command names the folder, and a scale that makes a first training quick."""
+    video, folder = tmp_path / "walk.mp4", tmp_path / "walk"
+    ls.save_animation(video, np.random.default_rng(0).uniform(size=(6, 48, 64, 3)), fps=4)
+    assert main(["extract-frames", str(video), "-o", str(folder)]) == 0
     assert len(list((folder / "images").glob("*.jpg"))) == 3
-    told = capsys.readouterr().out
-    assert told.startswith(f"{folder / 'images'}: 3 photographs of 64 x 48\n")
-    assert f"next: lumisplat train {folder} -o walk.ply --poses colmap-film --stop-after 5m" in told
-    ls.save_animation(film, np.random.default_rng(0).uniform(size=(4, 640, 400, 3)), fps=4)
-    assert main(["frames", str(film), "-o", str(tmp_path / "tall")]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"{folder / 'images'}: 3 images of 64 x 48\n")
+    assert f"next: lumisplat train {folder} -o walk.ply --poses colmap-film --stop-after 5m" in printed
+    ls.save_animation(video, np.random.default_rng(0).uniform(size=(4, 640, 400, 3)), fps=4)
+    assert main(["extract-frames", str(video), "-o", str(tmp_path / "tall")]) == 0
     assert "--poses colmap-film --scale 0.5 --stop-after 5m" in capsys.readouterr().out
 
 
-def test_one_photograph_is_too_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Then the next command would fail: what is to be done is said in its place."""
-    film = tmp_path / "walk.mp4"
-    ls.save_animation(film, np.random.default_rng(0).uniform(size=(2, 48, 64, 3)), fps=4)
-    assert main(["frames", str(film), "-o", str(tmp_path / "walk")]) == 0
-    told = capsys.readouterr().out
-    assert "1 photograph of 64 x 48\none is too few for a capture: give less than --every 0.5" in told
-    assert "next:" not in told
+def test_one_image_is_too_few_for_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command prints what to change in place of a next command, which would fail."""
+    video = tmp_path / "walk.mp4"
+    ls.save_animation(video, np.random.default_rng(0).uniform(size=(2, 48, 64, 3)), fps=4)
+    assert main(["extract-frames", str(video), "-o", str(tmp_path / "walk")]) == 0
+    printed = capsys.readouterr().out
+    assert "1 image of 64 x 48\ntraining needs more than one image: give less than --every 0.5" in printed
+    assert "next:" not in printed
 
 
 @pytest.mark.parametrize(
@@ -45,17 +45,24 @@ def test_one_photograph_is_too_few(tmp_path: Path, capsys: pytest.CaptureFixture
         (("text.mp4", "-o", "out", "--size", "1"), "--size is 1"),
     ],
 )
-def test_mistakes_are_said_in_one_line(
+def test_mistakes_are_reported_in_one_line(
     options: tuple[str, ...],
     problem: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In the words of the shell."""
+    """The line names the file or the option."""
     monkeypatch.chdir(tmp_path)
     Path("text.mp4").write_text("no film")
     Path("there/images").mkdir(parents=True)
-    assert main(["frames", *options]) == 2
-    told = capsys.readouterr().err
-    assert problem in told and len(told.strip().splitlines()) == 1
+    assert main(["extract-frames", *options]) == 2
+    printed = capsys.readouterr().err
+    assert problem in printed and len(printed.strip().splitlines()) == 1
+
+
+def test_the_former_name_of_the_command_is_answered_with_the_new_one(capsys: pytest.CaptureFixture[str]) -> None:
+    """The line is the command as it is typed today."""
+    assert main(["frames", "my walk.mp4", "-o", "walk"]) == 2
+    problem = "error: frames is now extract-frames: lumisplat extract-frames 'my walk.mp4' -o walk\n"
+    assert capsys.readouterr().err == problem

@@ -37,7 +37,7 @@ SCENE_FILES = [
     for number, block in enumerate(re.findall(r"<!-- runnable -->\n```toml\n(.*?)```", page.read_text(), re.DOTALL))
 ]
 NAMES = (
-    "view|render|frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate|bake|fit|delight|"
+    "view|render|extract-frames|train|orbit|info|convert|bench|demo|metrics|evaluate|shadowmap|relight|animate|bake|fit|delight|"
     "doctor|farm|export|dataset|blocks"
 )
 COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?:{NAMES})[^`\n]*", page.read_text())})

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import inspect
 import io
+import shlex
 import sys
 import traceback
 from collections.abc import Sequence
@@ -29,7 +30,7 @@ from lumisplat.cli.commands.demo import Demo
 from lumisplat.cli.commands.doctor import Doctor
 from lumisplat.cli.commands.evaluate import Evaluate
 from lumisplat.cli.commands.export import Export
-from lumisplat.cli.commands.extract_frames import Frames
+from lumisplat.cli.commands.extract_frames import ExtractFrames
 from lumisplat.cli.commands.farm import Farm
 from lumisplat.cli.commands.fit import Fit
 from lumisplat.cli.commands.info import Info
@@ -60,18 +61,21 @@ _EXAMPLES = """  lumisplat demo -o out                        a scene to look at
   lumisplat view garden.ply                    in a browser, to fly through, edit and light
   lumisplat render scene.toml --pipeline path --samples 64 -o lit.png"""
 
-_GROUPS: dict[str, tuple[type[Any], ...]] = {
-    "look": (Render, View, Orbit, Animate, Info),
-    "light": (Fit, Relight, Delight, Bake, ShadowMap),
-    "make": (Frames, Train, Dataset, Demo),
-    "convert": (Convert, Export, Blocks),
-    "farm": (Farm,),
-    "about": (Bench, Metrics, Evaluate, Doctor, Completion),
+_GROUPS: dict[str, dict[str, type[Any]]] = {
+    "look": {"render": Render, "view": View, "orbit": Orbit, "animate": Animate, "info": Info},
+    "light": {"fit": Fit, "relight": Relight, "delight": Delight, "bake": Bake, "shadowmap": ShadowMap},
+    "make": {"extract-frames": ExtractFrames, "train": Train, "dataset": Dataset, "demo": Demo},
+    "convert": {"convert": Convert, "export": Export, "blocks": Blocks},
+    "farm": {"farm": Farm},
+    "about": {"bench": Bench, "metrics": Metrics, "evaluate": Evaluate, "doctor": Doctor, "completion": Completion},
 }
-"""The commands, whose names are those of their classes, in the groups of ``lumisplat --help``."""
+"""Classes of the commands by name, in the groups of ``lumisplat --help``."""
+
+_RENAMED_COMMANDS = {"frames": "extract-frames"}
+"""New names of commands by their former names."""
 
 _Command: Any = Union[  # noqa: UP007, as its members are computed
-    tuple(Annotated[kind, subcommand(kind.__name__.lower())] for kinds in _GROUPS.values() for kind in kinds)
+    tuple(Annotated[kind, subcommand(name)] for kinds in _GROUPS.values() for name, kind in kinds.items())
 ]
 
 
@@ -121,7 +125,7 @@ def _help() -> str:
     """The screen that shows all commands in groups, each with the first line of its docstring."""
     rows = [f"usage: lumisplat COMMAND ...\n\n{_DESCRIPTION}\n"]
     for group, kinds in _GROUPS.items():
-        lines = (f"  {kind.__name__.lower():<12}{(inspect.getdoc(kind) or '').splitlines()[0]}" for kind in kinds)
+        lines = (f"  {name:<16}{(inspect.getdoc(kind) or '').splitlines()[0]}" for name, kind in kinds.items())
         rows.append("\n".join([group, *lines]))
     return "\n".join([*rows, f"\nexamples\n{_EXAMPLES}", "\nlumisplat COMMAND --help explains a command."])
 
@@ -134,6 +138,9 @@ def _arguments(args: Sequence[str]) -> list[str]:
     commands = _commands(get_args(farmed)[0] if count == 2 else _Command)
     name = "".join(words[count - 1 : count])
     command = commands.get(name)
+    if command is None and name in _RENAMED_COMMANDS:
+        new = _RENAMED_COMMANDS[name]
+        raise ArgumentsError(f"{name} is now {new}: lumisplat {shlex.join([new, *args[1:]])}")
     if command is None and name and not name.startswith("-"):
         raise ArgumentsError(unknown_command(name, commands, "lumisplat farm" if count == 2 else "lumisplat"))
     if command is None:

@@ -1,4 +1,4 @@
-"""``lumisplat frames``: from a film to photographs."""
+"""``lumisplat extract-frames``: extracts training images from a video."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ from lumisplat.cli.options.command import Command
 from lumisplat.cli.output.console import counted, progress_bars
 
 _FIRST_SIZE = 320
-"""Longer side of photographs that a first training is quick with, pixels."""
+"""Longer side, in pixels, to which the suggested first training scales the images, so that it is quick."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Frames(Command):
+class ExtractFrames(Command):
     """Extract sharp frames from a video, as training images.
 
-    Of each stretch of time it is the sharpest frame, upright (pip install 'lumisplat[video]').
-    First try: lumisplat frames walk.mp4 -o walk
+    Needs pip install 'lumisplat[video]'. Guide: docs/guide/from_a_film.md
+    First try: lumisplat extract-frames walk.mp4 -o walk
     """
 
-    film: Positional[Annotated[Path, arg(metavar="FILM")]]
-    """A video: .mp4, .mov, .webm, ..."""
+    video: Positional[Annotated[Path, arg(metavar="VIDEO")]]
+    """Read this video: .mp4, .mov, .webm ..."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
-    """Is made if need be; photographs are in its folder images."""
+    """Write the images into the folder images of this folder."""
     every: Annotated[float, arg(metavar="SECONDS")] = 0.5
-    """Length of a stretch: neighbouring photographs should overlap by two thirds."""
-    size: Annotated[int, arg(metavar="PIXELS")] = 1600
-    """Longer side of photographs; larger frames are made smaller."""
+    """Keep the sharpest frame of each interval; neighbours should overlap by two thirds."""
+    size: Annotated[int, arg(metavar="PX")] = 1600
+    """Limit the longer side of the images."""
 
     def run(self) -> None:
-        """Writes the photographs."""
+        """Writes the images, and prints the command that trains with them."""
         from PIL import Image
 
         with progress_bars() as report:
-            files = ls.io.extract_frames(self.film, self.output, every=self.every, size=self.size, progress=report)
+            files = ls.io.extract_frames(self.video, self.output, every=self.every, size=self.size, progress=report)
         with Image.open(files[0]) as first:
             width, height = first.size
-        print(f"{files[0].parent}: {counted(len(files), 'photograph')} of {width} x {height}")
+        print(f"{files[0].parent}: {counted(len(files), 'image')} of {width} x {height}")
         if len(files) < 2:
-            print(f"one is too few for a capture: give less than --every {self.every:g}, or a longer film")
+            print(f"training needs more than one image: give less than --every {self.every:g}, or a longer video")
             return
         scale = min(max(round(_FIRST_SIZE / max(width, height), 1), 0.1), 1.0)
         first = "" if scale == 1.0 else f" --scale {scale}"

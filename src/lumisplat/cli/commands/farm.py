@@ -82,7 +82,7 @@ class FarmDataset(Dataset):
 
 @dataclass(frozen=True, kw_only=True)
 class Farm:
-    """Render frames, or train, by workers: on all GPUs of this machine, on its cores, or on a cluster of Ray.
+    """Render frames or train by several workers: GPUs, CPU cores or a Ray cluster.
 
     After an interruption, the same command continues: frames that are there stay. Workers that die are replaced.
     Exit status: 0: all frames are there. 2: a mistake. 3: some frames could not be made. 130: interrupted.
