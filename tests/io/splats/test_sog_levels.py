@@ -23,7 +23,7 @@ from support.kinds import expect_kind
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leaves of some dozens of Gaussians, and captures of two or three leaves."""
-    sizes = {"SOG_CHUNK_COUNT": 100, "SOG_CHUNK_EXTENT": 3.0, "SOG_LEAF_LEAST": 40, "SOG_LEVEL_LEAST": 70}
+    sizes = {"SOG_CHUNK_COUNT": 100, "SOG_CHUNK_EXTENT": 3.0, "SOG_LEAF_MIN": 40, "SOG_LEVEL_MIN": 70}
     for name, value in sizes.items():
         monkeypatch.setattr(streamed_sog, name, value)
 
