@@ -19,7 +19,7 @@ from bench.presets import synthetic
 from bench.timing import medians, parser, print_head, print_row, quiet_warp
 from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 
 SIZE = 640, 360
 COUNTS = (10_000, 50_000)
@@ -82,7 +82,7 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
     camera = ls.frame_camera(scene, width=width, height=height)
     wanted = np.random.default_rng(0).uniform(size=(height, width, 3)).astype(np.float32)
     config = ls.TrainConfig(iterations=10_000, cap=gaussians.count, sh_degree=0)
-    view = TrainingView("random", camera, lambda: Picture(wanted))
+    view = TrainingView("random", camera, lambda: TargetPixels(wanted))
     trainer = Trainer([view], config, points=gaussians.means, device=device)
     checkpoint = trainer.checkpoint
     learnt = TrainedParameters.new(

@@ -7,7 +7,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.dataset.draws import Draws, Purpose, split_of
-from lumisplat.dataset.objects import even_quaternion
+from lumisplat.dataset.objects import uniform_quaternion
 from lumisplat.dataset.space import Solids, even_directions, level_axes, winding_number
 from lumisplat.math.transforms import matrices_from_quaternions
 
@@ -49,7 +49,7 @@ def test_parts_have_their_shares_of_any_number_of_views(count: int) -> None:
 
 def test_rotations_are_even() -> None:
     """What turns a vector evenly has mean 0 and second moments of a third, about all axes."""
-    quaternions = np.array([even_quaternion(*row) for row in Draws(3, 0, Purpose.OBJECTS).units(4000, 3)])
+    quaternions = np.array([uniform_quaternion(*row) for row in Draws(3, 0, Purpose.OBJECTS).units(4000, 3)])
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-12)
     turned = matrices_from_quaternions(quaternions)
     assert np.abs(turned.mean(axis=0)).max() < 0.05
@@ -72,7 +72,7 @@ def test_solids_hold_what_is_inside_of_things_and_not_of_rooms() -> None:
     mirrored[0, 3] = 2.0
     thing = ls.MeshInstance(ls.box(1.0), mirrored)
     solids = Solids((thing, ls.MeshInstance(ls.box(6.0))), low, high)
-    assert solids.hold(np.array([2.2, 0.1, 0.3])) and not solids.hold(np.array([0.0, 0.1, 0.3]))
+    assert solids.contain(np.array([2.2, 0.1, 0.3])) and not solids.contain(np.array([0.0, 0.1, 0.3]))
 
 
 def test_even_directions_are_even() -> None:

@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Lesson, Picture, TrainingView
+from lumisplat.training.views import StepInput, TargetPixels, TrainingView
 from support.scenes.training_scenes import cameras, known
 
 BLACK = (0.0, 0.0, 0.0)
@@ -21,7 +21,7 @@ def dark(count: int, size: int = 40) -> list[TrainingView]:
     renderer, found = ls.create_renderer(ls.RenderConfig(), "cpu"), list[TrainingView]()
     for number, camera in enumerate(cameras(count, size)):
         frame = renderer.render(ls.Scene([gaussians]), camera)
-        picture = Picture(np.zeros((size, size, 3), np.float32), None, frame.alpha.astype(np.float32))
+        picture = TargetPixels(np.zeros((size, size, 3), np.float32), None, frame.alpha.astype(np.float32))
         found.append(TrainingView(f"{number:02d}", camera, lambda picture=picture: picture))
     return found
 
@@ -55,21 +55,23 @@ def test_random_backgrounds_are_of_the_seed_and_the_step() -> None:
     alpha = clear.read().alpha
     assert alpha is not None
     over = ((1.0 - alpha)[..., None] * np.array(behind)).astype(np.float32)
-    clear = replace(clear, read=lambda: Picture(over, None, alpha), background=behind)
-    solid = replace(solid, read=lambda: Picture(over), background=behind)
+    clear = replace(clear, read=lambda: TargetPixels(over, None, alpha), background=behind)
+    solid = replace(solid, read=lambda: TargetPixels(over), background=behind)
     one, two = (Trainer([clear], config, background=behind, device="cpu") for _ in range(2))
-    seen: list[Lesson] = []
+    seen: list[StepInput] = []
     for one.iteration in range(5):
-        seen.append(one._lesson())
-    other = Trainer([solid], config, background=behind, device="cpu")._lesson()
-    assert other.background == behind and (other.picture.color == over).all()
+        seen.append(one._next_input())
+    other = Trainer([solid], config, background=behind, device="cpu")._next_input()
+    assert other.background == behind and (other.image.color == over).all()
     two.iteration = one.iteration
-    assert two._lesson().background == seen[-1].background
-    assert len({lesson.background for lesson in seen}) == 5
-    for lesson in seen:
-        expected = (1.0 - alpha)[..., None] * np.array(lesson.background)
-        np.testing.assert_allclose(lesson.picture.color, expected, atol=1e-6)
-    assert Trainer([clear], replace(config, seed=1), device="cpu")._lesson().background != two._lesson().background
+    assert two._next_input().background == seen[-1].background
+    assert len({step_input.background for step_input in seen}) == 5
+    for step_input in seen:
+        expected = (1.0 - alpha)[..., None] * np.array(step_input.background)
+        np.testing.assert_allclose(step_input.image.color, expected, atol=1e-6)
+    assert (
+        Trainer([clear], replace(config, seed=1), device="cpu")._next_input().background != two._next_input().background
+    )
 
 
 def test_what_does_not_count_does_not_bleed_into_smaller_photographs() -> None:
@@ -78,8 +80,10 @@ def test_what_does_not_count_does_not_bleed_into_smaller_photographs() -> None:
     color, alpha = rng.uniform(size=(8, 6, 3)).astype(np.float32), rng.uniform(size=(8, 6)).astype(np.float32)
     weight = rng.integers(0, 2, (8, 6)).astype(np.float32)
     weight[:2, :2] = 0.0
-    found = Picture(color, weight, alpha).resized((3, 4))
-    painted = Picture(np.where(weight[..., None] > 0.0, color, 77.0).astype(np.float32), weight, alpha).resized((3, 4))
+    found = TargetPixels(color, weight, alpha).resized((3, 4))
+    painted = TargetPixels(np.where(weight[..., None] > 0.0, color, 77.0).astype(np.float32), weight, alpha).resized(
+        (3, 4)
+    )
     np.testing.assert_array_equal(found.color, painted.color)
     assert found.weight is not None and found.alpha is not None
     for y, x in np.ndindex(4, 3):
@@ -90,6 +94,6 @@ def test_what_does_not_count_does_not_bleed_into_smaller_photographs() -> None:
                 found.color[y, x], np.average(color[area].reshape(4, 3), 0, weight[area].ravel()), rtol=1e-5
             )
             assert found.alpha[y, x] == pytest.approx(float(np.average(alpha[area], weights=weight[area])), rel=1e-5)
-    plain = Picture(color).resized((3, 4))
+    plain = TargetPixels(color).resized((3, 4))
     np.testing.assert_allclose(plain.color[0, 0], color[:2, :2].mean(axis=(0, 1)), rtol=1e-5)
     assert plain.weight is None and plain.alpha is None

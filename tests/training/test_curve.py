@@ -29,7 +29,7 @@ def colored(part: np.ndarray) -> int:
 def test_both_axes_have_numbers_and_names() -> None:
     """Left of it and below it, along the whole of each; and what was held out once shows, too."""
     curve = Curve(steps=[50, 700], squared=[0.1, 0.001], measured=[(700, 28.0)])
-    pixels = np.asarray(curve.picture())
+    pixels = np.asarray(curve.image())
     left, below = pixels[:, : MARGIN - 2], pixels[HEIGHT - MARGIN + 2 :]
     assert dark(left[: MARGIN - 15]) and dark(below[:, WIDTH // 2 - 30 : WIDTH // 2 + 30][-25:]), "names"
     assert all(dark(part) for part in np.array_split(left[MARGIN:-MARGIN], 4)), "decibels"
@@ -47,7 +47,7 @@ def test_steps_of_the_axis_are_round() -> None:
 def test_nothing_learnt_is_an_empty_picture() -> None:
     """And what is exact has no place on it."""
     for curve in (Curve(), Curve(steps=[50], squared=[0.0])):
-        assert (np.asarray(curve.picture()) == 255).all()
+        assert (np.asarray(curve.image()) == 255).all()
 
 
 def test_what_is_held_out_is_measured_early(tmp_path: Path) -> None:

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from lumisplat.config import Densification, TrainConfig
-from lumisplat.training.densify import Record, densified, grown, multiplied, pruned, relocated, reset, shared
+from lumisplat.training.densify import (
+    DensifyStats,
+    cloned_and_split,
+    densified,
+    grown,
+    pruned,
+    relocated,
+    relocation,
+    reset_opacities,
+)
 from lumisplat.training.parameters import NAMES, TrainedParameters
 from support.oracles.particle_oracle import response
 
@@ -40,7 +49,7 @@ def parameters(opacities: list[float], scales: list[float] | None = None) -> Tra
 @pytest.mark.parametrize("degree", [2, 0, 1, 5])
 def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float, degree: int) -> None:
     """At its centre exactly; and as much in all along a line through it, which fixes the scale (equation 9)."""
-    each, factor = shared(np.array([opacity]), np.array([count]), degree)
+    each, factor = relocation(np.array([opacity]), np.array([count]), degree)
     assert each[0] >= 0.005, "none is dead"
     if 1.0 - (1.0 - opacity) ** (1.0 / count) < 0.005:
         assert each[0] == 0.005
@@ -78,15 +87,15 @@ def test_their_number_grows_to_the_cap_and_no_further() -> None:
 def test_small_ones_are_cloned_and_large_ones_split() -> None:
     """Where the loss pulls; a split one leaves two smaller ones within it."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
-    record = Record(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
-    after = multiplied(before, record, CONFIG, np.random.default_rng(0))
+    record = DensifyStats(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
+    after = cloned_and_split(before, record, CONFIG, np.random.default_rng(0))
     assert after.count == 4 + 1 + 1
     places = after.values["means"]
     assert (places == before.values["means"][0]).all(axis=1).sum() == 2, "a clone is where its source is"
     assert not (places == before.values["means"][2]).all(axis=1).any(), "what was split is gone"
     halves = np.flatnonzero(np.isclose(after.scales[:, 0], 0.5 / 1.6, rtol=1e-5))
     assert halves.size == 2 and np.linalg.norm(places[halves] - before.values["means"][2], axis=1).max() < 4 * 0.5
-    strongest = multiplied(
+    strongest = cloned_and_split(
         before, record, TrainConfig(densification=Densification.ADAPTIVE, cap=5), np.random.default_rng(0)
     )
     assert strongest.count == 5, "no more than the cap"
@@ -95,12 +104,12 @@ def test_small_ones_are_cloned_and_large_ones_split() -> None:
 def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
     """Only if it is asked for; the farther above its threshold, the sooner, whatever asks for more."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
-    record = Record(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
+    record = DensifyStats(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
     settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}
 
     def after(**more: float) -> TrainedParameters:
         config = TrainConfig(**settings, **{"cap": 100, **more})  # pyright: ignore[reportArgumentType]
-        return multiplied(before, record, config, np.random.default_rng(0))
+        return cloned_and_split(before, record, config, np.random.default_rng(0))
 
     sizes = lambda one: sorted(np.round(one.scales[:, 0], 4))  # noqa: E731
     assert sizes(after()) == [0.001, 0.001, 0.001, 0.5, 0.5], "not asked for: a clone of the first"
@@ -121,7 +130,7 @@ def test_transparent_and_oversized_ones_are_pruned() -> None:
 def test_a_reset_makes_all_almost_transparent() -> None:
     """Those that were more so stay; and nothing pulls them back by what was before."""
     after = parameters([0.9, 0.006])
-    reset(after)
+    reset_opacities(after)
     np.testing.assert_allclose(after.opacities, [0.01, 0.006], rtol=1e-4)
     assert not after.first["logits"].any() and after.first["means"].any()
 
@@ -130,7 +139,7 @@ def test_a_reset_makes_all_almost_transparent() -> None:
 def test_a_seed_gives_one_result(kind: Densification) -> None:
     """And another seed another."""
     config = TrainConfig(densification=kind, cap=200)
-    record = Record(100, 1.0, np.linspace(0.0, 2e-3, 100), np.zeros(100))
+    record = DensifyStats(100, 1.0, np.linspace(0.0, 2e-3, 100), np.zeros(100))
     ones = [
         densified(parameters([0.5, 0.003] * 50, [0.1] * 100), record, config, np.random.default_rng(seed))
         for seed in (0, 0, 1)

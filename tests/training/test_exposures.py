@@ -17,7 +17,7 @@ from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures
 from lumisplat.training.losses import ImageLoss
 from lumisplat.training.trainer import Trainer
 from support.scenes.training_scenes import BACKGROUND, cameras, known, known_learnt, views
-from training.test_photo_loss import ALPHA, ENTROPY, SIZE, SSIM, expected, images
+from training.test_image_loss import ALPHA, ENTROPY, SIZE, SSIM, expected, images
 
 WIDTH, HEIGHT = SIZE
 
@@ -104,7 +104,7 @@ def test_gains_of_photographs_are_found() -> None:
     for exposures in (False, True):
         given = replace(config, exposures=exposures)
         one = Trainer(views(8, gains=gains), given, background=BACKGROUND, points=known().means, device="cpu")
-        one._place(known_learnt())
+        one._upload(known_learnt())
         for _ in range(config.iterations):
             one.step()
         psnr[exposures] = neutral_psnr(one)

@@ -16,7 +16,7 @@ from lumisplat.math.directions import panorama_directions
 from lumisplat.math.sh import even_directions
 from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.training.lit_gaussians import ray_starts, traced_incident
-from lumisplat.training.material_fit import fitted_sky, lit_white, near_pairs
+from lumisplat.training.material_fit import fit_environment, neighbour_pairs, white_radiance
 from support.oracles.trace_oracle import trace_rays
 from support.scenes.lit_sphere import ball, matte, photographed
 
@@ -132,9 +132,9 @@ def test_a_closed_room_has_no_sky() -> None:
     white = Irradiance(np.full((40, 3), 0.3), np.zeros((40, 16), np.float32), np.zeros((40, 0), np.float32))
     directions = even_directions(16)
     rng = np.random.default_rng(0)
-    sky = fitted_sky(np.full((40, 3), 0.15), white, np.ones(40), directions, steps=3, rng=rng, report=silent)
+    sky = fit_environment(np.full((40, 3), 0.15), white, np.ones(40), directions, steps=3, rng=rng, report=silent)
     assert (sky == 1.0).all()
-    np.testing.assert_allclose(0.15 / lit_white(white, sky), 0.5)
+    np.testing.assert_allclose(0.15 / white_radiance(white, sky), 0.5)
 
 
 def test_the_sky_has_the_brightness_and_tint_that_are_conventions() -> None:
@@ -144,10 +144,10 @@ def test_the_sky_has_the_brightness_and_tint_that_are_conventions() -> None:
         np.full((300, 3), 0.02), rng.random((300, 32), np.float32) / 32.0, np.zeros((300, 0), np.float32)
     )
     weights, true = rng.random(300), rng.uniform(0.5, 2.0, (32, 3)) * (2.0, 1.0, 0.5)
-    outgoing = rng.uniform(0.2, 0.6, (300, 1)) * lit_white(white, true)
-    sky = fitted_sky(outgoing, white, weights, even_directions(32), steps=20, rng=rng, report=silent)
+    outgoing = rng.uniform(0.2, 0.6, (300, 1)) * white_radiance(white, true)
+    sky = fit_environment(outgoing, white, weights, even_directions(32), steps=20, rng=rng, report=silent)
     assert np.ptp(np.log(sky).mean(axis=0)) < 1e-6 and np.ptp(np.log(sky)) > 0.1
-    lightest = (outgoing / lit_white(white, sky)).max(axis=1)
+    lightest = (outgoing / white_radiance(white, sky)).max(axis=1)
     assert weights[lightest <= 0.8 + 1e-3].sum() == pytest.approx(0.95 * weights.sum(), rel=0.01)
 
 
@@ -156,16 +156,16 @@ def test_neighbours_are_the_nearest_others() -> None:
     points = (np.random.default_rng(2).random((3000, 3)) * (1.0, 1.0, 0.01)).astype(np.float32)
     distances = np.linalg.norm(points[:, None].astype(float) - points, axis=2)
     np.fill_diagonal(distances, np.inf)
-    pairs = near_pairs(points)
+    pairs = neighbour_pairs(points)
     np.testing.assert_array_equal(pairs.first, np.repeat(np.arange(3000), 6))
     np.testing.assert_array_equal(pairs.second.reshape(3000, 6), np.argsort(distances, axis=1)[:, :6])
-    copies = near_pairs(np.zeros((20, 3), np.float32))
+    copies = neighbour_pairs(np.zeros((20, 3), np.float32))
     assert len(copies.first) == 120 and (copies.first != copies.second).all()
 
 
 def test_a_single_gaussian_has_no_neighbours() -> None:
     """Nothing holds on to it, and nothing fails."""
-    pairs = near_pairs(np.zeros((1, 3), np.float32))
+    pairs = neighbour_pairs(np.zeros((1, 3), np.float32))
     assert len(pairs.first) == 0
     for term, gradient in (pairs.square_term(np.ones(1)), pairs.albedo_term(np.ones((1, 3)))):
         assert term == 0.0 and not gradient.any()

@@ -15,24 +15,24 @@ from lumisplat.training.views import TrainingView
 from support.scenes.lit_sphere import ball, matte, photographed
 
 COUNT, DIRECTIONS = 60, 12
-SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "sky": (DIRECTIONS, 3)}
+SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "environment": (DIRECTIONS, 3)}
 
 
 @pytest.fixture(scope="module")
-def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two, of a grey ball."""
     folder = tmp_path_factory.mktemp("set")
     return photographed(folder, matte(ball(COUNT), np.full(3, 0.5), np.ones_like), count=2, size=8)
 
 
 @pytest.fixture
-def fit(photographs: Path) -> MaterialFit:
+def fit(images: Path) -> MaterialFit:
     """Of that ball, from one albedo, one roughness and one radiance everywhere."""
     capture, directions = matte(ball(COUNT), np.full(3, 0.5), np.ones_like), even_directions(DIRECTIONS)
     light = np.ones((COUNT, DIRECTIONS), np.float32), np.zeros((COUNT, DIRECTIONS, 3), np.float32)
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
     start = Materials(np.full((COUNT, 3), 0.5), np.full(COUNT, 0.5), normals.astype(np.float64), np.ones((12, 3)))
-    views = [TrainingView.of(one) for one in ls.io.load_training_images(photographs).training]
+    views = [TrainingView.of(one) for one in ls.io.load_training_images(images).training]
     config, incident = ls.config.MaterialsConfig(iterations=10), IncidentRadiance(directions, *light)
     return MaterialFit(capture, views, incident, start, config, device="cpu", threads=1, progress=None)
 
@@ -59,7 +59,7 @@ def test_materials_move_against_derivatives(fit: MaterialFit, name: str) -> None
 def test_neighbours_hold_on_to_each_other(fit: MaterialFit, name: str) -> None:
     """One that has left the others comes back, and some of these follow it."""
     state = {key: values.copy() for key, values in fit.state.items()}
-    state[name][3] += 1.0
+    state["sky" if name == "environment" else name][3] += 1.0
     fit.restore(state, 0)
     before, after = getattr(fit.materials, name), getattr(moved(fit), name)
     assert (after[3] < before[3]).all()

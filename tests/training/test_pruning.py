@@ -27,7 +27,7 @@ def test_largest_weights_are_those_of_frames(threads: int) -> None:
     parameters.values["logits"][5] = -4.0
     config = ls.TrainConfig(cap=30, sh_degree=1)
     one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu", threads=threads)
-    one._place(TrainedParameters.new(parameters.values))
+    one._upload(TrainedParameters.new(parameters.values))
     found = one.largest_weights()
     renderer, expected = ls.DifferentiableRenderer(ls.RenderConfig(), "cpu"), np.zeros(30)
     for view in given:
@@ -66,7 +66,7 @@ def test_largest_weights_of_rays_are_those_of_frames(
     parameters.values["means"][4] = (0.0, 50.0, 0.0)
     config = ls.TrainConfig(cap=8, sh_degree=1, **settings)
     one = Trainer(given, config, points=known().means[:8], device="cpu", threads=2)
-    one._place(TrainedParameters.new(parameters.values))
+    one._upload(TrainedParameters.new(parameters.values))
     found, expected = one.largest_weights(), np.zeros(8)
     renderer = ls.create_renderer(ls.RenderConfig(**frames, lighting=False), "cpu")
     for number in range(8):

@@ -16,7 +16,7 @@ from lumisplat.math.transforms import rigid_from_twist, twist_from_rigid
 from lumisplat.training import train
 from lumisplat.training.exposure_and_pose import Poses, twist_gradient
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Lesson, TrainingView
+from lumisplat.training.views import StepInput, TrainingView
 from support.files.training_image_files import change_frame, ring_cameras, write_nerfstudio_images
 from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_learnt, views
 
@@ -40,7 +40,7 @@ def moved(given: list[TrainingView], degrees: float, shift: float) -> list[Train
 def started(given: list[TrainingView], config: ls.TrainConfig) -> Trainer:
     """A training whose Gaussians are those that the photographs show."""
     one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu")
-    one._place(known_learnt())
+    one._upload(known_learnt())
     return one
 
 
@@ -75,15 +75,15 @@ def test_a_step_goes_against_the_derivatives_of_the_loss(drawn_by: dict[str, Any
     given = moved(views(2), 1.0, 0.03)
     one = started(given, replace(CONFIG, **drawn_by))
     camera, wanted = given[0].camera, given[0].read()
-    raster = one._raster
-    photograph, lesson = one._loss.load(wanted.color, None, None), Lesson(0, camera, wanted, BACKGROUND)
+    raster = one._backend
+    target, step_input = one._loss.load(wanted.color, None, None), StepInput(0, camera, wanted, BACKGROUND)
 
     def total(pose: np.ndarray) -> float:
         pixels = raster.draw(replace(camera, camera_from_world=pose), 1, BACKGROUND)
-        return one._compare(lesson, pixels, photograph)[0].total
+        return one._compare(step_input, pixels, target)[0].total
 
     pixels = raster.draw(camera, 1, BACKGROUND)
-    raster.backward(pixels, one._compare(lesson, pixels, photograph)[1])
+    raster.backward(pixels, one._compare(step_input, pixels, target)[1])
     pose = np.asarray(camera.camera_from_world)
     found = twist_gradient(pose, raster.by_pose(camera))
     step = 1e-3

@@ -16,7 +16,7 @@ from lumisplat.training.backends import TrainingRaster
 from lumisplat.training.parameters import TrainedParameters
 from lumisplat.training.surface_kernels import SURFACE_SPREAD, SURFACE_VARIANCE_MIN
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 from support.oracles.gradient_oracle import Loss, Parameters, differences, surfaces
 from support.oracles.smoothness_oracle import smoothness
 from support.scenes import known_surfaces
@@ -46,37 +46,37 @@ def started(**settings: Any) -> Trainer:
     other = ls.Camera.look_at((-0.6, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
     rng = np.random.default_rng(2)
     weight = rng.uniform(0.2, 1.0, (SIZE[1], SIZE[0])).astype(np.float32)
-    picture = Picture(rng.uniform(size=(SIZE[1], SIZE[0], 3)).astype(np.float32), weight)
+    picture = TargetPixels(rng.uniform(size=(SIZE[1], SIZE[0], 3)).astype(np.float32), weight)
     views = [TrainingView(str(k), one, lambda: picture) for k, one in enumerate((camera, other))]
     gaussians = wall()
     config = ls.TrainConfig(iterations=10, cap=gaussians.count, sh_degree=0, **settings)
     one = Trainer(views, config, points=gaussians.means, device="cpu")
     logits = np.log(gaussians.opacities / (1.0 - gaussians.opacities))
     values = {"means": gaussians.means, "rotations": gaussians.rotations_wxyz, "sh": gaussians.sh}
-    one._place(TrainedParameters.new({**values, "log_scales": np.log(gaussians.scales), "logits": logits}))
+    one._upload(TrainedParameters.new({**values, "log_scales": np.log(gaussians.scales), "logits": logits}))
     return one
 
 
 def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
     """The terms of the first view, and the derivatives by Gaussians."""
-    camera, picture = one._views[0].smaller(0)
-    photograph = one._loss.load(picture.color, picture.weight, None)
-    pixels = one._raster.draw(camera, 0, (0.0, 0.0, 0.0))
+    camera, picture = one._views[0].downscaled(0)
+    target = one._loss.load(picture.color, picture.weight, None)
+    pixels = one._backend.draw(camera, 0, (0.0, 0.0, 0.0))
     count = SIZE[0] * SIZE[1]
     nothing = PixelGradient()
     nothing.color = one._buffers.upload("nothing.color", wp.vec3, np.zeros((count, 3), np.float32))
     nothing.alpha = one._buffers.upload("nothing.alpha", wp.float32, np.zeros(count, np.float32))
-    total, raster = 0.0, one._raster
+    total, raster = 0.0, one._backend
     assert isinstance(raster, TrainingRaster)
     if one._surfaces is not None:
-        maps = raster.compare_surfaces(one._surfaces, pixels, photograph, counted=one._loss.counted, gradient=nothing)
+        maps = raster.compare_surfaces(one._surfaces, pixels, target, counted=one._loss.counted, gradient=nothing)
         total = float(np.asarray(maps.terms.numpy(), np.float64).sum())  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
         if one._surfaces.smoothness is not None:
             terms: Any = one._surfaces.smoothness.terms
             total += float(np.asarray(terms.numpy(), np.float64).sum())
     gradient = raster.backward(pixels, nothing, one._surfaces, one._record)
     if one.config.flatness:
-        raster.flatten(one.config.flatness / one.around.extent, gradient)
+        raster.flatten(one.config.flatness / one.scene_scale.extent, gradient)
     arrays = {name: np.array(getattr(gradient, name).numpy()) for name in ("means", "rotations", "scales", "opacities")}
     return total, {**arrays, "rotations": np.roll(arrays["rotations"], 1, axis=1)}
 
@@ -101,17 +101,17 @@ def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
         one: Has the settings, the photograph and its camera.
         normals: The first channel that normals are read from.
     """
-    camera, picture = one._views[0].smaller(0)
+    camera, picture = one._views[0].downscaled(0)
     none = np.zeros((SIZE[1], SIZE[0], 3))
-    around = {"middle": one.around.distance, "extent": one.around.extent}
-    sums, clear = Sums(camera, none, none[..., 0], False, by_features=np.zeros((1, 1, 4)), **around).sums(p)
+    scene_scale = {"middle": one.scene_scale.distance, "extent": one.scene_scale.extent}
+    sums, clear = Sums(camera, none, none[..., 0], False, by_features=np.zeros((1, 1, 4)), **scene_scale).sums(p)
     alpha, weight = 1.0 - clear, np.asarray(picture.weight, np.float64)
     has = alpha > SURFACE_ALPHA
     mean = sums[..., 0] / np.where(has, alpha, 1.0)
     variance = np.maximum(sums[..., 1] / np.where(has, alpha, 1.0) - mean**2, SURFACE_VARIANCE_MIN)
     spread = SURFACE_SPREAD * -np.expm1(-np.sqrt(variance) / SURFACE_SPREAD)
     total = one.config.depth_spread * (weight * spread)[has].sum()
-    z = one.around.distance + one.around.extent * mean
+    z = one.scene_scale.distance + one.scene_scale.extent * mean
     x, y = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
     points = z[..., None] * np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy, np.ones_like(x)], -1)
     right, below = points[1:-1, 2:] - points[1:-1, :-2], points[2:, 1:-1] - points[:-2, 1:-1]
@@ -167,12 +167,12 @@ def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
     _, found = found_by(one)
     scales = one.gaussians().scales
     expected = np.zeros_like(scales)
-    expected[np.arange(len(scales)), scales.argmin(axis=1)] = FLATNESS / (len(scales) * one.around.extent)
+    expected[np.arange(len(scales)), scales.argmin(axis=1)] = FLATNESS / (len(scales) * one.scene_scale.extent)
     np.testing.assert_allclose(found["scales"], expected, rtol=1e-5)
-    one._place(one._parameters().rows(np.arange(len(scales))))
+    one._upload(one._parameters().rows(np.arange(len(scales))))
     means = one._parameters().values
     means["means"][3] = (0.0, 0.0, -9.0)  # behind the camera
-    one._place(TrainedParameters.new(means))
+    one._upload(TrainedParameters.new(means))
     _, found = found_by(one)
     assert not found["scales"][3].any() and found["scales"][2].any()
 

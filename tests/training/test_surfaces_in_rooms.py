@@ -8,7 +8,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 from support.scenes import known_surfaces
 
 SIZE = 32, 24
@@ -26,25 +26,25 @@ def camera(number: float) -> ls.Camera:
     return ls.Camera.look_at(eye, at, (0.0, -1.0, 0.0), width=SIZE[0], height=SIZE[1], fov_y=1.0)
 
 
-def photograph(by: ls.Camera) -> Picture:
+def image(by: ls.Camera) -> TargetPixels:
     """The walls of the box, by the mean of four rays a pixel."""
     rays = by.scaled(2 * by.width, 2 * by.height).ray_directions() @ by.camera_from_world[:3, :3]
     away = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     distance = ((np.sign(away) * HALF - by.eye) / away).min(axis=-1)
     colors = known_surfaces.texture((by.eye + distance[..., None] * rays) / 2.0)
-    return Picture(colors.reshape(by.height, 2, by.width, 2, 3).mean(axis=(1, 3)).astype(np.float32))
+    return TargetPixels(colors.reshape(by.height, 2, by.width, 2, 3).mean(axis=(1, 3)).astype(np.float32))
 
 
 def held_out_psnr(config: ls.TrainConfig) -> float:
     """Of eight views that a training has not seen, dB."""
-    views = [TrainingView(str(k), camera(k), lambda k=k: photograph(camera(k))) for k in range(32)]
+    views = [TrainingView(str(k), camera(k), lambda k=k: image(camera(k))) for k in range(32)]
     trainer = Trainer(views, config, device="cpu")
     for _ in range(config.iterations):
         trainer.step()
     scene, renderer = ls.Scene([trainer.gaussians()]), ls.DifferentiableRenderer(device="cpu")
     others = [camera(k + 0.5) for k in range(0, 32, 4)]
     shown = [np.clip(renderer.render(scene, by).color, 0.0, 1.0) for by in others]
-    return float(np.mean([ls.metrics.psnr(one, photograph(by).color) for one, by in zip(shown, others, strict=True)]))
+    return float(np.mean([ls.metrics.psnr(one, image(by).color) for one, by in zip(shown, others, strict=True)]))
 
 
 def test_terms_on_surfaces_leave_a_room_as_it_is() -> None:

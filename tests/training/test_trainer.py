@@ -16,9 +16,9 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.training import train
-from lumisplat.training.parameters import Surroundings, neighbour_distances
+from lumisplat.training.parameters import SceneScale, neighbour_distances
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 from support.scenes.training_scenes import BACKGROUND, cameras, folder_of, known, views
 
 CONFIG = ls.TrainConfig(iterations=400, cap=150, initial=80, sh_degree=1, coarse=0, seed=3)
@@ -87,7 +87,7 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads(kind: ls.config.Den
 def test_a_loss_that_is_not_finite_ends_training() -> None:
     """At once, with the step."""
     broken = np.full((40, 40, 3), np.nan, np.float32)
-    view = TrainingView("bad", cameras(1)[0], lambda: Picture(broken))
+    view = TrainingView("bad", cameras(1)[0], lambda: TargetPixels(broken))
     one = Trainer([view], CONFIG, device="cpu")
     with pytest.raises(ls.training.DivergedError, match=r"^training stopped at step 1: the loss is nan$"):
         one.step()
@@ -240,10 +240,10 @@ def test_parameters_that_are_not_finite_end_training_before_anything_is_written(
 def test_cameras_that_say_nothing_of_distances_are_taken_for_some() -> None:
     """That turn on the spot, or that look the same way."""
     spot = [ls.Camera.look_at((1.3, 0.7, -2.1), target) for target in np.random.default_rng(0).normal(size=(8, 3))]
-    assert Surroundings.of(spot) == Surroundings(1.0, 1.0)
+    assert SceneScale.of(spot) == SceneScale(1.0, 1.0)
     rig = [ls.Camera.look_at((x, 0.0, 0.0), (x, 0.0, 1.0)) for x in (-0.1, 0.0, 0.1)]
-    assert Surroundings.of(rig).distance == pytest.approx(3.0 * 1.1 * 0.1)
-    assert Surroundings.of(cameras(9)).distance == pytest.approx(3.0, abs=0.2)
+    assert SceneScale.of(rig).distance == pytest.approx(3.0 * 1.1 * 0.1)
+    assert SceneScale.of(cameras(9)).distance == pytest.approx(3.0, abs=0.2)
 
 
 def test_initial_scales_follow_the_three_nearest_points() -> None:

@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.runtime.buffers import device_array
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 from support.files.training_image_files import write_nerfstudio_images
 from support.scenes.training_scenes import BACKGROUND, cameras, known
 
@@ -38,7 +38,7 @@ def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None =
     """One that has made no step, with frames of what is to be found."""
     truth = replace(known(), kernel_degree=config.kernel_degree)
     views = [
-        TrainingView(camera.name, camera, lambda color=color: Picture(color))
+        TrainingView(camera.name, camera, lambda color=color: TargetPixels(color))
         for camera, color in zip(some, seen(truth, some), strict=True)
     ]
     return Trainer(views, config, background=BACKGROUND, device="cpu", threads=threads)
@@ -67,7 +67,7 @@ def test_what_is_compared_is_what_every_renderer_shows() -> None:
 
 def check_frame(one: Trainer, camera: ls.Camera) -> None:
     """The trainer's frame against that of another renderer."""
-    pixels = one._raster.draw(camera, 1, BACKGROUND)
+    pixels = one._backend.draw(camera, 1, BACKGROUND)
     expected = seen(one.gaussians(), [camera])[0]
     shown = device_array(pixels.color).numpy().reshape(expected.shape)
     assert np.abs(shown - expected).max() < 2e-6

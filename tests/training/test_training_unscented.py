@@ -11,9 +11,9 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.runtime.buffers import device_array
-from lumisplat.training.parameters import Surroundings, random_points
+from lumisplat.training.parameters import SceneScale, random_points
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 from support.files.training_image_files import write_nerfstudio_images
 from support.scenes.training_scenes import BACKGROUND, cameras, known
 
@@ -46,7 +46,7 @@ def seen(of: ls.Gaussians, some: list[ls.Camera], config: ls.RenderConfig = TRAC
 def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None = None) -> Trainer:
     """One that has made no step, with the tracer's frames of what is to be found."""
     views = [
-        TrainingView(camera.name, camera, lambda color=color: Picture(color))
+        TrainingView(camera.name, camera, lambda color=color: TargetPixels(color))
         for camera, color in zip(some, seen(known(), some), strict=True)
     ]
     return Trainer(views, config, background=BACKGROUND, device="cpu", threads=threads)
@@ -74,7 +74,7 @@ def test_what_is_compared_is_what_every_renderer_shows() -> None:
 
 def check_frame(one: Trainer, camera: ls.Camera) -> None:
     """The trainer's frame against that of another renderer."""
-    pixels = one._raster.draw(camera, 1, BACKGROUND)
+    pixels = one._backend.draw(camera, 1, BACKGROUND)
     expected = seen(one.gaussians(), [camera], FRAMES)[0]
     shown = device_array(pixels.color).numpy().reshape(expected.shape)
     assert np.abs(shown - expected).max() < 2e-6
@@ -104,7 +104,7 @@ def test_known_gaussians_are_recovered_from_the_tracers_frames(kind: str) -> Non
 def test_training_begins_where_lenses_see() -> None:
     """With points all around a fisheye of 240 degrees, none where it stands, about as far as what it looks at."""
     wide = [replace(camera, fx=9.0, fy=9.0, model=ls.CameraModel.FISHEYE) for camera in cameras(6)]
-    around = Surroundings.of(wide)
+    around = SceneScale.of(wide)
     points = random_points(wide, around, 4000, np.random.default_rng(1))
     distances = np.array([np.linalg.norm(points - camera.eye, axis=1) for camera in wide])
     assert distances.min() > 0.05 * around.distance

@@ -69,18 +69,18 @@ def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> Dat
         FormatError: A file cannot be read or written.
     """
     check_kind("config", config, DatasetConfig)
-    place = Path(folder)
-    records = [record for index in range(config.views) if (record := _read(place / view_file(index))) is not None]
+    root = Path(folder)
+    records = [record for index in range(config.views) if (record := _read(root / view_file(index))) is not None]
     missing = config.views - len(records)
     shards: list[Path] = []
     if not missing:
-        _write_sheet(place / "contact_sheet.png", place, records)
+        _write_sheet(root / "contact_sheet.png", root, records)
         if config.shard_views:
-            shards = _write_shards(place, records, config.shard_views)
+            shards = _write_shards(root, records, config.shard_views)
         else:
-            _remove_shards(place, ())
-        _write_json(place / "layers.json", _layers(config, records))
-        _write_json(place / "transforms.json", _transforms(records))
+            _remove_shards(root, ())
+        _write_json(root / "layers.json", _layers(config, records))
+        _write_json(root / "transforms.json", _transforms(records))
     counts = {split: sum(record["split"] == split for record in records) for split in ("train", "val", "test")}
     left_out = sum(len(record["left_out"]) for record in records)
     return DatasetSummary(**counts, missing=missing, left_out=left_out, shards=tuple(shards))
@@ -201,15 +201,15 @@ def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
     return members
 
 
-_TILES = 48
+_SHEET_TILES = 48
 """Pictures of a sheet, at most."""
-_ACROSS = 8
+_SHEET_COLUMNS = 8
 """Pictures in a row, about."""
-_WIDTH = 200
+_TILE_WIDTH = 200
 """Of a picture, pixels."""
 _FAR, _NEAR = 0.1, 1.0
 """Grey of the farthest and the nearest surface of a view."""
-_NOT_SHOWN = ("exr",)
+_NOT_ON_SHEET = ("exr",)
 
 
 def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
@@ -225,11 +225,11 @@ def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
     """
     from PIL import Image
 
-    layers = [layer for layer in records[0]["files"] if layer not in _NOT_SHOWN]
-    shown = records[: max(1, _TILES // len(layers))]
+    layers = [layer for layer in records[0]["files"] if layer not in _NOT_ON_SHEET]
+    shown = records[: max(1, _SHEET_TILES // len(layers))]
     size = records[0]["camera"]["width"], records[0]["camera"]["height"]
-    width, height = _WIDTH, max(1, round(_WIDTH * size[1] / size[0]))
-    together = max(1, _ACROSS // len(layers))
+    width, height = _TILE_WIDTH, max(1, round(_TILE_WIDTH * size[1] / size[0]))
+    together = max(1, _SHEET_COLUMNS // len(layers))
     rows = -(-len(shown) // together)
     sheet = Image.new("RGB", (min(together, len(shown)) * len(layers) * width, rows * height))
     for number, record in enumerate(shown):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from lumisplat.dataset.objects import Asset, Placed
+from lumisplat.dataset.objects import Asset, PlacedObject
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
@@ -60,9 +60,9 @@ class Catalogue:
         self.categories = tuple(dict.fromkeys((*self._names, *(asset.name for asset in assets))))
         """Of the layer ``category``: the first has the id 1."""
 
-    def things(self, objects: Sequence[Placed]) -> list[DatasetThing]:
+    def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
         """What a view shows, in the order of ids."""
-        things = self._own(sum(len(one.splats) for one in objects))
+        things = self._scene_objects(sum(len(one.splats) for one in objects))
         next_splat = len(self._scene.splats)
         next_mesh = next_splat + sum(len(one.splats) for one in objects) + len(self._scene.meshes)
         counts: dict[str, int] = {}
@@ -88,7 +88,7 @@ class Catalogue:
             next_splat, next_mesh = next_splat + splats, next_mesh + meshes
         return things
 
-    def _own(self, between: int) -> list[DatasetThing]:
+    def _scene_objects(self, between: int) -> list[DatasetThing]:
         """What the scene has.
 
         Args:

@@ -19,11 +19,11 @@ _LIGHT_TRIES = 32
 """Places that are tried for a lamp in a scene's free space; the last one is taken anyway."""
 _LIGHT_NEAREST = 0.25
 """Lamps nearer to the middle than this share of the diagonal are as bright as if they were so far away."""
-_LIGHT_ROOM = 0.01
+_LIGHT_CLEARANCE = 0.01
 """Free space around a lamp, as a share of the diagonal."""
 
 
-class Lighter:
+class LightSampler:
     """Draws the lights of views.
 
     Args:
@@ -44,13 +44,13 @@ class Lighter:
         needs_light: bool,
     ) -> None:
         self._config, self._space, self._environments, self._where = config, space, list(environments), where
-        own = [light for light in space.scene.lights if light.enabled] if config.own else []
-        is_dark = needs_light and not own and not environments and config.lamps[1] == 0
+        own_lights = [light for light in space.scene.lights if light.enabled] if config.own else []
+        is_dark = needs_light and not own_lights and not environments and config.lamps[1] == 0
         self._suns = config.suns if config.suns is not None else (1, 1) if is_dark else (0, 0)
-        self._own = own
+        self._own = own_lights
 
     @property
-    def lights_views(self) -> bool:
+    def has_lights(self) -> bool:
         """Whether views have lights."""
         return bool(self._own or self._environments or self._suns[1] or self._config.lamps[1])
 
@@ -62,10 +62,10 @@ class Lighter:
         sky_color = self._color(draws)
         suns = [self._sun(draws, number) for number in range(draws.whole(self._suns))]
         lamps = [self._point_light(draws, number) for number in range(draws.whole(config.lamps))]
-        lights = [self._turned(light, angle, brightness) for light in self._own if not self._is_replaced(light)]
+        lights = [self._rotated(light, angle, brightness) for light in self._own if not self._is_replaced(light)]
         if self._environments:
             chosen = self._environments[int(which * len(self._environments))]
-            lights.append(self._turned(chosen, angle, brightness))
+            lights.append(self._rotated(chosen, angle, brightness))
         elif (suns or lamps) and not any(isinstance(light, LightEnvironment) for light in lights) and sky > 0.0:
             lights.append(LightEnvironment(color=sky_color, intensity=sky, visible=False, name="sky"))
         return (*lights, *suns, *lamps)
@@ -78,12 +78,12 @@ class Lighter:
         """Whether a light of the scene gives way to those of files."""
         return isinstance(light, LightEnvironment) and bool(self._environments)
 
-    def _turned(self, light: Light, angle: float, brightness: float) -> Light:
+    def _rotated(self, light: Light, angle: float, brightness: float) -> Light:
         """An environment turned about the vertical, and brighter by a factor; other lights as they are."""
         if not isinstance(light, LightEnvironment):
             return light
-        turn = quaternions_from_matrices(axis_rotation(self._space.up, angle)[None])[0]
-        wxyz = multiply_quaternions(turn, np.asarray(light.rotation_wxyz, dtype=np.float64)[None])[0]
+        rotation = quaternions_from_matrices(axis_rotation(self._space.up, angle)[None])[0]
+        wxyz = multiply_quaternions(rotation, np.asarray(light.rotation_wxyz, dtype=np.float64)[None])[0]
         return replace(light, rotation_wxyz=tuple(wxyz), intensity=light.intensity * brightness)
 
     def _sun(self, draws: Draws, number: int) -> LightDirectional:
@@ -117,14 +117,14 @@ class Lighter:
             direction = draws.direction()
             direction += (abs(direction @ space.up) - direction @ space.up) * space.up
             return space.middle + draws.between((0.6, 1.2)) * space.diagonal * direction
-        place = space.middle
+        position = space.middle
         for _ in range(_LIGHT_TRIES):
-            place = space.low + draws.units(3) * (space.high - space.low)
+            position = space.low + draws.units(3) * (space.high - space.low)
             height = space.bottom + draws.between((0.5, 0.95)) * (space.top - space.bottom)
-            place = place + (height - place @ space.up) * space.up
-            if space.is_free(place, _LIGHT_ROOM * space.diagonal):
+            position = position + (height - position @ space.up) * space.up
+            if space.is_free(position, _LIGHT_CLEARANCE * space.diagonal):
                 break
-        return place
+        return position
 
     def _color(self, draws: Draws) -> tuple[float, float, float]:
         red, green, blue = (float(value) for value in 1.0 - self._config.tint * draws.units(3))

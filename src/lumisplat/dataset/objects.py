@@ -20,11 +20,11 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 _Instance = TypeVar("_Instance", SplatInstance, MeshInstance)
 
-_PLACES = 32
+_POSITIONS = 32
 """Places that are tried for an object at once."""
-_ROUNDS = 4
+_BATCHES = 4
 """How often."""
-_UNDER = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
+_FOOTPRINT = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
 """Where the ground below an object is looked for, in radii of its sphere."""
 
 
@@ -68,7 +68,7 @@ class Asset:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class PlacedObject:
     """An object in a scene."""
 
     asset: Asset
@@ -96,12 +96,12 @@ class Placed:
 class Placement:
     """The objects of a view."""
 
-    placed: tuple[Placed, ...] = ()
+    placed: tuple[PlacedObject, ...] = ()
     left_out: tuple[str, ...] = ()
     """Names of those that found no room."""
 
 
-class Placer:
+class ObjectPlacer:
     """Puts objects into a scene.
 
     Args:
@@ -117,7 +117,7 @@ class Placer:
         """The objects of a view; the larger ones of each draw have no advantage: who comes first has the room."""
         if not self._assets:
             return Placement()
-        placed: list[Placed] = []
+        placed: list[PlacedObject] = []
         left_out: list[str] = []
         for _ in range(draws.whole(self._config.count)):
             asset = self._assets[draws.below(len(self._assets))]
@@ -128,21 +128,21 @@ class Placer:
                 placed.append(found)
         return Placement(tuple(placed), tuple(left_out))
 
-    def _place(self, asset: Asset, others: list[Placed], draws: Draws) -> Placed | None:
+    def _place(self, asset: Asset, others: list[PlacedObject], draws: Draws) -> PlacedObject | None:
         """An object somewhere on the ground; None: there is no room."""
-        scale, turn = self._scale(asset, draws), self._turn(asset, draws)
-        linear, radius, up = scale * turn, scale * asset.radius, self._space.up
+        scale, rotation = self._scale(asset, draws), self._rotation(asset, draws)
+        linear, radius, up = scale * rotation, scale * asset.radius, self._space.up
         foot = float(np.einsum("ni,i->n", asset.points - asset.middle, linear.T @ up).min())
-        for points in draws.units(_ROUNDS, _PLACES, 3):  # all of them are drawn, whichever is taken
-            center = self._standing(points, radius, foot, others)
+        for points in draws.units(_BATCHES, _POSITIONS, 3):  # all of them are drawn, whichever is taken
+            center = self._free_center(points, radius, foot, others)
             if center is not None:
                 matrix = np.eye(4)
                 matrix[:3, :3] = linear
                 matrix[:3, 3] = center - linear @ asset.middle
-                return Placed(asset, matrix, center, radius)
+                return PlacedObject(asset, matrix, center, radius)
         return None
 
-    def _standing(self, units: Doubles, radius: float, foot: float, others: list[Placed]) -> Doubles | None:
+    def _free_center(self, units: Doubles, radius: float, foot: float, others: list[PlacedObject]) -> Doubles | None:
         """The first of some places on the ground that has room, as the centre of the object's sphere.
 
         Args:
@@ -154,7 +154,7 @@ class Placer:
         space = self._space
         starts = space.low + units * (space.high - space.low)
         across = np.stack(level_axes(space.up))
-        under = starts[:, None] + radius * (_UNDER @ across)
+        under = starts[:, None] + radius * (_FOOTPRINT @ across)
         heights = space.ground_heights(under.reshape(-1, 3)).reshape(len(starts), -1)
         good: Flags = np.asarray(np.isfinite(heights).all(axis=1))
         heights = np.where(good[:, None], heights, 0.0)
@@ -165,7 +165,7 @@ class Placer:
         rows = np.flatnonzero(good)
         if not rows.size:
             return None
-        free = rows[space.rooms(centers[rows], np.full(rows.size, radius))]
+        free = rows[space.hemispheres_free(centers[rows], np.full(rows.size, radius))]
         return centers[free[0]] if free.size else None
 
     def _scale(self, asset: Asset, draws: Draws) -> float:
@@ -173,16 +173,16 @@ class Placer:
         own, wanted = draws.factor(self._config.scale), draws.factor(self._config.size)
         return own if self._config.own_size else 0.5 * wanted * self._space.diagonal / asset.radius
 
-    def _turn(self, asset: Asset, draws: Draws) -> Doubles:
+    def _rotation(self, asset: Asset, draws: Draws) -> Doubles:
         """A rotation, shape (3, 3)."""
         share, first, second = draws.units(3)
         if not self._config.upright:
-            return rotation_matrix(even_quaternion(share, first, second))
+            return rotation_matrix(uniform_quaternion(share, first, second))
         upright = rotation_matrix(self._space.scene.upright_wxyz) @ rotation_matrix(asset.scene.upright_wxyz).T
         return axis_rotation(self._space.up, 2.0 * math.pi * first) @ upright
 
 
-def even_quaternion(share: float, first: float, second: float) -> Doubles:
+def uniform_quaternion(share: float, first: float, second: float) -> Doubles:
     """A rotation from three numbers that are spread evenly from 0 to 1; all are as likely (Shoemake 1992).
 
     Returns:

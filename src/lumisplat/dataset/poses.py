@@ -9,7 +9,7 @@ import numpy as np
 
 from lumisplat.config.dataset import DatasetConfig, PosePlaces
 from lumisplat.dataset.draws import Draws
-from lumisplat.dataset.objects import Placed
+from lumisplat.dataset.objects import PlacedObject
 from lumisplat.dataset.space import Space, level_axes
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles
@@ -26,7 +26,7 @@ _UPRIGHT = 1e-3
 """Sine of the angle to the vertical below which up in the picture is what is in front."""
 
 
-class Poser:
+class PoseSampler:
     """Draws cameras.
 
     Args:
@@ -45,7 +45,7 @@ class Poser:
         if config.poses.where is PosePlaces.CAMERAS and not self._cameras:
             raise SceneError("poses.where is cameras, and there are no cameras: name a file that has some")
 
-    def camera(self, view: int, draws: Draws, objects: Sequence[Placed]) -> Camera:
+    def camera(self, view: int, draws: Draws, objects: Sequence[PlacedObject]) -> Camera:
         """The camera of a view.
 
         Args:
@@ -59,12 +59,12 @@ class Poser:
         blocked = hidden = 0
         most = 0.0
         for _ in range(_TRIES):
-            camera, wanted = self._drawn(view, draws, objects)
+            camera, wanted = self._sampled(view, draws, objects)
             if not self._is_free(camera.eye, objects):
                 blocked += 1
-            elif wanted is not None and not self._space.is_seen(camera.eye, wanted.center, wanted.radius):
+            elif wanted is not None and not self._space.is_visible(camera.eye, wanted.center, wanted.radius):
                 hidden += 1
-            elif (share := self._space.share_seen(camera)) >= self._poses.seen:
+            elif (share := self._space.surface_fraction(camera)) >= self._poses.seen:
                 return camera
             else:
                 most = max(most, share)
@@ -75,7 +75,7 @@ class Poser:
             "these, or let cameras stand elsewhere"
         )
 
-    def _drawn(self, view: int, draws: Draws, objects: Sequence[Placed]) -> tuple[Camera, Placed | None]:
+    def _sampled(self, view: int, draws: Draws, objects: Sequence[PlacedObject]) -> tuple[Camera, PlacedObject | None]:
         """A camera, and the object that it looks at; None: it looks at the scene."""
         fov = math.radians(draws.between(self._poses.fov))
         looks_at_object, which = draws.unit() < self._poses.at_objects, draws.unit()
@@ -102,7 +102,7 @@ class Poser:
         )
         return camera, wanted
 
-    def _on_dome(self, draws: Draws, fov: float, wanted: Placed | None) -> tuple[Doubles, Doubles, Doubles]:
+    def _on_dome(self, draws: Draws, fov: float, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
         """Eye, right and forward of a camera around the scene, or around an object."""
         poses, space = self._poses, self._space
         azimuth, elevation = (math.radians(draws.between(ends)) for ends in (poses.azimuth, poses.elevation))
@@ -114,7 +114,7 @@ class Poser:
         if wanted is not None:
             return _looking(wanted.center + radii * wanted.radius * backward, -backward, space.up)
         target = space.middle + poses.aim * shares * (space.high - space.low)
-        all_of_it = frame_camera(
+        framing = frame_camera(
             space.scene,
             azimuth=azimuth,
             elevation=elevation,
@@ -123,10 +123,10 @@ class Poser:
             height=self._config.height,
             target=target,
         )
-        distance = float(np.float32(np.linalg.norm(all_of_it.eye - target)))  # as the corners of the space
+        distance = float(np.float32(np.linalg.norm(framing.eye - target)))  # as the corners of the space
         return _looking(target + factor * distance * backward, -backward, space.up)
 
-    def _inside(self, draws: Draws, wanted: Placed | None) -> tuple[Doubles, Doubles, Doubles]:
+    def _inside(self, draws: Draws, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
         """Eye, right and forward of a camera anywhere in the scene's box."""
         poses, space = self._poses, self._space
         eye = space.low + draws.units(3) * (space.high - space.low)
@@ -148,12 +148,12 @@ class Poser:
         turn = axis_rotation(draws.direction(), math.radians(poses.turn) * draws.unit())
         return given[:3, 3] + shift, turn @ given[:3, 0], turn @ given[:3, 2]
 
-    def _is_free(self, eye: Doubles, objects: Sequence[Placed]) -> bool:
+    def _is_free(self, eye: Doubles, objects: Sequence[PlacedObject]) -> bool:
         """Whether there is free space around an eye."""
-        room = self._poses.clearance * self._space.diagonal
-        if any(np.linalg.norm(eye - one.center) < one.radius + room for one in objects):
+        clearance = self._poses.clearance * self._space.diagonal
+        if any(np.linalg.norm(eye - one.center) < one.radius + clearance for one in objects):
             return False
-        return self._space.is_free(eye, room)
+        return self._space.is_free(eye, clearance)
 
 
 def _looking(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:

@@ -55,7 +55,7 @@ class Solids:
                 flip = -1 if np.linalg.det(instance.transform[:3, :3]) < 0.0 else 1
                 self._boxes.append((lowest, highest, points[instance.mesh.indices[:, ::flip]]))
 
-    def hold(self, point: Doubles) -> bool:
+    def contain(self, point: Doubles) -> bool:
         """Whether a point is inside of one of them."""
         return any(
             bool((low < point).all() and (point < high).all()) and winding_number(triangles, point) > _INSIDE
@@ -67,7 +67,7 @@ def _dot(a: Doubles, b: Doubles) -> Doubles:
     return np.einsum("ni,ni->n", a, b)
 
 
-_AROUND = 32
+_SPHERE_RAYS = 32
 """Rays that look for surfaces around a point."""
 _ACROSS, _DOWN = 16, 12
 """Rays that look what a camera sees."""
@@ -97,7 +97,7 @@ class Space:
         self.bottom, self.top = float(heights.min()), float(heights.max())
         self._solids = Solids(scene.meshes, self.low, self.high)
         self._renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device)
-        self._around = even_directions(_AROUND)
+        self._sphere_directions = even_directions(_SPHERE_RAYS)
 
     def depths(self, origins: Doubles, directions: Doubles) -> Doubles:
         """Distances to the surfaces that rays meet, scene units, shape (N,); inf: none.
@@ -110,30 +110,30 @@ class Space:
 
     def is_free(self, point: Doubles, radius: float) -> bool:
         """Whether a point is inside of no mesh, and has no surface nearer than a radius."""
-        if self._solids.hold(point):
+        if self._solids.contain(point):
             return False
-        nearest = self.depths(np.repeat(point[None], _AROUND, axis=0), self._around).min()
+        nearest = self.depths(np.repeat(point[None], _SPHERE_RAYS, axis=0), self._sphere_directions).min()
         return bool(nearest >= radius)
 
-    def share_seen(self, camera: Camera) -> float:
+    def surface_fraction(self, camera: Camera) -> float:
         """Share of a camera's picture that shows a surface, roughly, 0..1."""
         origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera.scaled(_ACROSS, _DOWN)))
         return float(np.isfinite(self.depths(origins, directions)).mean())
 
-    def is_seen(self, eye: Doubles, point: Doubles, radius: float) -> bool:
+    def is_visible(self, eye: Doubles, point: Doubles, radius: float) -> bool:
         """Whether nothing of the scene is between an eye and a sphere around a point."""
         away = point - eye
         distance = float(np.linalg.norm(away))
         return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)
 
-    def rooms(self, centers: Doubles, radii: Doubles) -> Flags:
+    def hemispheres_free(self, centers: Doubles, radii: Doubles) -> Flags:
         """Whether the upper halves of spheres are free of surfaces, shape (N,).
 
         Args:
             centers: Shape (N, 3).
             radii: Shape (N,).
         """
-        upper = self._around[self._around @ self.up >= 0.0]
+        upper = self._sphere_directions[self._sphere_directions @ self.up >= 0.0]
         origins = np.repeat(centers, len(upper), axis=0)
         nearest = self.depths(origins, np.tile(upper, (len(centers), 1))).reshape(len(centers), -1).min(axis=1)
         return nearest >= radii

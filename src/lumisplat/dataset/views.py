@@ -14,9 +14,9 @@ from lumisplat.dataset.draws import Draws, Purpose, split_of
 from lumisplat.dataset.files import id_type, view_file, write_view
 from lumisplat.dataset.finish import DatasetSummary, finish_dataset
 from lumisplat.dataset.labels import Catalogue, DatasetView
-from lumisplat.dataset.lights import Lighter
-from lumisplat.dataset.objects import Asset, Placement, Placer
-from lumisplat.dataset.poses import Poser
+from lumisplat.dataset.lights import LightSampler
+from lumisplat.dataset.objects import Asset, ObjectPlacer, Placement
+from lumisplat.dataset.poses import PoseSampler
 from lumisplat.dataset.space import Space
 from lumisplat.errors import ConfigError, SceneError
 from lumisplat.frame.frame import Frame
@@ -78,12 +78,12 @@ class DatasetViews:
         self._catalogue = Catalogue(scene, assets)
         things = len(scene.splats) + len(scene.meshes) + self.config.objects.count[1] * bool(assets)
         self._id_types = {"instance": id_type(things), "category": id_type(len(self._catalogue.categories))}
-        self._placer = Placer(self.config.objects, assets, space)
-        self._poser = Poser(self.config, space, cameras)
+        self._placer = ObjectPlacer(self.config.objects, assets, space)
+        self._pose_sampler = PoseSampler(self.config, space, cameras)
         self._has_objects = bool(assets)
         needs_light = bool(scene.meshes) or any(splat.material is not None for splat in scene.splats)
         needs_light |= any(asset.scene.meshes for asset in assets)
-        self._lighter = Lighter(
+        self._light_sampler = LightSampler(
             self.config.lights, space, environments, where=self.config.poses.where, needs_light=needs_light
         )
 
@@ -98,7 +98,7 @@ class DatasetViews:
     @property
     def are_lit(self) -> bool:
         """Whether views have lights, or may have."""
-        return self._lighter.lights_views
+        return self._light_sampler.has_lights
 
     def view(self, index: int) -> DatasetView:
         """One of the views.
@@ -117,8 +117,8 @@ class DatasetViews:
         placement = self._placer.place(objects)
         if placement.left_out:
             _log.info("view %d: no room for %s", index, ", ".join(placement.left_out))
-        camera = self._poser.camera(index, pose, placement.placed)
-        exposure = self._lighter.exposure(light)
+        camera = self._pose_sampler.camera(index, pose, placement.placed)
+        exposure = self._light_sampler.exposure(light)
         return DatasetView(
             index=index,
             split=split_of(self.config.seed, index, self.config.split),
@@ -147,10 +147,10 @@ class DatasetViews:
     def _scene(self, placement: Placement, light: Draws) -> Scene:
         """The scene with objects and lights."""
         scene, placed = self.base, placement.placed
-        lights = self._lighter.lights(light)
+        lights = self._light_sampler.lights(light)
         splats = scene.splats
         if lights and self._has_objects and self.config.objects.shadows:
-            splats = tuple(map(_receiving, splats))
+            splats = tuple(map(_as_shadow_catcher, splats))
         return replace(
             scene,
             splats=(*splats, *(splat for one in placed for splat in one.splats)),
@@ -193,7 +193,7 @@ def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
     return [loaded[file] for file in files]
 
 
-def _receiving(splats: SplatInstance) -> SplatInstance:
+def _as_shadow_catcher(splats: SplatInstance) -> SplatInstance:
     """A capture that keeps its look, and receives shadows."""
     return splats if splats.material is not None else replace(splats, shadow_catcher=True)
 

@@ -52,11 +52,11 @@ class _Backend:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._scene = DeviceScene(launcher, buffers, config)
-        self._known: tuple[Gaussians, int, RenderConfig] | None = None
-        self._shown: tuple[Scene, FramePlan]
+        self._synced_for: tuple[Gaussians, int, RenderConfig] | None = None
+        self._synced: tuple[Scene, FramePlan]
         """Scene and plan of the last frame, kept until what is known of them changes."""
 
-    def place(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
+    def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
         """Draws other Gaussians from now on.
 
         Args:
@@ -72,16 +72,16 @@ class _Backend:
 
     def _sync(self, camera: Camera, sh_degree: int) -> Scene:
         """Uploads the scene of a frame, and returns it."""
-        known = self._gaussians, sh_degree, self._config
-        if self._known != known:
+        key = self._gaussians, sh_degree, self._config
+        if self._synced_for != key:
             scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
-            self._known, self._shown = known, (scene, FramePlan.of(self._config, scene))
-        scene, plan = self._shown
+            self._synced_for, self._synced = key, (scene, FramePlan.of(self._config, scene))
+        scene, plan = self._synced
         self._launcher.stage_ms = {}
         self._scene.sync(scene, camera, plan)
         return scene
 
-    def _share_parameters(self) -> None:
+    def _alias_parameters(self) -> None:
         """Draws the means and harmonics of the parameters, in place of copies in each step."""
         self.data.means, self.data.sh = self._parameters.means, self._parameters.sh
 
@@ -120,10 +120,10 @@ class TrainingRaster(_Backend):
         """The kernel modules of frames and their derivatives."""
         return [*self._unlit.modules(has_meshes=False), *self._backward.modules()]
 
-    def place(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
+    def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
         """As of the other backends; no pass of this one reads the scene's table of sets."""
-        super().place(gaussians, parameters)
-        self._is_placed = True
+        super().bind(gaussians, parameters)
+        self._is_bound = True
 
     def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
         """The pixels of a frame.
@@ -137,9 +137,9 @@ class TrainingRaster(_Backend):
             self._config = replace(self._config, background=background)
             assign_table(self._splats.settings, raster_table(self._config))
         self._sync(camera, sh_degree)
-        if self._is_placed:
-            self._share_parameters()
-            self._is_placed = False
+        if self._is_bound:
+            self._alias_parameters()
+            self._is_bound = False
         self._activate()
         return self._unlit.draw(self._scene).data
 
@@ -170,7 +170,7 @@ class TrainingRaster(_Backend):
         if surfaces is not None and by_features is not None:
             surfaces.add_by_features(self._scene, by_features, by_gaussians)
             if record is not None:
-                surfaces.note_turns(self._scene, self.drawn, by_features, record)
+                surfaces.add_normal_gradients(self._scene, self.drawn, by_features, record)
         return by_gaussians
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
@@ -204,7 +204,7 @@ class TrainingRaster(_Backend):
         pairs = self._buffers.get("weights.pairs", wp.float32, drawn.tiles.items.shape[0])
         lists = (drawn.splats.data, drawn.splats.rects, starts, drawn.tiles.starts, drawn.tiles.items)
         run(weight_kernels.find_largest_weights, tiles, self._scene.camera, drawn.settings, *lists, drawn.meshes, pairs)
-        run(weight_kernels.keep_largest, drawn.splats.count, starts, pairs, largest)
+        run(weight_kernels.reduce_largest, drawn.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
         """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4); after ``backward``.
@@ -254,7 +254,7 @@ class TrainingRays(_Backend):
             background: Display-referred sRGB behind the Gaussians.
         """
         scene = self._sync(camera, sh_degree)
-        self._share_parameters()
+        self._alias_parameters()
         self._activate()
         with self._launcher.stage("refit"):
             self._scene.bvh.refit(scene)
@@ -312,7 +312,7 @@ class TrainingUnscented(_Backend):
         """
         self._sync(camera, sh_degree)
         self._raster.begin_frame(camera)
-        self._share_parameters()
+        self._alias_parameters()
         self._activate()
         self._scene.begin_sample(0)
         rays = self._rays.start(self._scene)
@@ -328,12 +328,20 @@ class TrainingUnscented(_Backend):
 
     def add_largest_weights(self, largest: DeviceArray) -> None:
         """As of `TrainingRaster`."""
-        run, met, tiles = self._launcher.run_banded, self._last_hits, math.prod(self._scene.tile_grid)
-        starts = pair_starts(self._launcher, self._buffers, met.splats.rects)
-        pairs = self._buffers.get("weights.pairs", wp.float32, met.tiles.items.shape[0])
-        lists = (met.splats.data, met.splats.rects, starts, met.tiles.starts, met.tiles.items, met.rays, met.limits)
-        run(weight_kernels.find_largest_ray_weights, tiles, self._scene.camera, met.settings, *lists, pairs)
-        run(weight_kernels.keep_largest, met.splats.count, starts, pairs, largest)
+        run, hits, tiles = self._launcher.run_banded, self._last_hits, math.prod(self._scene.tile_grid)
+        starts = pair_starts(self._launcher, self._buffers, hits.splats.rects)
+        pairs = self._buffers.get("weights.pairs", wp.float32, hits.tiles.items.shape[0])
+        lists = (
+            hits.splats.data,
+            hits.splats.rects,
+            starts,
+            hits.tiles.starts,
+            hits.tiles.items,
+            hits.rays,
+            hits.limits,
+        )
+        run(weight_kernels.find_largest_ray_weights, tiles, self._scene.camera, hits.settings, *lists, pairs)
+        run(weight_kernels.reduce_largest, hits.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
         """As of `TrainingRaster`."""

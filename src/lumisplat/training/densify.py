@@ -46,43 +46,43 @@ TINY = 1e-30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Record:
+class DensifyStats:
     """What is known when Gaussians come and go."""
 
     iteration: int
     """Steps that were made."""
     extent: float
     """Of the cameras, scene units."""
-    pull: Doubles
+    screen_gradient: Doubles
     """How strongly the loss pulls at each Gaussian, halves of the image, shape (N,): the mean over frames since the
     last change in which it was drawn."""
-    turn: Doubles
+    normal_gradient: Doubles
     """How strongly terms on surfaces turn its normal, shape (N,): the mean over these frames of the derivative of their
     sum over pixels."""
 
-    def wanted(self, config: TrainConfig) -> Doubles:
+    def excess(self, config: TrainConfig) -> Doubles:
         """How much more than enough there is to do at each Gaussian, shape (N,): above 1, it is cloned or split."""
-        by_pull = self.pull / max(config.grow_pull, TINY)
-        return np.maximum(by_pull, self.turn / config.grow_turn) if config.grow_turn > 0.0 else by_pull
+        by_pull = self.screen_gradient / max(config.grow_pull, TINY)
+        return np.maximum(by_pull, self.normal_gradient / config.grow_turn) if config.grow_turn > 0.0 else by_pull
 
 
 def densified(
-    parameters: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
+    parameters: TrainedParameters, stats: DensifyStats, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
     """What there is after a change.
 
     Args:
         parameters: What there is before.
-        record: What is known of it.
+        stats: What is known of it.
         config: Settings.
         rng: Random numbers.
     """
     if config.densification is Densification.MCMC:
         return grown(relocated(parameters, config, rng), config, rng)
-    parameters = multiplied(parameters, record, config, rng)
-    parameters = pruned(parameters, record.extent if record.iteration > TOO_LARGE_AFTER else math.inf)
-    if record.iteration % RESET_EVERY == 0:
-        reset(parameters)
+    parameters = cloned_and_split(parameters, stats, config, rng)
+    parameters = pruned(parameters, stats.extent if stats.iteration > TOO_LARGE_AFTER else math.inf)
+    if stats.iteration % RESET_EVERY == 0:
+        reset_opacities(parameters)
     return parameters
 
 
@@ -96,10 +96,10 @@ def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random
     if dead.size == 0 or alive.size == 0:
         return parameters
     sources = alive[rng.choice(alive.size, dead.size, p=opacities[alive] / opacities[alive].sum())]
-    share(parameters, sources, config.kernel_degree)
+    relocate_sources(parameters, sources, config.kernel_degree)
     for values in parameters.values.values():
         values[dead] = values[sources]
-    parameters.still(np.union1d(dead, sources))
+    parameters.zero_moments(np.union1d(dead, sources))
     return parameters
 
 
@@ -110,20 +110,20 @@ def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Gen
         return parameters
     opacities = parameters.opacities
     sources = rng.choice(parameters.count, more, p=opacities / opacities.sum())
-    share(parameters, sources, config.kernel_degree)
-    parameters.still(np.unique(sources))
-    return parameters.joined(parameters.fresh(sources))
+    relocate_sources(parameters, sources, config.kernel_degree)
+    parameters.zero_moments(np.unique(sources))
+    return parameters.concatenated(parameters.copies(sources))
 
 
-def share(parameters: TrainedParameters, sources: Indices, degree: int) -> None:
+def relocate_sources(parameters: TrainedParameters, sources: Indices, degree: int) -> None:
     """Makes Gaussians such that each, with as many copies of itself as it is listed, shows what it showed alone."""
     unique, counts = np.unique(sources, return_counts=True)
-    opacity, factor = shared(parameters.opacities[unique], counts + 1, degree)
+    opacity, factor = relocation(parameters.opacities[unique], counts + 1, degree)
     parameters.values["logits"][unique] = np.log(opacity / (1.0 - opacity))
     parameters.values["log_scales"][unique] += np.log(factor)[:, None].astype(np.float32)
 
 
-def shared(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> tuple[Doubles, Doubles]:
+def relocation(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> tuple[Doubles, Doubles]:
     """Opacity of each of so many Gaussians at one place, and the factor of their scales (equation 9 of the paper).
 
     Args:
@@ -135,12 +135,12 @@ def shared(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> 
     each = np.clip(-np.expm1(np.log1p(-np.minimum(opacities, 1.0 - 1e-6)) / counts), DEAD_OPACITY, 1.0 - 1e-6)
     total = np.zeros(len(each))
     for i in range(1, int(counts.max(initial=1)) + 1):
-        terms = sum(math.comb(i - 1, k) * (-each) ** k * each / narrowing(degree, k + 1) for k in range(i))
+        terms = sum(math.comb(i - 1, k) * (-each) ** k * each / line_integral_ratio(degree, k + 1) for k in range(i))
         total += np.where(i <= counts, terms, 0.0)
     return each, opacities / total
 
 
-def narrowing(degree: int, power: int) -> float:
+def line_integral_ratio(degree: int, power: int) -> float:
     """How much less there is of a power of the response along a line through the mean than of the response itself."""
     return 0.5 * (power + 1.0) if degree == 0 else float(power ** (1.0 / degree))
 
@@ -148,17 +148,17 @@ def narrowing(degree: int, power: int) -> float:
 # --- Adaptive density control (Kerbl et al. 2023, section 5; Ye et al. 2024; normals: Gao et al. 2024) ---
 
 
-def multiplied(
-    parameters: TrainedParameters, record: Record, config: TrainConfig, rng: np.random.Generator
+def cloned_and_split(
+    parameters: TrainedParameters, stats: DensifyStats, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
     """Small Gaussians at which the loss pulls, or whose normals it turns, are cloned, large ones are split in two."""
-    wanted = record.wanted(config)
-    strongest = np.argsort(-wanted, kind="stable")[: max(config.cap - parameters.count, 0)]
+    excess = stats.excess(config)
+    strongest = np.argsort(-excess, kind="stable")[: max(config.cap - parameters.count, 0)]
     chosen = np.zeros(parameters.count, bool)
-    chosen[strongest] = wanted[strongest] > 1.0
-    is_large = parameters.scales.max(axis=1) > SPLIT_SCALE * record.extent
+    chosen[strongest] = excess[strongest] > 1.0
+    is_large = parameters.scales.max(axis=1) > SPLIT_SCALE * stats.extent
     cloned, split = np.flatnonzero(chosen & ~is_large), np.flatnonzero(chosen & is_large)
-    halves = parameters.fresh(np.concatenate([split, split]))
+    halves = parameters.copies(np.concatenate([split, split]))
     scales = halves.scales
     axes = matrices_from_quaternions(halves.values["rotations"].astype(np.float64))
     offsets = np.einsum("nij,nj->ni", axes, scales * rng.normal(size=scales.shape))
@@ -166,7 +166,7 @@ def multiplied(
     halves.values["log_scales"][:] = np.log(scales / SPLIT_SHRINKS)
     kept = np.ones(parameters.count, bool)
     kept[split] = False
-    return parameters.rows(kept).joined(parameters.fresh(cloned)).joined(halves)
+    return parameters.rows(kept).concatenated(parameters.copies(cloned)).concatenated(halves)
 
 
 def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:
@@ -176,7 +176,7 @@ def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:
     )
 
 
-def reset(parameters: TrainedParameters) -> None:
+def reset_opacities(parameters: TrainedParameters) -> None:
     """Makes all almost transparent: what the photographs need comes back, and the rest is pruned."""
     logits = parameters.values["logits"]
     np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1.0 - RESET_OPACITY))), out=logits)

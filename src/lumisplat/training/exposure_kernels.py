@@ -16,7 +16,7 @@ CHUNK = wp.constant(EXPOSURE_CHUNK)
 
 
 @wp.func
-def shown_of(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
+def gaussian_color(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
     """What the Gaussians of a pixel show, without the background."""
     return pixels.color[i] - (1.0 - pixels.alpha[i]) * exposure.background
 
@@ -26,7 +26,7 @@ def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.arra
     """Item = pixel: what a photograph of this exposure has there; the background is as it is."""
     i = start + wp.tid()
     alpha = pixels.alpha[i]
-    exposed = exposure.matrix * shown_of(pixels, exposure, i) + alpha * exposure.offset
+    exposed = exposure.matrix * gaussian_color(pixels, exposure, i) + alpha * exposure.offset
     color_out[i] = exposed + (1.0 - alpha) * exposure.background
 
 
@@ -48,7 +48,7 @@ def differentiate_chunks(
     of_alpha = exposure.matrix * exposure.background + exposure.offset - exposure.background
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, pixels.alpha.shape[0])):
         g = by_exposed.color[i]
-        by_matrix += wp.outer(g, shown_of(pixels, exposure, i))
+        by_matrix += wp.outer(g, gaussian_color(pixels, exposure, i))
         by_offset += pixels.alpha[i] * g
         by_pixels_out.color[i] = from_exposed * g
         by_pixels_out.alpha[i] = by_exposed.alpha[i] + wp.dot(g, of_alpha)

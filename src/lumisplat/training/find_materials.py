@@ -39,11 +39,17 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.scene.scene import Scene
-from lumisplat.training.lit_gaussians import IncidentRadiance, Materials, seen_normals, traced_incident
-from lumisplat.training.material_fit import MaterialFit, fitted_sky, lit_white, materials_of, sky_image
+from lumisplat.training.lit_gaussians import IncidentRadiance, Materials, rendered_normals, traced_incident
+from lumisplat.training.material_fit import (
+    MaterialFit,
+    environment_image,
+    fit_environment,
+    materials_of,
+    white_radiance,
+)
 from lumisplat.training.run_folder import RunFolder, write_state
 from lumisplat.training.train import CHECKPOINT_EVERY_S
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 
 EXPOSURE_VIEWS = 24
 """Photographs whose exposures are compared, at most."""
@@ -54,7 +60,7 @@ EXPOSURE_PIXELS = 64
 EXPOSURE_RANGE = (0.08, 0.92)
 """Display values between which neither black nor white has cut off what was there."""
 
-EXPOSURES_DIFFER = 0.25
+EXPOSURE_SPREAD_MAX = 0.25
 """Standard deviation of exposures, stops, from which on it is said: photographs of one exposure have 0.1,
 rendered ones 0.01."""
 
@@ -82,7 +88,7 @@ class FoundMaterials:
 
 def find_materials(
     gaussians: Gaussians,
-    photographs: TrainingImages | str | os.PathLike[str],
+    images: TrainingImages | str | os.PathLike[str],
     config: MaterialsConfig | None = None,
     *,
     output: str | os.PathLike[str] | None = None,
@@ -99,7 +105,7 @@ def find_materials(
 
     Args:
         gaussians: A capture whose Gaussians lie on surfaces, as of `lumisplat.train` with terms on them.
-        photographs: Of it, a folder or what `lumisplat.io.load_training_images` has read; those of pinholes.
+        images: Of it, a folder or what `lumisplat.io.load_training_images` has read; those of pinholes.
         config: Settings; None: the defaults.
         output: The capture with materials, .ply, beside which the sky is written as ``NAME.environment.exr``. The
             folder ``NAME.training`` has what is needed to go on: the same call again goes on where it was interrupted,
@@ -122,11 +128,11 @@ def find_materials(
     if output is not None:
         for path in (Path(output), environment_path(Path(output))):
             check_can_be_written(path)
-    if not isinstance(photographs, TrainingImages):
-        photographs = load_training_images(photographs)
+    if not isinstance(images, TrainingImages):
+        images = load_training_images(images)
     origin, frame = gaussians.origin, LocalFrame(np.asarray(gaussians.origin))
     gaussians = replace(gaussians, origin=(0.0, 0.0, 0.0))
-    views = [TrainingView.of(photograph) for photograph in photographs.training]
+    views = [TrainingView.of(image) for image in images.training]
     views = [replace(view, camera=frame.camera(view.camera)) for view in views]
     for view in views:
         if is_curvilinear(view.camera):
@@ -134,7 +140,7 @@ def find_materials(
     files = None
     if output is not None:
         folder = RunFolder.of(Path(output)).path
-        files = MaterialFiles.of(folder, gaussians, photographs.fingerprint, config)
+        files = MaterialFiles.of(folder, gaussians, images.fingerprint, config)
     search = _Search(gaussians, views, config, files, device=device, threads=threads, progress=progress or no_progress)
     found = search.found()
     found = replace(found, gaussians=replace(found.gaussians, origin=origin))
@@ -162,22 +168,24 @@ class _Search:
 
     def found(self) -> FoundMaterials:
         """All of it."""
-        so_far = None if self._files is None else self._files.read()
+        state = None if self._files is None else self._files.read()
         incident = None
-        if so_far is None:
-            so_far, incident = self._begun()
-        materials, errors = self._refined(so_far, incident)
+        if state is None:
+            state, incident = self._initial_state()
+        materials, errors = self._refined(state, incident)
         relightable = replace(
             self._gaussians,
             normals=materials.normals.astype(np.float32),
             albedo=materials.albedo.astype(np.float32),
             roughness=materials.roughness.astype(np.float32),
         )
-        environment = LightEnvironment(sky_image(even_directions(self._config.directions), materials.sky))
+        environment = LightEnvironment(
+            environment_image(even_directions(self._config.directions), materials.environment)
+        )
         error = float(np.mean(errors)) if errors else float("nan")
-        return FoundMaterials(relightable, environment, error, so_far.too_light)
+        return FoundMaterials(relightable, environment, error, state.too_light)
 
-    def _begun(self) -> tuple[FoundSoFar, IncidentRadiance]:
+    def _initial_state(self) -> tuple[SearchState, IncidentRadiance]:
         """Where steps begin, and what was traced for them."""
         config, gaussians = self._config, self._gaussians
         settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
@@ -188,21 +196,23 @@ class _Search:
         incident = self._incident(normals)
         white, outgoing = incident.irradiance(normals), mean_outgoing(gaussians, normals)
         rng = np.random.default_rng([config.seed, 8])
-        sky = fitted_sky(outgoing, white, weights, directions, steps=config.sky_steps, rng=rng, report=self._progress)
-        albedo = outgoing / lit_white(white, sky)
+        environment = fit_environment(
+            outgoing, white, weights, directions, steps=config.sky_steps, rng=rng, report=self._progress
+        )
+        albedo = outgoing / white_radiance(white, environment)
         too_light = float(np.average(albedo.max(axis=1) > 1.0, weights=weights))
         roughness = np.full(gaussians.count, config.roughness)
-        so_far = FoundSoFar(Materials(albedo_in_range(albedo), roughness, normals, sky), too_light)
+        state = SearchState(Materials(albedo_in_range(albedo), roughness, normals, environment), too_light)
         if self._files is not None:
             if config.iterations:
-                self._files.write_light(incident)
-            self._files.write(so_far)
-        return so_far, incident
+                self._files.write_incident(incident)
+            self._files.write(state)
+        return state, incident
 
     def _normals(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles]:
         """Of Gaussians, and how much of the photographs these are."""
         cameras = [view.camera for view in self._views]
-        normals, weights = seen_normals(self._gaussians, cameras, renderer, self._progress)
+        normals, weights = rendered_normals(self._gaussians, cameras, renderer, self._progress)
         if not weights.any():
             raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
         return normals, weights
@@ -210,7 +220,7 @@ class _Search:
     def _warn_of_exposures(self, renderer: DifferentiableRenderer) -> None:
         """Says so if photographs are brighter or darker than what the capture shows."""
         spread = exposure_spread(self._gaussians, self._views, renderer, self._progress)
-        if spread > EXPOSURES_DIFFER:
+        if spread > EXPOSURE_SPREAD_MAX:
             _log.warning(
                 "photographs are brighter or darker than the capture, by %.2g stops (standard deviation): their "
                 "exposure changes, and is taken for material and light, or the capture was trained by too few steps",
@@ -225,20 +235,20 @@ class _Search:
             self._gaussians, normals, directions, renderer, seed=self._config.seed, report=self._progress
         )
 
-    def _refined(self, so_far: FoundSoFar, incident: IncidentRadiance | None) -> tuple[Materials, tuple[float, ...]]:
+    def _refined(self, state: SearchState, incident: IncidentRadiance | None) -> tuple[Materials, tuple[float, ...]]:
         """Materials and sky after all steps, and their last errors; Ctrl C ends after a step.
 
         Args:
-            so_far: From where they go on.
+            state: From where they go on.
             incident: What was traced; None: it is read, or traced again.
         """
-        total, start = self._config.iterations, so_far.start
+        total, start = self._config.iterations, state.start
         if total == 0:
             return start, ()
-        if so_far.iteration == total:
-            return materials_of(so_far.fit, start.normals), so_far.errors
+        if state.iteration == total:
+            return materials_of(state.fit, start.normals), state.errors
         if incident is None:
-            incident = (None if self._files is None else self._files.read_light()) or self._incident(start.normals)
+            incident = (None if self._files is None else self._files.read_incident()) or self._incident(start.normals)
         fit = MaterialFit(
             self._gaussians,
             self._views,
@@ -249,28 +259,28 @@ class _Search:
             threads=self._threads,
             progress=self._progress,
         )
-        if so_far.fit:
-            fit.restore(so_far.fit, so_far.iteration)
-        errors, saved = deque(so_far.errors, len(self._views)), time.monotonic()
+        if state.fit:
+            fit.restore(state.fit, state.iteration)
+        errors, saved = deque(state.errors, len(self._views)), time.monotonic()
         with interrupts_held() as is_interrupted:
             while fit.iteration < total and not is_interrupted():
                 self._progress("finding materials", fit.iteration / total)
                 errors.append(fit.step().l1)
                 if time.monotonic() - saved >= CHECKPOINT_EVERY_S:
-                    self._save(so_far, fit, errors)
+                    self._save(state, fit, errors)
                     saved = time.monotonic()
-            self._save(so_far, fit, errors)
+            self._save(state, fit, errors)
         if is_interrupted():
             raise KeyboardInterrupt
         if self._files is not None:
-            self._files.forget_light()
+            self._files.remove_incident()
         self._progress("finding materials", 1.0)
         return fit.materials, tuple(errors)
 
-    def _save(self, so_far: FoundSoFar, fit: MaterialFit, errors: Iterable[float]) -> None:
+    def _save(self, state: SearchState, fit: MaterialFit, errors: Iterable[float]) -> None:
         """Keeps what was found until now."""
         if self._files is not None:
-            self._files.write(replace(so_far, iteration=fit.iteration, fit=fit.state, errors=tuple(errors)))
+            self._files.write(replace(state, iteration=fit.iteration, fit=fit.state, errors=tuple(errors)))
 
 
 def environment_path(output: Path) -> Path:
@@ -311,35 +321,37 @@ def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], rendere
     chosen = random.Random(0).sample(views, min(len(views), EXPOSURE_VIEWS))
     for number, view in enumerate(chosen):
         report("comparing exposures", number / len(chosen))
-        stops += _stops_beyond(view.read(), renderer.render(scene, view.camera))
+        stops += _stops_brighter(view.read(), renderer.render(scene, view.camera))
     return float(np.std(stops)) if len(stops) >= 3 else 0.0
 
 
-def _stops_beyond(picture: Picture, frame: Frame) -> list[float]:
+def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
     """By how many stops a photograph is brighter: the ratio of medians over pixels that neither end has cut off.
 
     Returns:
         Nothing where these are few.
     """
-    photograph, shown = picture.color.mean(axis=2), frame.color.mean(axis=2)
+    image, shown = target.color.mean(axis=2), frame.color.mean(axis=2)
     inside = frame.alpha > _INSIDE
-    for brightness in (photograph, shown):
+    for brightness in (image, shown):
         inside = inside & (brightness > EXPOSURE_RANGE[0]) & (brightness < EXPOSURE_RANGE[1])
-    for share in (picture.weight, picture.alpha):
+    for share in (target.weight, target.alpha):
         if share is not None:
             inside = inside & (share > _INSIDE)
     if inside.sum() < EXPOSURE_PIXELS:
         return []
-    medians = [float(np.median(decode_srgb(one[inside]))) for one in (photograph, shown)]
+    medians = [float(np.median(decode_srgb(one[inside]))) for one in (image, shown)]
     return [math.log2(medians[0] / medians[1])]
 
 
 VERSION = 1
 _OF_START, _OF_FIT = "start.", "fit."
+_MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "normals", "environment": "sky"}
+"""Array names in the file, by field of `Materials`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundSoFar:
+class SearchState:
     """Everything that the next step depends on, but for settings, photographs, the capture and traced light."""
 
     start: Materials
@@ -362,7 +374,7 @@ class MaterialFiles:
     """
 
     folder: Path
-    mark: str
+    fingerprint: str
     """What tells the search from others."""
     count: int
     """Gaussians of the capture."""
@@ -370,44 +382,47 @@ class MaterialFiles:
     """Directions in which light is traced."""
 
     @classmethod
-    def of(cls, folder: Path, gaussians: Gaussians, photographs: str, config: MaterialsConfig) -> MaterialFiles:
+    def of(cls, folder: Path, gaussians: Gaussians, images: str, config: MaterialsConfig) -> MaterialFiles:
         """Those of a capture, photographs with this fingerprint, and settings."""
-        stored = hashlib.sha256(json.dumps([VERSION, photographs, asdict(config), gaussians.antialiased]).encode())
+        stored = hashlib.sha256(json.dumps([VERSION, images, asdict(config), gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
             stored.update(getattr(gaussians, name).tobytes())
         return cls(folder, stored.hexdigest(), gaussians.count, config.directions)
 
     @property
-    def _found(self) -> Path:
+    def _state_path(self) -> Path:
         return self.folder / "materials.npz"
 
     @property
-    def _light(self) -> Path:
+    def _incident_path(self) -> Path:
         return self.folder / "light.npz"
 
-    def write(self, found: FoundSoFar) -> None:
+    def write(self, found: SearchState) -> None:
         """Writes what was found so far.
 
         Raises:
             FormatError: It cannot be written.
         """
-        arrays = {f"{_OF_START}{name}": getattr(found.start, name) for name in Materials.__slots__}
+        arrays = {f"{_OF_START}{key}": getattr(found.start, name) for name, key in _MATERIAL_KEYS.items()}
         arrays |= {f"{_OF_FIT}{name}": values for name, values in found.fit.items()}
         arrays["errors"] = np.array(found.errors, np.float64)
-        about = {"mark": self.mark, "iteration": found.iteration, "too_light": found.too_light}
-        write_state(self._found, arrays, about)
+        about = {"mark": self.fingerprint, "iteration": found.iteration, "too_light": found.too_light}
+        write_state(self._state_path, arrays, about)
 
-    def read(self) -> FoundSoFar | None:
+    def read(self) -> SearchState | None:
         """What was found so far, if anything."""
-        held = self._read(self._found)
-        if held is None:
+        content = self._read(self._state_path)
+        if content is None:
             return None
-        stored, arrays = held
+        stored, arrays = content
         moved = {"albedo": (self.count, 3), "roughness": (self.count,), "sky": (self.directions, 3)}
         shapes = moved | {"normals": (self.count, 3)}
         try:
             start = Materials(
-                *(checked_array(arrays, f"{_OF_START}{name}", shapes[name], np.float64) for name in Materials.__slots__)
+                *(
+                    checked_array(arrays, f"{_OF_START}{key}", shapes[key], np.float64)
+                    for key in _MATERIAL_KEYS.values()
+                )
             )
             names = {name.removeprefix(_OF_FIT) for name in arrays if name.startswith(_OF_FIT)}
             expected = {f"{name}{part}": shape for name, shape in moved.items() for part in ("", ".first", ".second")}
@@ -418,46 +433,46 @@ class MaterialFiles:
             iteration = int(stored["iteration"])
             if iteration < 0 or (iteration > 0) != bool(names):
                 raise ValueError("steps that do not fit the state")
-            return FoundSoFar(start, float(stored["too_light"]), iteration, fit, errors)
+            return SearchState(start, float(stored["too_light"]), iteration, fit, errors)
         except (KeyError, TypeError, ValueError, OverflowError):
-            self._warn_anew(self._found)
+            self._warn_anew(self._state_path)
             return None
 
-    def write_light(self, incident: IncidentRadiance) -> None:
+    def write_incident(self, incident: IncidentRadiance) -> None:
         """Writes what was traced: large, and only needed until the end.
 
         Raises:
             FormatError: It cannot be written.
         """
         arrays = {name: getattr(incident, name) for name in IncidentRadiance.__slots__}
-        write_state(self._light, arrays, {"mark": self.mark})
+        write_state(self._incident_path, arrays, {"mark": self.fingerprint})
 
-    def read_light(self) -> IncidentRadiance | None:
+    def read_incident(self) -> IncidentRadiance | None:
         """What was traced, if it is still there."""
-        held = self._read(self._light)
-        if held is None:
+        content = self._read(self._incident_path)
+        if content is None:
             return None
         pairs = self.count, self.directions
         try:
             return IncidentRadiance(
-                directions=checked_array(held[1], "directions", (self.directions, 3), np.float64),
-                open=checked_array(held[1], "open", pairs, np.float32),
-                seen=checked_array(held[1], "seen", (*pairs, 3), np.float32),
+                directions=checked_array(content[1], "directions", (self.directions, 3), np.float64),
+                open=checked_array(content[1], "open", pairs, np.float32),
+                seen=checked_array(content[1], "seen", (*pairs, 3), np.float32),
             )
         except ValueError:
-            self._warn_anew(self._light)
+            self._warn_anew(self._incident_path)
             return None
 
-    def forget_light(self) -> None:
+    def remove_incident(self) -> None:
         """Removes what was traced."""
-        self._light.unlink(missing_ok=True)
+        self._incident_path.unlink(missing_ok=True)
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
         """What a file tells and holds; None: it is not there, or not of this search."""
         try:
             arrays = read_arrays(path, "what was found so far")
             stored: dict[str, Any] = json.loads(str(arrays.pop("about")))
-            if stored["mark"] == self.mark:
+            if stored["mark"] == self.fingerprint:
                 return stored, arrays
         except MissingFileError:
             return None

@@ -41,7 +41,7 @@ class Materials:
     """Above 0, at most 1, shape (N,)."""
     normals: Doubles
     """Unit, shape (N, 3)."""
-    sky: Doubles
+    environment: Doubles
     """Radiance in K directions, shape (K, 3)."""
 
 
@@ -82,7 +82,7 @@ class LitGaussians:
         self._eye, on = wp.vec3(*eye), self._materials
         on.normals, on.albedo = self._vectors("normals", materials.normals), self._vectors("albedo", materials.albedo)
         on.roughness = self._buffers.upload("materials.roughness", wp.float32, _floats(materials.roughness))
-        self._light.sky = self._vectors("sky", materials.sky)
+        self._light.sky = self._vectors("sky", materials.environment)
         inputs = (self._eye, on, self._light, self._radiance, sh_out)
         with self._launcher.stage("materials"):
             self._launcher.run_banded(material_kernels.shade, self._count, *inputs)
@@ -104,14 +104,14 @@ class LitGaussians:
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
         gradient.roughness = get("materials.by_roughness", wp.float32, count)
         chunks = -(-count // SKY_CHUNK)
-        by_sky = get("materials.by_sky", wp.vec3, (chunks, self._directions))
+        by_environment = get("materials.by_sky", wp.vec3, (chunks, self._directions))
         inputs = (self._eye, self._materials, self._light, self._by_radiance)
         with self._launcher.stage("materials: backward"):
             run(material_gradient_kernels.differentiate, count, *inputs, gradient)
-            run(material_kernels.differentiate_sky, chunks, *inputs, by_sky)
+            run(material_kernels.differentiate_environment, chunks, *inputs, by_environment)
         parts = (gradient.albedo, gradient.roughness, gradient.normals)
         albedo, roughness, normals = (np.array(part.numpy(), np.float64) for part in parts)
-        return Materials(albedo, roughness, normals, by_sky.numpy().sum(axis=0, dtype=np.float64))
+        return Materials(albedo, roughness, normals, by_environment.numpy().sum(axis=0, dtype=np.float64))
 
     @property
     def radiance(self) -> Doubles:
@@ -177,10 +177,10 @@ def traced_incident(
     spread = np.sqrt(np.pi / steps)
     for k, direction in enumerate(directions):
         report("tracing light", k / steps)
-        ways = direction + spread * rng.uniform(-1.0, 1.0, (count, 3))
-        ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+        ray_directions = direction + spread * rng.uniform(-1.0, 1.0, (count, 3))
+        ray_directions /= np.linalg.norm(ray_directions, axis=1, keepdims=True)
         rows = order[normals[order] @ direction > 0.0]
-        hits = renderer.trace_rays(scene, starts[rows], ways[rows])
+        hits = renderer.trace_rays(scene, starts[rows], ray_directions[rows])
         alpha = 1.0 - hits.transmittance
         color = radiance_met(hits, alpha)
         open_[rows, k], seen[rows, k] = hits.transmittance, alpha[:, None] * color
@@ -194,7 +194,7 @@ def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
     return gaussians.means + lift[:, None] * normals
 
 
-def seen_normals(
+def rendered_normals(
     gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Progress
 ) -> tuple[Doubles, Doubles]:
     """Unit normals towards the side that cameras see, and how much of all views each Gaussian is.
@@ -216,15 +216,15 @@ def seen_normals(
     for number, camera in enumerate(cameras):
         report("finding normals", number / len(cameras))
         frame = renderer.render(Scene([gaussians]), camera)
-        ways = camera.eye - gaussians.means.astype(np.float64)
-        depths = -(ways @ camera.camera_from_world[2, :3])
+        to_camera = camera.eye - gaussians.means.astype(np.float64)
+        depths = -(to_camera @ camera.camera_from_world[2, :3])
         shown = renderer.render_features(np.column_stack([depths, np.zeros((len(depths), 2))]))
         normals = surface_normals(camera, shown[..., 0], frame.alpha)
         found = renderer.gradients(np.zeros_like(frame.color), dL_dfeatures=normals)
         assert found.features is not None
         sums += found.features
         weights += found.weights
-        towards += (found.weights / np.linalg.norm(ways, axis=1))[:, None] * ways
+        towards += (found.weights / np.linalg.norm(to_camera, axis=1))[:, None] * to_camera
     axes = shortest_axes(gaussians)
     axes *= np.where((axes * towards).sum(axis=1) < 0.0, -1.0, 1.0)[:, None]
     length = np.linalg.norm(sums, axis=1, keepdims=True)

@@ -45,7 +45,7 @@ def mirrored(x: int, size: int) -> int:
 
 
 @wp.func
-def slope(x: float) -> float:
+def sign(x: float) -> float:
     """Derivative of the magnitude; 0 at 0, where Warp's sign is 1."""
     return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
 
@@ -58,7 +58,7 @@ def entropy(alpha: float, wanted: float) -> float:
 
 
 @wp.func
-def slope_of_entropy(alpha: float, wanted: float) -> float:
+def entropy_derivative(alpha: float, wanted: float) -> float:
     """Its derivative by alpha; 0 where alpha is clamped."""
     if alpha < COVERED_LEAST or alpha > 1.0 - COVERED_LEAST:
         return 0.0
@@ -198,7 +198,7 @@ def differentiate_rows(
         by_ssim = by_mean + 2.0 * wp.cw_mul(p, by_square) + wp.cw_mul(q, by_product)
         share = share_of(target, i)
         error = color[i] - q
-        gradient = weights.l1 * wp.vec3(slope(error[0]), slope(error[1]), slope(error[2])) - weights.ssim * by_ssim
+        gradient = weights.l1 * wp.vec3(sign(error[0]), sign(error[1]), sign(error[2])) - weights.ssim * by_ssim
         by_color_out[i] = share * gradient
         magnitude = wp.abs(error[0]) + wp.abs(error[1]) + wp.abs(error[2])
         sums += share * wp.vec4(magnitude, wp.dot(error, error), 0.0, 0.0)
@@ -206,7 +206,7 @@ def differentiate_rows(
         if target.alpha.shape[0] > 0:
             missed = alpha[i] - target.alpha[i]
             wanted = target.alpha[i]
-            by_alpha = weights.alpha * slope(missed) + weights.entropy * slope_of_entropy(alpha[i], wanted)
+            by_alpha = weights.alpha * sign(missed) + weights.entropy * entropy_derivative(alpha[i], wanted)
             by_alpha_out[i] = share * by_alpha
             sums[2] = sums[2] + share * wp.abs(missed)
             sums[3] = sums[3] + share * entropy(alpha[i], wanted)

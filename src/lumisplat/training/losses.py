@@ -223,7 +223,9 @@ class SurfaceLoss:
         with self._launcher.stage("backward: surfaces"):
             return self._channels.backward(scene, drawn, self._shown, self._by_sums, by_splat)
 
-    def note_turns(self, scene: DeviceScene, drawn: DrawnSplats, by_features: DeviceArray, record: SplatRecord) -> None:
+    def add_normal_gradients(
+        self, scene: DeviceScene, drawn: DrawnSplats, by_features: DeviceArray, record: SplatRecord
+    ) -> None:
         """Adds how strongly the terms turn the normals of what was drawn.
 
         Args:
@@ -234,7 +236,7 @@ class SurfaceLoss:
         """
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._counted, drawn.splats.rects, data, by_features, record)
-        self._launcher.run_banded(kernels.note_turns, len(data.opacities), *inputs)
+        self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:
         """Adds derivatives by way of features to those by Gaussians."""

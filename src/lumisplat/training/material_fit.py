@@ -69,7 +69,7 @@ class ColoredGaussians:
         self._drawn = DeviceParameters(buffers)
         parameters = _unlit(gaussians)
         self._drawn.upload(parameters)
-        self._raster.place(parameters.gaussians(flat), self._drawn.values)
+        self._raster.bind(parameters.gaussians(flat), self._drawn.values)
 
     @property
     def sh(self) -> DeviceArray:
@@ -106,21 +106,21 @@ def _unlit(gaussians: Gaussians) -> TrainedParameters:
     )
 
 
-SKY_PAIRS = 60_000
+ENVIRONMENT_PAIRS = 60_000
 """Pairs of Gaussians by whose albedos the sky is found."""
 
-SKY_RATE = 0.05
+ENVIRONMENT_RATE = 0.05
 """How far the logarithm of a radiance moves in the first step; it falls to 0."""
 
-SKY_SMOOTHNESS = 1e-3
+ENVIRONMENT_SMOOTHNESS = 1e-3
 """Weight of squared differences between neighbouring directions, beside the mean over pairs."""
 
-SKY_NEIGHBOURS = 6
+ENVIRONMENT_NEIGHBOURS = 6
 
-SKY_PRIOR = 1e-4
+ENVIRONMENT_PRIOR = 1e-4
 """Weight of the squared distance from where it begins, likewise."""
 
-SKY_SEEN = 0.02
+ENVIRONMENT_VISIBLE_MIN = 0.02
 """Share of the sky that Gaussians see at the median, below which there is none to be found: a closed room."""
 
 CHROMA_WIDTH = 0.15
@@ -139,7 +139,7 @@ ALBEDO_RATE = 0.01
 
 ROUGHNESS_RATE = 0.02
 
-SKY_FINE_RATE = 0.005
+ENVIRONMENT_REFINE_RATE = 0.005
 """How far logits and logarithms move in the first step; from half of the steps on, rates fall to a tenth."""
 
 ALBEDO_SMOOTHNESS = 0.05
@@ -148,12 +148,12 @@ ALBEDO_SMOOTHNESS = 0.05
 ROUGHNESS_SMOOTHNESS = 0.05
 """Weight of squared differences between neighbours."""
 
-PHOTO_SSIM = 0.2
+SSIM_FRACTION = 0.2
 """Share of SSIM in the loss of photographs, as in training."""
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0
-_MOVED = ("albedo", "roughness", "sky")
+_STATE_KEYS = ("albedo", "roughness", "sky")
 """Names of what moves."""
 
 
@@ -186,7 +186,7 @@ class MaterialFit:
         self._views, self._config = views, config
         launcher = Launcher(device, threads)
         buffers = Buffers(launcher.device)
-        self._shown = ColoredGaussians(
+        self._gaussians = ColoredGaussians(
             launcher,
             buffers,
             gaussians,
@@ -194,28 +194,30 @@ class MaterialFit:
             kernels=(material_kernels, material_gradient_kernels),
             progress=progress,
         )
-        self._loss = ImageLoss(launcher, buffers, ssim=PHOTO_SSIM, alpha=0.0)
+        self._loss = ImageLoss(launcher, buffers, ssim=SSIM_FRACTION, alpha=0.0)
         self._lit = LitGaussians(launcher, buffers, gaussians.means, incident)
-        self._near, self._ring = near_pairs(gaussians.means), nearest_directions(incident.directions)
+        self._near, self._ring = neighbour_pairs(gaussians.means), nearest_directions(incident.directions)
         self._normals = start.normals
         self._albedo: Doubles = _logits(start.albedo)
         self._roughness: Doubles = _logits((start.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE)
-        self._sky: Doubles = np.log(np.maximum(start.sky, RADIANCE_LEAST))
+        self._environment: Doubles = np.log(np.maximum(start.environment, RADIANCE_LEAST))
         self._first = np.log(_sigmoid(self._albedo))
-        self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._sky)]
+        self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._environment)]
         self.iteration = 0
         """Steps that were made."""
 
     @property
     def materials(self) -> Materials:
         """What has been found so far."""
-        return materials_of({"albedo": self._albedo, "roughness": self._roughness, "sky": self._sky}, self._normals)
+        return materials_of(
+            {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}, self._normals
+        )
 
     @property
     def state(self) -> dict[str, Doubles]:
         """What moves, and its moments: with the number of steps, all that the next step depends on."""
-        arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._sky}
-        for name, moments in zip(_MOVED, self._moments, strict=True):
+        arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}
+        for name, moments in zip(_STATE_KEYS, self._moments, strict=True):
             arrays |= {f"{name}.first": moments.first, f"{name}.second": moments.second}
         return arrays
 
@@ -226,31 +228,31 @@ class MaterialFit:
             state: As of ``state``, of a fit that began at the same materials.
             iteration: Steps that were made until then.
         """
-        self._albedo, self._roughness, self._sky = (state[name].copy() for name in _MOVED)
+        self._albedo, self._roughness, self._environment = (state[name].copy() for name in _STATE_KEYS)
         self._moments = [
             Adam(state[f"{name}.first"].copy(), state[f"{name}.second"].copy(), np.array(float(iteration)))
-            for name in _MOVED
+            for name in _STATE_KEYS
         ]
         self.iteration = iteration
 
     def step(self) -> Loss:
         """Makes a step with the next photograph: all in turn, in another order each time."""
-        epoch, place = divmod(self.iteration, len(self._views))
+        epoch, index = divmod(self.iteration, len(self._views))
         order = np.random.default_rng([self._config.seed, 7, epoch]).permutation(len(self._views))
-        loss, gradient = self.differentiate(self._views[int(order[place])])
+        loss, gradient = self.differentiate(self._views[int(order[index])])
         self._move(gradient)
         self.iteration += 1
         return loss
 
     def differentiate(self, view: TrainingView) -> tuple[Loss, Materials]:
         """How far what the Gaussians show is from a photograph, and the derivatives by what they are made of."""
-        picture, camera = view.read(), view.camera
-        photograph = self._loss.load(picture.color, picture.weight, None)
-        self._lit.shade(self.materials, camera.eye, self._shown.sh)
-        pixels = self._shown.draw(camera, view.background)
-        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, photograph)
-        by_splats = self._shown.by_splats(pixels, by_pixels)
-        self._lit.decode(self._shown.rects, by_splats)
+        image, camera = view.read(), view.camera
+        target = self._loss.load(image.color, image.weight, None)
+        self._lit.shade(self.materials, camera.eye, self._gaussians.sh)
+        pixels = self._gaussians.draw(camera, view.background)
+        loss, by_pixels = self._loss.differentiate((camera.width, camera.height), pixels, target)
+        by_splats = self._gaussians.by_splats(pixels, by_pixels)
+        self._lit.decode(self._gaussians.rects, by_splats)
         return loss, self._lit.differentiate()
 
     def _move(self, gradient: Materials) -> None:
@@ -261,14 +263,14 @@ class MaterialFit:
         by_change = np.stack([self._near.square_term(changes[:, c])[1] for c in range(3)], axis=1)
         by_albedo = gradient.albedo * now.albedo + ALBEDO_SMOOTHNESS * by_change
         by_roughness = gradient.roughness + ROUGHNESS_SMOOTHNESS * self._near.square_term(now.roughness)[1]
-        by_sky = gradient.sky * now.sky + smoothness_gradient(self._sky, self._ring)
+        by_environment = gradient.environment * now.environment + smoothness_gradient(self._environment, self._ring)
         fall = 0.1 ** max(2.0 * self.iteration / self._config.iterations - 1.0, 0.0)
-        albedo, roughness, sky = self._moments
+        albedo, roughness, environment = self._moments
         self._albedo += albedo.step(by_albedo * (1.0 - now.albedo), fall * ALBEDO_RATE)
         self._roughness += roughness.step(
             by_roughness * _ROUGHNESS_RANGE * share * (1.0 - share), fall * ROUGHNESS_RATE
         )
-        self._sky += sky.step(by_sky, fall * SKY_FINE_RATE)
+        self._environment += environment.step(by_environment, fall * ENVIRONMENT_REFINE_RATE)
         for logits in (self._albedo, self._roughness):
             np.clip(logits, -_LOGIT_MAX, _LOGIT_MAX, out=logits)
 
@@ -289,17 +291,17 @@ def _logits(shares: Doubles) -> Doubles:
     return np.log(inside / (1.0 - inside))
 
 
-def lit_white(white: Irradiance, sky: Doubles) -> Doubles:
+def white_radiance(white: Irradiance, environment: Doubles) -> Doubles:
     """Radiance of white, matte Gaussians under a sky of radiances, shape (K, 3): shape (N, 3)."""
-    return np.maximum(white.total(sky.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
+    return np.maximum(white.total(environment.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
 
 
-def sees_sky(white: Irradiance) -> bool:
+def sees_environment(white: Irradiance) -> bool:
     """Whether there is a sky to be found."""
-    return float(np.median(white.sky.sum(axis=1))) > SKY_SEEN
+    return float(np.median(white.sky.sum(axis=1))) > ENVIRONMENT_VISIBLE_MIN
 
 
-def fitted_sky(
+def fit_environment(
     outgoing: Doubles,
     white: Irradiance,
     weights: Doubles,
@@ -325,61 +327,65 @@ def fitted_sky(
         rng: Chooses pairs.
         report: Called with what is being done and the fraction done, 0..1.
     """
-    if not sees_sky(white):
+    if not sees_environment(white):
         return np.ones((len(directions), 3))
     start = np.full((len(directions), 3), np.log(even_radiance(outgoing, white, weights)))
-    chosen = rng.choice(len(outgoing), (2, SKY_PAIRS), p=weights / weights.sum())
+    chosen = rng.choice(len(outgoing), (2, ENVIRONMENT_PAIRS), p=weights / weights.sum())
     rows, compact = np.unique(chosen, return_inverse=True)
-    first, second = compact.reshape(2, SKY_PAIRS)
-    pairs, part = AlikePairs(first, second), Irradiance(white.observed[rows], white.sky[rows], white.emitters[rows])
+    first, second = compact.reshape(2, ENVIRONMENT_PAIRS)
+    pairs, part = SimilarPairs(first, second), Irradiance(white.observed[rows], white.sky[rows], white.emitters[rows])
     shown = np.log(np.maximum(outgoing[rows], RADIANCE_LEAST))
     neighbours = nearest_directions(directions)
     moved, adam = start.copy(), Adam.still(start.shape)
     for step in range(steps):
         report("finding the sky", step / steps)
-        sky = np.exp(moved)
-        light = lit_white(part, sky)
+        environment = np.exp(moved)
+        light = white_radiance(part, environment)
         _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
-        by_sky = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * sky
-        by_sky += smoothness_gradient(moved, neighbours) + SKY_PRIOR / len(directions) * (moved - start)
-        moved += adam.step(by_sky, SKY_RATE * (1.0 - step / steps))
+        by_environment = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * environment
+        by_environment += smoothness_gradient(moved, neighbours) + ENVIRONMENT_PRIOR / len(directions) * (moved - start)
+        moved += adam.step(by_environment, ENVIRONMENT_RATE * (1.0 - step / steps))
         moved += start.mean(axis=0) - moved.mean(axis=0)
-    sky = np.exp(moved)
-    lit = (white.sky @ sky.astype(np.float32)).astype(np.float64)
-    return typical_albedo_factor(outgoing, white.observed, lit, weights) * sky
+    environment = np.exp(moved)
+    lit = (white.sky @ environment.astype(np.float32)).astype(np.float64)
+    return typical_albedo_factor(outgoing, white.observed, lit, weights) * environment
 
 
 def nearest_directions(directions: Doubles) -> np.ndarray:
     """The neighbours of each direction, shape (K, 6)."""
-    return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + SKY_NEIGHBOURS]
+    return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + ENVIRONMENT_NEIGHBOURS]
 
 
-def smoothness_gradient(log_sky: Doubles, neighbours: np.ndarray) -> Doubles:
+def smoothness_gradient(log_environment: Doubles, neighbours: np.ndarray) -> Doubles:
     """Derivatives of the roughness of a sky, shape (K, 3); neighbours are held where they are."""
-    return SKY_SMOOTHNESS / len(log_sky) * (log_sky[:, None] - log_sky[neighbours]).sum(axis=1)
+    return (
+        ENVIRONMENT_SMOOTHNESS
+        / len(log_environment)
+        * (log_environment[:, None] - log_environment[neighbours]).sum(axis=1)
+    )
 
 
 HEIGHT, WIDTH = 16, 32
 
 
-def sky_image(directions: Doubles, sky: Doubles) -> FloatArray:
+def environment_image(directions: Doubles, environment: Doubles) -> FloatArray:
     """The image of a `LightEnvironment`, shape (16, 32, 3).
 
     A pixel is the mean of the directions around it, by a Gaussian of half the angle between neighbours.
 
     Args:
         directions: Even, unit, shape (K, 3).
-        sky: Radiances, shape (K, 3).
+        environment: Radiances, shape (K, 3).
     """
-    ways = panorama_directions(HEIGHT, WIDTH).reshape(-1, 3)
+    pixel_directions = panorama_directions(HEIGHT, WIDTH).reshape(-1, 3)
     sharpness = len(directions) / np.pi  # 1 / (half of the angle)^2
-    weights = np.exp(sharpness * (ways @ directions.T - 1.0))
-    image = weights @ sky / weights.sum(axis=1, keepdims=True)
+    weights = np.exp(sharpness * (pixel_directions @ directions.T - 1.0))
+    image = weights @ environment / weights.sum(axis=1, keepdims=True)
     return image.reshape(HEIGHT, WIDTH, 3).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AlikePairs:
+class SimilarPairs:
     """P pairs, each of two rows."""
 
     first: Rows
@@ -393,11 +399,11 @@ class AlikePairs:
         less the more the two differ in chromaticity; that weight is held as it is.
         """
         difference = log_albedo[self.first] - log_albedo[self.second]
-        alike = chroma_similarity(difference, CHROMA_WIDTH)
+        similarity = chroma_similarity(difference, CHROMA_WIDTH)
         ratio = np.square(difference / EDGE_WIDTH)
         share = 1.0 / max(len(self.first), 1)
-        term = float((alike * np.log1p(ratio)).sum() * 0.5 * EDGE_WIDTH**2 * share)
-        return term, self._scattered(alike * difference / (1.0 + ratio) * share, len(log_albedo))
+        term = float((similarity * np.log1p(ratio)).sum() * 0.5 * EDGE_WIDTH**2 * share)
+        return term, self._scattered(similarity * difference / (1.0 + ratio) * share, len(log_albedo))
 
     def square_term(self, values: Doubles) -> tuple[float, Doubles]:
         """Half the mean squared difference of a number, and the derivatives by it, shape (N,)."""
@@ -416,15 +422,15 @@ class AlikePairs:
         return np.stack(columns, axis=1).astype(np.float64)
 
 
-def near_pairs(means: FloatArray) -> AlikePairs:
+def neighbour_pairs(means: FloatArray) -> SimilarPairs:
     """Returns pairs of each Gaussian with its `NEIGHBOURS` nearest others, fewer if there are not as many."""
     count = len(means)
     most = min(NEIGHBOURS, count - 1)
     if most < 1:
-        return AlikePairs(np.empty(0, np.int64), np.empty(0, np.int64))
+        return SimilarPairs(np.empty(0, np.int64), np.empty(0, np.int64))
     _, near = cKDTree(means).query(means, k=most + 1, workers=-1)
     own = np.arange(count)[:, None]
     # Where means coincide, another may come before the Gaussian itself, and even push it off the list.
     is_own = near == own
     is_own[:, -1] |= ~is_own.any(axis=1)
-    return AlikePairs(np.repeat(own, most), near[~is_own].astype(np.int64))
+    return SimilarPairs(np.repeat(own, most), near[~is_own].astype(np.int64))

@@ -33,13 +33,13 @@ def differentiate(
         albedo = materials.albedo[i]
         view = seen_from(wp.normalize(eye - materials.means[i]), normal)
         for k in range(light.directions.shape[0]):
-            way = light.directions[k]
-            if wp.dot(normal, way) > 0.0:
+            direction = light.directions[k]
+            if wp.dot(normal, direction) > 0.0:
                 weighted = light.solid_angle * wp.cw_mul(given, light_on(light, i, k))
                 by_diffuse = wp.dot(albedo, weighted)
                 by_highlight = weighted[0] + weighted[1] + weighted[2]
-                normal_part, roughness_part, _view, _way, _spread, diffuse, _highlight = wp.grad(reflected_dot)(
-                    normal, materials.roughness[i], view, way, light.spread, by_diffuse, by_highlight
+                normal_part, roughness_part, _view, _direction, _spread, diffuse, _highlight = wp.grad(reflected_dot)(
+                    normal, materials.roughness[i], view, direction, light.spread, by_diffuse, by_highlight
                 )
                 by_albedo += diffuse * weighted
                 by_normal += normal_part

@@ -17,18 +17,18 @@ from lumisplat.device.training import DirectionalLight, GaussianMaterials, light
 wp.set_module_options({"enable_backward": False})
 
 CHUNK = wp.constant(SKY_CHUNK)
-HARMONIC = wp.constant(wp.float32(SH_C0))
+SH_CONSTANT = wp.constant(wp.float32(SH_C0))
 
 
 @wp.func
-def alpha_of(roughness: float, spread: float) -> float:
+def widened_alpha(roughness: float, spread: float) -> float:
     """Of a highlight that is as wide as directions are apart."""
     alpha = roughness * roughness
     return wp.sqrt(alpha * alpha + spread)
 
 
 @wp.func
-def slope_of_encoding(linear: float) -> float:
+def srgb_derivative(linear: float) -> float:
     """Derivative of the sRGB encoding."""
     if linear <= 0.0031308:
         return 12.92
@@ -50,16 +50,16 @@ def shade(
     roughness = materials.roughness[i]
     view = seen_from(wp.normalize(eye - materials.means[i]), normal)
     cos_view = wp.dot(normal, view)
-    wide = alpha_of(roughness, light.spread)
+    wide = widened_alpha(roughness, light.spread)
     diffuse = wp.vec3(0.0)
     highlight = wp.vec3(0.0)
     for k in range(light.directions.shape[0]):
-        way = light.directions[k]
-        cosine = wp.dot(normal, way)
+        direction = light.directions[k]
+        cosine = wp.dot(normal, direction)
         if cosine > 0.0:
             arriving = (cosine * light.solid_angle) * light_on(light, i, k)
             diffuse += diffuse_factor(cos_view, cosine, roughness * roughness) * arriving
-            highlight += highlight_factor(normal, view, way, wide) * arriving
+            highlight += highlight_factor(normal, view, direction, wide) * arriving
     radiance = wp.cw_mul(materials.albedo[i], diffuse) + highlight
     radiance_out[i] = radiance
     shown = wp.vec3(
@@ -67,7 +67,7 @@ def shade(
         encode_srgb(wp.min(radiance[1], 1.0)),
         encode_srgb(wp.min(radiance[2], 1.0)),
     )
-    sh_out[i] = (shown - wp.vec3(0.5)) / HARMONIC
+    sh_out[i] = (shown - wp.vec3(0.5)) / SH_CONSTANT
 
 
 @wp.kernel
@@ -85,24 +85,24 @@ def decode_gradients(
         by_color = by_splats[i].color
         for c in range(3):
             if radiance[i][c] < 1.0 or by_color[c] > 0.0:
-                by_radiance[c] = by_color[c] * slope_of_encoding(radiance[i][c])
+                by_radiance[c] = by_color[c] * srgb_derivative(radiance[i][c])
     by_radiance_out[i] = by_radiance
 
 
 @wp.kernel
-def differentiate_sky(
+def differentiate_environment(
     start: int,
     eye: wp.vec3,
     materials: GaussianMaterials,
     light: DirectionalLight,
     by_radiance: wp.array[wp.vec3],
-    by_sky_out: wp.array2d[wp.vec3],
+    by_environment_out: wp.array2d[wp.vec3],
 ):
     """Item = chunk of Gaussians: derivatives by the sky's radiance, of these alone, a row each."""
     chunk = start + wp.tid()
     directions = light.directions.shape[0]
     for k in range(directions):
-        by_sky_out[chunk, k] = wp.vec3(0.0)
+        by_environment_out[chunk, k] = wp.vec3(0.0)
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, by_radiance.shape[0])):
         given = by_radiance[i]
         if wp.dot(given, given) > 0.0:
@@ -110,13 +110,13 @@ def differentiate_sky(
             roughness = materials.roughness[i]
             view = seen_from(wp.normalize(eye - materials.means[i]), normal)
             cos_view = wp.dot(normal, view)
-            wide = alpha_of(roughness, light.spread)
+            wide = widened_alpha(roughness, light.spread)
             by_diffuse = wp.cw_mul(given, materials.albedo[i])
             for k in range(directions):
-                way = light.directions[k]
-                cosine = wp.dot(normal, way)
+                direction = light.directions[k]
+                cosine = wp.dot(normal, direction)
                 if cosine > 0.0:
                     share = cosine * light.solid_angle * light.open[i, k]
-                    by_sky = diffuse_factor(cos_view, cosine, roughness * roughness) * by_diffuse
-                    by_sky += highlight_factor(normal, view, way, wide) * given
-                    by_sky_out[chunk, k] = by_sky_out[chunk, k] + share * by_sky
+                    by_environment = diffuse_factor(cos_view, cosine, roughness * roughness) * by_diffuse
+                    by_environment += highlight_factor(normal, view, direction, wide) * given
+                    by_environment_out[chunk, k] = by_environment_out[chunk, k] + share * by_environment

@@ -19,7 +19,7 @@ NOISE_SLOPE = 100.0
 BETA_1 = wp.constant(wp.float32(ADAM_BETA_1))
 BETA_2 = wp.constant(wp.float32(ADAM_BETA_2))
 EPSILON = wp.constant(wp.float32(ADAM_EPSILON))
-OPACITY_KEPT = wp.constant(wp.float32(DEAD_OPACITY))
+OPACITY_MIN = wp.constant(wp.float32(DEAD_OPACITY))
 SLOPE = wp.constant(wp.float32(NOISE_SLOPE))
 TWO_PI = wp.constant(wp.float32(6.283185307179586))
 
@@ -132,7 +132,7 @@ def standard_normal(key: wp.uint32) -> wp.vec3:
 def explore(start: int, noise: NoiseData, gaussians: GaussianData, parameters_inout: SplatParameters):
     """Item = Gaussian: moves it at random within its own shape, the more transparent it is, the farther."""
     i = start + wp.tid()
-    gate = noise.strength * sigmoid(SLOPE * (OPACITY_KEPT - gaussians.opacities[i]))
+    gate = noise.strength * sigmoid(SLOPE * (OPACITY_MIN - gaussians.opacities[i]))
     if gate > 0.0:
         axes = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
         step = axes * (wp.transpose(axes) * standard_normal(sample_key_of(i, noise.iteration, noise.seed)))
@@ -140,7 +140,7 @@ def explore(start: int, noise: NoiseData, gaussians: GaussianData, parameters_in
 
 
 @wp.kernel
-def note(
+def add_screen_gradients(
     start: int,
     half_size: wp.vec2,
     rects: wp.array[TileRect],
@@ -150,6 +150,6 @@ def note(
     """Item = Gaussian: what a frame tells of it."""
     i = start + wp.tid()
     if rects[i].x0 < rects[i].x1:
-        pull = gradients[i].center_absolute
-        record_inout.motion[i] = record_inout.motion[i] + wp.length(wp.cw_mul(pull, half_size))
+        screen_gradient = gradients[i].center_absolute
+        record_inout.motion[i] = record_inout.motion[i] + wp.length(wp.cw_mul(screen_gradient, half_size))
         record_inout.frames[i] = record_inout.frames[i] + 1.0

@@ -47,8 +47,8 @@ class TrainedParameters:
     @classmethod
     def new(cls, values: dict[str, FloatArray]) -> TrainedParameters:
         """TrainedParameters that have not moved yet."""
-        kept = {name: np.ascontiguousarray(values[name], np.float32) for name in NAMES}
-        return cls(kept, _zeros_like(kept), _zeros_like(kept))
+        arrays = {name: np.ascontiguousarray(values[name], np.float32) for name in NAMES}
+        return cls(arrays, _zeros_like(arrays), _zeros_like(arrays))
 
     @property
     def count(self) -> int:
@@ -69,16 +69,16 @@ class TrainedParameters:
         """Some of them."""
         return TrainedParameters(*({name: part[name][rows] for name in NAMES} for part in self._parts))
 
-    def fresh(self, rows: Rows) -> TrainedParameters:
+    def copies(self, rows: Rows) -> TrainedParameters:
         """Copies of some of them, which have not moved yet."""
         return TrainedParameters.new({name: self.values[name][rows] for name in NAMES})
 
-    def joined(self, other: TrainedParameters) -> TrainedParameters:
+    def concatenated(self, other: TrainedParameters) -> TrainedParameters:
         """These and others."""
         pairs = zip(self._parts, other._parts, strict=True)
         return TrainedParameters(*({name: np.concatenate([a[name], b[name]]) for name in NAMES} for a, b in pairs))
 
-    def still(self, rows: Rows) -> None:
+    def zero_moments(self, rows: Rows) -> None:
         """Forgets how some of them have moved."""
         for part in (self.first, self.second):
             for name in NAMES:
@@ -136,11 +136,11 @@ def _zeros_like(arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
     return {name: np.zeros_like(array) for name, array in arrays.items()}
 
 
-PLACES_MIN = 3
+POSITIONS_MIN = 3
 """Places from which photographs are taken, below which a line says that this is few: two say nothing of what only one
 of them sees."""
 
-POINTS_SHARE_MIN = 0.05
+POINTS_FRACTION_MIN = 0.05
 """Known points, as a share of those that training begins with where none are known, below which random ones are added:
 MCMC adds a twentieth of what there is, and never gets far from next to nothing."""
 
@@ -165,7 +165,7 @@ PARALLEL_DISTANCE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class SceneScale:
     """What cameras say of the place that they stand in."""
 
     extent: float
@@ -175,7 +175,7 @@ class Surroundings:
     the extent."""
 
     @classmethod
-    def of(cls, cameras: Sequence[Camera]) -> Surroundings:
+    def of(cls, cameras: Sequence[Camera]) -> SceneScale:
         """Those of at least one camera."""
         target, extent = camera_target(cameras), camera_extent(cameras)
         farthest = max(float(np.linalg.norm(camera.eye)) for camera in cameras)
@@ -187,21 +187,21 @@ class Surroundings:
         return cls(extent, distance if spread > PARALLEL else PARALLEL_DISTANCE * extent)
 
 
-def random_points(cameras: Sequence[Camera], around: Surroundings, count: int, rng: np.random.Generator) -> Doubles:
+def random_points(cameras: Sequence[Camera], scale: SceneScale, count: int, rng: np.random.Generator) -> Doubles:
     """Points in the cameras' views, about as far as what they look at, shape (N, 3)."""
     chosen = rng.integers(0, len(cameras), count)
     low, high = INITIAL_DEPTHS
-    depths = around.distance * rng.uniform(low, high, count)
-    shares = rng.uniform(size=(count, 2))
+    depths = scale.distance * rng.uniform(low, high, count)
+    fractions = rng.uniform(size=(count, 2))
     points = np.empty((count, 3))
     for number, camera in enumerate(cameras):
         rows = np.flatnonzero(chosen == number)
-        local = depths[rows, None] * _seen(camera, shares[rows] * (camera.width, camera.height))
+        local = depths[rows, None] * _camera_rays(camera, fractions[rows] * (camera.width, camera.height))
         points[rows] = local @ camera.camera_from_world[:3, :3] + camera.eye
     return points
 
 
-def enough_points(
+def with_random_points(
     points: Doubles | None, colors: FloatArray | None, cameras: Sequence[Camera], config: TrainConfig
 ) -> tuple[Doubles | None, FloatArray | None]:
     """Known points and their colours, with random ones if they are hardly any; None, if none are known.
@@ -213,10 +213,10 @@ def enough_points(
         config: Settings.
     """
     wanted = min(config.initial, config.cap)
-    if points is None or len(points) >= POINTS_SHARE_MIN * wanted:
+    if points is None or len(points) >= POINTS_FRACTION_MIN * wanted:
         return points, colors
     rng = np.random.default_rng([config.seed, 4])
-    added = random_points(cameras, Surroundings.of(cameras), wanted - len(points), rng)
+    added = random_points(cameras, SceneScale.of(cameras), wanted - len(points), rng)
     _log.warning(
         "the images come with only %d 3D points: %d random ones are added, which training moves where they belong",
         len(points),
@@ -229,13 +229,13 @@ def enough_points(
 
 def warn_if_few_positions(cameras: Sequence[Camera]) -> None:
     """Logs a line if photographs to learn from are too few, or some of them the same."""
-    count, places, poses = len(cameras), count_positions(cameras), count_poses(cameras)
-    if places < PLACES_MIN:
+    count, positions, poses = len(cameras), count_positions(cameras), count_poses(cameras)
+    if positions < POSITIONS_MIN:
         _log.warning(
             "%s to learn from, taken from %s: depth follows from several positions only, so other views will look "
             "poor: add 20 or more images from all around",
             "1 photograph" if count == 1 else f"{count} photographs",
-            "one place" if places == 1 else f"{places} places",
+            "one place" if positions == 1 else f"{positions} places",
         )
     elif poses < count:
         _log.warning(
@@ -246,7 +246,7 @@ def warn_if_few_positions(cameras: Sequence[Camera]) -> None:
         )
 
 
-def _seen(camera: Camera, pixels: Doubles) -> Doubles:
+def _camera_rays(camera: Camera, pixels: Doubles) -> Doubles:
     """What a camera sees at places of its image, at a view depth of 1, or at that distance if its lens bends; (N, 3).
 
     Where a lens sees nothing it is on the axis.

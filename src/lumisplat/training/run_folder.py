@@ -33,7 +33,7 @@ from lumisplat.scene.scene import Scene
 from lumisplat.training.losses import Loss
 from lumisplat.training.parameters import NAMES, TrainedParameters
 
-_LEFT = (
+_RUN_FILES = (
     *("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews"),
     *("light.npz", "materials"),
 )
@@ -85,7 +85,7 @@ class RunFolder:
         stored = [self.path / name for name in _MARKERS]
         if any(self.path.iterdir()) and not any(path.exists() for path in stored):
             raise FormatError(self.path, "is no folder of a training: it is not removed")
-        for path in (found for pattern in _LEFT for found in self.path.glob(pattern)):
+        for path in (found for pattern in _RUN_FILES for found in self.path.glob(pattern)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         for path in stored:
             path.unlink(missing_ok=True)
@@ -118,7 +118,7 @@ class RunFolder:
         """Writes the curve, also as a picture, and figures and pictures of what was held out."""
         self.write_curve(curve)
         with atomic_write(self.path / "curve.png") as temporary:
-            curve.picture().save(temporary, format="PNG")
+            curve.image().save(temporary, format="PNG")
         if score is not None:
             stored = {"psnr": score.psnr, "views": score.of_views, "gaussians": gaussians.count}
             _write(self.path / "metrics.json", json.dumps(stored, indent=2) + "\n")
@@ -164,7 +164,7 @@ class HeldOut:
     """Renders and compares what was held out.
 
     Args:
-        photographs: Those that were not learnt from; there may be none.
+        images: Those that were not learnt from; there may be none.
         device: As of `lumisplat.create_renderer`.
         threads: As of `lumisplat.create_renderer`.
         config: What draws captures; None: ellipses.
@@ -172,20 +172,20 @@ class HeldOut:
 
     def __init__(
         self,
-        photographs: Sequence[TrainingImage],
+        images: Sequence[TrainingImage],
         device: str,
         threads: int | None,
         config: TrainConfig | None = None,
     ) -> None:
-        self._photographs = photographs
+        self._images = images
         self._renderer: Renderer | None = None
-        if photographs:
-            background = photographs[0].background or (0.0, 0.0, 0.0)
+        if images:
+            background = images[0].background or (0.0, 0.0, 0.0)
             drawn_by = config or TrainConfig()
             raster = RasterConfig(projection=drawn_by.projection)
             settings = RenderConfig(pipeline=drawn_by.pipeline, background=background, raster=raster, lighting=False)
             self._renderer = create_renderer(settings, device, threads=threads)
-            self._renderer.render(Scene(), photographs[0].camera)  # so that no kernel is compiled while others wait
+            self._renderer.render(Scene(), images[0].camera)  # so that no kernel is compiled while others wait
 
     def psnr(self, gaussians: Gaussians) -> float | None:
         """The mean, dB; None: nothing was held out."""
@@ -195,33 +195,31 @@ class HeldOut:
     def score(self, gaussians: Gaussians, progress: Callable[[str, float], None] | None = None) -> HeldOutScore | None:
         """Of each photograph, over what counts of it; None: nothing was held out."""
         found: dict[str, float] = {}
-        for number, photograph in enumerate(self._photographs):
+        for number, image in enumerate(self._images):
             if progress is not None:
-                progress("measuring", number / len(self._photographs))
-            mask = photograph.mask()
+                progress("measuring", number / len(self._images))
+            mask = image.mask()
             if mask is None or mask.any():  # what a lens does not show may be all that a mask shows
-                found[photograph.name] = masked_psnr(self.shown(gaussians, photograph), photograph)
+                found[image.name] = masked_psnr(self.render(gaussians, image), image)
         if progress is not None:
             progress("measuring", 1.0)
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
 
-    def shown(self, gaussians: Gaussians, photograph: TrainingImage) -> FloatArray:
+    def render(self, gaussians: Gaussians, image: TrainingImage) -> FloatArray:
         """What a capture shows in place of a photograph, 0..1, shape (H, W, 3)."""
         assert self._renderer is not None
-        frame = self._renderer.render(Scene([gaussians]), photograph.camera)
+        frame = self._renderer.render(Scene([gaussians]), image.camera)
         return np.clip(frame.color, 0.0, 1.0).astype(np.float32)
 
     def preview(self, gaussians: Gaussians, path: Path) -> None:
         """Writes the first photograph beside what a capture shows in its place."""
-        if self._photographs:
-            write_pair(path, self._photographs[0].pixels(), self.shown(gaussians, self._photographs[0]))
+        if self._images:
+            write_pair(path, self._images[0].pixels(), self.render(gaussians, self._images[0]))
 
     def write_pairs(self, gaussians: Gaussians, folder: Path) -> None:
         """Writes all photographs beside what a capture shows in their places."""
-        for photograph in self._photographs:
-            write_pair(
-                folder / f"{file_name(photograph.name)}.png", photograph.pixels(), self.shown(gaussians, photograph)
-            )
+        for image in self._images:
+            write_pair(folder / f"{file_name(image.name)}.png", image.pixels(), self.render(gaussians, image))
 
 
 def file_name(name: str) -> str:
@@ -229,15 +227,15 @@ def file_name(name: str) -> str:
     return "".join(char if char.isalnum() or char in "-_." else f"%{ord(char):02X}" for char in name)
 
 
-def masked_psnr(shown: FloatArray, photograph: TrainingImage) -> float:
+def masked_psnr(shown: FloatArray, image: TrainingImage) -> float:
     """PSNR over the pixels that count, by how much they do, dB."""
-    squared = ((shown - photograph.pixels()) ** 2).mean(axis=2)
-    return decibels(float(np.average(squared, weights=photograph.mask())))
+    squared = ((shown - image.pixels()) ** 2).mean(axis=2)
+    return decibels(float(np.average(squared, weights=image.mask())))
 
 
-def write_pair(path: Path, photograph: FloatArray, shown: FloatArray) -> None:
+def write_pair(path: Path, image: FloatArray, shown: FloatArray) -> None:
     """Writes a photograph and, to its right, what stands for it."""
-    pair = (255.0 * np.concatenate([photograph, shown], axis=1) + 0.5).astype(np.uint8)
+    pair = (255.0 * np.concatenate([image, shown], axis=1) + 0.5).astype(np.uint8)
     with atomic_write(path) as temporary:
         Image.fromarray(pair).save(temporary, format="PNG")
 
@@ -307,7 +305,7 @@ class Curve:
             return decibels(self._sum / self._count)
         return decibels(self.squared[-1]) if self.squared else 0.0
 
-    def picture(self) -> Image.Image:
+    def image(self) -> Image.Image:
         """The curve: blue what was learnt from, orange what was held out."""
         image = Image.new("RGB", SIZE, "white")
         draw = ImageDraw.Draw(image)
@@ -319,8 +317,8 @@ class Curve:
         axes = _Axes.around(points)
         axes.draw(draw)
         for line, color in zip(lines, (_TRAINING, _HELD_OUT), strict=True):
-            draw.line([axes.place(*point) for point in line], fill=color, width=2)
-        for x, y in (axes.place(*point) for point in lines[1]):
+            draw.line([axes.position(*point) for point in line], fill=color, width=2)
+        for x, y in (axes.position(*point) for point in lines[1]):
             draw.ellipse([x - DOT, y - DOT, x + DOT, y + DOT], fill=_HELD_OUT)
         draw.text((MARGIN + 120, 16), "learnt from", fill=_TRAINING)
         draw.text((MARGIN + 210, 16), "held out", fill=_HELD_OUT)
@@ -344,7 +342,7 @@ class _Axes:
         values = [value for _, value in points]
         return cls(max(step for step, _ in points), math.floor(min(values)), math.ceil(max(values)) + 1)
 
-    def place(self, step: float, value: float) -> tuple[float, float]:
+    def position(self, step: float, value: float) -> tuple[float, float]:
         """The pixel of a point."""
         across, up = step / self.last, (value - self.low) / (self.high - self.low)
         return MARGIN + (SIZE[0] - 2 * MARGIN) * across, SIZE[1] - MARGIN - (SIZE[1] - 2 * MARGIN) * up
@@ -353,13 +351,13 @@ class _Axes:
         """Lines at round numbers, with these numbers, and what they are of."""
         draw.text((8, 16), "PSNR, dB", fill="black")
         for tick in range(self.low, self.high + 1, max((self.high - self.low) // 8, 1)):
-            draw.line([self.place(0.0, tick), self.place(self.last, tick)], fill=_LINES)
-            draw.text((MARGIN - 8, self.place(0.0, tick)[1]), str(tick), fill="black", anchor="rm")
+            draw.line([self.position(0.0, tick), self.position(self.last, tick)], fill=_LINES)
+            draw.text((MARGIN - 8, self.position(0.0, tick)[1]), str(tick), fill="black", anchor="rm")
         for tick in range(0, int(self.last) + 1, round_step(self.last / 8)):
-            x, y = self.place(tick, self.low)
+            x, y = self.position(tick, self.low)
             draw.line([(x, y), (x, y + 5)], fill="black")
             draw.text((x, y + 8), f"{tick:,}", fill="black", anchor="mt")
-        draw.line([self.place(0.0, self.low), self.place(self.last, self.low)], fill="black")
+        draw.line([self.position(0.0, self.low), self.position(self.last, self.low)], fill="black")
         draw.text((SIZE[0] / 2, SIZE[1] - 18), "steps", fill="black", anchor="mt")
 
 
@@ -400,7 +398,7 @@ class Checkpoint:
     """What was learnt of photographs beside what they show."""
 
 
-def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, photographs: str) -> None:
+def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, images: str) -> None:
     """Writes a checkpoint, which appears complete or not at all.
 
     Args:
@@ -408,7 +406,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: T
         checkpoint: The state.
         curve: How it went so far.
         config: Settings of the training.
-        photographs: What tells its photographs from others.
+        images: What tells its photographs from others.
 
     Raises:
         FormatError: It cannot be written.
@@ -421,7 +419,7 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: T
         "version": VERSION,
         "iteration": checkpoint.iteration,
         "settings": plain_settings(config),
-        "photographs": photographs,
+        "photographs": images,
         "curve": curve.stored,
     }
     write_state(path, arrays, stored)
@@ -437,7 +435,7 @@ def write_state(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any])
         np.savez(file, about=np.array(json.dumps(about)), **arrays)
 
 
-def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[Checkpoint, Curve]:
+def read_checkpoint(path: Path, config: TrainConfig, images: str) -> tuple[Checkpoint, Curve]:
     """Reads a checkpoint of the same settings and photographs, and how it went until then.
 
     Raises:
@@ -446,7 +444,7 @@ def read_checkpoint(path: Path, config: TrainConfig, photographs: str) -> tuple[
     try:
         arrays = read_arrays(path, _KIND)
         stored = json.loads(str(arrays.pop("about")))
-        check_same(path, stored, config, photographs)
+        check_same(path, stored, config, images)
         count = len(arrays["values.means"])
         coefficients = (config.sh_degree + 1) ** 2
         shapes = {"means": (3,), "rotations": (4,), "log_scales": (3,), "logits": (), "sh": (coefficients, 3)}
@@ -481,7 +479,7 @@ def _damaged(path: Path) -> FormatError:
     return FormatError(path, f"is damaged, or not {_KIND}")
 
 
-def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, photographs: str) -> None:
+def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: str) -> None:
     """Raises a FormatError unless a checkpoint is of these settings and photographs."""
     if stored["version"] != VERSION:
         raise FormatError(path, f"is a checkpoint of version {stored['version']}, expected {VERSION}: {BEGIN_ANEW}")
@@ -494,7 +492,7 @@ def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, photogra
             raise FormatError(
                 path, f"is of a training with {name} {before}, not {now}: use the settings of before, or overwrite it"
             )
-    if stored["photographs"] != photographs:
+    if stored["photographs"] != images:
         raise FormatError(
             path,
             "is of a training with other photographs, others held out or another background: use those of before, or "

@@ -232,7 +232,7 @@ def add_by_features(
 
 
 @wp.kernel
-def note_turns(
+def add_normal_gradients(
     start: int,
     camera: wp.array[CameraData],
     counted: float,
@@ -245,8 +245,8 @@ def note_turns(
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
-        turn = wp.length(wp.cross(normal_of(camera[0], gaussians, i), by_normal))
-        record_inout.turns[i] = record_inout.turns[i] + counted * turn
+        normal_gradient = wp.length(wp.cross(normal_of(camera[0], gaussians, i), by_normal))
+        record_inout.turns[i] = record_inout.turns[i] + counted * normal_gradient
 
 
 @wp.kernel
@@ -266,20 +266,20 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 
 
 @wp.func
-def tap(along: int, across: int) -> float:
+def sobel_weight(along: int, across: int) -> float:
     """Sobel's weight of a neighbour so many pixels along the direction of the difference, and across it."""
     return 0.125 * float(along * (2 - wp.abs(across)))
 
 
 @wp.func
-def evenness(change: wp.vec3) -> float:
+def edge_weight(change: wp.vec3) -> float:
     """How little of an edge a photograph has where its colour changes so, 0..1."""
     total = wp.exp(-wp.abs(change[0])) + wp.exp(-wp.abs(change[1])) + wp.exp(-wp.abs(change[2]))
     return total / 3.0
 
 
 @wp.func
-def signs(v: wp.vec3) -> wp.vec3:
+def sign3(v: wp.vec3) -> wp.vec3:
     """Derivatives of magnitudes; 0 at 0."""
     found = wp.vec3(0.0)
     for c in range(3):
@@ -288,7 +288,7 @@ def signs(v: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def magnitude(v: wp.vec3) -> float:
+def l1_norm(v: wp.vec3) -> float:
     """Sum of magnitudes."""
     return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
 
@@ -318,16 +318,16 @@ def compare_smoothness(
                 j = i + dy * view.width + dx
                 normal = normal_at(sums, j)
                 color = target.color[j]
-                across += tap(dx, dy) * normal
-                down += tap(dy, dx) * normal
-                color_across += tap(dx, dy) * color
-                color_down += tap(dy, dx) * color
+                across += sobel_weight(dx, dy) * normal
+                down += sobel_weight(dy, dx) * normal
+                color_across += sobel_weight(dx, dy) * color
+                color_down += sobel_weight(dy, dx) * color
         share = weight * share_of(target, i) / 3.0
-        along_x = share * evenness(color_across)
-        along_y = share * evenness(color_down)
-        term = along_x * magnitude(across) + along_y * magnitude(down)
-        across = along_x * signs(across)
-        down = along_y * signs(down)
+        along_x = share * edge_weight(color_across)
+        along_y = share * edge_weight(color_down)
+        term = along_x * l1_norm(across) + along_y * l1_norm(down)
+        across = along_x * sign3(across)
+        down = along_y * sign3(down)
     maps_out.terms[i] = term
     maps_out.across[i] = across
     maps_out.down[i] = down
@@ -345,6 +345,6 @@ def gather_smoothness(start: int, camera: wp.array[CameraData], maps: Smoothness
         for dx in range(-1, 2):
             if is_inner(view, x + dx, y + dy):
                 j = i + dy * view.width + dx
-                by_normal += tap(-dx, -dy) * maps.across[j] + tap(-dy, -dx) * maps.down[j]
+                by_normal += sobel_weight(-dx, -dy) * maps.across[j] + sobel_weight(-dy, -dx) * maps.down[j]
     for k in range(3):
         by_sums_inout[i, 2 + k] = by_sums_inout[i, 2 + k] + by_normal[k]

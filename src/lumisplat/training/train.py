@@ -25,7 +25,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.local_frame import LocalFrame
 from lumisplat.scene.ops.views import first_view_of, up_of_cameras
-from lumisplat.training.parameters import enough_points, warn_if_few_positions
+from lumisplat.training.parameters import warn_if_few_positions, with_random_points
 from lumisplat.training.run_folder import (
     Curve,
     HeldOut,
@@ -50,9 +50,9 @@ CAPTURES = (".ply", ".spz")
 CHECKPOINT_EVERY_S = 60.0
 """Seconds between two checkpoints."""
 PROGRESS_EVERY_S = 0.5
-MEASURE_AT = (100, 200, 500)
+EVALUATE_AT = (100, 200, 500)
 """Steps after which what is held out is measured, too: whether poses are right shows early."""
-MEASURE_EVERY = 1000
+EVALUATE_EVERY = 1000
 """Steps between two further points of the curve of what is held out."""
 
 
@@ -79,7 +79,7 @@ class TrainResult:
 
 
 def train(
-    photographs: TrainingImages | str | os.PathLike[str],
+    images: TrainingImages | str | os.PathLike[str],
     config: TrainConfig | None = None,
     *,
     output: str | os.PathLike[str] | None = None,
@@ -101,7 +101,7 @@ def train(
     with a checkpoint; pressed once more, at once.
 
     Args:
-        photographs: A folder, or what `lumisplat.io.load_training_images` has read; then ``scale``, ``hold_out`` and
+        images: A folder, or what `lumisplat.io.load_training_images` has read; then ``scale``, ``hold_out`` and
             ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``,
             or ``config.projection`` is ``UNSCENTED``.
         config: Settings; None: the defaults.
@@ -134,19 +134,19 @@ def train(
         raise ConfigError(f"output is {output}, expected a file that ends in {' or '.join(CAPTURES)}")
     if output is not None and Path(output).suffix.lower() == ".spz" and config.kernel_degree != KERNEL_DEGREE:
         raise ConfigError(f"output is {output}, which cannot say its kernel degree of {config.kernel_degree}: use .ply")
-    if not isinstance(photographs, TrainingImages):
+    if not isinstance(images, TrainingImages):
         straighten = not config.keeps_lenses
-        photographs = load_training_images(
-            photographs, scale=scale, hold_out=hold_out, background=background, straighten=straighten
+        images = load_training_images(
+            images, scale=scale, hold_out=hold_out, background=background, straighten=straighten
         )
     folder = None if output is None else RunFolder.of(Path(output))
     if folder is not None and output is not None and Path(output).exists() and not (overwrite or folder.is_begun):
         raise FormatError(
             output, "is there already, and of no training that could go on: overwrite it, or name another"
         )
-    run = _Run(photographs, config, folder, device=device, threads=threads, progress=progress or no_progress)
+    run = _Run(images, config, folder, device=device, threads=threads, progress=progress or no_progress)
     run.start(overwrite=overwrite)
-    run.work(stop_after, preview)
+    run.run_steps(stop_after, preview)
     return run.finish(None if output is None else Path(output))
 
 
@@ -155,7 +155,7 @@ class _Run:
 
     def __init__(
         self,
-        photographs: TrainingImages,
+        images: TrainingImages,
         config: TrainConfig,
         folder: RunFolder | None,
         *,
@@ -163,26 +163,26 @@ class _Run:
         threads: int | None,
         progress: Progress,
     ) -> None:
-        self._photographs, self._config, self._folder, self._progress = photographs, config, folder, progress
-        views = [TrainingView.of(photograph) for photograph in photographs.training]
-        self._frame = training_frame(photographs)
+        self._images, self._config, self._folder, self._progress = images, config, folder, progress
+        views = [TrainingView.of(image) for image in images.training]
+        self._frame = training_frame(images)
         """The frame in which Gaussians are learnt."""
         views = [replace(view, camera=self._frame.camera(view.camera)) for view in views]
         cameras = [view.camera for view in views]
         warn_if_few_positions(cameras)
-        known = None if photographs.points is None else self._frame.points(photographs.points)
-        points, colors = enough_points(known, photographs.point_colors, cameras, config)
+        known = None if images.points is None else self._frame.points(images.points)
+        points, colors = with_random_points(known, images.point_colors, cameras, config)
         self._trainer = Trainer(
             views,
             config,
-            background=photographs.training[0].background or (0.0, 0.0, 0.0),
+            background=images.training[0].background or (0.0, 0.0, 0.0),
             points=points,
             colors=colors,
             device=device,
             threads=threads,
             progress=progress,
         )
-        self._held_out = HeldOut(photographs.held_out, device, threads, config)
+        self._held_out = HeldOut(images.held_out, device, threads, config)
         self._curve = Curve()
         self._begun = 0.0
         """When the first step of this call began, seconds."""
@@ -193,17 +193,15 @@ class _Run:
         if self._folder is None:
             return
         self._folder.prepare(overwrite=overwrite)
-        mark = self._mark  # of the photographs as they are now, not after the first minute
+        fingerprint = self._fingerprint  # of the photographs as they are now, not after the first minute
         if self._folder.checkpoint.exists():
-            checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, mark)
+            checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, fingerprint)
             check_images(self._folder.checkpoint, checkpoint, self._trainer.checkpoint)
             self._trainer.restore(checkpoint)
-        self._folder.write_settings(
-            self._config, self._photographs.read_from
-        )  # not before: those of another training stay
+        self._folder.write_settings(self._config, self._images.read_from)  # not before: those of another training stay
         self._first = self._trainer.iteration
 
-    def work(self, stop_after: float | None, preview: int | None) -> None:
+    def run_steps(self, stop_after: float | None, preview: int | None) -> None:
         """Makes the steps that are left, or those for which there is time."""
         trainer, total = self._trainer, self._config.iterations
         saved = reported = self._begun = time.monotonic()
@@ -214,8 +212,8 @@ class _Run:
                 now = time.monotonic()
                 if now - reported >= PROGRESS_EVERY_S:
                     reported = now
-                    self._progress(self._line(now), trainer.iteration / total)
-                if is_measured(trainer.iteration) and trainer.iteration < total:
+                    self._progress(self._progress_text(now), trainer.iteration / total)
+                if is_evaluated(trainer.iteration) and trainer.iteration < total:
                     self._curve.measure(trainer.iteration, self._held_out.psnr(self._gaussians()))
                 if preview is not None and self._folder is not None and trainer.iteration % preview == 0:
                     self._held_out.preview(self._gaussians(), self._folder.preview(trainer.iteration))
@@ -233,7 +231,7 @@ class _Run:
         """Writes the capture, and measures it."""
         trained, pruned = self._pruned()
         exposures, cameras = self._exposures(), self._cameras()
-        gaussians = _oriented(trained, cameras or tuple(photograph.camera for photograph in self._photographs.training))
+        gaussians = _oriented(trained, cameras or tuple(image.camera for image in self._images.training))
         score = self._held_out.score(gaussians, self._progress)
         if score is not None:
             self._curve.measure(self._trainer.iteration, score.psnr)
@@ -272,7 +270,7 @@ class _Run:
         """Those that were learnt, by name."""
         if self._trainer.exposures is None:
             return None
-        names = (photograph.name for photograph in self._photographs.training)
+        names = (image.name for image in self._images.training)
         return dict(zip(names, self._trainer.exposures.values, strict=True))
 
     def _cameras(self) -> tuple[Camera, ...] | None:
@@ -280,32 +278,32 @@ class _Run:
         if self._trainer.poses is None:
             return None
         return tuple(
-            replace(photograph.camera, camera_from_world=self._frame.world_pose(pose))
-            for pose, photograph in zip(self._trainer.poses.values, self._photographs.training, strict=True)
+            replace(image.camera, camera_from_world=self._frame.world_pose(pose))
+            for pose, image in zip(self._trainer.poses.values, self._images.training, strict=True)
         )
 
     def _save(self) -> None:
         if self._folder is not None:
             state = self._trainer.checkpoint
-            write_checkpoint(self._folder.checkpoint, state, self._curve, self._config, self._mark)
+            write_checkpoint(self._folder.checkpoint, state, self._curve, self._config, self._fingerprint)
             self._folder.write_curve(self._curve)
 
-    def _line(self, now: float) -> str:
+    def _progress_text(self, now: float) -> str:
         rate = (self._trainer.iteration - self._first) / max(now - self._begun, 1e-3)
         return f"training, {self._curve.psnr:.1f} dB, {self._trainer.count:,} Gaussians, {rate:.1f} steps a second"
 
     @cached_property
-    def _mark(self) -> str:
+    def _fingerprint(self) -> str:
         """What tells these photographs, their bytes, lenses, poses, masks and points from others."""
-        return self._photographs.fingerprint
+        return self._images.fingerprint
 
 
-def training_frame(photographs: TrainingImages) -> LocalFrame:
+def training_frame(images: TrainingImages) -> LocalFrame:
     """Returns the frame in which Gaussians are learnt: about the cameras, in a unit in which all sets are alike.
 
     What comes of a training does not depend on the unit of a scene, nor on where its zero is.
     """
-    return LocalFrame.of_cameras([photograph.camera for photograph in photographs.training], TRAINING_EXTENT)
+    return LocalFrame.of_cameras([image.camera for image in images.training], TRAINING_EXTENT)
 
 
 def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
@@ -317,6 +315,6 @@ def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
     return replace(stated, **moved_orientation(stated, to_origin))
 
 
-def is_measured(step: int) -> bool:
+def is_evaluated(step: int) -> bool:
     """Whether what is held out is measured after a step that is not the last."""
-    return step in MEASURE_AT or step % MEASURE_EVERY == 0
+    return step in EVALUATE_AT or step % EVALUATE_EVERY == 0

@@ -37,18 +37,18 @@ from lumisplat.training import (
     weight_kernels,
 )
 from lumisplat.training.backends import TrainingRaster, TrainingRays, TrainingUnscented
-from lumisplat.training.densify import Record, densified
+from lumisplat.training.densify import DensifyStats, densified
 from lumisplat.training.exposure_and_pose import ExposedFrame, Exposures, Poses
 from lumisplat.training.losses import ImageLoss, Loss, SurfaceLoss
 from lumisplat.training.parameters import (
     DeviceParameters,
-    Surroundings,
+    SceneScale,
     TrainedParameters,
     first_gaussians,
     random_points,
 )
 from lumisplat.training.run_folder import RECORD, Checkpoint
-from lumisplat.training.views import Lesson, TrainingView
+from lumisplat.training.views import StepInput, TrainingView
 
 SURFACES_AFTER = 0.23
 """Share of the steps after which normals and depths count. 7,000 of 30,000, Huang et al. 2024, code."""
@@ -106,22 +106,24 @@ class Trainer:
         progress: Progress | None = None,
     ) -> None:
         self._views, self.config = views, config
-        self.around = Surroundings.of([view.camera for view in views])
+        self.scene_scale = SceneScale.of([view.camera for view in views])
         self._launcher = Launcher(device, threads)
         self._buffers = Buffers(self._launcher.device)
         settings = frame_settings(config, background)
-        self._raster = raster_of(config)(self._launcher, self._buffers, settings)
+        self._backend = backend_type(config)(self._launcher, self._buffers, settings)
         own = [optimizer_kernels, loss_kernels, weight_kernels, *([exposure_kernels] if config.exposures else [])]
         if config.makes_flat:
             own += [surface_kernels, *FeatureChannels.modules()]
-        self._launcher.load([*self._raster.modules(), *own], progress)
+        self._launcher.load([*self._backend.modules(), *own], progress)
         of_alpha = {"alpha": config.alpha, "entropy": config.mask_entropy}
         self._loss = ImageLoss(self._launcher, self._buffers, ssim=config.ssim, **of_alpha)
         self._surfaces = self._surface_loss()
         self._device_splats = DeviceParameters(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
         """Those of the photographs, in their order; None: they are not learnt."""
-        self.poses = Poses.of([view.camera for view in views], self.around.distance) if config.refine_poses else None
+        self.poses = (
+            Poses.of([view.camera for view in views], self.scene_scale.distance) if config.refine_poses else None
+        )
         """Those of the photographs, in their order; None: they stay."""
         self._background = background
         self.iteration = 0
@@ -129,11 +131,11 @@ class Trainer:
         rng = np.random.default_rng([config.seed, 0])
         if points is None:
             cameras = [view.camera for view in views]
-            points = random_points(cameras, self.around, min(config.initial, config.cap), rng)
+            points = random_points(cameras, self.scene_scale, min(config.initial, config.cap), rng)
         elif len(points) > config.cap:
             chosen = np.sort(rng.choice(len(points), config.cap, replace=False))
             points, colors = points[chosen], None if colors is None else colors[chosen]
-        self._place(first_gaussians(points, colors, config, rng))
+        self._upload(first_gaussians(points, colors, config, rng))
 
     @property
     def count(self) -> int:
@@ -150,8 +152,8 @@ class Trainer:
         largest.zero_()
         for number, view in enumerate(self._views):
             camera = view.camera if self.poses is None else self.poses.posed(number, view.camera)
-            self._raster.draw(camera, self.config.sh_degree, self._background)
-            self._raster.add_largest_weights(largest)
+            self._backend.draw(camera, self.config.sh_degree, self._background)
+            self._backend.add_largest_weights(largest)
         return np.array(largest.numpy(), np.float32)
 
     @property
@@ -163,7 +165,7 @@ class Trainer:
 
     def restore(self, checkpoint: Checkpoint) -> None:
         """Goes on from a state."""
-        self._place(checkpoint.parameters)
+        self._upload(checkpoint.parameters)
         for name, values in checkpoint.record.items():
             device_array(getattr(self._record, name)).assign(values)
         for correction in self._corrections:
@@ -176,15 +178,15 @@ class Trainer:
         Raises:
             DivergedError: The loss is not finite.
         """
-        lesson = self._lesson()
-        target = self._loss.load(lesson.picture.color, lesson.picture.weight, lesson.picture.alpha)
-        pixels = self._raster.draw(lesson.camera, self._degree, lesson.background)
-        loss, by_pixels = self._compare(lesson, pixels, target)
+        step_input = self._next_input()
+        target = self._loss.load(step_input.image.color, step_input.image.weight, step_input.image.alpha)
+        pixels = self._backend.draw(step_input.camera, self._degree, step_input.background)
+        loss, by_pixels = self._compare(step_input, pixels, target)
         gradient = self._backward(pixels, target, by_pixels)
         if self.poses is not None and self._done >= POSES_AFTER:
-            rate = falling(self.config.rates.poses, self.config.rates.poses_last, self._done)
-            self.poses.move(lesson.number, self._raster.by_pose(lesson.camera), rate)
-        self._note(lesson.camera)
+            rate = decayed_rate(self.config.rates.poses, self.config.rates.poses_last, self._done)
+            self.poses.move(step_input.number, self._backend.by_pose(step_input.camera), rate)
+        self._add_screen_gradients(step_input.camera)
         self._update(gradient)
         self.iteration += 1
         if self._changes_count:
@@ -193,52 +195,52 @@ class Trainer:
 
     # --- Steps of a step ---
 
-    def _lesson(self) -> Lesson:
+    def _next_input(self) -> StepInput:
         """What the next step learns from."""
         number = self._number_of(self.iteration)
         view = self._views[number]
-        camera, picture = view.smaller(self._halvings)
+        camera, image = view.downscaled(self._halvings)
         if self.poses is not None:
             camera = self.poses.posed(number, camera)
-        if not self.config.random_background or picture.alpha is None:
-            return Lesson(number, camera, picture, self._background)
+        if not self.config.random_background or image.alpha is None:
+            return StepInput(number, camera, image, self._background)
         red, green, blue = np.random.default_rng([self.config.seed, 3, self.iteration]).uniform(size=3).tolist()
         behind = (red, green, blue)
-        return Lesson(number, camera, picture.over(np.subtract(behind, view.background)), behind)
+        return StepInput(number, camera, image.over(np.subtract(behind, view.background)), behind)
 
     def _number_of(self, iteration: int) -> int:
         """The photograph of a step: all in turn, in another order each time."""
-        epoch, place = divmod(iteration, len(self._views))
+        epoch, index = divmod(iteration, len(self._views))
         order = np.random.default_rng([self.config.seed, 1, epoch]).permutation(len(self._views))
-        return int(order[place])
+        return int(order[index])
 
     @property
     def _corrections(self) -> list[Exposures | Poses]:
         """What is learnt of photographs beside what they show."""
         return [correction for correction in (self.exposures, self.poses) if correction is not None]
 
-    def _compare(self, lesson: Lesson, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
+    def _compare(self, step_input: StepInput, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
         """The loss of a frame, and its derivatives by pixels; the exposure of the photograph moves.
 
         Raises:
             DivergedError: The loss is not finite.
         """
-        exposed, size = None, (lesson.camera.width, lesson.camera.height)
+        exposed, size = None, (step_input.camera.width, step_input.camera.height)
         if self.exposures is not None:
-            exposure = self.exposures.values[lesson.number]
-            exposed = ExposedFrame(self._launcher, self._buffers, exposure, lesson.background)
+            exposure = self.exposures.values[step_input.number]
+            exposed = ExposedFrame(self._launcher, self._buffers, exposure, step_input.background)
         loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, target)
         if not np.isfinite(loss.total):
             raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
         if self.exposures is not None and exposed is not None:
             gradient, by_exposure = exposed.backward(pixels, gradient)
-            rate = falling(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
-            self.exposures.move(lesson.number, by_exposure, rate)
+            rate = decayed_rate(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
+            self.exposures.move(step_input.number, by_exposure, rate)
         return loss, gradient
 
     def _backward(self, pixels: PixelData, target: TargetImage, gradient: PixelGradient) -> GaussianGradient:
         """Derivatives by Gaussians, also those of terms on surfaces, given those of the photograph by pixels."""
-        raster = self._raster
+        raster = self._backend
         if not isinstance(raster, TrainingRaster):
             return raster.backward(pixels, gradient)
         surfaces = self._surfaces if self._done >= SURFACES_AFTER else None
@@ -247,17 +249,17 @@ class Trainer:
         record = self._record if self.config.grow_turn > 0.0 else None
         by_gaussians = raster.backward(pixels, gradient, surfaces, record)
         if self.config.flatness > 0.0:
-            raster.flatten(self.config.flatness / self.around.extent, by_gaussians)
+            raster.flatten(self.config.flatness / self.scene_scale.extent, by_gaussians)
         return by_gaussians
 
     def _surface_loss(self) -> SurfaceLoss | None:
         """What is compared of surfaces, if anything is."""
         config = self.config
         weights = {"normals": config.normals, "depth": config.depth_spread, "smooth": config.normal_smoothness}
-        if not any(weights.values()) or not isinstance(self._raster, TrainingRaster):
+        if not any(weights.values()) or not isinstance(self._backend, TrainingRaster):
             return None
-        scale = {"middle": self.around.distance, "extent": self.around.extent}
-        return SurfaceLoss(self._launcher, self._buffers, self._raster.channels(), **weights, **scale)
+        scale = {"middle": self.scene_scale.distance, "extent": self.scene_scale.extent}
+        return SurfaceLoss(self._launcher, self._buffers, self._backend.channels(), **weights, **scale)
 
     @property
     def _done(self) -> float:
@@ -275,14 +277,14 @@ class Trainer:
         coarse = self.config.coarse
         return max(coarse - 4 * coarse * self.iteration // self.config.iterations, 0)
 
-    def _note(self, camera: Camera) -> None:
-        if isinstance(self._raster, TrainingRaster) and self.config.densification is Densification.ADAPTIVE:
+    def _add_screen_gradients(self, camera: Camera) -> None:
+        if isinstance(self._backend, TrainingRaster) and self.config.densification is Densification.ADAPTIVE:
             half = wp.vec2(0.5 * camera.width, 0.5 * camera.height)
-            inputs = (half, self._raster.drawn.splats.rects, self._raster.by_splat, self._record)
-            self._launcher.run_banded(optimizer_kernels.note, self.count, *inputs)
+            inputs = (half, self._backend.drawn.splats.rects, self._backend.by_splat, self._record)
+            self._launcher.run_banded(optimizer_kernels.add_screen_gradients, self.count, *inputs)
 
     def _update(self, gradient: GaussianGradient) -> None:
-        rates, data, on = self._rates(), self._raster.data, self._device_splats
+        rates, data, on = self._rates(), self._backend.data, self._device_splats
         with self._launcher.stage("optimiser"):
             inputs = (rates, gradient, data, on.values, on.first, on.second)
             self._launcher.run_banded(optimizer_kernels.update, self.count, *inputs)
@@ -295,7 +297,7 @@ class Trainer:
     def _rates(self) -> StepRates:
         config = self.config
         learning, row = config.rates, StepRates()
-        row.means = falling(learning.means, learning.means_last, self._done) * self.around.extent
+        row.means = decayed_rate(learning.means, learning.means_last, self._done) * self.scene_scale.extent
         row.rotations, row.log_scales, row.logits = learning.rotations, learning.log_scales, learning.logits
         row.sh, row.sh_rest = learning.sh, SH_REST_SHARE * learning.sh
         row.sh_active = (self._degree + 1) ** 2
@@ -318,7 +320,7 @@ class Trainer:
     def _densify(self) -> None:
         motion, turns, frames = (device_array(getattr(self._record, name)).numpy() for name in RECORD)
         frames = np.maximum(frames, 1.0).astype(np.float64)
-        record = Record(self.iteration, self.around.extent, motion / frames, turns / frames)
+        record = DensifyStats(self.iteration, self.scene_scale.extent, motion / frames, turns / frames)
         rng = np.random.default_rng([self.config.seed, 2, self.iteration])
         parameters = densified(self._parameters(), record, self.config, rng)
         if parameters.count == 0:
@@ -326,7 +328,7 @@ class Trainer:
                 f"training stopped at step {self.iteration:,}: no Gaussian is left that is neither transparent nor "
                 "larger than a tenth of the extent of the cameras: use mcmc"
             )
-        self._place(parameters)
+        self._upload(parameters)
 
     def _parameters(self) -> TrainedParameters:
         """What the device has.
@@ -344,17 +346,17 @@ class Trainer:
                 )
         return parameters
 
-    def _place(self, parameters: TrainedParameters) -> None:
+    def _upload(self, parameters: TrainedParameters) -> None:
         """Goes on with parameters from the host."""
         self._device_splats.upload(parameters)
         self._count = parameters.count
-        self._raster.place(parameters.gaussians(self.config), self._device_splats.values)
+        self._backend.bind(parameters.gaussians(self.config), self._device_splats.values)
         self._record = self._buffers.struct("training.record", SplatRecord, parameters.count)
         for name in RECORD:
             device_array(getattr(self._record, name)).zero_()
 
 
-def falling(first: float, last: float, done: float) -> float:
+def decayed_rate(first: float, last: float, done: float) -> float:
     """A rate that falls by the same factor in each step.
 
     Args:
@@ -365,7 +367,7 @@ def falling(first: float, last: float, done: float) -> float:
     return first * (last / first) ** done
 
 
-def raster_of(config: TrainConfig) -> type[TrainingRaster | TrainingRays | TrainingUnscented]:
+def backend_type(config: TrainConfig) -> type[TrainingRaster | TrainingRays | TrainingUnscented]:
     """What draws the Gaussians that are learnt."""
     if not config.pipeline.rasterises:
         return TrainingRays

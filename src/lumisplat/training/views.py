@@ -18,7 +18,7 @@ LEAST_WEIGHT = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picture:
+class TargetPixels:
     """The pixels of a photograph."""
 
     color: FloatArray
@@ -28,7 +28,7 @@ class Picture:
     alpha: FloatArray | None = None
     """What the frame's alpha should be, 0..1, shape (H, W); None: nobody knows."""
 
-    def resized(self, size: tuple[int, int]) -> Picture:
+    def resized(self, size: tuple[int, int]) -> TargetPixels:
         """With other pixels, each the mean over its area of what counts there.
 
         Args:
@@ -37,7 +37,7 @@ class Picture:
         weight = None if self.weight is None else _resized(self.weight, size)
         color, alpha = (self._mean_of(layer, weight, size) for layer in (self.color, self.alpha))
         assert color is not None
-        return Picture(color, weight, alpha)
+        return TargetPixels(color, weight, alpha)
 
     def _mean_of(self, layer: FloatArray | None, weight: FloatArray | None, size: tuple[int, int]) -> FloatArray | None:
         """One of its layers with other pixels, of which so much counts."""
@@ -46,7 +46,7 @@ class Picture:
         shares, total = ((w if layer.ndim == 2 else w[..., None]) for w in (self.weight, weight))
         return np.asarray(_resized(layer * shares, size) / np.maximum(total, LEAST_WEIGHT), np.float32)
 
-    def over(self, change: npt.ArrayLike) -> Picture:
+    def over(self, change: npt.ArrayLike) -> TargetPixels:
         """Over another background.
 
         Args:
@@ -65,21 +65,21 @@ class TrainingView:
     name: str
     camera: Camera
     """Of the photograph's size; a pinhole, unless rays draw it."""
-    read: Callable[[], Picture]
+    read: Callable[[], TargetPixels]
     """Reads its pixels."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Display-referred sRGB over which these are where they are transparent."""
 
     @classmethod
-    def of(cls, photograph: TrainingImage) -> TrainingView:
+    def of(cls, image: TrainingImage) -> TrainingView:
         """That of a photograph of a set."""
 
-        def read() -> Picture:
-            return Picture(photograph.pixels(), photograph.mask(), photograph.alpha())
+        def read() -> TargetPixels:
+            return TargetPixels(image.pixels(), image.mask(), image.alpha())
 
-        return cls(photograph.name, photograph.camera, read, photograph.background or (0.0, 0.0, 0.0))
+        return cls(image.name, image.camera, read, image.background or (0.0, 0.0, 0.0))
 
-    def smaller(self, halvings: int) -> tuple[Camera, Picture]:
+    def downscaled(self, halvings: int) -> tuple[Camera, TargetPixels]:
         """The camera and the pixels, with sides halved so often; pixels are means over areas."""
         if halvings == 0:
             return self.camera, self.read()
@@ -88,13 +88,13 @@ class TrainingView:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lesson:
+class StepInput:
     """What a step learns from."""
 
     number: int
     """Of the photograph."""
     camera: Camera
-    picture: Picture
+    image: TargetPixels
     background: tuple[float, float, float]
     """Display-referred sRGB behind the Gaussians, and behind what is transparent in the picture."""
 

@@ -66,7 +66,7 @@ def find_largest_ray_weights(
 
 
 @wp.kernel
-def keep_largest(start: int, pair_starts: wp.array[int], pairs: wp.array[float], largest_inout: wp.array[float]):
+def reduce_largest(start: int, pair_starts: wp.array[int], pairs: wp.array[float], largest_inout: wp.array[float]):
     """Item = Gaussian: the largest of what it had before, and of its pairs with tiles."""
     i = start + wp.tid()
     largest = largest_inout[i]

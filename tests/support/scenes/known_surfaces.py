@@ -8,7 +8,7 @@ import numpy as np
 
 import lumisplat as ls
 from lumisplat.training.trainer import Trainer
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 
 SIZE = 96
 VIEWS = 24
@@ -78,12 +78,12 @@ def texture(points: np.ndarray) -> np.ndarray:
     return np.clip(0.5 * grain[..., None] * waves[..., :3] + 0.25 * waves[..., 3:] + 0.1, 0.0, 1.0)
 
 
-def photograph(by: ls.Camera) -> Picture:
+def photograph(by: ls.Camera) -> TargetPixels:
     """Colour and alpha, means over the area of each pixel."""
     fine = seen(by.scaled(SUPERSAMPLED * by.width, SUPERSAMPLED * by.height))
     layers = np.dstack([fine.color, fine.is_hit])
     blocks = layers.reshape(by.height, SUPERSAMPLED, by.width, SUPERSAMPLED, 4).mean(axis=(1, 3)).astype(np.float32)
-    return Picture(np.ascontiguousarray(blocks[..., :3]), None, np.ascontiguousarray(blocks[..., 3]))
+    return TargetPixels(np.ascontiguousarray(blocks[..., :3]), None, np.ascontiguousarray(blocks[..., 3]))
 
 
 def views() -> list[TrainingView]:

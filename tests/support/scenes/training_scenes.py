@@ -11,7 +11,7 @@ from PIL import Image
 
 import lumisplat as ls
 from lumisplat.training.parameters import TrainedParameters
-from lumisplat.training.views import Picture, TrainingView
+from lumisplat.training.views import TargetPixels, TrainingView
 
 BACKGROUND = (0.1, 0.2, 0.3)
 
@@ -56,7 +56,7 @@ def views(count: int, size: int = 40, gains: np.ndarray | None = None) -> list[T
         behind = (1.0 - frame.alpha[..., None]) * np.array(BACKGROUND)
         gain = 1.0 if gains is None else gains[number]
         color = (behind + gain * (frame.color - behind)).astype(np.float32)
-        found.append(TrainingView(f"{number:02d}", camera, lambda color=color: Picture(color)))
+        found.append(TrainingView(f"{number:02d}", camera, lambda color=color: TargetPixels(color)))
     return found
 
 

@@ -24,16 +24,16 @@ def moved(camera: ls.Camera, unit: float, place: np.ndarray) -> ls.Camera:
     return replace(camera, camera_from_world=pose)
 
 
-def photographs(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
+def images(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
     """A ring of cameras around points, as COLMAP would have written it."""
     cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
     known = unit * POINTS + place if points else POINTS[:0]
     return ls.io.load_training_images(write_colmap_images(folder, cameras, known), hold_out=3)
 
 
-def trained(photographs: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
+def trained(images: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
     """What comes of it."""
-    return ls.train(photographs, config, device="cpu")
+    return ls.train(images, config, device="cpu")
 
 
 @pytest.mark.parametrize("points", [True, False])
@@ -44,8 +44,8 @@ def test_gaussians_are_the_same_in_any_unit_and_place(
     tmp_path: Path, unit: float, place: np.ndarray, points: bool
 ) -> None:
     """Scaled and moved, but for rounding; 5 dB less in millimetres and "not finite" at UTM coordinates before."""
-    first = trained(photographs(tmp_path / "a", 1.0, 0.0 * UTM, points=points))
-    other = trained(photographs(tmp_path / "b", unit, place, points=points))
+    first = trained(images(tmp_path / "a", 1.0, 0.0 * UTM, points=points))
+    other = trained(images(tmp_path / "b", unit, place, points=points))
     assert first.score is not None and other.score is not None
     assert other.score.psnr == pytest.approx(first.score.psnr, abs=0.05)
     before, after = first.gaussians, other.gaussians
@@ -62,7 +62,7 @@ def test_rays_learn_the_same_in_any_unit(tmp_path: Path, pipeline: str) -> None:
     way = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
     config = replace(CONFIG, iterations=20, **way)
     scores = [
-        trained(photographs(tmp_path / str(unit), unit, place), config).score
+        trained(images(tmp_path / str(unit), unit, place), config).score
         for unit, place in ((1.0, 0.0 * UTM), (1000.0, 1000.0 * UTM))
     ]
     assert scores[0] is not None and scores[1] is not None
@@ -71,7 +71,7 @@ def test_rays_learn_the_same_in_any_unit(tmp_path: Path, pipeline: str) -> None:
 
 def test_what_was_learnt_far_away_is_written_and_goes_on(tmp_path: Path) -> None:
     """The file states the origin; the same command goes on from its checkpoint; cameras that move come back."""
-    far = photographs(tmp_path / "far", 1.0, UTM)
+    far = images(tmp_path / "far", 1.0, UTM)
     config = replace(CONFIG, refine_poses=True)
     ls.train(far, config, output=tmp_path / "x.ply", device="cpu")
     loaded = ls.load(tmp_path / "x.ply")
@@ -88,12 +88,12 @@ def test_cameras_of_a_set_are_as_far_apart_in_any_unit(tmp_path: Path) -> None:
     """So that weights of scales and strengths of noise mean the same."""
     extents = []
     for unit, place in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
-        found = photographs(tmp_path / str(unit), unit, place)
+        found = images(tmp_path / str(unit), unit, place)
         extents.append(found.extent / training_frame(found).unit)
     np.testing.assert_allclose(extents, extents[0], rtol=1e-6)
 
 
 def test_photographs_far_away_are_not_taken_from_one_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Five units around a place five million away are five units."""
-    trained(photographs(tmp_path, 1.0, UTM), replace(CONFIG, iterations=1))
+    trained(images(tmp_path, 1.0, UTM), replace(CONFIG, iterations=1))
     assert "place" not in caplog.text and "pose of another" not in caplog.text

@@ -15,7 +15,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.training_images.loading import count_poses, count_positions
-from lumisplat.training.parameters import enough_points
+from lumisplat.training.parameters import with_random_points
 from support.files.training_image_files import write_nerfstudio_images
 from support.scenes.training_scenes import cameras, folder_of
 
@@ -50,13 +50,13 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
     config, seen = ls.TrainConfig(cap=1000, initial=400), cameras(5)
     few, many = np.zeros((19, 3)), np.zeros((20, 3))
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        points, colors = enough_points(few, None, seen, config)
+        points, colors = with_random_points(few, None, seen, config)
         assert points is not None and colors is not None and points.shape == colors.shape == (400, 3)
         assert (points[:19] == 0.0).all() and (colors[:19] == 0.5).all() and np.ptp(points[19:], axis=0).min() > 0.1
         assert "the images come with only 19 3D points: 381 random ones are added" in caplog.text
         caplog.clear()
-        assert enough_points(many, None, seen, config) == (many, None)
-        assert enough_points(None, None, seen, config) == (None, None)
+        assert with_random_points(many, None, seen, config) == (many, None)
+        assert with_random_points(None, None, seen, config) == (None, None)
     assert not caplog.text
 
 

@@ -75,9 +75,9 @@ def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
 @pytest.mark.parametrize("kind", ["plain", "masked", "transparent", "both"])
 def test_the_loss_and_its_derivatives(kind: str) -> None:
     """Against the float64 loss and its central differences, at pixels inside, at borders and in a corner."""
-    color, alpha, photograph = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
+    color, alpha, image = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
     weight = images(4, None) if kind in ("masked", "both") else None
-    wanted = photograph, weight, images(5, None) if kind in ("transparent", "both") else None
+    wanted = image, weight, images(5, None) if kind in ("transparent", "both") else None
     found, by_color, by_alpha = differentiate(color, alpha, wanted)
     assert found.total == pytest.approx(expected(color, alpha, wanted), abs=1e-6)
     scale, step = np.abs(by_color).mean(), 1e-5
@@ -107,23 +107,23 @@ def test_what_is_as_covered_as_it_should_be_has_no_more_to_learn() -> None:
 
 def test_what_does_not_count_does_not_pull() -> None:
     """Where the mask is black, the frame may show anything: no derivatives, and the same loss."""
-    photograph, weight = images(3), np.zeros((SIZE[1], SIZE[0]), np.float32)
+    image, weight = images(3), np.zeros((SIZE[1], SIZE[0]), np.float32)
     weight[:, :9] = 1.0
     one, two = images(1), images(1)
     two[:, 9:] = images(8)[:, 9:]
     alpha = images(2, None)
-    first, by_one, by_alpha = differentiate(one, alpha, (photograph, weight, images(5, None)))
-    second, by_two, _ = differentiate(two, alpha, (photograph, weight, images(5, None)))
+    first, by_one, by_alpha = differentiate(one, alpha, (image, weight, images(5, None)))
+    second, by_two, _ = differentiate(two, alpha, (image, weight, images(5, None)))
     assert first == second and not by_one[:, 9:].any() and not by_alpha[:, 9:].any() and by_alpha[:, :9].any()
-    whole = differentiate(one[:, :9], alpha[:, :9], (photograph[:, :9], None, None), size=(9, SIZE[1]))[0]
+    whole = differentiate(one[:, :9], alpha[:, :9], (image[:, :9], None, None), size=(9, SIZE[1]))[0]
     assert first.squared == pytest.approx(whole.squared, rel=1e-5), "a mean over what counts"
     np.testing.assert_array_equal(by_one, by_two)
 
 
 def test_a_frame_like_its_photograph_has_nothing_to_learn() -> None:
     """No error, SSIM 1, and no derivatives but for rounding."""
-    photograph = images(3)
-    found, by_color, _ = differentiate(photograph, images(2, None), (photograph, None, None))
+    image = images(3)
+    found, by_color, _ = differentiate(image, images(2, None), (image, None, None))
     assert found.l1 == 0.0 and found.ssim == pytest.approx(1.0, abs=1e-5) and np.abs(by_color).max() < 1e-6
 
 

@@ -32,24 +32,24 @@ def checkpoint_of(output: Path) -> Path:
 def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """From its checkpoint, by the rates of the new number; one line says so, and it leaves what it should."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
-    photographs = ls.io.load_training_images(folder, background="black")
-    ls.train(photographs, SHORT, output=output, device="cpu")
-    state, _ = read_checkpoint(checkpoint_of(output), SHORT, photographs.fingerprint)
-    frame, views = training_frame(photographs), [TrainingView.of(one) for one in photographs.training]
+    images = ls.io.load_training_images(folder, background="black")
+    ls.train(images, SHORT, output=output, device="cpu")
+    state, _ = read_checkpoint(checkpoint_of(output), SHORT, images.fingerprint)
+    frame, views = training_frame(images), [TrainingView.of(one) for one in images.training]
     local = [replace(view, camera=frame.camera(view.camera)) for view in views]
     by_hand = Trainer(local, LONG, device="cpu")
     by_hand.restore(state)
     while by_hand.iteration < LONG.iterations:
         by_hand.step()
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        result = ls.train(photographs, LONG, output=output, device="cpu")
+        result = ls.train(images, LONG, output=output, device="cpu")
     (line,) = (record.getMessage() for record in caplog.records)
     assert "checkpoint.npz: goes on from step 120 of 120 to step 200: rates" in line
     assert result.is_finished and result.iterations == 200
     np.testing.assert_array_equal(result.gaussians.means, frame.gaussians(by_hand.gaussians()).means)
     assert "iterations = 200" in (tmp_path / "a.training" / "settings.toml").read_text()
     caplog.clear()
-    ls.train(photographs, LONG, output=output, device="cpu")
+    ls.train(images, LONG, output=output, device="cpu")
     assert not caplog.records, "from now on, that is its number"
 
 

@@ -96,7 +96,7 @@ def test_it_goes_on_to_the_same_bits(
         found(capture, folder, output, dies_at=0)
     assert set(files_of(output)) == {"a.training/materials.npz", "a.training/light.npz"}
     monkeypatch.setattr(find_materials, "traced_incident", never)
-    monkeypatch.setattr(find_materials, "seen_normals", never)
+    monkeypatch.setattr(find_materials, "rendered_normals", never)
     for steps in (2, 5):
         with pytest.raises(Killed):
             found(capture, folder, output, dies_at=steps)

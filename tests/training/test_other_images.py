@@ -57,14 +57,14 @@ def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Pat
 def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
     """Each of its fields."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
-    photographs = ls.io.load_training_images(folder)
-    one = photographs.training[0]
+    images = ls.io.load_training_images(folder)
+    one = images.training[0]
     changes = changed_cameras(one.camera)
     assert set(changes) == {field.name for field in fields(ls.Camera)}
     for name, value in changes.items():
         other = replace(one, camera=replace(one.camera, **{name: value}))
-        assert replace(photographs, training=(other, *photographs.training[1:])).fingerprint != photographs.fingerprint
-    assert ls.io.load_training_images(folder).fingerprint == photographs.fingerprint
+        assert replace(images, training=(other, *images.training[1:])).fingerprint != images.fingerprint
+    assert ls.io.load_training_images(folder).fingerprint == images.fingerprint
 
 
 def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> None:
@@ -102,7 +102,7 @@ def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
 
 def test_a_photograph_that_is_gone_is_one_line(tmp_path: Path) -> None:
     """It is named."""
-    photographs = ls.io.load_training_images(write_nerfstudio_images(tmp_path, ring_cameras(3)))
-    photographs.training[1].path.unlink()
+    images = ls.io.load_training_images(write_nerfstudio_images(tmp_path, ring_cameras(3)))
+    images.training[1].path.unlink()
     with pytest.raises(ls.FormatError, match=r"view_2\.png: cannot be read: No such file"):
-        _ = photographs.fingerprint
+        _ = images.fingerprint
