@@ -73,23 +73,23 @@ _READERS = {
 }
 """Besides these, .ply is read by its header, .toml by what it names, and streamed SOGs and blocks at a level."""
 
-_LEVELED = {STREAMED_SOG: "splats.streamed_sog.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
+_LOD_READERS = {STREAMED_SOG: "splats.streamed_sog.read_streamed_sog", BLOCKS: "blocks.views.read_blocks"}
 """Readers of captures in levels of detail."""
 
-_MOVING = {
+_ANIMATION_READERS = {
     **dict.fromkeys((".glb", ".gltf"), "gltf.animation.read_gltf_animation"),
     **dict.fromkeys(USD, "usd.animation.read_usd_animation"),
 }
 """Readers of animations, besides those of scene files."""
 
-_OURS = "lumisplat"
+_LUMISPLAT = "lumisplat"
 
-_PLY_WRITERS = {_OURS: "splats.splat_ply.write_splat_ply", "r3dg": "splats.splat_ply.write_r3dg_ply"}
+_PLY_WRITERS = {_LUMISPLAT: "splats.splat_ply.write_splat_ply", "r3dg": "splats.splat_ply.write_r3dg_ply"}
 """By whose columns they write."""
 
 _WRITERS = {
     ".compressed.ply": "splats.compressed_ply.write_compressed_ply",
-    ".ply": _PLY_WRITERS[_OURS],
+    ".ply": _PLY_WRITERS[_LUMISPLAT],
     ".spz": "splats.spz.write_spz",
     ".sog": "splats.sog.write_sog",
     "/meta.json": "splats.sog.write_sog",
@@ -229,8 +229,8 @@ def save(
     writer = _writer_of(path, scene=bool(cameras) or not isinstance(asset, Gaussians))
     if columns not in _PLY_WRITERS:
         raise ConfigError(f"columns is {columns!r}, expected {' or '.join(map(repr, _PLY_WRITERS))}")
-    if columns != _OURS:
-        if writer != _PLY_WRITERS[_OURS]:
+    if columns != _LUMISPLAT:
+        if writer != _PLY_WRITERS[_LUMISPLAT]:
             raise ConfigError(f"columns {columns!r} are those of a .ply, got {os.fspath(path)}")
         writer = _PLY_WRITERS[columns]
     if writer not in _SCENE_WRITERS.values():
@@ -488,7 +488,7 @@ def load_animation(
     """
     with references_outside(allow_outside):
         load_asset = partial(load, drop_invalid=drop_invalid, crease_angle=crease_angle)
-        reader = _MOVING.get(Path(path).suffix.lower())
+        reader = _ANIMATION_READERS.get(Path(path).suffix.lower())
         if reader is not None:
             return _import(reader)(Path(path), drop_invalid)
         return _import("scene_toml.scene_file.read_animation")(Path(path), load_asset, load_cameras)
@@ -544,8 +544,8 @@ def _read(path: Path, load: Callable[..., Gaussians | Mesh | Scene], options: _L
         return _read_ply(path, options.progress, incident=options.incident)
     if extension == ".toml":
         return _import("scene_toml.scene_file.read_scene_file")(path, load, options.up)
-    if extension in _LEVELED:
-        return _import(_LEVELED[extension])(path, options.lod, options.budget)
+    if extension in _LOD_READERS:
+        return _import(_LOD_READERS[extension])(path, options.lod, options.budget)
     if extension not in _READERS:
         raise FormatError(path, f"unknown extension {path.suffix!r}, expected {_READABLE}")
     reader: Callable[..., _Loaded] = _import(_READERS[extension])

@@ -15,7 +15,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.constants import SH_C0
-from lumisplat.io.gltf.scene import shows_one_capture
+from lumisplat.io.gltf.scene import holds_one_capture
 from lumisplat.math.color import decode_srgb
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS
 from support.files.splat_files import capture
@@ -139,10 +139,10 @@ def test_a_capture_alone_that_is_relit_stays_a_scene(path: Path) -> None:
     """What is known of one capture alone is not lost: its material, and that it only casts a shadow."""
     relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
     assert expect_kind(ls.MaterialPbr, again(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
-    assert not shows_one_capture(path)
+    assert not holds_one_capture(path)
     assert again(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_catcher=True)])).splats[0].shadow_catcher
     ls.save(path, ls.Scene(splats=[ls.SplatInstance(capture(5), name="a")]))
-    assert isinstance(ls.load(path), ls.Gaussians) and shows_one_capture(path)
+    assert isinstance(ls.load(path), ls.Gaussians) and holds_one_capture(path)
 
 
 @pytest.mark.parametrize(

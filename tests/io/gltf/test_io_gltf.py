@@ -11,7 +11,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.io.gltf.scene import read_gltf
-from lumisplat.io.gltf.textures import Placement
+from lumisplat.io.gltf.textures import UvTransform
 from lumisplat.scene.scene import MeshInstance, Scene
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES, QUAD_UVS, TEXELS, Gltf, png_bytes, quad_gltf
 from support.kinds import expect_kind, pbr_of, present
@@ -142,7 +142,7 @@ def test_quantized_positions(tmp_path: Path) -> None:
 def test_texture_transform_turns_counter_clockwise() -> None:
     """A quarter turn takes +u to -v, which points up in the image; scale comes first, offset last."""
     uvs = np.array([(1, 0), (0, 1)], dtype=np.float32)
-    turned = Placement(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).transform(uvs)
+    turned = UvTransform(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).apply(uvs)
     np.testing.assert_allclose(turned, [(10, 18), (13, 20)], atol=1e-5)
 
 

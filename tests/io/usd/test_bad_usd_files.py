@@ -244,7 +244,7 @@ def limits_with_textures(path: Path) -> list[int]:
     """Memory that the child may take before, with one and with two textures of a megabyte."""
     found = [resource.getrlimit(resource.RLIMIT_DATA)[0]]
     for _ in range(2):
-        process.allow_asset(2**20)
+        process.raise_limit_for_asset(2**20)
         found.append(resource.getrlimit(resource.RLIMIT_DATA)[0])
     return found
 
@@ -252,10 +252,10 @@ def limits_with_textures(path: Path) -> list[int]:
 def test_textures_raise_the_limits_by_their_own(tmp_path: Path) -> None:
     """Textures are bounded by themselves: a small stage may have many of them."""
     usd_core()
-    none, one, two = process.read_apart(tmp_path / "a.usda", limits_with_textures)
+    none, one, two = process.read_in_child(tmp_path / "a.usda", limits_with_textures)
     assert none == process.USD_MEMORY < 2**30
-    assert one - none == process.USD_ASSETS_MEMORY + process.USD_MEMORY_A_BYTE * 2**20
-    assert two - one == process.USD_MEMORY_A_BYTE * 2**20
+    assert one - none == process.USD_ASSETS_MEMORY + process.USD_MEMORY_PER_BYTE * 2**20
+    assert two - one == process.USD_MEMORY_PER_BYTE * 2**20
 
 
 def crashing(path: Path) -> None:
@@ -283,19 +283,19 @@ def test_the_end_of_the_child_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
     with pytest.raises(FormatError, match=r"a\.usda: ends the process that reads it, or takes more than"):
-        process.read_apart(tmp_path / "a.usda", crashing)
+        process.read_in_child(tmp_path / "a.usda", crashing)
     with pytest.raises(RuntimeError, match="ZeroDivisionError: ours"):
-        process.read_apart(tmp_path / "a.usda", failing)
+        process.read_in_child(tmp_path / "a.usda", failing)
     monkeypatch.setattr(process, "USD_WALL_FACTOR", 1.0)
     with pytest.raises(FormatError, match=r"a\.usda: takes more than 1 s to read"):
-        process.read_apart(tmp_path / "a.usda", sleeping)
+        process.read_in_child(tmp_path / "a.usda", sleeping)
     assert isinstance(ls.load(tmp_path / "a.usda"), ls.Gaussians)
 
 
 def test_functions_of_the_child_live_as_long_as_somebody_has_them(tmp_path: Path) -> None:
     """Two results at the same time, each with its own child, which ends with it."""
     usd_core()
-    first, second = (process.read_apart(tmp_path / "a.usda", halving, factor)[1] for factor in (0.5, 2.0))
+    first, second = (process.read_in_child(tmp_path / "a.usda", halving, factor)[1] for factor in (0.5, 2.0))
     np.testing.assert_array_equal([first(4.0), second(4.0)], np.array([[2.0] * 3, [8.0] * 3]))
     assert not first(1.0).flags.writeable
     del first
@@ -317,7 +317,7 @@ def working(path: Path) -> process.Remote:
 def test_each_call_of_a_function_has_the_time_of_its_own(tmp_path: Path) -> None:
     """Frames of a long animation together take more than the limit of a file; a single one that does is ended."""
     usd_core()
-    work = process.read_apart(tmp_path / "a.usda", working)
+    work = process.read_in_child(tmp_path / "a.usda", working)
     assert sum(work(0.5) for _ in range(4)) == 2.0
     with pytest.raises(FormatError, match="takes more than 1 s to read"):
         work(10.0)
@@ -336,7 +336,7 @@ def test_limits_grow_with_the_file_before_it_is_opened(tmp_path: Path, monkeypat
     for size in (0, 100 * 2**20):
         with path.open("wb") as file:
             file.truncate(size)
-        memory, seconds = process.read_apart(path, limits)
+        memory, seconds = process.read_in_child(path, limits)
         assert memory == 2**30 + 40 * size and 1 <= seconds - size / 2**20 <= 20
 
 
@@ -349,7 +349,7 @@ def test_memory_at_its_end_is_not_called_damage(tmp_path: Path) -> None:
     """The message is that of the limit of memory."""
     usd_core()
     with pytest.raises(FormatError, match=r"or takes more than 0\.8 GB of memory"):
-        process.read_apart(tmp_path / "a.usda", exhausted)
+        process.read_in_child(tmp_path / "a.usda", exhausted)
 
 
 def test_no_code_of_the_working_folder_is_run(tmp_path: Path) -> None:

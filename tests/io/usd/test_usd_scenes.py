@@ -13,7 +13,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.errors import FormatError
-from lumisplat.io.usd.scene import shows_one_capture
+from lumisplat.io.usd.scene import holds_one_capture
 from lumisplat.math.transforms import quaternions_from_matrices, rotation_matrix
 from lumisplat.scene.lights import Light
 from lumisplat.scene.placing import y_up_from
@@ -180,7 +180,7 @@ def test_a_capture_that_is_placed_or_relit(tmp_path: Path) -> None:
     assert expect_kind(ls.MaterialPbr, scene.splats[0].material).roughness == 0.25
     ls.save(tmp_path / "c.usdc", ls.Scene([ls.SplatInstance(capture(5), shadow_catcher=True)]))
     assert expect_kind(ls.Scene, ls.load(tmp_path / "c.usdc")).splats[0].shadow_catcher
-    assert [shows_one_capture(tmp_path / name) for name in ("a.usdc", "b.usdc", "c.usdc")] == [True, False, False]
+    assert [holds_one_capture(tmp_path / name) for name in ("a.usdc", "b.usdc", "c.usdc")] == [True, False, False]
 
 
 def test_names_that_paths_cannot_have(tmp_path: Path) -> None:

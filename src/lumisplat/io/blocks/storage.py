@@ -21,7 +21,7 @@ import numpy.typing as npt
 from lumisplat.config.checks import is_number
 from lumisplat.constants import BLOCK_GAUSSIANS_MAX, BLOCK_PIECE, KERNEL_DEGREE
 from lumisplat.errors import ConfigError, FormatError, SceneError
-from lumisplat.io.files.atomic import atomic_write, writers_of
+from lumisplat.io.files.atomic import atomic_write, unfinished_writes
 from lumisplat.io.files.source import BLOCKS, PathLike, parsing, read_bytes
 from lumisplat.io.splats.columns import warn_lost_materials
 from lumisplat.io.splats.orientation import UNSTATED, Orientation, orientation_of, orientation_values, origin_text
@@ -318,7 +318,7 @@ def _prepare_folder(place: Path) -> bool:
     """Makes the folder, and removes what a run that was killed has left in it; whether there was none."""
     if (place / _INDEX).exists():
         raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
-    if place.is_dir() and writers_of(place / _INDEX):
+    if place.is_dir() and unfinished_writes(place / _INDEX):
         raise FormatError(place, "another process is writing blocks there: give a new folder")
     if place.exists() and not place.is_dir():
         raise FormatError(place, "is a file, expected a folder for the blocks")

@@ -99,14 +99,16 @@ class EntryReader:
     """Named materials, as tables."""
     memory: dict[str, Scene] = field(default_factory=dict[str, Scene])
     """Assets that are not from files, by what entries give as their path."""
-    skies: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     """Images of environments by path, read or from memory."""
     next_id: int = 0
     """Least id that no entry has had, also of those that are removed."""
     _assets: Assets | None = None
     _subjects: Subjects | None = None
 
-    def read(self, number: int, kind: EntryKind, values: Mapping[str, Any], around: Scene | None = None) -> SceneEntry:
+    def read(
+        self, number: int, kind: EntryKind, values: Mapping[str, Any], insertion_scene: Scene | None = None
+    ) -> SceneEntry:
         """The entry of a table, of which it has a copy.
 
         A mesh or an actor that says no place is put into what is ``around`` it, which is not empty; its table then says
@@ -125,10 +127,10 @@ class EntryReader:
         if kind == "actors":
             if self._subjects is None:
                 self._subjects = Subjects(self.load)
-            actor = read_actor(table, self._subjects, self.up, around)
+            actor = read_actor(table, self._subjects, self.up, insertion_scene)
             entry = replace(entry, actor=actor, world_from_file=actor.world_from_object)
             return self.read(number, kind, explicit_table(entry)) if _is_inserted(entry) else entry
-        placed = self.assets.splats(table) if kind == "splats" else self.assets.meshes(table, around)
+        placed = self.assets.splats(table) if kind == "splats" else self.assets.meshes(table, insertion_scene)
         entry = replace(
             entry,
             splats=placed.splats,
@@ -162,11 +164,11 @@ class EntryReader:
             return read_environment(table)
         rest = {key: value for key, value in table.values.items() if key != "path"}
         light = read_environment(TomlTable.of(self.file, rest, "environment"))
-        if path not in self.skies:
+        if path not in self.environments:
             read = read_environment(table)
             assert read.image is not None
-            self.skies[path] = read.image
-        return with_checked(light, image=self.skies[path])
+            self.environments[path] = read.image
+        return with_checked(light, image=self.environments[path])
 
 
 def _is_inserted(entry: SceneEntry) -> bool:
@@ -184,16 +186,16 @@ def explicit_table(entry: SceneEntry) -> dict[str, Any]:
     return rest | placement_table(entry.world_from_file)
 
 
-def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
+def visible_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
     """The scene of entries at a time, and the entry of each of its instances, captures first.
 
     Raises:
         FormatError: A frame of an actor cannot be read.
     """
-    shown = [entry for kind in KINDS for entry in entries if entry.kind == kind and not entry.table.get("hidden")]
+    visible = [entry for kind in KINDS for entry in entries if entry.kind == kind and not entry.table.get("hidden")]
     splats: list[tuple[SplatInstance, SceneEntry]] = []
     meshes: list[tuple[MeshInstance, SceneEntry]] = []
-    for entry in shown:
+    for entry in visible:
         for instance in entry.at(time):
             if isinstance(instance, SplatInstance):
                 splats.append((instance, entry))
@@ -202,7 +204,7 @@ def shown_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple
     scene = Scene(
         splats=[instance for instance, _ in splats],
         meshes=[instance for instance, _ in meshes],
-        lights=[light for kind in _LIGHTS for entry in shown if entry.kind == kind for light in entry.lights],
+        lights=[light for kind in _LIGHTS for entry in visible if entry.kind == kind for light in entry.lights],
         up=up,
     )
     return scene, [entry for _, entry in (*splats, *meshes)]

@@ -43,7 +43,7 @@ class MemoryEntries:
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
     assets: dict[str, Scene] = field(default_factory=dict[str, Scene])
     """By the path that tables have: ``<capture 0>``."""
-    skies: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
+    environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     actors: tuple[Actor, ...] = ()
     problems: list[str] = field(default_factory=list[str])
     """What cannot be an entry, a line each."""
@@ -78,13 +78,13 @@ def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
         memory.tables.append(("splats", _splat_table(memory, splat, paths)))
     for mesh in scene.meshes:
         memory.tables.append(("meshes", _mesh_table(memory, mesh, paths)))
-    skies = [light for light in scene.lights if isinstance(light, LightEnvironment)]
-    sky = next((light for light in skies if light.enabled), skies[0] if skies else None)
-    for light in (light for light in scene.lights if light is sky or not isinstance(light, LightEnvironment)):
+    environments = [light for light in scene.lights if isinstance(light, LightEnvironment)]
+    environment = next((light for light in environments if light.enabled), environments[0] if environments else None)
+    for light in (light for light in scene.lights if light is environment or not isinstance(light, LightEnvironment)):
         table = light_table(light)
         if isinstance(light, LightEnvironment) and light.image is not None:
-            table["path"] = f"<environment {len(memory.skies)}>"
-            memory.skies[table["path"]] = light.image
+            table["path"] = f"<environment {len(memory.environments)}>"
+            memory.environments[table["path"]] = light.image
         memory.tables.append(("environment" if isinstance(light, LightEnvironment) else "lights", table))
     return memory
 
@@ -104,15 +104,15 @@ def _splat_table(memory: MemoryEntries, splat: SplatInstance, paths: dict[int, s
 
 def _mesh_table(memory: MemoryEntries, instance: MeshInstance, paths: dict[int, str]) -> dict[str, Any]:
     """A similarity becomes keys of the table; another transform is a part of the asset."""
-    placed = is_similarity(instance.transform)
-    key = id(instance.mesh) if placed else id(instance)
+    keeps_transform = is_similarity(instance.transform)
+    key = id(instance.mesh) if keeps_transform else id(instance)
     if key not in paths:
         paths[key] = f"<mesh {len(memory.assets)}>"
-        asset = MeshInstance(instance.mesh) if placed else MeshInstance(instance.mesh, instance.transform)
+        asset = MeshInstance(instance.mesh) if keeps_transform else MeshInstance(instance.mesh, instance.transform)
         memory.assets[paths[key]] = Scene(meshes=[asset])
     name = _name(instance.name or instance.mesh.name)
     catches = {"shadow_catcher": True} if instance.shadow_catcher else {}
-    return {"path": paths[key], **(_placement(instance.transform) if placed else {}), **name, **catches}
+    return {"path": paths[key], **(_placement(instance.transform) if keeps_transform else {}), **name, **catches}
 
 
 def _placement(matrix: Any) -> dict[str, Any]:
@@ -198,20 +198,22 @@ class _Folder:
         memory_path = str(entry.table["path"])
         name = memory_path.strip("<>").replace(" ", "_")
         table = dict(entry.table)
-        if memory_path in self.reader.skies:
-            image = self.reader.skies[memory_path]
-            return table | {"path": self._once(memory_path, f"{name}.exr", lambda file: write_radiance(file, image))}
+        if memory_path in self.reader.environments:
+            image = self.reader.environments[memory_path]
+            return table | {
+                "path": self._write_once(memory_path, f"{name}.exr", lambda file: write_radiance(file, image))
+            }
         asset = self.reader.memory[memory_path]
         if asset.splats:
             gaussians = asset.splats[0].gaussians
             return table | {
-                "path": self._once(memory_path, f"{name}.ply", lambda file: write_splat_ply(file, gaussians))
+                "path": self._write_once(memory_path, f"{name}.ply", lambda file: write_splat_ply(file, gaussians))
             }
         mesh = placed_mesh(asset.meshes[0])
-        path = self._once(memory_path, f"{name}.ply", lambda file: write_ply_mesh(file, mesh))
+        path = self._write_once(memory_path, f"{name}.ply", lambda file: write_ply_mesh(file, mesh))
         return table | {"path": path, "material": self._material(entry, name)}
 
-    def _once(self, key: str, name: str, write: Callable[[Path], None]) -> str:
+    def _write_once(self, key: str, name: str, write: Callable[[Path], None]) -> str:
         """The path of a file from the folder of the document, written when it is asked for first.
 
         Args:
@@ -237,13 +239,13 @@ class _Folder:
         material, given = mesh.material, entry.table.get("material", {})
         table: dict[str, Any] = {"base_color": list(material.base_color)} | material_table(material)
         wraps = material.texture_wraps if isinstance(material, MaterialPbr) else None
-        kept: dict[str, list[str]] = {}
+        wrap_values: dict[str, list[str]] = {}
         for key in texture_names(material):
             texture = getattr(material, key)
             if texture is None or mesh.uvs is None:
                 continue
             write = partial(write_png, srgb=texture)
-            table[key] = given.get(key) or self._once(f"{id(texture)}", f"{name}.{key}.png", write)
+            table[key] = given.get(key) or self._write_once(f"{id(texture)}", f"{name}.{key}.png", write)
             if wraps and key in wraps:
-                kept[key] = [wrap.value for wrap in wraps[key]]
-        return table | ({"texture_wraps": kept} if kept else {})
+                wrap_values[key] = [wrap.value for wrap in wraps[key]]
+        return table | ({"texture_wraps": wrap_values} if wrap_values else {})

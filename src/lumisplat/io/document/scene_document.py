@@ -26,13 +26,13 @@ from lumisplat.io.document.entries import (
     EntryReader,
     SceneEntry,
     explicit_table,
-    shown_scene,
+    visible_scene,
 )
 from lumisplat.io.document.saving import entries_of, relative_path, relocated, saved_assets
-from lumisplat.io.document.tables import PLACED_IN_WORDS, light_table, placement_table
+from lumisplat.io.document.tables import NAMED_PLACEMENT_KEYS, light_table, placement_table
 from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.source import PathLike, parsing
-from lumisplat.io.gltf.scene import shows_one_capture
+from lumisplat.io.gltf.scene import holds_one_capture
 from lumisplat.io.load_save import USD, holds_mesh
 from lumisplat.io.scene_toml.cameras import read_scene_cameras
 from lumisplat.io.scene_toml.config_file import changed_settings, read_config
@@ -109,7 +109,7 @@ class SceneDocument:
             SceneError: It is none of these.
         """
         memory = entries_of(scene)
-        reader = EntryReader(Path("scene.toml"), io.load, memory.up, {}, memory.assets, memory.skies)
+        reader = EntryReader(Path("scene.toml"), io.load, memory.up, {}, memory.assets, memory.environments)
         entries = [reader.read(number, kind, table) for number, (kind, table) in enumerate(memory.tables)]
         for number, actor in enumerate(memory.actors, start=len(entries)):
             name = {"name": actor.name or "actor"}
@@ -175,7 +175,9 @@ class SceneDocument:
             FormatError: ``[animation]`` or a camera is wrong.
         """
         actors = [entry.actor for entry in self.entries if entry.actor is not None and not entry.hidden]
-        still, _ = shown_scene([entry for entry in self.entries if entry.actor is None], up_vector(self.top["up"]), 0.0)
+        still, _ = visible_scene(
+            [entry for entry in self.entries if entry.actor is None], up_vector(self.top["up"]), 0.0
+        )
         animation = animation_of(TomlTable.of(self.file, dict(self.top)), still, actors)
         return replace(animation, cameras=self.cameras) if actors or animation.camera_path is not None else None
 
@@ -230,7 +232,7 @@ class SceneDocument:
         """
         matrix = matrix_4x4("world_from_file", world_from_file)
         check_similarity(matrix[:3, :3], "world_from_file", "an entry")
-        return self.changed(number, **dict.fromkeys(PLACED_IN_WORDS), **placement_table(matrix))
+        return self.changed(number, **dict.fromkeys(NAMED_PLACEMENT_KEYS), **placement_table(matrix))
 
     def added(self, kind: EntryKind, table: Mapping[str, Any]) -> tuple[SceneDocument, int]:
         """Adds an entry, and returns its id, too.
@@ -252,9 +254,13 @@ class SceneDocument:
         number = 1 + max((entry.id for entry in self.entries), default=-1)
         number = max(number, self._reader.next_id)
         self._reader.next_id = number + 1
-        around = self.scene() if kind in ("meshes", "actors") else None
-        around = around if around is not None and (around.splats or around.meshes) else None
-        entry = _read_entry(self._reader, number, kind, dict(table), around)
+        insertion_scene = self.scene() if kind in ("meshes", "actors") else None
+        insertion_scene = (
+            insertion_scene
+            if insertion_scene is not None and (insertion_scene.splats or insertion_scene.meshes)
+            else None
+        )
+        entry = _read_entry(self._reader, number, kind, dict(table), insertion_scene)
         return replace(self, entries=(*self.entries, entry), _scenes={}), number
 
     def duplicated(self, number: int) -> tuple[SceneDocument, int]:
@@ -289,7 +295,7 @@ class SceneDocument:
         """
         before, now = up_vector(self.top["up"]), up_vector(up)
         reader, among = self._reader.with_up(now), any(entry.splats for entry in self.entries)
-        entries = tuple(_turned_with_up(reader, entry, before, is_among_captures=among) for entry in self.entries)
+        entries = tuple(_rotated_with_up(reader, entry, before, is_among_captures=among) for entry in self.entries)
         return replace(self, entries=entries, top=dict(self.top) | {"up": list(now)}, _reader=reader, _scenes={})
 
     def split(self, number: int) -> SceneDocument:
@@ -305,7 +311,7 @@ class SceneDocument:
         document = self.removed(number)
         matrix = entry.world_from_file
         assert matrix is not None
-        rest = {key: value for key, value in entry.table.items() if key not in (*PLACED_IN_WORDS, "lights")}
+        rest = {key: value for key, value in entry.table.items() if key not in (*NAMED_PLACEMENT_KEYS, "lights")}
         for part, name in enumerate(names):
             document, _ = document.added(
                 "meshes", rest | placement_table(matrix) | {"part": part, "name": name or f"part {part}"}
@@ -404,17 +410,17 @@ class SceneDocument:
     def _at(self, time: float) -> tuple[Scene, list[SceneEntry]]:
         held = self._scenes.get(time)
         if held is None:
-            held = shown_scene(self.entries, up_vector(self.top["up"]), time)
+            held = visible_scene(self.entries, up_vector(self.top["up"]), time)
             self._scenes.clear()
             self._scenes[time] = held
         return held
 
 
 _MESHES = (".obj", ".stl")
-_PUT = ("meshes", "actors")
+_INSERTED_KINDS = ("meshes", "actors")
 """Headings of what is put into captures if it says no place."""
 
-_OF_UP = ("look_at", "upright", "ground")
+_UP_KEYS = ("look_at", "upright", "ground")
 """Keys whose meaning depends on up."""
 _UPRIGHT = 1e-4
 """Largest distance of the y axis of what stands upright from up, both of length 1."""
@@ -472,11 +478,13 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
     problems: list[str] = []
     numbered = list(enumerate(listing.tables))
     # What says no place is put among what does.
-    for number, (kind, table) in sorted(numbered, key=lambda one: one[1][0] in _PUT and not is_placed(one[1][1])):
-        around = shown_scene(list(entries.values()), reader.up, 0.0)[0] if kind in _PUT else None
-        around = around if around is not None and around.splats else None
+    for number, (kind, table) in sorted(
+        numbered, key=lambda one: one[1][0] in _INSERTED_KINDS and not is_placed(one[1][1])
+    ):
+        insertion_scene = visible_scene(list(entries.values()), reader.up, 0.0)[0] if kind in _INSERTED_KINDS else None
+        insertion_scene = insertion_scene if insertion_scene is not None and insertion_scene.splats else None
         try:
-            entries[number] = _read_entry(reader, number, kind, table, around)
+            entries[number] = _read_entry(reader, number, kind, table, insertion_scene)
         except FormatError as error:
             problems.append(" ".join(str(error).split()))
             if len(listing.tables) == 1:
@@ -487,11 +495,11 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
 
 
 def _read_entry(
-    reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any], around: Scene | None = None
+    reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any], insertion_scene: Scene | None = None
 ) -> SceneEntry:
     """One entry; ``around`` as of `EntryReader.read`."""
     with parsing(reader.file, "a scene file"):
-        return reader.read(number, kind, table, around)
+        return reader.read(number, kind, table, insertion_scene)
 
 
 def _heading_of(file: Path) -> Literal["splats", "meshes"]:
@@ -499,16 +507,16 @@ def _heading_of(file: Path) -> Literal["splats", "meshes"]:
     suffix = file.suffix.lower()
     is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
     if suffix in (".glb", ".gltf"):
-        is_mesh = not shows_one_capture(file)
+        is_mesh = not holds_one_capture(file)
     if suffix in USD:
-        from lumisplat.io.usd.scene import shows_one_capture as shows_one_field
+        from lumisplat.io.usd.scene import holds_one_capture as holds_one_field
 
         with suppress(FormatError, MissingExtraError):
-            is_mesh = not shows_one_field(file)
+            is_mesh = not holds_one_field(file)
     return "meshes" if is_mesh else "splats"
 
 
-def _turned_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, is_among_captures: bool) -> SceneEntry:
+def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, is_among_captures: bool) -> SceneEntry:
     """Returns an entry as it stands in a scene with another up.
 
     A mesh or an actor among captures whose y axis was up is turned about its foot, by the smallest rotation between
@@ -521,10 +529,10 @@ def _turned_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, i
         before: The old up, a unit vector.
         is_among_captures: Whether the scene has a capture.
     """
-    turn = rotation_between(np.array(before), np.array(reader.up))
+    rotation_of_up = rotation_between(np.array(before), np.array(reader.up))
     if entry.kind == "environment" and "path" in entry.table:
         light: Any = entry.lights[0]
-        return _turned_image(reader, entry, rotation_matrix(light.rotation_wxyz), turn, before)
+        return _rotated_environment(reader, entry, rotation_matrix(light.rotation_wxyz), rotation_of_up, before)
     matrix = entry.world_from_file
     if matrix is None or (entry.actor is not None and "path" not in entry.table):
         return entry
@@ -532,21 +540,21 @@ def _turned_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, i
     stands = is_among_captures and entry.kind != "splats" and _is_upright((start @ matrix)[:3, :3], before)
     if stands:
         about_foot, foot = np.eye(4), _foot(entry, before)
-        about_foot[:3, :3], about_foot[:3, 3] = turn, foot - turn @ foot
+        about_foot[:3, :3], about_foot[:3, 3] = rotation_of_up, foot - rotation_of_up @ foot
         matrix = np.linalg.inv(start) @ about_foot @ start @ matrix
-    elif not any(key in entry.table for key in _OF_UP):
+    elif not any(key in entry.table for key in _UP_KEYS):
         return entry
-    rest = {key: value for key, value in entry.table.items() if key not in PLACED_IN_WORDS}
+    rest = {key: value for key, value in entry.table.items() if key not in NAMED_PLACEMENT_KEYS}
     return _read_entry(reader, entry.id, entry.kind, rest | placement_table(matrix))
 
 
-def _turned_image(
-    reader: EntryReader, entry: SceneEntry, rotation: Doubles, turn: Doubles, before: Vector
+def _rotated_environment(
+    reader: EntryReader, entry: SceneEntry, rotation: Doubles, rotation_of_up: Doubles, before: Vector
 ) -> SceneEntry:
     """Returns an environment turned with up, if the upper edge of its image was up."""
     if not _is_upright(rotation, before):
         return entry
-    wxyz = quaternions_from_matrices((turn @ rotation)[None])[0]
+    wxyz = quaternions_from_matrices((rotation_of_up @ rotation)[None])[0]
     turned = {"rotation_wxyz": [float(f"{x:.12g}") for x in wxyz]}
     return _read_entry(reader, entry.id, entry.kind, dict(entry.table) | turned)
 

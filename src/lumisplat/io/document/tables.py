@@ -19,7 +19,7 @@ from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
 
-PLACED_IN_WORDS = ("rotation_degrees", "look_at", "front", "upright", "ground")
+NAMED_PLACEMENT_KEYS = ("rotation_degrees", "look_at", "front", "upright", "ground")
 """Keys that a placement by position, rotation and scale replaces."""
 _ROUNDED = {"inner_angle": -1, "outer_angle": 1}
 """How angles of spots are rounded: the inner one stays below the outer one."""
@@ -150,15 +150,15 @@ def _camera_table(camera: Camera, target: Doubles | None = None) -> dict[str, An
     if not is_square or not is_centred or camera.camera_from_world_end is not None:
         return None
     _, down, forward = camera.camera_from_world[:3, :3]
-    seen: Doubles = camera.eye + camera.focus_distance * forward if target is None else target
-    distance = float(np.linalg.norm(seen - camera.eye))
-    if not (seen - camera.eye) @ forward > (1.0 - _ROUNDING) * distance > 0.0:
+    look_at_point: Doubles = camera.eye + camera.focus_distance * forward if target is None else target
+    distance = float(np.linalg.norm(look_at_point - camera.eye))
+    if not (look_at_point - camera.eye) @ forward > (1.0 - _ROUNDING) * distance > 0.0:
         return None
     fov_y = camera.fov_y
     if camera.model is CameraModel.ORTHOGRAPHIC:
         fov_y = 2.0 * math.atan(0.5 * height / (camera.fy * distance))
     table: dict[str, Any] = {"name": camera.name} if camera.name else {}
-    table |= {"eye": camera.eye.tolist(), "target": seen.tolist(), "up": (-down).tolist()}
+    table |= {"eye": camera.eye.tolist(), "target": look_at_point.tolist(), "up": (-down).tolist()}
     table |= {"fov_y_degrees": math.degrees(fov_y), "width": width, "height": height}
     rest = {
         "model": camera.model.value if camera.model is not CameraModel.PINHOLE else None,

@@ -177,7 +177,7 @@ def _locked_file(target: Path) -> tuple[Path, int]:
         os.close(lock)  # another process took it for a leftover before it was locked
 
 
-def writers_of(target: Path) -> list[Path]:
+def unfinished_writes(target: Path) -> list[Path]:
     """Temporary files of a target that a process is writing; those that none writes are removed. None on Windows."""
     found: list[Path] = []
     for path in target.parent.glob(f".{target.stem}.*.lumisplat{target.suffix}") if fcntl is not None else ():

@@ -53,15 +53,15 @@ def native_write(path: PathLike, text: str) -> Generator[None]:
     try:
         yield
     except RuntimeError as error:
-        said = " ".join(str(error).split())
+        message = " ".join(str(error).split())
         for number in errno.errorcode:
-            if os.strerror(number) in said:
+            if os.strerror(number) in message:
                 raise OSError(number, os.strerror(number)) from None
-        raise FormatError(path, f"cannot be written: {said.replace(text, os.fspath(path))}") from None
+        raise FormatError(path, f"cannot be written: {message.replace(text, os.fspath(path))}") from None
 
 
 @contextmanager
-def silent_natives() -> Generator[None]:
+def silenced_native_output() -> Generator[None]:
     """Keeps off the terminal what native code writes to standard output and standard error inside the block."""
     with _silence:
         saved: list[tuple[int, int]] = []

@@ -48,32 +48,32 @@ _INNER_LISTED = 8
 """How many captures of a folder a message lists."""
 
 
-def read_bytes(path: PathLike, *, wanted_by: PathLike | None = None) -> bytes:
+def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
     """Reads a whole file.
 
     Args:
         path: The file.
-        wanted_by: The file that refers to this one, named in errors.
+        referrer: The file that refers to this one, named in errors.
 
     Raises:
         FormatError: The file is a folder, a device or a pipe, empty, too large or not readable.
         MissingFileError: There is no such file.
     """
-    because = f" (needed by {os.fspath(wanted_by)})" if wanted_by is not None else ""
-    with readable(path, because), opened(path, because) as file:
+    message_end = f" (needed by {os.fspath(referrer)})" if referrer is not None else ""
+    with readable(path, message_end), opened(path, message_end) as file:
         data = file.read(os.fstat(file.fileno()).st_size)
     if not data:
-        raise FormatError(path, f"is empty: zero bytes{because}")
+        raise FormatError(path, f"is empty: zero bytes{message_end}")
     return data
 
 
 @contextmanager
-def readable(path: PathLike, because: str = "") -> Generator[None]:
+def readable(path: PathLike, message_end: str = "") -> Generator[None]:
     """Turns what the system says of a file that cannot be read inside the block into one `FormatError` about ``path``.
 
     Args:
         path: The file.
-        because: The end of messages.
+        message_end: Text at the end of messages.
 
     Raises:
         FormatError: The file cannot be read, or does not fit into memory.
@@ -83,17 +83,17 @@ def readable(path: PathLike, because: str = "") -> Generator[None]:
     except FormatError:
         raise
     except OSError as error:
-        raise FormatError(path, f"cannot be read{because}: {error.strerror or error}") from None
+        raise FormatError(path, f"cannot be read{message_end}: {error.strerror or error}") from None
     except MemoryError:
-        raise FormatError(path, f"does not fit into memory{because}") from None
+        raise FormatError(path, f"does not fit into memory{message_end}") from None
 
 
-def opened(path: PathLike, because: str = "", largest: float | None = None) -> BinaryIO:
+def opened(path: PathLike, message_end: str = "", largest: float | None = None) -> BinaryIO:
     """Opens a file to read, after checking that reading it ends.
 
     Args:
         path: The file.
-        because: The end of messages.
+        message_end: Text at the end of messages.
         largest: Size in bytes above which it is refused; None: `FILE_BYTES_MAX`.
 
     Raises:
@@ -104,21 +104,21 @@ def opened(path: PathLike, because: str = "", largest: float | None = None) -> B
     try:
         # Opening a pipe would wait for its writer, opening a device may have effects.
         status = os.stat(path)
-        check_regular(path, status, because)
+        check_regular(path, status, message_end)
         if status.st_size > largest:
-            raise FormatError(path, f"has {status.st_size:,} bytes, expected at most {largest:,}{because}")
+            raise FormatError(path, f"has {status.st_size:,} bytes, expected at most {largest:,}{message_end}")
         return open(path, "rb")
     except FormatError:
         raise
     except FileNotFoundError:
-        raise MissingFileError(path, f"no such file{because}") from None
+        raise MissingFileError(path, f"no such file{message_end}") from None
     except (OSError, ValueError) as error:
-        raise FormatError(path, f"cannot be read{because}: {getattr(error, 'strerror', None) or error}") from None
+        raise FormatError(path, f"cannot be read{message_end}: {getattr(error, 'strerror', None) or error}") from None
 
 
-def read_text(path: PathLike, *, wanted_by: PathLike | None = None, errors: str = "strict") -> str:
+def read_text(path: PathLike, *, referrer: PathLike | None = None, errors: str = "strict") -> str:
     """Reads a whole text file; see `read_bytes` and `decode_text`."""
-    return decode_text(read_bytes(path, wanted_by=wanted_by), errors)
+    return decode_text(read_bytes(path, referrer=referrer), errors)
 
 
 def decode_text(data: bytes, errors: str = "strict") -> str:
@@ -158,21 +158,21 @@ def is_number_word(word: str) -> bool:
     return True
 
 
-def check_regular(path: PathLike, status: os.stat_result, because: str = "") -> None:
+def check_regular(path: PathLike, status: os.stat_result, message_end: str = "") -> None:
     """Refuses what would be read without end, or wait for somebody to write.
 
     Args:
         path: The file.
         status: What the system says about it.
-        because: The end of the message.
+        message_end: Text at the end of the message.
 
     Raises:
         FormatError: It is a folder, a device, a pipe or a socket.
     """
     if stat.S_ISDIR(status.st_mode):
-        raise FormatError(path, f"is a folder, expected a file{because}")
+        raise FormatError(path, f"is a folder, expected a file{message_end}")
     if not stat.S_ISREG(status.st_mode):
-        raise FormatError(path, f"is a device, a pipe or a socket, expected a file{because}")
+        raise FormatError(path, f"is a device, a pipe or a socket, expected a file{message_end}")
 
 
 @contextmanager
@@ -302,10 +302,10 @@ def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> N
     Raises:
         FormatError: It does not fit.
     """
-    there = usable_memory()
-    if there is not None and needed_bytes > there:
+    available = usable_memory()
+    if available is not None and needed_bytes > available:
         raise FormatError(
-            path, f"{what} would take {needed_bytes / 1e9:.1f} GB of memory, of {there / 1e9:.1f} GB: {remedy}"
+            path, f"{what} would take {needed_bytes / 1e9:.1f} GB of memory, of {available / 1e9:.1f} GB: {remedy}"
         )
 
 
@@ -366,7 +366,7 @@ def read_reference(path: PathLike, name: str, folder: Path | None = None) -> byt
     Raises:
         FormatError: It leaves the folder, is missing, no regular file, too large or empty.
     """
-    return read_bytes(referenced_file(path, name, folder), wanted_by=path)
+    return read_bytes(referenced_file(path, name, folder), referrer=path)
 
 
 def format_of(path: Path) -> str:
@@ -399,10 +399,10 @@ def _inner_sog(folder: Path) -> str:
     return ", ".join(inner[:_INNER_LISTED]) + more
 
 
-_PRESENT_KEYS = {"shadow_only": "shadow_catcher"}
+_RENAMED_KEYS = {"shadow_only": "shadow_catcher"}
 """Old key of files -> its name now."""
 
 
-def with_present_keys(values: dict[str, Any]) -> dict[str, Any]:
+def with_current_keys(values: dict[str, Any]) -> dict[str, Any]:
     """Returns the values that a file gives, those under old keys by their present names."""
-    return {_PRESENT_KEYS.get(key, key): value for key, value in values.items()}
+    return {_RENAMED_KEYS.get(key, key): value for key, value in values.items()}

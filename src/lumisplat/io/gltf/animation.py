@@ -23,14 +23,14 @@ from lumisplat.io.gltf.meshes import Influences, RawPrimitive, Skin, read_raw, r
 from lumisplat.io.gltf.nodes import (
     Matrix,
     hierarchy,
-    instance_places,
+    instance_transforms,
     node_columns,
     node_label,
     node_matrix,
     scene_nodes,
 )
-from lumisplat.io.gltf.scene import check_extensions, placed_in
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, placeable_material
+from lumisplat.io.gltf.scene import check_extensions, scene_of_nodes
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, material_for_uvs
 from lumisplat.math.arrays import Doubles, IntArray, read_only_view
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation
@@ -99,10 +99,10 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
     item = file.item("nodes", node, where)
     if item.matrix is not None and kind is not Channel.WEIGHTS:
         raise FormatError(file.path, f"{where} moves {node_label(file, node)}, which has a matrix: expected its parts")
-    if sampler.interpolation not in (None, *(way.value for way in Interpolation)):
-        ways = ", ".join(way.value for way in Interpolation)
-        raise FormatError(file.path, f"{where} has interpolation {sampler.interpolation!r}, expected one of {ways}")
-    way = Interpolation(sampler.interpolation or "LINEAR")
+    if sampler.interpolation not in (None, *(mode.value for mode in Interpolation)):
+        modes = ", ".join(mode.value for mode in Interpolation)
+        raise FormatError(file.path, f"{where} has interpolation {sampler.interpolation!r}, expected one of {modes}")
+    mode = Interpolation(sampler.interpolation or "LINEAR")
     times = file.floats(sampler.input, "SCALAR", f"{where} input")[:, 0].astype(np.float64)
     _check_times(file, times, where)
     stored = file.floats(sampler.output, _KINDS[kind], f"{where} output").astype(np.float64)
@@ -110,7 +110,7 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
     if invalid:
         raise FormatError(file.path, f"{where}: {invalid:,} of {stored.size:,} key values are not finite")
     width = _target_count(file, item, where) if kind is Channel.WEIGHTS else stored.shape[1]
-    rows = 3 if way is Interpolation.CUBICSPLINE else 1
+    rows = 3 if mode is Interpolation.CUBICSPLINE else 1
     if stored.size != rows * width * times.size:
         found = f"{len(stored):,} values for {times.size:,} keys"
         raise FormatError(file.path, f"{where} has {found}, expected {rows * width * times.size // stored.shape[1]:,}")
@@ -120,7 +120,7 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
     values = keys[:, rows // 2]
     if kind is Channel.ROTATION:
         values = _unit(file, values, where)
-    return Track(node, kind, way, times, values, keys[:, ::2] if rows == 3 else None)
+    return Track(node, kind, mode, times, values, keys[:, ::2] if rows == 3 else None)
 
 
 def _sampler(
@@ -161,7 +161,7 @@ def _unit(file: GltfFile, quaternions: Matrix, where: str) -> Matrix:
     return quaternions / lengths
 
 
-class _Piece(NamedTuple):
+class _RigPrimitive(NamedTuple):
     """A primitive of a node, as stored and as a part of the rig."""
 
     raw: RawPrimitive
@@ -188,8 +188,8 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
 def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
     """The meshes of some nodes with all that moves them; None if they have no triangles."""
     skeleton = _read_skeleton(file)
-    groups: dict[tuple[int, bool, bool], list[_Piece]] = {}
-    for piece in _pieces(file, clips, nodes):
+    groups: dict[tuple[int, bool, bool], list[_RigPrimitive]] = {}
+    for piece in _rig_primitives(file, clips, nodes):
         raw = piece.raw
         key = id(raw.material), raw.uvs is None, raw.normals is None
         groups.setdefault(key, []).append(piece)
@@ -229,7 +229,7 @@ def _read_skeleton(file: GltfFile) -> Skeleton:
     return Skeleton(tree.parents, tree.order, translations, rotations, scales, matrices)
 
 
-def _pieces(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_Piece]:
+def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_RigPrimitive]:
     """The triangle primitives of nodes."""
     materials = GltfMaterials(file)
     morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
@@ -243,7 +243,7 @@ def _pieces(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> It
             raise FormatError(file.path, f"meshes[{node.mesh}] has morph weights that are not finite")
         # Without a skin, the node itself is the only joint, of each of its instances.
         if node.skin is None:
-            skins = [Skin((index,), place[None]) for place in instance_places(file, index)]
+            skins = [Skin((index,), transform[None]) for transform in instance_transforms(file, index)]
         else:
             skins = [read_skin(file, node.skin)]
         raws = read_raw(
@@ -255,7 +255,7 @@ def _pieces(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> It
         )
         for raw in raws:
             for skin in skins:
-                yield _Piece(raw, _part(raw, skin, index, weights))
+                yield _RigPrimitive(raw, _part(raw, skin, index, weights))
 
 
 def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart:
@@ -289,7 +289,7 @@ def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | No
     return MorphTargets(node, at_rest, positions, normals if raw.morph_normals else None)
 
 
-def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
+def _surface(file: GltfFile, pieces: list[_RigPrimitive], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
     """One surface from pieces that have the same material and attributes."""
     first = pieces[0].raw
     triangles: list[IntArray] = []
@@ -306,16 +306,16 @@ def _surface(file: GltfFile, pieces: list[_Piece], skeleton: Skeleton, vertex_co
         colors = usable_colors(file.path, read_only_view(np.concatenate(per_piece)), first.material, first.name, advice)
     uv_parts = [raw.uvs for raw, _ in pieces if raw.uvs is not None]
     uvs = read_only_view(np.concatenate(uv_parts)) if uv_parts else None
-    material = placeable_material(file.path, first.material, uvs, first.name)
+    material = material_for_uvs(file.path, first.material, uvs, first.name)
     indices = join_triangles(parts, triangles, skeleton)
     return RigSurface(tuple(parts), indices, material, uvs, colors, first.name)
 
 
 _FPS = 25.0
 """Frames a second: glTF has none."""
-_SAMPLES_A_FRAME = 4
+_SAMPLES_PER_FRAME = 4
 """Of captures and cameras, which move between samples as keyframes do; meshes are posed at each frame itself."""
-_AROUND_STEP = (-2e-6, -1e-6, 1e-6)
+_STEP_OFFSETS = (-2e-6, -1e-6, 1e-6)
 """When a step has samples but at its own time, seconds from it: two of the old value and two of the new one, so that
 the cubics through them (Catmull-Rom) are flat on both of its sides."""
 
@@ -350,10 +350,10 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
             raise FormatError(
                 path, f"is animated for {clip.duration:g} s, expected at most {ANIMATION_FRAMES_MAX:,} frames"
             )
-        return _Moving(file, clip, drop_invalid).animation(frames)
+        return _AnimationReader(file, clip, drop_invalid).animation(frames)
 
 
-class _Moving:
+class _AnimationReader:
     """A file, and its nodes at the times of an animation.
 
     Args:
@@ -375,11 +375,11 @@ class _Moving:
         still = [index for index in self._nodes if index not in set(deformed)]
         rest = [*self._skeleton.world_from_node()]
         sieve = TriangleSieve(file.path)
-        scene = placed_in(file, still, rest, sieve, drop_invalid=self._drop_invalid)
-        sieve.report(anything_left=True)
-        lit = [index for index in deformed if LIGHTS in (file.model.nodes[index].extensions or {})]
-        if lit:
-            named = ", ".join(node_label(file, index) for index in lit[:3])
+        scene = scene_of_nodes(file, still, rest, sieve, drop_invalid=self._drop_invalid)
+        sieve.report(any_usable=True)
+        moving_lights = [index for index in deformed if LIGHTS in (file.model.nodes[index].extensions or {})]
+        if moving_lights:
+            named = ", ".join(node_label(file, index) for index in moving_lights[:3])
             _log.warning("%s: lights that move stay where they are at rest (%s)", os.fspath(file.path), named)
         rig = _rig_of(file, (self._clip,), deformed)
         actors = [Actor(rig, loop=False)] if rig is not None else []
@@ -400,17 +400,17 @@ class _Moving:
 
     def _times(self) -> Doubles:
         """Times of samples: several a frame, and those of the keys, seconds."""
-        count = round(self._clip.duration * _FPS * _SAMPLES_A_FRAME)
+        count = round(self._clip.duration * _FPS * _SAMPLES_PER_FRAME)
         if count > ANIMATION_SAMPLES_MAX:
-            seconds = ANIMATION_SAMPLES_MAX / (_FPS * _SAMPLES_A_FRAME)
+            seconds = ANIMATION_SAMPLES_MAX / (_FPS * _SAMPLES_PER_FRAME)
             raise FormatError(
                 self._file.path,
                 f"is animated for {self._clip.duration:g} s, expected at most {seconds:g} of a camera or of captures",
             )
-        even = np.arange(count + 1) / (_FPS * _SAMPLES_A_FRAME)
+        even = np.arange(count + 1) / (_FPS * _SAMPLES_PER_FRAME)
         keys = [track.times for track in self._clip.tracks]
         stepped = [track.times for track in self._clip.tracks if track.interpolation is Interpolation.STEP]
-        steps = [times + around for times in stepped for around in _AROUND_STEP]
+        steps = [times + around for times in stepped for around in _STEP_OFFSETS]
         times = np.unique(np.concatenate([even, *keys, *steps]))
         return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
 
@@ -430,10 +430,10 @@ class _Moving:
     def _capture_actors(self, captures: GltfCaptures, index: int, times: Doubles) -> Iterator[Actor]:
         """The captures of a node, where it is at each time."""
         first: list[SplatInstance] = []
-        placed: list[list[Doubles]] = []
+        sampled: list[list[Doubles]] = []
         for time in times:
             world = self._skeleton.world_from_node(self._clip, float(time))
-            at_time = list(captures.placed([index], [*world]))
+            at_time = list(captures.instances([index], [*world]))
             first = first or at_time
             if not at_time or any(
                 one.gaussians is not other.gaussians for one, other in zip(at_time, first, strict=True)
@@ -443,14 +443,14 @@ class _Moving:
                     f"{node_label(self._file, index)} is stretched or hidden by the animation, which its Gaussians "
                     "cannot be: expected a uniform scale above 0",
                 )
-            placed.append([one.transform for one in at_time])
-        for one, places in zip(first, np.array(placed).swapaxes(0, 1), strict=True):
-            for place in places:
-                check_similarity(place[:3, :3])
-            scales = np.cbrt(np.linalg.det(places[:, :3, :3]))
-            turns = quaternions_from_matrices(places[:, :3, :3] / scales[:, None, None])
+            sampled.append([one.transform for one in at_time])
+        for one, transforms in zip(first, np.array(sampled).swapaxes(0, 1), strict=True):
+            for transform in transforms:
+                check_similarity(transform[:3, :3])
+            scales = np.cbrt(np.linalg.det(transforms[:, :3, :3]))
+            rotations = quaternions_from_matrices(transforms[:, :3, :3] / scales[:, None, None])
             still = Scene(splats=[replace(one, world_from_object=None)])
-            yield Actor(still, Keyframes(times, places[:, :3, 3], turns, scales), name=one.name)
+            yield Actor(still, Keyframes(times, transforms[:, :3, 3], rotations, scales), name=one.name)
 
     def _camera_path(self) -> CameraPath | None:
         """The first camera that moves."""

@@ -19,11 +19,11 @@ from lumisplat.io.cameras.common import DEFAULT_SIZE_MAX, pose_of_node, size_of_
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
 from lumisplat.io.gltf.nodes import (
-    CAMERAS,
+    CAMERA_EXTRAS,
     Matrix,
+    lumisplat_extras,
     node_item,
     node_label,
-    own_extras,
     scene_nodes,
     with_extras,
     world_transforms,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _FAR = 1000.0
 """Far plane of parallel rays in an empty scene, in near planes; glTF must have one."""
-_CENTRED = 1e-6
+_CENTRE_TOLERANCE = 1e-6
 """Distance of a principal point from the middle of the image, pixels, that is none."""
 
 
@@ -104,9 +104,9 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         model, aspect = CameraModel.ORTHOGRAPHIC, _positive(lens, "xmag") / half_height
     else:
         raise SceneError(f"type is {definition.type!r}, expected perspective or orthographic")
-    own = _own_settings(definition)
-    if width is None and height is None and own.keys() >= {"width", "height"}:
-        width, height = own["width"], own["height"]
+    extras = _camera_extras(definition)
+    if width is None and height is None and extras.keys() >= {"width", "height"}:
+        width, height = extras["width"], extras["height"]
     width, height = size_of_aspect(aspect, width, height)
     focal = 0.5 * height / half_height
     return Camera(
@@ -120,14 +120,14 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         near=getattr(lens, "znear", None) or NEAR_PLANE,  # 0, for parallel rays only, means none
         name=name,
         model=model,
-        **{name: own[name] for name in own if name not in ("width", "height")},
+        **{name: extras[name] for name in extras if name not in ("width", "height")},
     )
 
 
-def _own_settings(definition: pygltflib.Camera) -> dict[str, Any]:
+def _camera_extras(definition: pygltflib.Camera) -> dict[str, Any]:
     """What our files say of a camera besides: the size of its image, its exposure and aperture."""
-    own = own_extras(definition) or {}
-    settings = {name: own[name] for name in CAMERAS if name in own}
+    extras = lumisplat_extras(definition) or {}
+    settings = {name: extras[name] for name in CAMERA_EXTRAS if name in extras}
     for name in ("width", "height"):
         if name in settings and not is_whole(settings[name]):
             raise SceneError(f"{name} is {settings[name]}, expected a whole number")
@@ -157,8 +157,8 @@ def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_w
     else:
         lens = {"yfov": camera.fov_y, "aspectRatio": half_width / half_height, "znear": camera.near}
         item = {"type": "perspective", "perspective": lens}
-    own = {name: getattr(camera, name) for name in CAMERAS if getattr(camera, name)}
-    number = document.add("cameras", with_extras(item | ({"name": camera.name} if camera.name else {}), own))
+    extras = {name: getattr(camera, name) for name in CAMERA_EXTRAS if getattr(camera, name)}
+    number = document.add("cameras", with_extras(item | ({"name": camera.name} if camera.name else {}), extras))
     looking = camera.world_from_camera @ np.diag([1.0, -1.0, -1.0, 1.0])  # glTF looks along -z, with y up
     return document.add("nodes", node_item(file_from_world @ looking, camera.name) | {"camera": number})
 
@@ -167,7 +167,8 @@ def camera_losses(cameras: Sequence[Camera]) -> list[str]:
     """What of cameras glTF cannot hold, a phrase each."""
     lenses = sum(not _can_hold_camera(camera) for camera in cameras)
     shifted = sum(
-        abs(camera.cx - 0.5 * camera.width) > _CENTRED or abs(camera.cy - 0.5 * camera.height) > _CENTRED
+        abs(camera.cx - 0.5 * camera.width) > _CENTRE_TOLERANCE
+        or abs(camera.cy - 0.5 * camera.height) > _CENTRE_TOLERANCE
         for camera in cameras
     )
     rolling = sum(camera.camera_from_world_end is not None for camera in cameras)

@@ -15,7 +15,14 @@ from lumisplat.constants import KERNEL_DEGREE, SH_C0, SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike, check_expansion
 from lumisplat.io.gltf.container import GltfDocument, GltfFile, GltfPrimitive
-from lumisplat.io.gltf.nodes import OURS, Matrix, instance_places, instance_settings, node_label, own_extras
+from lumisplat.io.gltf.nodes import (
+    EXTRAS_KEY,
+    Matrix,
+    instance_settings,
+    instance_transforms,
+    lumisplat_extras,
+    node_label,
+)
 from lumisplat.io.splats.columns import SplatColumns, gaussians_from_columns, look_like_logits, mirror_axes
 from lumisplat.io.splats.orientation import orientation_of, orientation_values
 from lumisplat.math.arrays import FloatArray
@@ -50,7 +57,7 @@ _LINEAR = ("lin_rec709_display", "BT.709-linear")
 _Numbers = dict[tuple[int, bool], str]
 """Numbers that an attribute may have: their component type and whether they are normalised, and their name."""
 
-_SAME_PLACE = 1e-6
+_SAME_TRANSFORM = 1e-6
 """Error of the matrix of a node that is written as a quaternion."""
 
 _DEGENERATE = 1e-9
@@ -72,16 +79,16 @@ _FLOAT = _Layout("", "").numbers
 
 _ROTATION = _Layout("ROTATION", "VEC4", _FLOAT | {(5120, True): "normalised int8", (5122, True): "normalised int16"})
 
-_SHARES: _Numbers = {(5121, True): "normalised uint8", (5123, True): "normalised uint16"}
+_UNORM: _Numbers = {(5121, True): "normalised uint8", (5123, True): "normalised uint16"}
 
 _SCALE = _Layout(
     "SCALE",
     "VEC3",
-    _FLOAT | {(5121, False): "uint8", (5123, False): "uint16"} | _SHARES,
+    _FLOAT | {(5121, False): "uint8", (5123, False): "uint16"} | _UNORM,
     ((5120, False), (5120, True), (5122, False), (5122, True)),
 )
 
-_OPACITY = _Layout("OPACITY", "SCALAR", _FLOAT | _SHARES)
+_OPACITY = _Layout("OPACITY", "SCALAR", _FLOAT | _UNORM)
 
 _COEFFICIENT = re.compile(rf"{_EXTENSION}:SH_DEGREE_(\d{{1,9}})_COEF_(\d{{1,9}})")
 
@@ -109,8 +116,8 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
     count = len(means)
     scales, are_logarithms = _scales(primitive, count)
     opacities, are_logits = _opacities(primitive, count, are_logarithms)
-    sh = _harmonics(primitive, count)
-    own = own_extras(primitive.item)
+    sh = _sh(primitive, count)
+    extras = lumisplat_extras(primitive.item)
     columns = SplatColumns(
         means,
         _attribute(primitive, _ROTATION, count)[:, [3, 0, 1, 2]],  # the file has the scalar last
@@ -119,8 +126,8 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
         sh,
         scales_are_logarithms=are_logarithms,
         opacities_are_logits=are_logits,
-        **_materials(primitive, count, own),
-        **_settings(primitive.file.path, own),
+        **_materials(primitive, count, extras),
+        **_settings(primitive.file.path, extras),
     )
     if is_linear:
         _log.warning(
@@ -184,7 +191,7 @@ def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> t
     return opacities, are_logits
 
 
-def _harmonics(primitive: GltfPrimitive, count: int) -> FloatArray:
+def _sh(primitive: GltfPrimitive, count: int) -> FloatArray:
     """The spherical harmonics of a primitive, shape (N, K, 3)."""
     matches = [match for name in vars(primitive.item.attributes) if (match := _COEFFICIENT.fullmatch(name))]
     degree = max((int(match[1]) for match in matches), default=0)
@@ -212,33 +219,33 @@ def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatAr
         expected = f"{', '.join(names[:-1])} or {names[-1]}" if names[1:] else names[0]
         found = f"{'normalised' if stored[1] else 'plain'} numbers of type {stored[0]}"
         raise primitive.error(f"has {full} in {found}, expected {expected}")
-    return _counted(primitive, full, values, count)
+    return _check_count(primitive, full, values, count)
 
 
-def _counted(primitive: GltfPrimitive, name: str, values: FloatArray, count: int) -> FloatArray:
+def _check_count(primitive: GltfPrimitive, name: str, values: FloatArray, count: int) -> FloatArray:
     if len(values) != count:
         raise primitive.error(f"has {len(values):,} {name} for {count:,} POSITION")
     return values
 
 
-def _materials(primitive: GltfPrimitive, count: int, own: dict[str, Any] | None) -> dict[str, FloatArray]:
+def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | None) -> dict[str, FloatArray]:
     """Normals and materials of our own files, shape (N, 3) or (N,) each."""
     found: dict[str, FloatArray] = {}
     for column, (name, kind) in _MATERIALS.items():
-        values = None if own is None else primitive.floats(name, kind)
+        values = None if extras is None else primitive.floats(name, kind)
         if values is not None:
-            found[column] = _counted(primitive, name, values if kind == "VEC3" else values[:, 0], count)
+            found[column] = _check_count(primitive, name, values if kind == "VEC3" else values[:, 0], count)
     return found
 
 
-def _settings(path: PathLike, own: dict[str, Any] | None) -> dict[str, Any]:
+def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
     """Settings of a capture that the extension does not have."""
-    own = own or {}
+    extras = extras or {}
     return {
-        "antialiased": own.get("antialiased") is True,
-        "kernel_degree": own.get("kernel_degree", KERNEL_DEGREE),
-        "comments": tuple(comment for comment in own.get("comments", ()) if isinstance(comment, str)),
-        "orientation": orientation_of(path, own),
+        "antialiased": extras.get("antialiased") is True,
+        "kernel_degree": extras.get("kernel_degree", KERNEL_DEGREE),
+        "comments": tuple(comment for comment in extras.get("comments", ()) if isinstance(comment, str)),
+        "orientation": orientation_of(path, extras),
     }
 
 
@@ -254,7 +261,7 @@ class GltfCaptures:
     """By capture and stretch."""
     _stretched_bytes: int = 0
 
-    def placed(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
+    def instances(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
         """The captures of nodes as instances in the world of the file, named after the node, else after the mesh.
 
         A node that scales its axes differently has Gaussians of its own (`under_affine`); others share them. Harmonics
@@ -269,9 +276,11 @@ class GltfCaptures:
                 continue  # scaled to nothing, which hides the node
             name = node.name or self.file.item("meshes", node.mesh, f"nodes[{index}]").name or ""
             captures = self._captures(node.mesh)
-            for place, gaussians in itertools.product(instance_places(self.file, index) if captures else (), captures):
+            for instance_transform, gaussians in itertools.product(
+                instance_transforms(self.file, index) if captures else (), captures
+            ):
                 try:
-                    yield self._instance(gaussians, index, world_from_node[index] @ place, name)
+                    yield self._instance(gaussians, index, world_from_node[index] @ instance_transform, name)
                 except FormatError:
                     raise
                 except SceneError as error:
@@ -315,11 +324,11 @@ class GltfCaptures:
             world_from_node = world_from_node.copy()
             world_from_node[:3, :3] = u @ v
             stretch = np.round(stretch, 9) + 0.0  # the same however the node is turned
-            gaussians = self._stretched_by(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
-        settings = instance_settings(own_extras(self.file.model.nodes[index]))
+            gaussians = self._stretched_capture(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
+        settings = instance_settings(lumisplat_extras(self.file.model.nodes[index]))
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
 
-    def _stretched_by(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
+    def _stretched_capture(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
         """A stretched capture, which is made once."""
         key = (id(gaussians), stretch.tobytes())
         if key not in self._stretched:
@@ -329,7 +338,7 @@ class GltfCaptures:
         return self._stretched[key]
 
 
-def alone(instance: SplatInstance) -> Gaussians:
+def single_capture(instance: SplatInstance) -> Gaussians:
     """The Gaussians of a file that has nothing else, where its node has them, in the axes of captures.
 
     One that says its up, and that stands upright in the file, comes back as it was before it was stood upright.
@@ -337,14 +346,14 @@ def alone(instance: SplatInstance) -> Gaussians:
     Raises:
         SceneError: They are too far away or too large.
     """
-    gaussians, place = instance.gaussians, instance.transform
+    gaussians, instance_transform = instance.gaussians, instance.transform
     if gaussians.up is not None:
         upright = np.eye(4)
         upright[:3, :3] = y_up_from(gaussians.up)
-        if np.allclose(place, upright, rtol=0.0, atol=_SAME_PLACE):
+        if np.allclose(instance_transform, upright, rtol=0.0, atol=_SAME_TRANSFORM):
             return gaussians
-    moved = CAPTURE_FROM_FILE @ place
-    gaussians = replace(gaussians, up=np.linalg.inv(place[:3, :3])[:, 1])  # files have y up
+    moved = CAPTURE_FROM_FILE @ instance_transform
+    gaussians = replace(gaussians, up=np.linalg.inv(instance_transform[:3, :3])[:, 1])  # files have y up
     return gaussians if np.array_equal(moved, np.eye(4)) else transform(gaussians, moved)
 
 
@@ -395,7 +404,7 @@ def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> in
             sortingMethod="cameraDistance",
             projection="perspective",
         ),
-        "extras": {OURS: _settings_of(gaussians)},
+        "extras": {EXTRAS_KEY: _settings_of(gaussians)},
     }
     return document.add("meshes", {"primitives": [primitive]} | ({"name": name} if name else {}))
 

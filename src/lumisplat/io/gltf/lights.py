@@ -16,7 +16,7 @@ import numpy as np
 from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
-from lumisplat.io.gltf.nodes import Matrix, light_extras, light_settings, node_item, own_extras, with_extras
+from lumisplat.io.gltf.nodes import Matrix, light_extras, light_settings, lumisplat_extras, node_item, with_extras
 from lumisplat.scene.lights import LIGHT_KINDS, AimedLight, Light, LightPoint, LightSphere, LightSpot, PlacedLight
 
 _log = logging.getLogger("lumisplat")
@@ -87,7 +87,7 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> L
     if light is None:
         raise SceneError(f"type is {kind!r}, expected {', '.join([*_PUNCTUAL][:-1])} or {[*_PUNCTUAL][-1]}")
     values: dict[str, Any] = {key: definition[key] for key in ("color", "intensity") if key in definition}
-    values |= {"name": name, **light_settings(own_extras(definition), light)}
+    values |= {"name": name, **light_settings(lumisplat_extras(definition), light)}
     if issubclass(light, AimedLight):
         values["direction"] = -world_from_light[:3, 2]
     if issubclass(light, PlacedLight):

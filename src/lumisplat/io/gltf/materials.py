@@ -18,8 +18,8 @@ from lumisplat.io.gltf.container import GltfDocument, GltfFile, GltfPrimitive
 from lumisplat.io.gltf.textures import (
     WRAP_NUMBERS,
     GltfTexels,
-    Placement,
     Textures,
+    UvTransform,
     material_textures,
     specular_glossiness,
     texture_extension,
@@ -243,7 +243,7 @@ class GltfMaterials:
 
     def _decode(self, material: pygltflib.Material, label: str) -> Material:
         pbr = _metallic_roughness(material)
-        factors = tuple(_or(pbr.get("baseColorFactor"), (1.0, 1.0, 1.0, 1.0)))
+        factors = tuple(_value_or(pbr.get("baseColorFactor"), (1.0, 1.0, 1.0, 1.0)))
         color, shared = factors[:3], self._textures_and_alpha(material, factors, label)
         if _is_unlit(material):
             return MaterialSimple(base_color=color, name=material.name or "", **shared)
@@ -252,8 +252,8 @@ class GltfMaterials:
         emissive = tuple(strength * factor for factor in material.emissiveFactor or (0.0, 0.0, 0.0))
         return MaterialPbr(
             base_color=color,
-            metallic=_or(pbr.get("metallicFactor"), 1.0),
-            roughness=_or(pbr.get("roughnessFactor"), 1.0),
+            metallic=_value_or(pbr.get("metallicFactor"), 1.0),
+            roughness=_value_or(pbr.get("roughnessFactor"), 1.0),
             specular=_extension(material, "specular").get("specularFactor", 1.0),
             # The extension allows 0 for compatibility with older materials; below 1 it has no physical meaning.
             ior=max(_extension(material, "ior").get("ior", 1.5), 1.0),
@@ -262,8 +262,8 @@ class GltfMaterials:
             **_layers(material),
             emissive=emissive,
             double_sided=bool(material.doubleSided) or not any(emissive),  # reflection is on both sides either way
-            normal_scale=_or(getattr(material.normalTexture, "scale", None), 1.0),
-            occlusion_strength=_or(getattr(material.occlusionTexture, "strength", None), 1.0),
+            normal_scale=_value_or(getattr(material.normalTexture, "scale", None), 1.0),
+            occlusion_strength=_value_or(getattr(material.occlusionTexture, "strength", None), 1.0),
             name=material.name or "",
             **shared,
         )
@@ -285,8 +285,8 @@ class GltfMaterials:
             values[name] = values[name][:, :, :3]
         wraps = textures.wraps(self._file, label)
         values |= _wrap_values({name: wrap for name, wrap in wraps.items() if name in values})
-        values["alpha_mode"] = str(_or(material.alphaMode, "OPAQUE")).lower()
-        values["alpha_cutoff"] = _or(material.alphaCutoff, 0.5)
+        values["alpha_mode"] = str(_value_or(material.alphaMode, "OPAQUE")).lower()
+        values["alpha_cutoff"] = _value_or(material.alphaCutoff, 0.5)
         values["alpha"] = factors[3] if len(factors) > 3 else 1.0
         return values
 
@@ -299,11 +299,11 @@ def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
     Raises:
         FormatError: The set or the transform is malformed.
     """
-    placement, index = Placement(), primitive.item.material
+    uv_transform, index = UvTransform(), primitive.item.material
     if index is not None:
-        placement = _textures(primitive.file.item("materials", index, primitive.where)).placement
-    uvs = primitive.floats(f"TEXCOORD_{placement.uv_set}", "VEC2")
-    return None if uvs is None else placement.transform(uvs)
+        uv_transform = _textures(primitive.file.item("materials", index, primitive.where)).uv_transform
+    uvs = primitive.floats(f"TEXCOORD_{uv_transform.uv_set}", "VEC2")
+    return None if uvs is None else uv_transform.apply(uvs)
 
 
 def _wrap_values(wraps: dict[str, WrapPair]) -> dict[str, Any]:
@@ -316,7 +316,7 @@ def _wrap_values(wraps: dict[str, WrapPair]) -> dict[str, Any]:
     return values | ({"texture_wraps": others} if others else {})
 
 
-def _or(value: Any, default: Any) -> Any:
+def _value_or(value: Any, default: Any) -> Any:
     return default if value is None else value
 
 
@@ -368,7 +368,7 @@ class MaterialWriter:
         normals, occlusion = texture("normal_texture"), texture("occlusion_texture")
         strength = max(1.0, *material.emissive)
         item: _Item = {
-            "pbrMetallicRoughness": _given(surface),
+            "pbrMetallicRoughness": _without_none(surface),
             "normalTexture": normals and normals | {"scale": material.normal_scale},
             "occlusionTexture": occlusion and occlusion | {"strength": material.occlusion_strength},
             "emissiveTexture": texture("emissive_texture"),
@@ -390,7 +390,7 @@ class MaterialWriter:
                 "clearcoatTexture": texture("clearcoat_texture"),
                 "clearcoatRoughnessTexture": texture("clearcoat_roughness_texture"),
             }
-            extensions |= self._document.use("KHR_materials_clearcoat", **_given(coat))
+            extensions |= self._document.use("KHR_materials_clearcoat", **_without_none(coat))
         if any(material.sheen_color):
             sheen: _Item = {
                 "sheenColorFactor": list(material.sheen_color),
@@ -398,13 +398,13 @@ class MaterialWriter:
                 "sheenColorTexture": texture("sheen_color_texture"),
                 "sheenRoughnessTexture": texture("sheen_roughness_texture"),
             }
-            extensions |= self._document.use("KHR_materials_sheen", **_given(sheen))
+            extensions |= self._document.use("KHR_materials_sheen", **_without_none(sheen))
         self.ranked += material.priority != 0
-        return _given(item) | _shared(material) | ({"extensions": extensions} if extensions else {})
+        return _without_none(item) | _common_fields(material) | ({"extensions": extensions} if extensions else {})
 
     def _transmission(self, material: MaterialPbr, texture: _Item | None) -> _Item:
         """What light does that goes through; a thickness, of whatever size, says that there is an inside."""
-        factors = _given({"transmissionFactor": material.transmission, "transmissionTexture": texture})
+        factors = _without_none({"transmissionFactor": material.transmission, "transmissionTexture": texture})
         extensions = self._document.use("KHR_materials_transmission", **factors)
         if material.is_solid:
             volume: _Item = {"thicknessFactor": 1.0, "attenuationColor": list(material.attenuation_color)}
@@ -422,7 +422,7 @@ class MaterialWriter:
         }
         if material.emissive == (1.0, 1.0, 1.0) and not any((*material.diffuse, *material.specular)):
             unlit = self._document.use("KHR_materials_unlit")
-            return {"pbrMetallicRoughness": _given(surface), "extensions": unlit} | _shared(material)
+            return {"pbrMetallicRoughness": _without_none(surface), "extensions": unlit} | _common_fields(material)
         self.approximated.append(material.name or "a simple material")
         reflected = [color * share for color, share in zip(material.base_color, material.diffuse, strict=True)]
         surface["baseColorFactor"] = [*reflected, material.alpha]
@@ -430,10 +430,13 @@ class MaterialWriter:
         surface["roughnessFactor"] = (2.0 / (material.shininess + 2.0)) ** 0.25 if any(material.specular) else 1.0
         shining = [color * factor for color, factor in zip(material.base_color, material.emissive, strict=True)]
         strength = max(1.0, *shining)
-        item: _Item = {"pbrMetallicRoughness": _given(surface), "emissiveFactor": [one / strength for one in shining]}
+        item: _Item = {
+            "pbrMetallicRoughness": _without_none(surface),
+            "emissiveFactor": [one / strength for one in shining],
+        }
         if strength > 1.0:
             item["extensions"] = self._document.use("KHR_materials_emissive_strength", emissiveStrength=strength)
-        return item | _shared(material)
+        return item | _common_fields(material)
 
     def _texture(self, material: Material, name: str) -> _Item | None:
         """A texture of a material; None: it has none of that name."""
@@ -464,12 +467,12 @@ class MaterialWriter:
         return self._samplers[wraps]
 
 
-def _given(item: _Item) -> _Item:
+def _without_none(item: _Item) -> _Item:
     """An item without what is None."""
     return {key: value for key, value in item.items() if value is not None}
 
 
-def _shared(material: Material) -> _Item:
+def _common_fields(material: Material) -> _Item:
     """What materials of all kinds have. Surfaces have two sides, unless they emit from one or are bodies of glass."""
     item: _Item = {"name": material.name} if material.name else {}
     if material.is_emissive or not (isinstance(material, MaterialPbr) and material.is_solid):

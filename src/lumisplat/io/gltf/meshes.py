@@ -15,7 +15,7 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.io.gltf.container import TRIANGLES, GltfDocument, GltfFile, GltfPrimitive
 from lumisplat.io.gltf.materials import GltfMaterials, MaterialWriter, texture_uvs
 from lumisplat.io.gltf.nodes import Matrix
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, unit_normals
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_textures_without_uvs, unit_normals
 from lumisplat.math.arrays import FloatArray
 from lumisplat.math.transforms import is_mirroring, transform_normals_each, transform_points_each
 from lumisplat.scene.animation.rig import blend_matrices
@@ -25,7 +25,7 @@ from lumisplat.scene.mesh import Mesh
 RIG_BLACK_COLOR = 0.5 / 255.0
 """Vertex colour below which a vertex is black: 8 bits round it to 0."""
 
-RIG_BLACK_SHARE = 0.5
+RIG_BLACK_FRACTION = 0.5
 """Share of black vertices above which a file is taken to hold something else than colours in COLOR_0."""
 
 _log = logging.getLogger("lumisplat")
@@ -101,7 +101,7 @@ def read_meshes(
             if colors is not None:
                 colors = usable_colors(file.path, colors, raw.material, raw.name, "export the mesh without it")
             mesh = Mesh(positions, indices, unit, raw.uvs, raw.material, colors, raw.name)
-            meshes.append(drop_unplaced_textures(file.path, mesh))
+            meshes.append(drop_textures_without_uvs(file.path, mesh))
     return meshes
 
 
@@ -189,11 +189,11 @@ def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.in
     return strip[(strip != np.roll(strip, 1, axis=1)).all(axis=1)]
 
 
-def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, wanted: set[int] | None) -> dict[int, FloatArray]:
+def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[int] | None) -> dict[int, FloatArray]:
     """Offsets of an attribute by the number of the morph target, for the targets that have them."""
     found: dict[int, FloatArray] = {}
     for number, target in enumerate(primitive.item.targets or []):
-        if name in target and (wanted is None or number in wanted):
+        if name in target and (targets is None or number in targets):
             offsets = primitive.file.floats(target[name], "VEC3", f"{primitive.where} target {name}")
             if offsets.shape != base.shape:
                 raise primitive.error(f"has a target of {len(offsets):,} {name} for {len(base):,} vertices")
@@ -308,7 +308,7 @@ def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: 
         advice: What to do if they are no colours.
     """
     black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
-    if black <= RIG_BLACK_SHARE:
+    if black <= RIG_BLACK_FRACTION:
         return colors
     share, is_textured = round(100.0 * black), material.base_color_texture is not None
     line = "%s: COLOR_0 makes %d %% of the vertices of %r black: "

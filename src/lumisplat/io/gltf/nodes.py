@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from lumisplat.config.checks import is_number
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.files.source import check_expansion, is_list, with_present_keys
+from lumisplat.io.files.source import check_expansion, is_list, with_current_keys
 from lumisplat.io.gltf.container import GltfFile
 from lumisplat.math.arrays import finite_numbers
 from lumisplat.math.transforms import matrices_from_quaternions, rotation_matrix
@@ -48,12 +48,12 @@ def scene_nodes(file: GltfFile) -> Iterator[int]:
     else:
         children = {child for node in model.nodes for child in node.children or []}
         pending = [index for index in reversed(range(len(model.nodes))) if index not in children]
-    seen: set[int] = set()
+    visited: set[int] = set()
     while pending:
         index = pending.pop()
         node = file.item("nodes", index, "the scene")
-        if index not in seen:
-            seen.add(index)
+        if index not in visited:
+            visited.add(index)
             extensions: dict[str, Any] = node.extensions or {}
             if extensions.get("KHR_node_visibility", {}).get("visible") is False:
                 continue  # with all below it
@@ -138,7 +138,7 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
     return translation, rotation[[3, 0, 1, 2]] / length, scale
 
 
-def instance_places(file: GltfFile, index: int) -> list[Matrix]:
+def instance_transforms(file: GltfFile, index: int) -> list[Matrix]:
     """Returns ``node_from_instance`` of each instance of a node's mesh, shape (4, 4) each; the identity without any.
 
     Instances that are scaled to nothing, which hides them, are left out (EXT_mesh_gpu_instancing).
@@ -158,17 +158,17 @@ def instance_places(file: GltfFile, index: int) -> list[Matrix]:
         raise FormatError(file.path, f"{label} has attributes of {counts[0]:,} and {counts[-1]:,} rows")
     count = counts[0] if counts else 1
     check_expansion(file.path, f"{label}: its instances", count * _INSTANCE_BYTES, file.stored_bytes)
-    places = np.tile(np.eye(4), (count, 1, 1))
+    transforms = np.tile(np.eye(4), (count, 1, 1))
     if "ROTATION" in values:
         rotations = values["ROTATION"].astype(np.float64)[:, [3, 0, 1, 2]]
         if not rotations.any(axis=1).all():
             raise FormatError(file.path, f"{label} has a rotation of zero length, expected unit quaternions")
-        places[:, :3, :3] = matrices_from_quaternions(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
+        transforms[:, :3, :3] = matrices_from_quaternions(rotations / np.linalg.norm(rotations, axis=1, keepdims=True))
     if "SCALE" in values:
-        places[:, :3, :3] *= values["SCALE"][:, None, :]
+        transforms[:, :3, :3] *= values["SCALE"][:, None, :]
     if "TRANSLATION" in values:
-        places[:, :3, 3] = values["TRANSLATION"]
-    return [place for place in places if place[:3, :3].any()]
+        transforms[:, :3, 3] = values["TRANSLATION"]
+    return [transform for transform in transforms if transform[:3, :3].any()]
 
 
 def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
@@ -205,51 +205,51 @@ def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
     return numbers
 
 
-OURS = "lumisplat"
+EXTRAS_KEY = "lumisplat"
 """Their key."""
 
 _MATERIALS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
-_NOT_OF_CAPTURES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
+_MESH_ONLY_SUFFIXES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
 """Ends of the fields of materials that captures do not have."""
-_LIGHTS = ("radius", "angle", "casts_shadow", "shadow_distance")
-_INSTANCES = ("sh_degree", "shadow_catcher")
-CAMERAS = ("width", "height", "exposure", "aperture", "focus_distance")
+LIGHT_EXTRAS = ("radius", "angle", "casts_shadow", "shadow_distance")
+INSTANCE_EXTRAS = ("sh_degree", "shadow_catcher")
+CAMERA_EXTRAS = ("width", "height", "exposure", "aperture", "focus_distance")
 
 
-def own_extras(item: Any) -> dict[str, Any] | None:
+def lumisplat_extras(item: Any) -> dict[str, Any] | None:
     """What our files say of an item besides; None: the file is of somebody else.
 
     Args:
         item: An object of pygltflib, or a part of the JSON.
     """
     extras: object = cast("dict[str, object]", item).get("extras") if isinstance(item, dict) else item.extras
-    own = cast("dict[str, object]", extras).get(OURS) if isinstance(extras, dict) else None
+    own = cast("dict[str, object]", extras).get(EXTRAS_KEY) if isinstance(extras, dict) else None
     return cast("dict[str, Any]", own) if isinstance(own, dict) else None
 
 
 def with_extras(item: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """A part of the JSON, with what only we read."""
-    return item | ({"extras": {OURS: own}} if own else {})
+    return item | ({"extras": {EXTRAS_KEY: own}} if own else {})
 
 
 def light_extras(light: Light) -> dict[str, Any]:
     """Of a light: its size for soft shadows, and which shadows it casts."""
-    return _changed(light, _LIGHTS)
+    return _non_default_fields(light, LIGHT_EXTRAS)
 
 
 def light_settings(own: dict[str, Any] | None, kind: type[Any]) -> dict[str, Any]:
     """The inverse: what a light of a class is made with besides."""
     known = {field.name for field in fields(kind)}
-    return {name: value for name, value in _known(own, _LIGHTS).items() if name in known}
+    return {name: value for name, value in _known_settings(own, LIGHT_EXTRAS).items() if name in known}
 
 
 def instance_extras(splat: SplatInstance) -> dict[str, Any]:
     """Of a capture that is placed: how it reflects light, and what of it is shown."""
-    own = _changed(splat, _INSTANCES)
+    own = _non_default_fields(splat, INSTANCE_EXTRAS)
     material = splat.material
     if material is not None:
         kind = next(name for name, cls in _MATERIALS.items() if isinstance(material, cls))
-        own["material"] = {"type": kind, **_changed(material, _material_fields(type(material)))}
+        own["material"] = {"type": kind, **_non_default_fields(material, _material_fields(type(material)))}
     return own
 
 
@@ -259,7 +259,7 @@ def instance_settings(own: dict[str, Any] | None) -> dict[str, Any]:
     Raises:
         SceneError: A value is out of range, or the material of no known type.
     """
-    settings = _known(own, _INSTANCES)
+    settings = _known_settings(own, INSTANCE_EXTRAS)
     given = (own or {}).get("material")
     if given is not None:
         settings["material"] = _material(given)
@@ -271,19 +271,19 @@ def _material(given: object) -> Material:
     kind = _MATERIALS.get(str(table.get("type")))
     if kind is None:
         raise SceneError(f"its material is of type {str(table.get('type'))[:60]}, expected pbr or simple")
-    return kind(**_known(table, _material_fields(kind)))
+    return kind(**_known_settings(table, _material_fields(kind)))
 
 
 def _material_fields(kind: type[Material]) -> list[str]:
-    return [field.name for field in fields(kind) if not field.name.endswith(_NOT_OF_CAPTURES)]
+    return [field.name for field in fields(kind) if not field.name.endswith(_MESH_ONLY_SUFFIXES)]
 
 
-def _known(own: dict[str, Any] | None, names: Iterable[str]) -> dict[str, Any]:
-    given = with_present_keys(own or {})
+def _known_settings(own: dict[str, Any] | None, names: Iterable[str]) -> dict[str, Any]:
+    given = with_current_keys(own or {})
     return {name: given[name] for name in names if name in given}
 
 
-def _changed(item: Any, names: Iterable[str]) -> dict[str, Any]:
+def _non_default_fields(item: Any, names: Iterable[str]) -> dict[str, Any]:
     """The named fields that an item has and that differ from their defaults, as JSON takes them."""
     wanted = set(names)
     held = {field: getattr(item, field.name) for field in fields(item) if field.name in wanted}

@@ -16,7 +16,7 @@ from lumisplat.errors import FormatError, LumisplatError, SceneError
 from lumisplat.io.files.source import PathLike, parsing
 from lumisplat.io.gltf.cameras import add_camera, camera_losses
 from lumisplat.io.gltf.container import GltfDocument, GltfFile
-from lumisplat.io.gltf.gaussians import CAPTURE_FROM_FILE, GltfCaptures, add_gaussians, alone, holds_gaussians
+from lumisplat.io.gltf.gaussians import CAPTURE_FROM_FILE, GltfCaptures, add_gaussians, holds_gaussians, single_capture
 from lumisplat.io.gltf.lights import EXTENSION as LIGHTS, add_light, read_lights
 from lumisplat.io.gltf.materials import GltfMaterials, MaterialWriter, warn_unread
 from lumisplat.io.gltf.meshes import TRIANGLE_MODES, add_mesh, read_meshes, read_skin
@@ -24,11 +24,11 @@ from lumisplat.io.gltf.nodes import (
     INSTANCING,
     Matrix,
     instance_extras,
-    instance_places,
     instance_settings,
+    instance_transforms,
+    lumisplat_extras,
     node_item,
     node_label,
-    own_extras,
     scene_nodes,
     with_extras,
     world_transforms,
@@ -86,18 +86,18 @@ def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussian
         warn_unread(file)
         world_from_node, nodes = world_transforms(file), list(scene_nodes(file))
         sieve = TriangleSieve(path)
-        scene = placed_in(file, nodes, world_from_node, sieve, drop_invalid=drop_invalid)
+        scene = scene_of_nodes(file, nodes, world_from_node, sieve, drop_invalid=drop_invalid)
         splats, meshes, lights = scene.splats, scene.meshes, scene.lights
         has_cameras = any(file.model.nodes[index].camera is not None for index in nodes)
         if not (splats or meshes or lights or has_cameras or sieve.problems):
             raise FormatError(path, "has no Gaussians, triangle mesh, light or camera in its scene")
-        sieve.report(anything_left=bool(splats or meshes or lights or has_cameras))
+        sieve.report(any_usable=bool(splats or meshes or lights or has_cameras))
         if len(splats) == 1 and not (meshes or lights or has_cameras or _has_settings(file, nodes)):
-            return alone(splats[0])
+            return single_capture(splats[0])
         return replace(scene, up="y-up" if splats else None)
 
 
-def placed_in(
+def scene_of_nodes(
     file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve, *, drop_invalid: bool
 ) -> Scene:
     """The captures, meshes and lights of nodes, where these are.
@@ -106,22 +106,24 @@ def placed_in(
         FormatError: Something in them is malformed.
     """
     return Scene(
-        splats=GltfCaptures(file, drop_invalid).placed(nodes, world_from_node),
-        meshes=_placed_meshes(file, nodes, world_from_node, sieve),
+        splats=GltfCaptures(file, drop_invalid).instances(nodes, world_from_node),
+        meshes=_mesh_instances(file, nodes, world_from_node, sieve),
         lights=read_lights(file, nodes, world_from_node),
     )
 
 
-def shows_one_capture(path: PathLike) -> bool:
+def holds_one_capture(path: PathLike) -> bool:
     """Whether a file shows one capture once and nothing else; False if it cannot be read."""
     try:
         with parsing(path, "a glTF file"):
             file = GltfFile(Path(path))
             nodes = [file.model.nodes[index] for index in scene_nodes(file)]
             shown = [primitive for node in nodes if node.mesh is not None for primitive in _primitives(file, node.mesh)]
-            lit = any(LIGHTS in (node.extensions or {}) or node.camera is not None for node in nodes)
+            has_lights_or_cameras = any(LIGHTS in (node.extensions or {}) or node.camera is not None for node in nodes)
             more = (
-                lit or _has_settings(file, scene_nodes(file)) or any(INSTANCING in (n.extensions or {}) for n in nodes)
+                has_lights_or_cameras
+                or _has_settings(file, scene_nodes(file))
+                or any(INSTANCING in (n.extensions or {}) for n in nodes)
             )
             return len(shown) == 1 and holds_gaussians(shown[0]) and not more
     except LumisplatError:
@@ -130,7 +132,7 @@ def shows_one_capture(path: PathLike) -> bool:
 
 def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
     """Whether a node says how its capture reflects light, or what of it is shown."""
-    return any(instance_settings(own_extras(file.model.nodes[index])) for index in nodes)
+    return any(instance_settings(lumisplat_extras(file.model.nodes[index])) for index in nodes)
 
 
 def _primitives(file: GltfFile, mesh: int) -> list[Any]:
@@ -153,7 +155,7 @@ def check_extensions(file: GltfFile) -> None:
         )
 
 
-def _placed_meshes(
+def _mesh_instances(
     file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve
 ) -> Iterator[MeshInstance]:
     """The meshes of nodes as instances; a mesh without skin is read once."""
@@ -173,11 +175,11 @@ def _placed_meshes(
             if node.mesh not in unskinned:
                 unskinned[node.mesh] = read_meshes(file, node.mesh, materials, sieve)
             meshes = unskinned[node.mesh]
-        places = [np.eye(4)] if node.skin is not None else instance_places(file, index)
-        for place, mesh in itertools.product(places, meshes):
+        transforms = [np.eye(4)] if node.skin is not None else instance_transforms(file, index)
+        for transform, mesh in itertools.product(transforms, meshes):
             try:
-                catches = (own_extras(node) or {}).get("shadow_catcher") is True
-                at, name = world_from_object @ place, node.name or mesh.name
+                catches = (lumisplat_extras(node) or {}).get("shadow_catcher") is True
+                at, name = world_from_object @ transform, node.name or mesh.name
                 yield MeshInstance(mesh, at, name=name, shadow_catcher=catches)
             except SceneError as error:
                 raise FormatError(file.path, f"{node_label(file, index)}: {error}") from None
@@ -203,9 +205,9 @@ def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> 
     materials = MaterialWriter(document)
     nodes = [*_splat_nodes(document, scene.splats, file_from_world)]
     nodes += _mesh_nodes(document, scene.meshes, materials, file_from_world)
-    lit = [add_light(document, light, file_from_world) for light in scene.lights if light.enabled]
-    seen = [add_camera(document, camera, scene, file_from_world) for camera in cameras]
-    nodes += [node for node in (*lit, *seen) if node is not None]
+    light_nodes = [add_light(document, light, file_from_world) for light in scene.lights if light.enabled]
+    camera_nodes = [add_camera(document, camera, scene, file_from_world) for camera in cameras]
+    nodes += [node for node in (*light_nodes, *camera_nodes) if node is not None]
     losses = [*_capture_losses(scene.splats), *_material_losses(materials)]
     losses += [*_light_losses(scene.lights), *camera_losses(cameras)]
     if not nodes:
@@ -249,8 +251,8 @@ def _mesh_nodes(
             if key not in written:
                 written[key] = add_mesh(document, instance.mesh, materials)
             mesh = written[key]
-        own = {"shadow_catcher": True} if instance.shadow_catcher else {}
-        nodes.append(document.add("nodes", with_extras(node_item(matrix, instance.name) | {"mesh": mesh}, own)))
+        extras = {"shadow_catcher": True} if instance.shadow_catcher else {}
+        nodes.append(document.add("nodes", with_extras(node_item(matrix, instance.name) | {"mesh": mesh}, extras)))
     return nodes
 
 
@@ -289,13 +291,13 @@ def _light_losses(lights: Sequence[Light]) -> list[str]:
     """Which lights glTF cannot hold, a phrase each."""
     on = [light for light in lights if light.enabled]
     flat = [light.name or f"a {light.kind}" for light in on if isinstance(light, FlatLight)]
-    skies = [light for light in on if isinstance(light, LightEnvironment)]
+    environments = [light for light in on if isinstance(light, LightEnvironment)]
     off = len(lights) - len(on)
     return [
         phrase
         for given, phrase in (
             (flat, f"area lamps ({', '.join(flat[:4])}{' ...' if flat[4:] else ''})"),
-            (skies, "the environment"),
+            (environments, "the environment"),
             (off, f"lights that are off ({off})"),
         )
         if given

@@ -32,7 +32,7 @@ _NAMES = {
 """Names of a material's textures, ours and glTF's. A mesh gets the coordinates of the first one that it has."""
 
 
-_OF_GLOSSINESS = {"baseColorTexture": "diffuseTexture", "metallicRoughnessTexture": "specularGlossinessTexture"}
+_GLOSSINESS_NAMES = {"baseColorTexture": "diffuseTexture", "metallicRoughnessTexture": "specularGlossinessTexture"}
 """Names of textures in KHR_materials_pbrSpecularGlossiness, by those that take their place."""
 
 _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
@@ -40,7 +40,7 @@ _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWra
 WRAP_NUMBERS = {wrap: number for number, wrap in _WRAPS.items()}
 
 
-class Placement(NamedTuple):
+class UvTransform(NamedTuple):
     """Placement of a texture by texture coordinates; textures with equal placements can share coordinates."""
 
     uv_set: int = 0
@@ -49,13 +49,13 @@ class Placement(NamedTuple):
     rotation: float = 0.0
     scale: tuple[float, ...] = (1.0, 1.0)
 
-    def transform(self, uvs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    def apply(self, uvs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Scales, rotates, then offsets coordinates (KHR_texture_transform), shape (V, 2).
 
         Positive angles rotate the image counter-clockwise, with v down, as in Khronos' viewer and unlike the GLSL in
         the text of the extension (github.com/KhronosGroup/glTF issue 1563).
         """
-        if self == Placement(self.uv_set):
+        if self == UvTransform(self.uv_set):
             return uvs
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         linear = np.array([[cos, sin], [-sin, cos]]) @ np.diag(self.scale)
@@ -65,7 +65,7 @@ class Placement(NamedTuple):
 class Textures(NamedTuple):
     """The textures of one material."""
 
-    placement: Placement
+    uv_transform: UvTransform
     """Placement of the first texture, and of all textures in ``indices``."""
     indices: dict[str, int]
     """Indices of the file's textures by our names."""
@@ -89,13 +89,13 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
         only_color: Whether only the base colour texture counts.
     """
     infos: dict[str, _Info] = {}
-    for ours, theirs in _NAMES.items():
-        info = _info(material, theirs)
-        if info is not None and (ours == "base_color_texture" or not only_color):
-            infos[ours] = info
-    placements = {name: _placement(info) for name, info in infos.items()}
-    leading = next(iter(placements.values()), Placement())
-    indices = {name: infos[name].index for name, placement in placements.items() if placement == leading}
+    for name, gltf_name in _NAMES.items():
+        info = _info(material, gltf_name)
+        if info is not None and (name == "base_color_texture" or not only_color):
+            infos[name] = info
+    uv_transforms = {name: _uv_transform(info) for name, info in infos.items()}
+    leading = next(iter(uv_transforms.values()), UvTransform())
+    indices = {name: infos[name].index for name, uv_transform in uv_transforms.items() if uv_transform == leading}
     return Textures(leading, indices, [_NAMES[name] for name in infos if name not in indices])
 
 
@@ -109,8 +109,8 @@ class _Info(NamedTuple):
 
 def _info(material: pygltflib.Material, name: str) -> _Info | None:
     """The texture of glTF's ``name``, of the material itself or of one of its extensions."""
-    if name in _OF_GLOSSINESS and (replaced := specular_glossiness(material)) is not None:
-        found = replaced.get(_OF_GLOSSINESS[name])
+    if name in _GLOSSINESS_NAMES and (replaced := specular_glossiness(material)) is not None:
+        found = replaced.get(_GLOSSINESS_NAMES[name])
         return None if found is None else _Info(found.get("index"), found.get("texCoord"), found.get("extensions", {}))
     pbr = material.pbrMetallicRoughness
     info = getattr(pbr if hasattr(pbr, name) else material, name, None)
@@ -131,14 +131,14 @@ def specular_glossiness(material: pygltflib.Material) -> dict[str, Any] | None:
     """
     found: dict[str, Any] | None = (material.extensions or {}).get("KHR_materials_pbrSpecularGlossiness")
     pbr = material.pbrMetallicRoughness
-    textured = any(getattr(pbr, name, None) is not None for name in _OF_GLOSSINESS)
+    textured = any(getattr(pbr, name, None) is not None for name in _GLOSSINESS_NAMES)
     colored = any(value != 1.0 for value in getattr(pbr, "baseColorFactor", None) or ())
     return None if textured or colored else found
 
 
-def _placement(info: _Info) -> Placement:
+def _uv_transform(info: _Info) -> UvTransform:
     transform: dict[str, Any] = info.extensions.get("KHR_texture_transform", {})
-    return Placement(
+    return UvTransform(
         uv_set=transform.get("texCoord", info.uv_set or 0),
         offset=tuple(map(float, transform.get("offset", (0.0, 0.0)))),
         rotation=float(transform.get("rotation", 0.0)),

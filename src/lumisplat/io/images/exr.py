@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.atomic import atomic_write
-from lumisplat.io.files.native import native_write, silent_natives, utf8_path
+from lumisplat.io.files.native import native_write, silenced_native_output, utf8_path
 from lumisplat.io.files.source import PathLike, check_expansion, read_bytes
 from lumisplat.math.arrays import FloatArray, Rows, host_array
 
@@ -97,7 +97,7 @@ def read_exr(path: PathLike) -> dict[str, Channel]:
     import OpenEXR
 
     stored_bytes = len(read_bytes(path))
-    with utf8_path(path) as text, silent_natives():  # OpenEXR writes lines of its own about damaged files
+    with utf8_path(path) as text, silenced_native_output():  # OpenEXR writes lines of its own about damaged files
         try:
             with OpenEXR.File(text, header_only=True) as file:
                 low, high = file.header()["dataWindow"]

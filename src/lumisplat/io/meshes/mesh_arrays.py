@@ -51,13 +51,13 @@ class TriangleSieve:
         """The counts of triangles left out so far, as a phrase; empty if there are none."""
         return describe_problems(self.out_of_range, self.without_area)
 
-    def report(self, anything_left: bool) -> None:
+    def report(self, any_usable: bool) -> None:
         """Logs one line about the triangles left out, if there are any.
 
         Raises:
             FormatError: No triangle is left.
         """
-        if not anything_left:
+        if not any_usable:
             raise FormatError(self.path, f"has no triangles{self.problems and ' but ' + self.problems}")
         if self.problems:
             _log.warning("%s: triangles left out: %s", os.fspath(self.path), self.problems)
@@ -112,14 +112,14 @@ def unit_normals(
     return np.where(is_unit, stored, normals / length).astype(np.float32)
 
 
-def drop_unplaced_textures(path: PathLike, mesh: Mesh) -> Mesh:
+def drop_textures_without_uvs(path: PathLike, mesh: Mesh) -> Mesh:
     """Removes the textures of a mesh without texture coordinates, and logs a line if there are any."""
-    material = placeable_material(path, mesh.material, mesh.uvs, mesh.name)
+    material = material_for_uvs(path, mesh.material, mesh.uvs, mesh.name)
     return mesh if material is mesh.material else with_checked(mesh, material=material)
 
 
-def placeable_material(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:
-    """The material of a mesh, without textures if the mesh has no texture coordinates; see `drop_unplaced_textures`.
+def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:
+    """The material of a mesh, without textures if the mesh has no texture coordinates; see `drop_textures_without_uvs`.
 
     Args:
         path: The file, named in the log.
@@ -127,16 +127,16 @@ def placeable_material(path: PathLike, material: Material, uvs: FloatArray | Non
         uvs: Texture coordinates of the mesh.
         name: Name of the mesh, for the log if the material has none.
     """
-    unplaced = [texture for texture in texture_names(material) if getattr(material, texture) is not None]
-    if not unplaced or uvs is not None:
+    unusable = [texture for texture in texture_names(material) if getattr(material, texture) is not None]
+    if not unusable or uvs is not None:
         return material
     label = repr(material.name or name)
-    what = f"the texture of {label} is" if len(unplaced) == 1 else f"the {len(unplaced)} textures of {label} are"
+    what = f"the texture of {label} is" if len(unusable) == 1 else f"the {len(unusable)} textures of {label} are"
     _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), what)
-    return replace(material, **dict.fromkeys(unplaced))
+    return replace(material, **dict.fromkeys(unusable))
 
 
-def about_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
+def relative_to_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
     """Returns positions as float32, and the origin that they are about, which a log line tells if it is not zero.
 
     Args:

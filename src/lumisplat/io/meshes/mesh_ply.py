@@ -18,10 +18,10 @@ from lumisplat.io.files.source import PathLike, parsing, read_reference
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import (
     TriangleSieve,
-    about_origin,
-    drop_unplaced_textures,
+    drop_textures_without_uvs,
     fan_triangles,
     flip_v,
+    relative_to_origin,
     unit_normals,
 )
 from lumisplat.io.ply import PlyHeader, PlyList, PlyRows, read_ply_element, read_ply_lists
@@ -64,7 +64,7 @@ def _read(header: PlyHeader) -> Mesh:
     if stored is None:
         raise FormatError(header.path, "has no vertex element with x, y, z")
     is_wide = vertices.dtype["x"] == np.float64
-    positions, origin = about_origin(header.path, stored if is_wide else stored.astype(np.float32))
+    positions, origin = relative_to_origin(header.path, stored if is_wide else stored.astype(np.float32))
     polygons = _polygons(faces) or PlyList(np.zeros(0, np.int64), np.zeros(0, np.int64))
     corners = fan_triangles(polygons.counts)
     indices = np.concatenate([polygons.items.astype(np.int64)[corners], _strip_triangles(_polygons(strips))])
@@ -75,7 +75,7 @@ def _read(header: PlyHeader) -> Mesh:
     uvs = next((uv for uv in (_columns(vertices, *names) for names in _UV_NAMES) if uv is not None), None)
     sieve = TriangleSieve(header.path)
     usable = sieve.usable(positions, indices)
-    sieve.report(anything_left=bool(usable.any()))
+    sieve.report(any_usable=bool(usable.any()))
     indices = indices[usable].astype(np.int32)
     if normals is not None:
         normals = unit_normals(normals, positions, indices)
@@ -102,7 +102,7 @@ def _read(header: PlyHeader) -> Mesh:
         name=Path(header.path).stem,
         origin=origin,
     )
-    return drop_unplaced_textures(header.path, mesh)
+    return drop_textures_without_uvs(header.path, mesh)
 
 
 def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
@@ -149,9 +149,9 @@ def _strip_triangles(strips: PlyList | None) -> npt.NDArray[np.int64]:
     if strips.items.dtype.kind == "u":
         items[strips.items == np.iinfo(strips.items.dtype).max] = -1
     items = np.insert(items, np.cumsum(strips.counts.astype(np.int64)), -1)
-    place = np.arange(len(items))
-    begin = np.maximum.accumulate(np.where(items < 0, place + 1, 0))
-    first = place[: max(len(items) - 2, 0)]
+    position = np.arange(len(items))
+    begin = np.maximum.accumulate(np.where(items < 0, position + 1, 0))
+    first = position[: max(len(items) - 2, 0)]
     odd = (first - begin[: len(first)]) % 2  # every second triangle of a strip is wound the other way
     triangles = items[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
     inside = (items[np.stack([first, first + 1, first + 2], axis=1)] >= 0).all(axis=1)

@@ -15,10 +15,10 @@ from lumisplat.io.files.source import TextureBytes, is_number_word, parsing, rea
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.meshes.mesh_arrays import (
     TriangleSieve,
-    about_origin,
-    drop_unplaced_textures,
+    drop_textures_without_uvs,
     fan_triangles,
     flip_v,
+    relative_to_origin,
     unit_normals,
 )
 from lumisplat.math.color import decode_srgb
@@ -29,7 +29,7 @@ from lumisplat.scene.scene import MeshInstance, Scene
 
 _log = logging.getLogger("lumisplat")
 
-_MISSING = -1
+_ABSENT = -1
 """Index, in arrays of corners, of a uv or a normal that a corner does not have."""
 
 
@@ -99,8 +99,8 @@ def _read(path: Path) -> list[Mesh]:
     meshes = [
         _mesh(listing, faces, name, materials.get(name), sieve) for name, faces in listing.faces_from_material.items()
     ]
-    usable = [drop_unplaced_textures(path, mesh) for mesh in meshes if mesh is not None]
-    sieve.report(anything_left=bool(usable))
+    usable = [drop_textures_without_uvs(path, mesh) for mesh in meshes if mesh is not None]
+    sieve.report(any_usable=bool(usable))
     return usable
 
 
@@ -155,8 +155,8 @@ def _corner(text: str, listing: _ObjFile) -> _Corner:
     position, uv, normal = (*text.split("/"), "", "")[:3]
     return (
         _index(position, "vertex", len(listing.positions)),
-        _index(uv, "texture coordinate", len(listing.uvs)) if uv else _MISSING,
-        _index(normal, "normal", len(listing.normals)) if normal else _MISSING,
+        _index(uv, "texture coordinate", len(listing.uvs)) if uv else _ABSENT,
+        _index(normal, "normal", len(listing.normals)) if normal else _ABSENT,
     )
 
 
@@ -192,7 +192,7 @@ def _mesh(
     position_index, uv_index, normal_index = corners[first_corner].T
     triangles = vertex_from_corner.reshape(-1)[fan_triangles(np.array(faces.counts))]
     vertices = [listing.positions[int(i)] for i in position_index]
-    positions, origin = about_origin(sieve.path, np.array([vertex[:3] for vertex in vertices]))
+    positions, origin = relative_to_origin(sieve.path, np.array([vertex[:3] for vertex in vertices]))
     indices = triangles[sieve.usable(positions, triangles)].astype(np.int32)
     if not indices.size:
         return None
@@ -224,7 +224,7 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
     """
     settings: dict[str, dict[str, Any]] = {}
     current: dict[str, Any] = {}
-    for number, line in enumerate(read_text(path, wanted_by=obj, errors="replace").splitlines(), 1):
+    for number, line in enumerate(read_text(path, referrer=obj, errors="replace").splitlines(), 1):
         keyword, *rest = line.split(None, 1) or [""]
         argument = rest[0].strip() if rest else ""
         try:

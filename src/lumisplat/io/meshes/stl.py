@@ -37,7 +37,7 @@ def read_stl(path: Path) -> Mesh:
         indices = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
         sieve = TriangleSieve(path)
         usable = sieve.usable(corners, indices)
-        sieve.report(anything_left=bool(usable.any()))
+        sieve.report(any_usable=bool(usable.any()))
         return Mesh(corners, indices[usable], name=path.stem)
 
 

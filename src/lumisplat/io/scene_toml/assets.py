@@ -23,7 +23,7 @@ import numpy as np
 
 from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import STREAMED_SOG, format_of
-from lumisplat.io.meshes.mesh_arrays import drop_unplaced_textures
+from lumisplat.io.meshes.mesh_arrays import drop_textures_without_uvs
 from lumisplat.io.scene_toml.actors import Load
 from lumisplat.io.scene_toml.materials import MaterialTable, entry_material
 from lumisplat.io.scene_toml.placement import (
@@ -296,7 +296,7 @@ class Assets:
             meshes = {id(i.mesh): i.mesh for i in scene.meshes}
             for key, mesh in meshes.items():
                 changed = with_checked(mesh, material=material.apply_to(mesh.material))
-                meshes[key] = drop_unplaced_textures(table.path, changed)
+                meshes[key] = drop_textures_without_uvs(table.path, changed)
             capture_material = material.apply_to(None) if _is_capture(scene) else None
         except SceneError as error:
             raise table.failed(error) from None

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from lumisplat.errors import FormatError, LumisplatError, SceneError
 from lumisplat.io.files.source import BLOCKS, STREAMED_SOG, format_of, parsing, read_bytes
 from lumisplat.io.gltf.container import GltfFile
-from lumisplat.io.gltf.nodes import own_extras
+from lumisplat.io.gltf.nodes import lumisplat_extras
 from lumisplat.io.gltf.scene import read_gltf
 from lumisplat.io.ply import read_ply_header
 from lumisplat.io.scene_toml.toml_table import FLAG, NUMBER, QUATERNION, TEXT, VECTOR, Kind, TomlTable, is_list
@@ -255,7 +255,7 @@ def _up_of(loaded: Gaussians | Scene) -> Vector | None:
 def _has_up(file: GltfFile) -> bool:
     """Whether a capture of a glTF file has an up of its own, besides that of the format."""
     primitives = (one for mesh in file.model.meshes or [] for one in mesh.primitives)
-    return any("up" in (own_extras(one) or {}) for one in primitives)
+    return any("up" in (lumisplat_extras(one) or {}) for one in primitives)
 
 
 def _may_be_direction(value: object) -> bool:

@@ -43,7 +43,7 @@ import numpy.typing as npt
 
 from lumisplat.config import AvatarLightingConfig
 from lumisplat.constants import ANIMATION_FRAMES_MAX
-from lumisplat.io.files.source import PathLike, parsing, with_present_keys
+from lumisplat.io.files.source import PathLike, parsing, with_current_keys
 from lumisplat.io.scene_toml.actors import Load, read_actors, with_instances
 from lumisplat.io.scene_toml.assets import Assets
 from lumisplat.io.scene_toml.cameras import LoadCameras, read_camera_path, read_scene_cameras
@@ -94,7 +94,7 @@ def read_document(path: PathLike) -> TomlTable:
     keep_saved_positions(document)
     captures = document.tables("splats")
     if captures:
-        document.values["splats"] = [with_present_keys(table.values) for table in captures]
+        document.values["splats"] = [with_current_keys(table.values) for table in captures]
     return document
 
 

@@ -197,7 +197,7 @@ def _open_source(path: PathLike) -> Generator[Callable[[str], bytes]]:
     """Yields a function that reads a file of the capture by its name."""
     if Path(path).is_dir() or Path(path).name == "meta.json":
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
-        yield lambda name: read_bytes(folder / name, wanted_by=path)
+        yield lambda name: read_bytes(folder / name, referrer=path)
         return
     archive = io.BytesIO(read_bytes(path))
     try:

@@ -14,9 +14,9 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.cameras import cameras_of
 from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
-from lumisplat.io.usd.process import Remote, read_apart
-from lumisplat.io.usd.scene import Reading, shape_codes
-from lumisplat.io.usd.stage import Placed, UsdFile, open_usd, prim_name
+from lumisplat.io.usd.process import Remote, read_in_child
+from lumisplat.io.usd.scene import StageReader, shape_time_codes
+from lumisplat.io.usd.stage import PlacedPrim, UsdFile, open_usd, prim_name
 from lumisplat.math.arrays import Doubles, matrix_4x4
 from lumisplat.math.transforms import quaternions_from_matrices
 from lumisplat.scene.animation.actors import Actor, Animation, Deforming, Instance
@@ -40,7 +40,7 @@ def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
         FormatError: The file cannot be read, or its times are no times.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, _animation_of, drop_invalid)
+    return read_in_child(path, _animation_of, drop_invalid)
 
 
 def _animation_of(path: Path, drop_invalid: bool) -> Animation:
@@ -54,56 +54,62 @@ def _animation_of(path: Path, drop_invalid: bool) -> Animation:
 
 
 def _read(file: UsdFile, drop_invalid: bool) -> Animation:
-    reading = Reading(file, drop_invalid, plays=True).run()
+    reader = StageReader(file, drop_invalid, for_animation=True).run()
     stage = file.stage
     rate, fps = float(stage.GetTimeCodesPerSecond()), float(stage.GetFramesPerSecond())
     if not (0.0 < rate < np.inf and 0.0 < fps < np.inf):
         raise FormatError(file.path, f"has {rate:g} time codes and {fps:g} frames a second, expected rates above 0")
-    codes = {key: _sampled_codes(stage.GetPrimAtPath(key)) for key in reading.moving}
-    moving_cameras = [one for one in _cameras(file) if _sampled_codes(one).size]
-    shapes = [codes_of(one.prim) for one, _ in reading.deforming.values() for codes_of in (shape_codes, _sampled_codes)]
-    first, last = _range(file, [*codes.values(), *shapes, *map(_sampled_codes, moving_cameras)])
+    codes = {key: _transform_time_codes(stage.GetPrimAtPath(key)) for key in reader.moving}
+    moving_cameras = [one for one in _cameras(file) if _transform_time_codes(one).size]
+    shapes = [
+        codes_of(one.prim)
+        for one, _ in reader.deforming.values()
+        for codes_of in (shape_time_codes, _transform_time_codes)
+    ]
+    first, last = _range(file, [*codes.values(), *shapes, *map(_transform_time_codes, moving_cameras)])
     actors = [
         actor
-        for key, instances in reading.moving.items()
+        for key, instances in reader.moving.items()
         for actor in _actors(file, stage.GetPrimAtPath(key), instances, codes[key], (codes[key] - first) / rate)
     ]
     actors += [
-        Actor(Deforming(Remote(partial(_shape_at, reading, placed, first, rate))), name=placed.name, loop=False)
-        for placed, _ in reading.deforming.values()
+        Actor(Deforming(Remote(partial(_instances_at, reader, placed, first, rate))), name=placed.name, loop=False)
+        for placed, _ in reader.deforming.values()
     ]
-    played = [*reading.moving.values(), *(instances for _, instances in reading.deforming.values())]
-    acting = {id(one) for instances in played for one in instances}
+    played = [*reader.moving.values(), *(instances for _, instances in reader.deforming.values())]
+    actor_instances = {id(one) for instances in played for one in instances}
     scene = Scene(
-        [one for one in reading.splats if id(one) not in acting],
-        [one for one in reading.meshes if id(one) not in acting],
-        reading.lights,
+        [one for one in reader.splats if id(one) not in actor_instances],
+        [one for one in reader.meshes if id(one) not in actor_instances],
+        reader.lights,
         up="y-up",
     )
     frames = (last - first) / rate * fps
     if not 0.0 <= frames < ANIMATION_FRAMES_MAX:
-        asked = f"time codes {first:g} to {last:g}"
+        time_range = f"time codes {first:g} to {last:g}"
         raise FormatError(
-            file.path, f"has {asked}, expected at most {ANIMATION_FRAMES_MAX:,} frames, from first to last"
+            file.path, f"has {time_range}, expected at most {ANIMATION_FRAMES_MAX:,} frames, from first to last"
         )
     cameras = cameras_of(file)
     path = _camera_path(file, moving_cameras, first, rate)
     return Animation(scene, actors, cameras, fps=fps, frame_count=round(frames) + 1, camera_path=path)
 
 
-def _shape_at(reading: Reading, placed: Placed, first: float, rate: float, time: float) -> tuple[Instance, ...]:
+def _instances_at(
+    reader: StageReader, placed: PlacedPrim, first: float, rate: float, time: float
+) -> tuple[Instance, ...]:
     """What deforms at a time, seconds."""
-    with reading_usd(reading.file.path):
-        shown = tuple(reading.at(placed, first + time * rate))
-        check_loaded(reading.file.path)
-        return shown
+    with reading_usd(reader.file.path):
+        instances = tuple(reader.instances_at(placed, first + time * rate))
+        check_loaded(reader.file.path)
+        return instances
 
 
 def _cameras(file: UsdFile) -> Iterator[Any]:
     return (prim for prim in file.stage.Traverse() if str(prim.GetTypeName()) == "Camera")
 
 
-def _sampled_codes(prim: Any) -> Doubles:
+def _transform_time_codes(prim: Any) -> Doubles:
     """The time codes at which the place of a prim has samples, its own or those of prims above it, shape (K,)."""
     xformable, found = pxr().UsdGeom.Xformable, set[float]()
     while prim and not prim.IsPseudoRoot():
@@ -124,24 +130,24 @@ def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
     return (float(sampled.min()), float(sampled.max())) if sampled.size else (0.0, 0.0)
 
 
-def _places(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
+def _world_transforms(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
     """``world_from_prim`` at time codes, shape (K, 4, 4)."""
     px = pxr()
     caches = (px.UsdGeom.XformCache(px.Usd.TimeCode(float(code))) for code in codes)
-    return np.array([file.place_of(cache.GetLocalToWorldTransform(prim)) for cache in caches])
+    return np.array([file.world_transform(cache.GetLocalToWorldTransform(prim)) for cache in caches])
 
 
 def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, seconds: Doubles) -> Iterator[Actor]:
     """The instances of a prim as actors, one for each of its materials; ``seconds`` are the times of its samples."""
-    places = _places(file, prim, codes)
+    transforms = _world_transforms(file, prim, codes)
     rest = np.eye(4)
     try:
-        for place in places:
-            check_similarity(place[:3, :3])
+        for transform in transforms:
+            check_similarity(transform[:3, :3])
     except SceneError:  # stretched alike at all times, and moved by what is left
-        rest = places[0]
-        places = np.asarray(places @ np.linalg.inv(rest), np.float64)
-    motion = Keyframes(seconds, places[:, :3, 3], *_rotations_and_scales(file, prim, places))
+        rest = transforms[0]
+        transforms = np.asarray(transforms @ np.linalg.inv(rest), np.float64)
+    motion = Keyframes(seconds, transforms[:, :3, 3], *_rotations_and_scales(file, prim, transforms))
     try:
         for time in seconds:
             matrix_4x4("its place", motion.at(float(time)) @ rest)
@@ -154,22 +160,22 @@ def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles,
             yield Actor(instance.gaussians, motion, name=instance.name)
 
 
-def _rotations_and_scales(file: UsdFile, prim: Any, places: Doubles) -> tuple[Doubles, Doubles]:
+def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tuple[Doubles, Doubles]:
     """Quaternions, shape (K, 4), and uniform scales, shape (K,), of transforms; a remark if they stretch."""
-    linear = places[:, :3, :3]
+    linear = transforms[:, :3, :3]
     left, factors, right = np.linalg.svd(linear)
     if (factors[:, 0] > factors[:, 2] * (1.0 + 1e-3)).any() or (np.linalg.det(linear) < 0.0).any():
         file.remarks.add("motion that stretches or mirrors", str(prim.GetPath()))
-    turns = left @ right
-    turns = turns * np.sign(np.linalg.det(turns))[:, None, None]
-    return quaternions_from_matrices(turns).astype(np.float64), np.maximum(np.cbrt(factors.prod(axis=1)), 1e-9)
+    rotations = left @ right
+    rotations = rotations * np.sign(np.linalg.det(rotations))[:, None, None]
+    return quaternions_from_matrices(rotations).astype(np.float64), np.maximum(np.cbrt(factors.prod(axis=1)), 1e-9)
 
 
 def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:
     """The first camera that moves, as a path through its samples."""
     if not moving:
         return None
-    px, codes, at_start = pxr(), _sampled_codes(moving[0]), file.time
+    px, codes, at_start = pxr(), _transform_time_codes(moving[0]), file.time
     keys: list[Camera] = []
     for code in codes:
         file.time = px.Usd.TimeCode(float(code))

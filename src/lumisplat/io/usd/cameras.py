@@ -17,15 +17,15 @@ from lumisplat.errors import FormatError, SceneError
 from lumisplat.io.cameras.common import pose_of_node, size_of_aspect
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
-from lumisplat.io.usd.process import read_apart
-from lumisplat.io.usd.stage import Placed, StageWriter, UsdFile, number, open_usd, placed_prims, shortest, value
+from lumisplat.io.usd.process import read_in_child
+from lumisplat.io.usd.stage import PlacedPrim, StageWriter, UsdFile, number, open_usd, placed_prims, shortest, value
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 
-USD_FILM_WIDTH = 0.036
+USD_APERTURE_WIDTH = 0.036
 """Width of the film of cameras that are written, metres: that of small-format film, whose focal lengths people know."""
 
-_FILM_UNIT = 0.1
+_APERTURE_UNIT = 0.1
 """Unit of films and focal lengths, in those of the stage."""
 
 _Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -55,7 +55,7 @@ def read_usd_cameras(path: PathLike, width: int | None = None, height: int | Non
         FormatError: The file cannot be read, or a camera is invalid; names it.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, _cameras_in, width, height)
+    return read_in_child(path, _cameras_in, width, height)
 
 
 def _cameras_in(path: Path, width: int | None, height: int | None) -> list[Camera]:
@@ -68,12 +68,12 @@ def _cameras_in(path: Path, width: int | None, height: int | None) -> list[Camer
 
 def cameras_of(file: UsdFile, width: int | None = None, height: int | None = None) -> list[Camera]:
     """As `read_usd_cameras`, of a file that is open."""
-    placed = [one for one in placed_prims(file) if str(one.prim.GetTypeName()) == "Camera"]
-    ordered = _ordered_sizes(file) if placed else {}
+    camera_prims = [one for one in placed_prims(file) if str(one.prim.GetTypeName()) == "Camera"]
+    product_sizes = _product_sizes(file) if camera_prims else {}
     cameras: list[Camera] = []
-    for one in placed:
+    for one in camera_prims:
         try:
-            cameras.append(_camera(file, one, ordered.get(str(one.prim.GetPath())), width, height))
+            cameras.append(_camera(file, one, product_sizes.get(str(one.prim.GetPath())), width, height))
         except SceneError as error:
             if isinstance(error, FormatError):
                 raise
@@ -81,7 +81,7 @@ def cameras_of(file: UsdFile, width: int | None = None, height: int | None = Non
     return cameras
 
 
-def _ordered_sizes(file: UsdFile) -> dict[str, _Size]:
+def _product_sizes(file: UsdFile) -> dict[str, _Size]:
     """The sizes of the pictures that the file orders, by the paths of their cameras."""
     px, sizes = pxr(), dict[str, _Size]()
     for prim in file.stage.Traverse():
@@ -92,31 +92,33 @@ def _ordered_sizes(file: UsdFile) -> dict[str, _Size]:
     return sizes
 
 
-def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | None, height: int | None) -> Camera:
+def _camera(
+    file: UsdFile, placed: PlacedPrim, product_size: _Size | None, width: int | None, height: int | None
+) -> Camera:
     prim, unit = placed.prim, file.unit
 
     def length(name: str, default: float) -> float:
         return number(file, prim, name, default) * unit
 
-    film_width, film_height = (
-        _positive(name, length(name, default) * _FILM_UNIT)
+    aperture_width, aperture_height = (
+        _positive(name, length(name, default) * _APERTURE_UNIT)
         for name, default in (("horizontalAperture", 20.955), ("verticalAperture", 15.2908))
     )
     size = (
-        ordered
-        if ordered is not None and min(ordered) > 0
-        else _Size(*size_of_aspect(film_width / film_height, None, None))
+        product_size
+        if product_size is not None and min(product_size) > 0
+        else _Size(*size_of_aspect(aperture_width / aperture_height, None, None))
     )
-    stretch = (size.width / film_width) / (size.height / film_height)
+    stretch = (size.width / aperture_width) / (size.height / aperture_height)
     if width is not None or height is not None:
         size = _Size(*size_of_aspect(size.width / size.height, width, height))
-    focal = _positive("focalLength", length("focalLength", 50.0) * _FILM_UNIT)
+    focal = _positive("focalLength", length("focalLength", 50.0) * _APERTURE_UNIT)
     kind = str(value(file, prim, "projection", "perspective"))
     if kind not in ("perspective", "orthographic"):
         raise SceneError(f"projection is {kind!r}, expected perspective or orthographic")
     # Of parallel rays, lengths on the film are those in the scene.
-    fy = size.height / film_height * (focal if kind == "perspective" else 1.0)
-    pixels_y = size.height / film_height
+    fy = size.height / aperture_height * (focal if kind == "perspective" else 1.0)
+    pixels_y = size.height / aperture_height
     pixels_x = pixels_y * stretch
     f_stop, near = number(file, prim, "fStop", 0.0), unit * shortest(value(file, prim, "clippingRange", (1.0, 1e6))[0])
     focus = length("focusDistance", 0.0)
@@ -125,8 +127,8 @@ def _camera(file: UsdFile, placed: Placed, ordered: _Size | None, width: int | N
         height=size.height,
         fx=fy * stretch,
         fy=fy,
-        cx=0.5 * size.width - length("horizontalApertureOffset", 0.0) * _FILM_UNIT * pixels_x,
-        cy=0.5 * size.height + length("verticalApertureOffset", 0.0) * _FILM_UNIT * pixels_y,
+        cx=0.5 * size.width - length("horizontalApertureOffset", 0.0) * _APERTURE_UNIT * pixels_x,
+        cy=0.5 * size.height + length("verticalApertureOffset", 0.0) * _APERTURE_UNIT * pixels_y,
         camera_from_world=pose_of_node(placed.world_from_prim),
         near=near if 0.0 < near < math.inf else NEAR_PLANE,
         name=placed.name,
@@ -161,10 +163,10 @@ def write_cameras(writer: StageWriter, cameras: Sequence[Camera]) -> None:
         if camera.model is CameraModel.FISHEYE:
             writer.remarks.add("fisheye cameras", camera.name)
             continue
-        writer.place(define_camera(writer, camera), camera_place(camera))
+        writer.set_transform(define_camera(writer, camera), camera_transform(camera))
 
 
-def camera_place(camera: Camera) -> Doubles:
+def camera_transform(camera: Camera) -> Doubles:
     """``world_from_prim`` of a camera, shape (4, 4)."""
     return camera.world_from_camera @ _Y_UP
 
@@ -179,23 +181,23 @@ def define_camera(writer: StageWriter, camera: Camera) -> Any:
         writer.remarks.add("rolling shutters", camera.name)
     for name, setting in camera_values(camera).items():
         prim.GetAttribute(name).Set(setting)
-    _order(writer, camera, prim)
+    _write_render_product(writer, camera, prim)
     return prim
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
     """The attributes of a camera: its film has a known width, or, of parallel rays, that of what it sees."""
-    parallel = camera.model is CameraModel.ORTHOGRAPHIC
-    film = camera.width / camera.fx if parallel else USD_FILM_WIDTH
-    focal = USD_FILM_WIDTH if parallel else film * camera.fx / camera.width
-    pixel_x, pixel_y = film / camera.width, film * camera.fx / camera.fy / camera.width
+    is_orthographic = camera.model is CameraModel.ORTHOGRAPHIC
+    aperture_width = camera.width / camera.fx if is_orthographic else USD_APERTURE_WIDTH
+    focal = USD_APERTURE_WIDTH if is_orthographic else aperture_width * camera.fx / camera.width
+    pixel_x, pixel_y = aperture_width / camera.width, aperture_width * camera.fx / camera.fy / camera.width
     return {
-        "projection": "orthographic" if parallel else "perspective",
-        "focalLength": focal / _FILM_UNIT,
-        "horizontalAperture": film / _FILM_UNIT,
-        "verticalAperture": pixel_y * camera.height / _FILM_UNIT,
-        "horizontalApertureOffset": (0.5 * camera.width - camera.cx) * pixel_x / _FILM_UNIT,
-        "verticalApertureOffset": (camera.cy - 0.5 * camera.height) * pixel_y / _FILM_UNIT,
+        "projection": "orthographic" if is_orthographic else "perspective",
+        "focalLength": focal / _APERTURE_UNIT,
+        "horizontalAperture": aperture_width / _APERTURE_UNIT,
+        "verticalAperture": pixel_y * camera.height / _APERTURE_UNIT,
+        "horizontalApertureOffset": (0.5 * camera.width - camera.cx) * pixel_x / _APERTURE_UNIT,
+        "verticalApertureOffset": (camera.cy - 0.5 * camera.height) * pixel_y / _APERTURE_UNIT,
         "clippingRange": pxr().Gf.Vec2f(camera.near, max(_FAR, 2.0 * camera.near)),
         "focusDistance": camera.focus_distance,
         "fStop": 0.5 * focal / camera.aperture if camera.aperture > 0.0 else 0.0,
@@ -203,7 +205,7 @@ def camera_values(camera: Camera) -> dict[str, Any]:
     }
 
 
-def _order(writer: StageWriter, camera: Camera, prim: Any) -> None:
+def _write_render_product(writer: StageWriter, camera: Camera, prim: Any) -> None:
     """Orders a picture of a camera, which says its size."""
     px, stage = pxr(), writer.stage
     if not stage.GetPrimAtPath(_RENDER):

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from lumisplat.errors import FormatError, MissingExtraError
-from lumisplat.io.files.native import silent_natives
+from lumisplat.io.files.native import silenced_native_output
 from lumisplat.io.files.source import (
     PathLike,
     check_regular,
@@ -29,7 +29,7 @@ from lumisplat.io.files.source import (
     readable,
     referenced_file,
 )
-from lumisplat.io.usd.process import grant
+from lumisplat.io.usd.process import request_access
 
 USD_LAYERS_MAX = 10_000
 """Most layers of a stage."""
@@ -66,7 +66,7 @@ def reading_usd(path: PathLike) -> Generator[None]:
     Raises:
         FormatError: The content cannot be read.
     """
-    with _lines_held(), parsing(path, "a USD file"), silent_natives(), readable(path):
+    with _log_deferred(), parsing(path, "a USD file"), silenced_native_output(), readable(path):
         try:
             yield
         except FormatError:
@@ -82,7 +82,7 @@ def writing_usd(path: PathLike) -> Generator[None]:
     Raises:
         FormatError: The file cannot be written.
     """
-    with _lines_held(), silent_natives():
+    with _log_deferred(), silenced_native_output():
         try:
             yield
         except (pxr().Tf.ErrorException, RuntimeError) as error:
@@ -92,19 +92,19 @@ def writing_usd(path: PathLike) -> Generator[None]:
 def _reason(error: Exception, path: PathLike) -> str:
     """What the library says about an error, in a line, after a colon; without the places in its own source."""
     first: object = error.args[0] if error.args else ""
-    said = " ".join(str(getattr(first, "commentary", first)).split())
+    text = " ".join(str(getattr(first, "commentary", first)).split())
     for name in (os.path.abspath(path), os.fspath(path)):
-        said = said.replace(f"<{name}>", name).replace(name, "it")
-    said = _INTERNAL.sub("", said).replace("Failed to open layer @it@", "")
-    at = re.match(r"(?:it)?:(\d+):\d+: (.*)", said)
+        text = text.replace(f"<{name}>", name).replace(name, "it")
+    text = _INTERNAL.sub("", text).replace("Failed to open layer @it@", "")
+    at = re.match(r"(?:it)?:(\d+):\d+: (.*)", text)
     if at:
         does_not_parse = at[2].startswith("parse error")
-        said = f"line {at[1]}: " + ("it, or the block that begins there, does not parse" if does_not_parse else at[2])
-    return f": {said[:_REASON_MAX]}" if said else ""
+        text = f"line {at[1]}: " + ("it, or the block that begins there, does not parse" if does_not_parse else at[2])
+    return f": {text[:_REASON_MAX]}" if text else ""
 
 
 @contextmanager
-def _lines_held() -> Generator[None]:
+def _log_deferred() -> Generator[None]:
     """Keeps back log lines until the end of the block."""
     held: list[logging.LogRecord] = []
 
@@ -135,15 +135,15 @@ def check_layers(path: Path, text: str) -> list[Any]:
             allowed, or by an expression or with arguments, so that nobody knows which file is meant.
     """
     px, home = pxr(), path.parent
-    waiting, seen, held = [path], {os.path.abspath(path)}, list[Any]()
+    waiting, checked, held = [path], {os.path.abspath(path)}, list[Any]()
     while waiting:
-        if len(seen) > USD_LAYERS_MAX:
+        if len(checked) > USD_LAYERS_MAX:
             raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers")
         file = waiting.pop()
         if not file.exists():
             continue  # composed without it; a remark says so
         check_regular(file, file.stat())
-        grant(file)
+        request_access(file)
         name = text if file is path else os.fspath(file)
         if (layer := _marked_layer(file, name)) is not None:
             held.append(layer)
@@ -151,12 +151,12 @@ def check_layers(path: Path, text: str) -> list[Any]:
             layer = px.Sdf.Layer.FindOrOpen(name)
         if not layer:
             continue
-        for name in _named_by(layer):
+        for name in _layer_dependencies(layer):
             named = _named_file(path, layer, name, home)
-            if os.path.abspath(named) not in seen:
-                seen.add(os.path.abspath(named))
+            if os.path.abspath(named) not in checked:
+                checked.add(os.path.abspath(named))
                 waiting.append(named)
-        for name in _packages_of_assets(layer):
+        for name in _asset_packages(layer):
             package = _named_file(path, layer, name, home)
             if package.exists():
                 check_regular(package, package.stat())
@@ -211,7 +211,7 @@ def check_loaded(path: Path) -> None:
             raise FormatError(path, f"names {name[:200]!r}, which is not in its folder")
 
 
-def _named_by(layer: Any) -> Iterator[str]:
+def _layer_dependencies(layer: Any) -> Iterator[str]:
     """The layers that a layer names: sublayers, references, payloads, and clips of values, in variants, too."""
     yield from (str(name) for name in layer.GetCompositionAssetDependencies() if name)
     clips: list[Any] = []
@@ -228,7 +228,7 @@ def _named_by(layer: Any) -> Iterator[str]:
             yield from (str(getattr(name, "path", name)) for name in named if name)
 
 
-def _packages_of_assets(layer: Any) -> Iterator[str]:
+def _asset_packages(layer: Any) -> Iterator[str]:
     """The values of a layer that name files in packages, or files by expressions: the library opens these itself."""
     px, values = pxr(), list[Any]()
 

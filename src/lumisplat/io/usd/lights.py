@@ -28,12 +28,12 @@ from lumisplat.io.images.radiance import read_radiance, write_radiance
 from lumisplat.io.images.texture import decode_texture
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.stage import (
-    Placed,
+    PlacedPrim,
     StageWriter,
     UsdFile,
     asset_bytes,
     asset_name,
-    hints_of,
+    custom_data_of,
     number,
     shortest,
     value,
@@ -55,16 +55,16 @@ from lumisplat.scene.lights import (
 USD_POINT_RADIUS = 1e-3
 """Radius of the sphere that a point light is written as, metres; who reads ``treatAsPoint`` does not use it."""
 
-_UNREAD = {
+_UNREAD_INPUTS = {
     "inputs:diffuse": ("the diffuse and specular factors of lights", 1.0),
     "inputs:specular": ("the diffuse and specular factors of lights", 1.0),
     "inputs:shaping:focus": ("the focus of lights", 0.0),
 }
 """Inputs that are not read, what a remark calls them, and the value at which they do nothing."""
-_NARROWEST = 1e-6
+_SOFTNESS_MIN = 1e-6
 """Least width of a spot's edge, as a share of its angle."""
 
-_DOME_FROM_SKY = np.diag([-1.0, 1.0, -1.0])
+_DOME_FROM_ENVIRONMENT = np.diag([-1.0, 1.0, -1.0])
 """Our skies have -z in the middle and +x to the right of it: half a turn about the pole."""
 _Z_FROM_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Stands a dome whose pole is y up along z, so that its middle looks to -y."""
@@ -76,7 +76,7 @@ def is_light(prim: Any) -> bool:
     return prim.HasAPI(pxr().UsdLux.LightAPI)
 
 
-def read_light(file: UsdFile, placed: Placed) -> Light | None:
+def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
     """A light in the world; None, with a remark, for a kind that is not read.
 
     Raises:
@@ -86,8 +86,8 @@ def read_light(file: UsdFile, placed: Placed) -> Light | None:
     if kind not in _READERS:
         file.remarks.add(f"lights of type {kind}", str(prim.GetPath()))
         return None
-    for name, (remark, idle) in _UNREAD.items():
-        if number(file, prim, name, idle) != idle:
+    for name, (remark, neutral) in _UNREAD_INPUTS.items():
+        if number(file, prim, name, neutral) != neutral:
             file.remarks.add(remark, str(prim.GetPath()))
     if value(file, prim, "inputs:shaping:ies:file"):
         file.remarks.add("IES profiles", str(prim.GetPath()))
@@ -99,17 +99,21 @@ def read_light(file: UsdFile, placed: Placed) -> Light | None:
     }
     try:
         light = _READERS[kind](file, placed, _emission(file, prim), shared)
-        return None if light is None else replace(light, **_own(light, hints_of(prim)))
+        return None if light is None else replace(light, **_custom_fields(light, custom_data_of(prim)))
     except FormatError:
         raise
     except SceneError as error:
         raise FormatError(file.path, f"{prim.GetPath()}: {error}") from None
 
 
-def _own(light: Light, hints: dict[str, Any]) -> dict[str, Any]:
+def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
     """What our files say of a light besides: fields for which UsdLux has no place."""
     kinds = {"range": (float, int), "visible": (bool,)}
-    return {name: hints[name] for name, kind in kinds.items() if hasattr(light, name) and type(hints.get(name)) in kind}
+    return {
+        name: custom_data[name]
+        for name, kind in kinds.items()
+        if hasattr(light, name) and type(custom_data.get(name)) in kind
+    }
 
 
 def _emission(file: UsdFile, prim: Any) -> float:
@@ -132,18 +136,18 @@ def _normalises(file: UsdFile, prim: Any) -> bool:
     return bool(value(file, prim, "inputs:normalize", False))
 
 
-def _scale(placed: Placed) -> float:
+def _scale(placed: PlacedPrim) -> float:
     """The size of a length of one in the world: the cube root of that of a volume."""
     return float(np.cbrt(abs(np.linalg.det(placed.world_from_prim[:3, :3]))))
 
 
-def _shadow_distance(file: UsdFile, placed: Placed) -> float:
+def _shadow_distance(file: UsdFile, placed: PlacedPrim) -> float:
     """Distance beyond which nothing casts shadows; below 0 there is no limit."""
     distance = number(file, placed.prim, "inputs:shadow:distance", -1.0)
     return distance * _scale(placed) if distance > 0.0 else math.inf
 
 
-def _sphere(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> Light:
+def _sphere(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
     """A sphere; a point if it is to be taken for one, or normalises; a spot if it is shaped to a cone."""
     prim = placed.prim
     radius = number(file, prim, "inputs:radius", 0.5) * _scale(placed)
@@ -153,21 +157,21 @@ def _sphere(file: UsdFile, placed: Placed, emission: float, shared: dict[str, An
     # Area 4 pi r^2, of which pi r^2 is seen from everywhere.
     unit = file.unit
     candela = 0.25 * unit * unit * emission if normalises else math.pi * radius * radius * emission
-    own_radius = 0.0 if is_point else radius
+    light_radius = 0.0 if is_point else radius
     if cone < 180.0:
         if cone > 90.0:
             file.remarks.add("cones wider than 90 degrees from their axis", str(prim.GetPath()))
         outer = math.radians(min(cone, 90.0))
-        softness = float(np.clip(number(file, prim, "inputs:shaping:cone:softness", 0.0), _NARROWEST, 1.0))
+        softness = float(np.clip(number(file, prim, "inputs:shaping:cone:softness", 0.0), _SOFTNESS_MIN, 1.0))
         direction = -placed.world_from_prim[:3, 2]
         angles = {"inner_angle": outer * (1.0 - softness), "outer_angle": outer}
-        return LightSpot(position, direction, intensity=candela, radius=own_radius, **angles, **shared)
+        return LightSpot(position, direction, intensity=candela, radius=light_radius, **angles, **shared)
     if is_point or normalises:
-        return LightPoint(position, intensity=candela, radius=own_radius, **shared)
+        return LightPoint(position, intensity=candela, radius=light_radius, **shared)
     return LightSphere(position, radius, intensity=emission, **shared)
 
 
-def _distant(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> Light:
+def _distant(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
     angle = math.radians(min(max(number(file, placed.prim, "inputs:angle", 0.53), 0.0), 360.0)) / 2.0
     lux = emission
     if angle > 0.0 and not _normalises(file, placed.prim):
@@ -184,7 +188,7 @@ def _distant(file: UsdFile, placed: Placed, emission: float, shared: dict[str, A
     )
 
 
-def _rect(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> Light:
+def _rect(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
     """A rectangle in the plane of x and y that shines along -z."""
     width, height = (number(file, placed.prim, f"inputs:{side}", 1.0) for side in ("width", "height"))
     if value(file, placed.prim, "inputs:texture:file"):
@@ -198,7 +202,7 @@ def _rect(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]
     return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=radiance, **shared)
 
 
-def _disk(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> Light:
+def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
     """A disk in the plane of x and y that shines along -z."""
     linear = placed.world_from_prim[:3, :3]
     x, y, z = linear.T
@@ -214,7 +218,7 @@ def _disk(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]
     return LightDisk(placed.world_from_prim[:3, 3], normal, radius, intensity=radiance, **shared)
 
 
-def _flat_radiance(file: UsdFile, placed: Placed, emission: float, area: float, kind: str) -> float:
+def _flat_radiance(file: UsdFile, placed: PlacedPrim, emission: float, area: float, kind: str) -> float:
     """Radiance of a light in a plane, whose emission is divided by its area if it normalises."""
     if _has_cone(placed.prim):
         file.remarks.add(f"cones of {kind} lights", str(placed.prim.GetPath()))
@@ -226,11 +230,11 @@ def _has_cone(prim: Any) -> bool:
     return prim.HasAPI(pxr().UsdLux.ShapingAPI) and prim.GetAttribute("inputs:shaping:cone:angle").HasAuthoredValue()
 
 
-def _dome(file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any]) -> LightEnvironment | None:
+def _dome(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> LightEnvironment | None:
     return _read_environment(file, placed, emission, shared, _shadow_distance(file, placed))
 
 
-_READERS: dict[str, Callable[[UsdFile, Placed, float, dict[str, Any]], Light | None]] = {
+_READERS: dict[str, Callable[[UsdFile, PlacedPrim, float, dict[str, Any]], Light | None]] = {
     "SphereLight": _sphere,
     "DistantLight": _distant,
     "RectLight": _rect,
@@ -241,7 +245,7 @@ _READERS: dict[str, Callable[[UsdFile, Placed, float, dict[str, Any]], Light | N
 
 
 def _read_environment(
-    file: UsdFile, placed: Placed, emission: float, shared: dict[str, Any], shadow_distance: float
+    file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any], shadow_distance: float
 ) -> LightEnvironment | None:
     """A dome light as an environment; None, with a remark, if its image is no panorama."""
     prim = placed.prim
@@ -259,13 +263,13 @@ def _read_environment(
     pole = str(value(file, prim, "poleAxis", "Y")) if str(prim.GetTypeName()) == "DomeLight_1" else "Y"
     if pole == "Z" or (pole == "scene" and str(pxr().UsdGeom.GetStageUpAxis(file.stage)) == "Z"):
         world_from_dome = world_from_dome @ _Z_FROM_Y
-    turn = _nearest_rotation(world_from_dome)
+    rotation = _nearest_rotation(world_from_dome)
     if np.linalg.det(world_from_dome) < 0.0:
         file.remarks.add("skies that are mirrored", str(prim.GetPath()))
     return LightEnvironment(
         image,
         intensity=emission,
-        rotation_wxyz=quaternions_from_matrices((turn @ _DOME_FROM_SKY)[None])[0],
+        rotation_wxyz=quaternions_from_matrices((rotation @ _DOME_FROM_ENVIRONMENT)[None])[0],
         shadow_distance=shadow_distance,
         **shared,
     )
@@ -304,12 +308,12 @@ def write_light(writer: StageWriter, light: Light) -> None:
         case LightDisk():
             prim = _define(writer, light, "DiskLight")
             _set(prim, "inputs:radius", light.radius)
-            writer.place(prim, _placed(light.position, light.direction))
+            writer.set_transform(prim, _light_transform(light.position, light.direction))
             intensity = light.intensity
         case LightSphere():
             prim = _define(writer, light, "SphereLight")
             _set(prim, "inputs:radius", light.radius)
-            writer.place(prim, _placed(light.position))
+            writer.set_transform(prim, _light_transform(light.position))
             intensity = light.intensity
         case LightPoint() | LightSpot():
             prim, intensity = _write_point(writer, light)
@@ -321,7 +325,7 @@ def write_light(writer: StageWriter, light: Light) -> None:
     if not light.enabled:
         pxr().UsdGeom.Imageable(prim).MakeInvisible()
     if not getattr(light, "visible", True):
-        writer.hint(prim, visible=False)
+        writer.set_custom_data(prim, visible=False)
         writer.remarks.add("that lights are not seen themselves (visible)", light.name)
 
 
@@ -343,15 +347,15 @@ def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[An
     if light.radius == 0.0:
         _set(prim, "treatAsPoint", True)
     if light.range < math.inf:
-        writer.hint(prim, range=light.range)
+        writer.set_custom_data(prim, range=light.range)
         writer.remarks.add("the range of lights", light.name)
-    place = _placed(light.position, light.direction if isinstance(light, LightSpot) else None)
+    transform = _light_transform(light.position, light.direction if isinstance(light, LightSpot) else None)
     if isinstance(light, LightSpot):
         shaping = pxr().UsdLux.ShapingAPI.Apply(prim)
         shaping.CreateShapingConeAngleAttr(math.degrees(light.outer_angle))
         shaping.CreateShapingConeSoftnessAttr(1.0 - light.inner_angle / light.outer_angle)
         writer.remarks.add("the fall-off of spots between their cones, which is another curve", light.name)
-    writer.place(prim, place)
+    writer.set_transform(prim, transform)
     return prim, 4.0 * light.intensity
 
 
@@ -360,7 +364,7 @@ def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, f
     _set(prim, "inputs:angle", math.degrees(2.0 * light.angle))
     _set(prim, "inputs:normalize", True)
     _write_shadow_distance(prim, light.shadow_distance)
-    writer.place(prim, _placed((0.0, 0.0, 0.0), light.direction))
+    writer.set_transform(prim, _light_transform((0.0, 0.0, 0.0), light.direction))
     return prim, light.intensity
 
 
@@ -374,9 +378,9 @@ def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
     if abs(x @ y) > 1e-6:
         writer.remarks.add("parallelograms, which are sheared rectangles", light.name)
     z = np.cross(x, y)
-    place = _placed(light.position)
-    place[:3, :3] = np.stack([x, y, z / np.linalg.norm(z)], axis=1)
-    writer.place(prim, place)
+    transform = _light_transform(light.position)
+    transform[:3, :3] = np.stack([x, y, z / np.linalg.norm(z)], axis=1)
+    writer.set_transform(prim, transform)
     return prim, light.intensity
 
 
@@ -388,9 +392,9 @@ def _write_dome(writer: StageWriter, light: LightEnvironment) -> tuple[Any, floa
         _set(prim, "inputs:texture:file", px.Sdf.AssetPath(name))
         _set(prim, "inputs:texture:format", "latlong")
     _write_shadow_distance(prim, light.shadow_distance)
-    place = np.eye(4)
-    place[:3, :3] = rotation_matrix(np.asarray(light.rotation_wxyz)) @ _DOME_FROM_SKY
-    writer.place(prim, place)
+    transform = np.eye(4)
+    transform[:3, :3] = rotation_matrix(np.asarray(light.rotation_wxyz)) @ _DOME_FROM_ENVIRONMENT
+    writer.set_transform(prim, transform)
     return prim, light.intensity
 
 
@@ -403,13 +407,13 @@ def _shadow_api(prim: Any) -> Any:
     return pxr().UsdLux.ShadowAPI.Apply(prim)
 
 
-def _placed(position: Any, direction: Any = None) -> Doubles:
+def _light_transform(position: Any, direction: Any = None) -> Doubles:
     """A transform to a position that turns -z to a unit vector, if there is one, shape (4, 4)."""
-    place = np.eye(4)
-    place[:3, 3] = position
+    transform = np.eye(4)
+    transform[:3, 3] = position
     if direction is not None:
-        place[:3, :3] = _facing(direction)
-    return place
+        transform[:3, :3] = _facing(direction)
+    return transform
 
 
 def _facing(direction: Any) -> Doubles:

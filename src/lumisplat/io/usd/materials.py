@@ -35,7 +35,7 @@ _WRAP_MODES = {"repeat": TextureWrap.REPEAT, "mirror": TextureWrap.MIRROR, "clam
 _CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 
-class Placement(NamedTuple):
+class UvTransform(NamedTuple):
     """Where texture coordinates come from: a primvar, scaled, turned, then moved, with (0, 0) at the bottom left."""
 
     primvar: str = "st"
@@ -44,13 +44,13 @@ class Placement(NamedTuple):
     """Radians, counter-clockwise."""
     translation: tuple[float, float] = (0.0, 0.0)
 
-    def transform(self, uvs: FloatArray) -> FloatArray:
+    def apply(self, uvs: FloatArray) -> FloatArray:
         """Coordinates, shape (V, 2), as stored."""
-        if self == Placement(self.primvar):
+        if self == UvTransform(self.primvar):
             return uvs
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
-        turn = np.array([[cos, -sin], [sin, cos]])
-        return ((uvs * self.scale) @ turn.T + self.translation).astype(np.float32)
+        rotation = np.array([[cos, -sin], [sin, cos]])
+        return ((uvs * self.scale) @ rotation.T + self.translation).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class _TextureInput:
     asset: Any
     channel: int | None
     """0..3; None: all three colours."""
-    placement: Placement
+    uv_transform: UvTransform
     wraps: WrapPair
     scale: Doubles
     bias: Doubles
@@ -154,7 +154,7 @@ def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | No
     return _TextureInput(
         asset=asset,
         channel=_CHANNELS.get(output),
-        placement=_read_placement(file, shader.GetInput("st")),
+        uv_transform=_read_uv_transform(file, shader.GetInput("st")),
         wraps=(wrap("wrapS"), wrap("wrapT")),
         scale=four("scale", 1.0),
         bias=four("bias", 0.0),
@@ -163,24 +163,24 @@ def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | No
     )
 
 
-def _read_placement(file: UsdFile, st: Any) -> Placement:
+def _read_uv_transform(file: UsdFile, st: Any) -> UvTransform:
     """The coordinates of a texture: through a UsdTransform2d, if there is one."""
     px = pxr()
     sources = st.GetValueProducingAttributes() if st else ()
     if not sources:
-        return Placement()
+        return UvTransform()
     shader = px.UsdShade.Shader(sources[0].GetPrim())
     if shader.GetIdAttr().Get() != "UsdTransform2d":
-        return Placement(_read_input(file, st).primvar or "st")
-    primvar = _read_placement(file, shader.GetInput("in")).primvar
+        return UvTransform(_read_input(file, st).primvar or "st")
+    primvar = _read_uv_transform(file, shader.GetInput("in")).primvar
 
     def pair(key: str, default: float) -> tuple[float, float]:
         held = finite_numbers(_read_input(file, shader.GetInput(key)).value, (2,))
         return (default, default) if held is None else (float(held[0]), float(held[1]))
 
-    turn = finite_numbers(_read_input(file, shader.GetInput("rotation")).value, ())
-    return Placement(
-        primvar, pair("scale", 1.0), 0.0 if turn is None else float(np.radians(turn)), pair("translation", 0.0)
+    rotation = finite_numbers(_read_input(file, shader.GetInput("rotation")).value, ())
+    return UvTransform(
+        primvar, pair("scale", 1.0), 0.0 if rotation is None else float(np.radians(rotation)), pair("translation", 0.0)
     )
 
 
@@ -190,7 +190,7 @@ GREY = 0.18
 _Texels = npt.NDArray[np.uint8]
 
 _WRAP_NAMES = {wrap: name for name, wrap in _WRAP_MODES.items()}
-_LOST = {
+_UNSUPPORTED_FIELDS = {
     "specular": ("the strength of reflections (specular)", 1.0),
     "thin_walled": ("thin walls", False),
     "attenuation_distance": ("media inside of meshes", math.inf),
@@ -207,7 +207,7 @@ class ReadMaterial(NamedTuple):
     """A material, and what meshes of it need."""
 
     material: MaterialPbr
-    placement: Placement = Placement()
+    uv_transform: UvTransform = UvTransform()
     """Of its textures."""
     color_primvar: str = ""
     """Primvar of the mesh that is its base colour; empty: none."""
@@ -222,7 +222,7 @@ class UsdMaterials:
 
     def __init__(self, file: UsdFile) -> None:
         self._file = file
-        self._known: dict[str, ReadMaterial | None] = {}
+        self._cache: dict[str, ReadMaterial | None] = {}
         self._one_sided: dict[int, MaterialPbr] = {}
         self._images: dict[str, _Texels] = {}
         self._total = TextureBytes(file.path)
@@ -239,15 +239,15 @@ class UsdMaterials:
         # Of instances, one material of the prototype has a path in each of them.
         own = material.GetPrim()
         key = str((own.GetPrimInPrototype() if own.IsInstanceProxy() else own).GetPath())
-        if key not in self._known:
+        if key not in self._cache:
             surface = _surface_of(self._file, material, remark)
             try:
-                self._known[key] = surface and _Decoder(self, surface).decode(prim_name(own))
+                self._cache[key] = surface and _Decoder(self, surface).decode(prim_name(own))
             except FormatError:
                 raise
             except SceneError as error:
                 raise FormatError(self._file.path, f"{material.GetPath()}: {error}") from None
-        return self._known[key]
+        return self._cache[key]
 
     def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
         """The material of a mesh, which emits from the front of its triangles alone if the mesh is not double-sided."""
@@ -276,7 +276,7 @@ class _Decoder:
     def __init__(self, materials: UsdMaterials, surface: _PreviewSurface) -> None:
         self._materials, self._surface = materials, surface
         self._values: dict[str, Any] = {}
-        self._placement: Placement | None = None
+        self._uv_transform: UvTransform | None = None
         self._wraps: dict[str, WrapPair] = {}
 
     def decode(self, name: str) -> ReadMaterial:
@@ -305,17 +305,17 @@ class _Decoder:
         self._coat()
         self._opacity()
         return ReadMaterial(
-            MaterialPbr(**self._values, **self._wrap_values(), name=name), self._placement or Placement(), primvar
+            MaterialPbr(**self._values, **self._wrap_values(), name=name), self._uv_transform or UvTransform(), primvar
         )
 
-    def _take(self, name: str) -> _TextureInput | None:
+    def _texture_input(self, name: str) -> _TextureInput | None:
         """The texture of an input, unless its coordinates are others than those of the textures before it."""
         texture = self._surface.read(name).texture
         if texture is None:
             return None
-        if self._placement is None:
-            self._placement = texture.placement
-        if texture.placement != self._placement:
+        if self._uv_transform is None:
+            self._uv_transform = texture.uv_transform
+        if texture.uv_transform != self._uv_transform:
             self._materials.remark("textures with other coordinates than the first of their material", texture.label)
             return None
         return texture
@@ -324,13 +324,13 @@ class _Decoder:
         self._values[name], self._wraps[name] = texels, texture.wraps
 
     def _base_color(self) -> None:
-        texture = self._take("diffuseColor")
+        texture = self._texture_input("diffuseColor")
         if texture is not None:
             self._values["base_color"] = _unit(texture.scale[:3])
             self._set("base_color_texture", texture, self._colors(texture))
 
     def _emission(self) -> None:
-        texture = self._take("emissiveColor")
+        texture = self._texture_input("emissiveColor")
         if texture is not None:
             self._values["emissive"] = tuple(np.maximum(texture.scale[:3], 0.0).tolist())
             self._set("emissive_texture", texture, self._colors(texture))
@@ -350,7 +350,7 @@ class _Decoder:
         """One texture of both: roughness in green, metallic in blue."""
         planes: dict[int, _Texels] = {}
         for name, plane in (("roughness", 1), ("metallic", 2)):
-            texture = self._take(name)
+            texture = self._texture_input(name)
             if texture is None:
                 continue
             texels = self._plane(texture, plane)
@@ -371,36 +371,36 @@ class _Decoder:
                 both[:, :, 2 if 1 in planes else 1] = 255
             self._values["metallic_roughness_texture"] = both
 
-    def _plane(self, texture: _TextureInput, wanted: int) -> _Texels:
+    def _plane(self, texture: _TextureInput, channel_index: int) -> _Texels:
         """Three channels, of which one, at ``wanted``, feeds the input: those of the image, if that is how it is."""
         texels, channel = self._materials.texels(texture), texture.channel or 0
-        if channel == wanted:
+        if channel == channel_index:
             return texels[:, :, :3] if texels.shape[2] > 3 else texels
         return np.repeat(_channel(texels, texture)[:, :, None], 3, axis=2)
 
     def _normals_and_occlusion(self) -> None:
-        texture = self._take("normal")
+        texture = self._texture_input("normal")
         if texture is not None:
             # Files of 8 bits need scale 2 and bias -1; some lack them, and mean the same.
             scale = float(texture.scale[0]) / 2.0 if texture.bias[:3].any() else 1.0
             self._values["normal_scale"] = scale
             self._set("normal_texture", texture, self._materials.texels(texture)[:, :, :3])
-        texture = self._take("occlusion")
+        texture = self._texture_input("occlusion")
         if texture is not None:
             self._values["occlusion_strength"] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
             self._set("occlusion_texture", texture, self._plane(texture, 0))
 
     def _coat(self) -> None:
-        for theirs, ours, plane in (("clearcoat", "clearcoat", 0), ("clearcoatRoughness", "clearcoat_roughness", 1)):
-            texture = self._take(theirs)
+        for usd_name, name, plane in (("clearcoat", "clearcoat", 0), ("clearcoatRoughness", "clearcoat_roughness", 1)):
+            texture = self._texture_input(usd_name)
             if texture is not None:
-                self._values[ours] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
-                self._set(f"{ours}_texture", texture, self._plane(texture, plane))
+                self._values[name] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
+                self._set(f"{name}_texture", texture, self._plane(texture, plane))
 
     def _opacity(self) -> None:
         """Alpha, or glass: what is not opaque, smooth, and says so of all of itself, lets light through."""
         surface, cutoff = self._surface, self._surface.number("opacityThreshold", 0.0)
-        texture, opacity = self._take("opacity"), surface.number("opacity", 1.0)
+        texture, opacity = self._texture_input("opacity"), surface.number("opacity", 1.0)
         mode = str(surface.read("opacityMode").value or "")
         if texture is None and cutoff == 0.0 and opacity < 1.0 and mode != "presence":
             if mode == "transparent" or self._values["roughness"] == 0.0:
@@ -453,7 +453,7 @@ class MaterialWriter:
     """Writes materials, each once."""
 
     writer: StageWriter
-    _known: dict[_Key, tuple[Material, Any]] = field(default_factory=dict[_Key, "tuple[Material, Any]"])
+    _cache: dict[_Key, tuple[Material, Any]] = field(default_factory=dict[_Key, "tuple[Material, Any]"])
 
     def bind(self, prim: Any, material: Material, has_colors: bool = False) -> None:
         """Binds a material to a prim.
@@ -464,10 +464,10 @@ class MaterialWriter:
             has_colors: Whether the mesh has colours of vertices (the primvar displayColor), by which to multiply.
         """
         key = id(material), has_colors
-        if key not in self._known:
-            self._known[key] = material, _Network(self.writer, material, has_colors).material
+        if key not in self._cache:
+            self._cache[key] = material, _Network(self.writer, material, has_colors).material
         px = pxr()
-        px.UsdShade.MaterialBindingAPI.Apply(prim).Bind(self._known[key][1])
+        px.UsdShade.MaterialBindingAPI.Apply(prim).Bind(self._cache[key][1])
 
 
 class _Network:
@@ -506,9 +506,9 @@ class _Network:
         self._surface.CreateInput(name, getattr(types, kind)).ConnectToSource(made)
 
     def _write_pbr(self, material: MaterialPbr, has_colors: bool) -> None:
-        for name, (remark, nothing) in _LOST.items():
+        for name, (remark, neutral) in _UNSUPPORTED_FIELDS.items():
             held = getattr(material, name)
-            if held is not nothing and held != nothing:
+            if held is not neutral and held != neutral:
                 self._writer.remarks.add(remark, self._name)
         self._write_color(material, material.base_color, has_colors)
         self._write_plane(
@@ -611,9 +611,9 @@ class _Network:
         if texels is None:
             return None
         name = name or field_name
-        known = px.UsdShade.Shader.Get(self._writer.stage, f"{self._path}/{name}")
-        if known:
-            return known
+        existing = px.UsdShade.Shader.Get(self._writer.stage, f"{self._path}/{name}")
+        if existing:
+            return existing
         node = self._node(name, "UsdUVTexture")
         path = self._writer.texture(texels, f"{self._name}_{field_name}")
         self._set(node, "file", "Asset", px.Sdf.AssetPath(path))
@@ -628,9 +628,9 @@ class _Network:
         return node
 
     def _coordinates(self) -> Any:
-        known = pxr().UsdShade.Shader.Get(self._writer.stage, f"{self._path}/st")
-        if known:
-            return known
+        existing = pxr().UsdShade.Shader.Get(self._writer.stage, f"{self._path}/st")
+        if existing:
+            return existing
         reader = self._node("st", "UsdPrimvarReader_float2")
         self._set(reader, "varname", "String", "st")
         return reader

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from lumisplat.errors import FormatError
-from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_unplaced_textures, fan_triangles, flip_v
+from lumisplat.io.meshes.mesh_arrays import TriangleSieve, drop_textures_without_uvs, fan_triangles, flip_v
 from lumisplat.io.usd.library import pxr
 from lumisplat.io.usd.materials import GREY, ReadMaterial, UsdMaterials
-from lumisplat.io.usd.stage import Placed, UsdFile, array, hints_of, number, rows, value, whole_numbers
+from lumisplat.io.usd.stage import PlacedPrim, UsdFile, array, custom_data_of, number, rows, value, whole_numbers
 from lumisplat.math.arrays import Flags, FloatArray, IntArray, Rows, read_only_view
 from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.mesh import Mesh
@@ -124,25 +124,25 @@ class UsdMeshes:
 
     def __init__(self, file: UsdFile, materials: UsdMaterials, sieve: TriangleSieve) -> None:
         self._file, self._materials, self._sieve = file, materials, sieve
-        self._known: dict[tuple[str, int], list[Mesh]] = {}
+        self._cache: dict[tuple[str, int], list[Mesh]] = {}
 
     @staticmethod
     def reads(prim: Any) -> bool:
         """Whether a prim is a mesh, or a shape that becomes one."""
         return str(prim.GetTypeName()) in ("Mesh", *_SHAPES)
 
-    def placed(self, placed: Placed) -> list[MeshInstance]:
+    def instances(self, placed: PlacedPrim) -> list[MeshInstance]:
         """The meshes of a prim at its place, one for each of its materials."""
         bound = self._materials.bound_to(placed.prim)
         key = placed.asset, id(bound)
-        if key not in self._known:
+        if key not in self._cache:
             is_mesh = str(placed.prim.GetTypeName()) == "Mesh"
-            self._known[key] = self._read(placed, bound) if is_mesh else [self._shape(placed, bound)]
-        catches = hints_of(placed.prim).get("shadow_catcher") is True
+            self._cache[key] = self._read(placed, bound) if is_mesh else [self._shape(placed, bound)]
+        catches = custom_data_of(placed.prim).get("shadow_catcher") is True
         at = placed.world_from_prim
-        return [MeshInstance(mesh, at, name=placed.name, shadow_catcher=catches) for mesh in self._known[key]]
+        return [MeshInstance(mesh, at, name=placed.name, shadow_catcher=catches) for mesh in self._cache[key]]
 
-    def _read(self, placed: Placed, bound: ReadMaterial | None) -> list[Mesh]:
+    def _read(self, placed: PlacedPrim, bound: ReadMaterial | None) -> list[Mesh]:
         file, prim = self._file, placed.prim
         positions = array(file, prim, "points", 3)
         counts, indices = whole_numbers(file, prim, "faceVertexCounts"), whole_numbers(file, prim, "faceVertexIndices")
@@ -171,14 +171,14 @@ class UsdMeshes:
             groups.append((faces, self._materials.bound_to(subset.GetPrim())))
         return [group for group in (*groups, (rest, bound)) if group[0].any()]
 
-    def _group(self, placed: Placed, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
+    def _group(self, placed: PlacedPrim, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
         """The faces of one material as a mesh; None if none of their triangles is usable."""
         file, prim = self._file, placed.prim
         subdivided = value(file, prim, "subdivisionScheme", "catmullClark") != "none"
         polygons.add("normals", _normals(file, prim))
-        polygons.add("uvs", _primvar(file, prim, "st" if read is None else read.placement.primvar, 2))
+        polygons.add("uvs", _primvar(file, prim, "st" if read is None else read.uv_transform.primvar, 2))
         # Ours multiply by the colours of vertices, for which shaders have no place where there is a texture.
-        own = hints_of(prim).get("multipliesColors", False)
+        own = custom_data_of(prim).get("multipliesColors", False)
         colored = "displayColor" if read is None or own else read.color_primvar
         polygons.add("colors", _primvar(file, prim, colored, 3) if colored else None)
         corner_vertex, arrays = polygons.vertices()
@@ -196,17 +196,17 @@ class UsdMeshes:
         if read is not None:
             material = self._materials.sided(read.material, prim)
             if "uvs" in arrays:
-                arrays["uvs"] = flip_v(read.placement.transform(arrays["uvs"]))
+                arrays["uvs"] = flip_v(read.uv_transform.apply(arrays["uvs"]))
         if "colors" in arrays:
             arrays["colors"] = np.clip(arrays["colors"], 0.0, 1.0)
-        shown = {name: read_only_view(values) for name, values in arrays.items() if name != "positions"}
-        mesh = Mesh(read_only_view(arrays["positions"]), triangles, material=material, name=placed.name, **shown)
+        attributes = {name: read_only_view(values) for name, values in arrays.items() if name != "positions"}
+        mesh = Mesh(read_only_view(arrays["positions"]), triangles, material=material, name=placed.name, **attributes)
         if subdivided:
             file.remarks.add("subdivision surfaces, read as the meshes that control them", str(prim.GetPath()))
             mesh = mesh if mesh.normals is not None else smooth_normals(mesh, math.pi)
-        return drop_unplaced_textures(file.path, mesh)
+        return drop_textures_without_uvs(file.path, mesh)
 
-    def _shape(self, placed: Placed, read: ReadMaterial | None) -> Mesh:
+    def _shape(self, placed: PlacedPrim, read: ReadMaterial | None) -> Mesh:
         """A cube, sphere or plane as a mesh; ours have y up."""
         file, prim = self._file, placed.prim
         material = MaterialPbr(base_color=(GREY,) * 3) if read is None else self._materials.sided(read.material, prim)
@@ -218,7 +218,7 @@ class UsdMeshes:
             case _:
                 width, length = number(file, prim, "width", 2.0), number(file, prim, "length", 2.0)
                 mesh = _turned(plane(width, length, material=material), str(value(file, prim, "axis", "Z")))
-        return drop_unplaced_textures(file.path, replace(mesh, name=placed.name))
+        return drop_textures_without_uvs(file.path, replace(mesh, name=placed.name))
 
 
 def _turned(mesh: Mesh, axis: str) -> Mesh:

@@ -37,14 +37,14 @@ USD_MEMORY = 3 * 2**28
 USD_ASSETS_MEMORY = 2 * 2**30
 """Further bytes of memory from the first texture on, which are bounded by themselves (`TEXTURE_BYTES_FREE`)."""
 
-USD_MEMORY_A_BYTE = 40
+USD_MEMORY_PER_BYTE = 40
 """Further bytes of memory for each byte of layers and textures: text of 8 digits becomes doubles, which are held three
 times."""
 
 USD_CPU_SECONDS = 30
 """Processor time, seconds, that reading a stage may take at least: references nested 16 deep took minutes."""
 
-USD_CPU_SECONDS_A_MEGABYTE = 1.0
+USD_CPU_SECONDS_PER_MEGABYTE = 1.0
 """Further seconds for each 2^20 bytes of the files: text is read in 0.1 s."""
 
 USD_WALL_FACTOR = 10.0
@@ -82,7 +82,7 @@ class _Request:
     """Least level of log lines that the parent shows."""
 
 
-def read_apart(path: PathLike, function: Callable[..., Any], *arguments: Any) -> Any:
+def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any) -> Any:
     """Runs a function that reads an OpenUSD file in a child, and returns its result.
 
     Args:
@@ -107,16 +107,16 @@ def read_apart(path: PathLike, function: Callable[..., Any], *arguments: Any) ->
         _Limit.of(_size_of(Path(path))),
         _log.getEffectiveLevel(),
     )
-    child = _Child.take()
+    child = _Child.acquire()
     try:
         result = child.call(request, request.path)
     except LumisplatError:
-        child.rest()
+        child.release()
         raise
     except BaseException:
         child.end()
         raise
-    child.rest()
+    child.release()
     return result
 
 
@@ -142,7 +142,7 @@ class _Child:
     """A process that reads files, as its parent sees it."""
 
     _idle: list[_Child] = []  # noqa: RUF012
-    _lock = threading.RLock()  # `_forget` may run at any time, also within `take`
+    _lock = threading.RLock()  # `_drop_remote` may run at any time, also within `acquire`
 
     def __init__(self) -> None:
         home = os.fspath(Path(__file__).parents[3])  # where the parent has found this package
@@ -169,7 +169,7 @@ class _Child:
         self._path = Path()
 
     @classmethod
-    def take(cls) -> _Child:
+    def acquire(cls) -> _Child:
         """Returns a child that waits for a request."""
         with cls._lock:
             while cls._idle:
@@ -179,7 +179,7 @@ class _Child:
                 child.end()
         return cls()
 
-    def rest(self) -> None:
+    def release(self) -> None:
         """Ends the reading of a file, unless functions of it are still there: then the last of them does."""
         if self._remotes:
             return
@@ -208,7 +208,7 @@ class _Child:
         """Sends a request, or calls a function by its number, and returns what comes of it.
 
         Raises:
-            FormatError: As of `read_apart`.
+            FormatError: As of `read_in_child`.
         """
         self._path = path
         limit = self._begin(request)
@@ -223,7 +223,7 @@ class _Child:
                             _log.log(*value)
                         elif kind in ("reader", "file", "limit"):
                             timer.cancel()
-                            self._take_limit(kind, value)
+                            self._update_limit(kind, value)
                             limit = self._limit
                             timer = limit.timer(self.end)
                         elif kind == "result":
@@ -234,7 +234,7 @@ class _Child:
                             raise RuntimeError(value)
                         else:
                             self._reader = 0
-                            raise _dead(path, limit, -value)
+                            raise _death_error(path, limit, -value)
                 finally:
                     timer.cancel()
             except LumisplatError:
@@ -243,7 +243,7 @@ class _Child:
                 if not self._reader:
                     raise FormatError(path, "cannot be read: the process that reads OpenUSD does not start") from None
                 self._process.kill()
-                raise _dead(path, limit, self._process.wait()) from None
+                raise _death_error(path, limit, self._process.wait()) from None
             except KeyboardInterrupt:  # nobody waits for the answer any more
                 self.end()
                 raise
@@ -254,14 +254,14 @@ class _Child:
             self._reader, self._size, self._limit = 0, 0, request.limit
         return self._limit
 
-    def _take_limit(self, kind: str, value: Any) -> None:
+    def _update_limit(self, kind: str, value: Any) -> None:
         """Sets the limit from now on: the process has forked, asks for a file, or has raised it for a texture."""
         if kind == "reader":
             self._reader = value
         elif kind == "limit":
             self._limit = value
         else:
-            self._size += _checked_bytes(self._path, value)
+            self._size += _checked_size(self._path, value)
             self._limit = _Limit.of(self._size)
             self._send(self._limit)
 
@@ -278,12 +278,12 @@ class _Child:
         def call(argument: float) -> Any:
             return self.call((number, argument), self._path)
 
-        weakref.finalize(call, self._forget)
+        weakref.finalize(call, self._drop_remote)
         return call
 
-    def _forget(self) -> None:
+    def _drop_remote(self) -> None:
         self._remotes -= 1
-        self.rest()
+        self.release()
 
 
 @atexit.register
@@ -304,7 +304,9 @@ class _Limit:
     @classmethod
     def of(cls, size: int) -> _Limit:
         """The limits for so many bytes."""
-        return cls(USD_MEMORY + USD_MEMORY_A_BYTE * size, USD_CPU_SECONDS + USD_CPU_SECONDS_A_MEGABYTE * size / 2**20)
+        return cls(
+            USD_MEMORY + USD_MEMORY_PER_BYTE * size, USD_CPU_SECONDS + USD_CPU_SECONDS_PER_MEGABYTE * size / 2**20
+        )
 
     def timer(self, end: Callable[[], None]) -> threading.Timer:
         """Ends a child that neither finishes nor takes processor time, which the system limits."""
@@ -319,7 +321,7 @@ def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
     return timer
 
 
-def _dead(path: Path, limit: _Limit, status: int) -> FormatError:
+def _death_error(path: Path, limit: _Limit, status: int) -> FormatError:
     """What to say of a child that has ended; ``status`` is the negative number of the signal, as of `Popen.wait`."""
     if status in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0)):
         what = f"takes more than {limit.seconds:.0f} s to read, many times what files of its size need"
@@ -336,7 +338,7 @@ def _size_of(path: Path) -> int:
         return 0
 
 
-def _checked_bytes(path: Path, file: Path) -> int:
+def _checked_size(path: Path, file: Path) -> int:
     """Returns the bytes of one of the files that a stage is composed of."""
     if leaves_folder(path, file):
         raise FormatError(path, f"names {os.fspath(file)[:200]!r}, which is not in its folder")
@@ -374,9 +376,9 @@ class _Session:
     def begin(self) -> None:
         """Begins a call, which has all of the processor time for itself."""
         self.used = time.process_time()
-        self.take(self.limit)
+        self.set_limit(self.limit)
 
-    def take(self, limit: _Limit) -> None:
+    def set_limit(self, limit: _Limit) -> None:
         """Limits memory, and the processor time of the present call."""
         self.limit = limit
         _limit(limit.memory, self.used + limit.seconds)
@@ -399,7 +401,7 @@ _session: _Session | None = None
 """That of this process, if it is a child."""
 
 
-def grant(file: Path) -> None:
+def request_access(file: Path) -> None:
     """In a child: asks the parent whether a file may be opened, and takes the limits that it sets.
 
     Args:
@@ -408,10 +410,10 @@ def grant(file: Path) -> None:
     if _session is None:
         return
     _session.send("file", file)
-    _session.take(receive(_session.input))
+    _session.set_limit(receive(_session.input))
 
 
-def allow_asset(size: int) -> None:
+def raise_limit_for_asset(size: int) -> None:
     """In a child: raises the limits for a texture or a sky that is about to be decoded.
 
     Args:
@@ -422,7 +424,7 @@ def allow_asset(size: int) -> None:
     old, more = _session.limit, _Limit.of(size)
     memory = old.memory + more.memory - USD_MEMORY + (0 if _session.has_assets else USD_ASSETS_MEMORY)
     _session.has_assets = True
-    _session.take(_Limit(memory, old.seconds + more.seconds - USD_CPU_SECONDS))
+    _session.set_limit(_Limit(memory, old.seconds + more.seconds - USD_CPU_SECONDS))
     _session.send("limit", _session.limit)
 
 
@@ -435,7 +437,7 @@ def serve() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     importlib.import_module("lumisplat.io.usd.animation")  # what requests need, loaded once
     importlib.import_module("lumisplat.io.usd.library").pxr()
-    while _is_wanted(stdin):
+    while _wait_for_request(stdin):
         try:
             request: _Request = receive(stdin)
         except EOFError:
@@ -450,7 +452,7 @@ def serve() -> None:
         send(stdout, ("ended" if status == 0 else "died", status & 0x7F))
 
 
-def _is_wanted(stdin: BinaryIO) -> bool:
+def _wait_for_request(stdin: BinaryIO) -> bool:
     """Waits for a request."""
     if not _FORKS:
         return True
@@ -469,7 +471,7 @@ def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
         os.chdir(request.folder)
         _log.setLevel(request.level)
         _log.propagate = False
-        _log.addHandler(_Lines(session))
+        _log.addHandler(_LogForwarder(session))
         function = getattr(importlib.import_module(request.module), request.function)
         with references_outside(request.allow_outside):
             session.answer(lambda: function(request.path, *request.arguments))
@@ -495,7 +497,7 @@ def _limit(memory: int, seconds: float) -> None:
             resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
-class _Lines(logging.Handler):
+class _LogForwarder(logging.Handler):
     """Sends log lines to the parent."""
 
     def __init__(self, session: _Session) -> None:

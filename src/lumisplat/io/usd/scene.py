@@ -10,8 +10,8 @@ import numpy as np
 
 from lumisplat.constants import SH_DEGREE_MAX
 from lumisplat.errors import FormatError, SceneError
-from lumisplat.io.files.source import PathLike, with_present_keys
-from lumisplat.io.gltf.gaussians import alone
+from lumisplat.io.files.source import PathLike, with_current_keys
+from lumisplat.io.gltf.gaussians import single_capture
 from lumisplat.io.meshes.mesh_arrays import TriangleSieve
 from lumisplat.io.splats.columns import gaussians_from_columns
 from lumisplat.io.usd.library import check_loaded, pxr, reading_usd
@@ -19,15 +19,15 @@ from lumisplat.io.usd.lights import is_light, read_light
 from lumisplat.io.usd.materials import UsdMaterials
 from lumisplat.io.usd.meshes import UsdMeshes
 from lumisplat.io.usd.particles import is_field, read_particles
-from lumisplat.io.usd.process import read_apart
-from lumisplat.io.usd.stage import Placed, UsdFile, hints_of, open_usd, placed_prims
+from lumisplat.io.usd.process import read_in_child
+from lumisplat.io.usd.stage import PlacedPrim, UsdFile, custom_data_of, open_usd, placed_prims
 from lumisplat.math.arrays import Doubles
 from lumisplat.scene.editing.transform import under_affine
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
-_NO_SHAPE = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
+_NON_SHAPE_ATTRIBUTES = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
 """How attributes begin that may change with time though the shape stays."""
 
 
@@ -45,35 +45,35 @@ def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
         FormatError: The file, or one that it names, is missing or damaged, or nothing in it can be read.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, scene_of, drop_invalid)
+    return read_in_child(path, scene_of, drop_invalid)
 
 
 def scene_of(path: Path, drop_invalid: bool) -> Gaussians | Scene:
     """Reads a scene in this process; as of `read_usd`."""
     with reading_usd(path):
         file = open_usd(path)
-        found = Reading(file, drop_invalid).run()
+        found = StageReader(file, drop_invalid).run()
         loaded = found.as_capture() or found.scene()
         check_loaded(path)
     file.remarks.report()
     return loaded
 
 
-def shows_one_capture(path: PathLike) -> bool:
+def holds_one_capture(path: PathLike) -> bool:
     """Whether a file shows one field of particles and nothing else, which `read_usd` reads as Gaussians.
 
     Raises:
         FormatError: The file cannot be read.
         MissingExtraError: usd-core is not installed.
     """
-    return read_apart(path, _is_one_capture)
+    return read_in_child(path, _holds_one_capture)
 
 
-def _is_one_capture(path: Path) -> bool:
-    """Looks for one field of particles in this process; as of `shows_one_capture`."""
+def _holds_one_capture(path: Path) -> bool:
+    """Looks for one field of particles in this process; as of `holds_one_capture`."""
     with reading_usd(path):
         file = open_usd(path)
-        shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_flat]
+        shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_degenerate]
         fields = [one for one in shown if is_field(one)]
         others = (is_light(one) or UsdMeshes.reads(one) or str(one.GetTypeName()) == "Camera" for one in shown)
         if len(fields) != 1 or any(others):
@@ -83,28 +83,28 @@ def _is_one_capture(path: Path) -> bool:
 
 def _settings(prim: Any) -> dict[str, Any]:
     """What of a field is shown, if our file says so."""
-    own = with_present_keys(hints_of(prim))
+    own = with_current_keys(custom_data_of(prim))
     return {name: own[name] for name in ("sh_degree", "shadow_catcher") if name in own}
 
 
-def shape_codes(prim: Any) -> Doubles:
+def shape_time_codes(prim: Any) -> Doubles:
     """The time codes at which the shape of a prim, or what it looks like, has samples, shape (K,)."""
-    shapes = (one for one in prim.GetAuthoredAttributes() if not one.GetName().startswith(_NO_SHAPE))
+    shapes = (one for one in prim.GetAuthoredAttributes() if not one.GetName().startswith(_NON_SHAPE_ATTRIBUTES))
     return np.array(sorted({code for one in shapes for code in one.GetTimeSamples()}))
 
 
-def _place(file: UsdFile, prim: Any) -> Doubles:
+def _world_transform(file: UsdFile, prim: Any) -> Doubles:
     """``world_from_prim`` at the time that is shown, shape (4, 4)."""
-    return file.place_of(pxr().UsdGeom.XformCache(file.time).GetLocalToWorldTransform(prim))
+    return file.world_transform(pxr().UsdGeom.XformCache(file.time).GetLocalToWorldTransform(prim))
 
 
 @dataclass(slots=True)
-class Reading:
+class StageReader:
     """What is found on the way through a stage."""
 
     file: UsdFile
     drop_invalid: bool = False
-    plays: bool = False
+    for_animation: bool = False
     """Whether what deforms will be read at other times, too."""
     splats: list[SplatInstance] = field(default_factory=list[SplatInstance])
     meshes: list[MeshInstance] = field(default_factory=list[MeshInstance])
@@ -113,15 +113,15 @@ class Reading:
         default_factory=dict[str, "list[SplatInstance | MeshInstance]"]
     )
     """Of those, what changes its place with time, by the paths of prims."""
-    deforming: dict[str, tuple[Placed, list[SplatInstance | MeshInstance]]] = field(
-        default_factory=dict[str, "tuple[Placed, list[SplatInstance | MeshInstance]]"]
+    deforming: dict[str, tuple[PlacedPrim, list[SplatInstance | MeshInstance]]] = field(
+        default_factory=dict[str, "tuple[PlacedPrim, list[SplatInstance | MeshInstance]]"]
     )
     """Likewise, what changes its shape where it stands itself; what point instancers show of it keeps its first one."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
     _materials: UsdMaterials = field(init=False)
 
-    def run(self) -> Reading:
+    def run(self) -> StageReader:
         """Finds everything.
 
         Raises:
@@ -136,12 +136,12 @@ class Reading:
                 self.has_cameras = True
             elif is_light(prim):
                 self._add_light(placed)
-            elif not placed.visible or placed.is_flat:
+            elif not placed.visible or placed.is_degenerate:
                 continue
             elif is_field(prim):
-                self._note(placed, self.splats, self._splats(placed, materials))
+                self._collect(placed, self.splats, self._splats(placed, materials))
             elif meshes.reads(prim):
-                self._note(placed, self.meshes, meshes.placed(placed))
+                self._collect(placed, self.meshes, meshes.instances(placed))
             elif prim.IsA(pxr().UsdGeom.Gprim):
                 file.remarks.add(f"prims of type {kind}", str(prim.GetPath()))
         if not (self.splats or self.meshes or self.lights or self.has_cameras or sieve.problems):
@@ -149,7 +149,7 @@ class Reading:
             raise FormatError(
                 file.path, "shows no particle field, mesh, light or camera" + (f" ({said})" if said else "")
             )
-        sieve.report(anything_left=bool(self.splats or self.meshes or self.lights or self.has_cameras))
+        sieve.report(any_usable=bool(self.splats or self.meshes or self.lights or self.has_cameras))
         return self
 
     def scene(self) -> Scene:
@@ -163,38 +163,38 @@ class Reading:
         only = self.splats[0]
         if only.material is not None or only.shadow_catcher or only.sh_degree < SH_DEGREE_MAX:
             return None
-        return alone(only)
+        return single_capture(only)
 
-    def at(self, placed: Placed, code: float) -> list[SplatInstance | MeshInstance]:
+    def instances_at(self, placed: PlacedPrim, code: float) -> list[SplatInstance | MeshInstance]:
         """A prim of `deforming` at a time code, in its place."""
         file, px = self.file, pxr()
         before, file.time = file.time, px.Usd.TimeCode(code)
         try:
-            seen = px.UsdGeom.Imageable(placed.prim).ComputeVisibility(file.time) != px.UsdGeom.Tokens.invisible
-            now = placed._replace(world_from_prim=_place(file, placed.prim))
-            if now.is_flat or not seen:
+            visible = px.UsdGeom.Imageable(placed.prim).ComputeVisibility(file.time) != px.UsdGeom.Tokens.invisible
+            now = placed._replace(world_from_prim=_world_transform(file, placed.prim))
+            if now.is_degenerate or not visible:
                 return []
             self._captures.pop(placed.asset, None)
             if is_field(placed.prim):
                 return [*self._splats(now, self._materials)]
-            return [*UsdMeshes(file, self._materials, TriangleSieve(file.path)).placed(now)]
+            return [*UsdMeshes(file, self._materials, TriangleSieve(file.path)).instances(now)]
         finally:
             file.time = before
 
-    def _note(self, placed: Placed, kept: list[Any], instances: list[Any]) -> None:
-        kept.extend(instances)
+    def _collect(self, placed: PlacedPrim, collection: list[Any], instances: list[Any]) -> None:
+        collection.extend(instances)
         if not instances:
             return
         path = str(placed.prim.GetPath())
-        if shape_codes(placed.prim).size > 1:
-            if self.plays and not placed.instanced:
+        if shape_time_codes(placed.prim).size > 1:
+            if self.for_animation and not placed.instanced:
                 self.deforming[path] = placed, instances
                 return
             self.file.remarks.add("shapes that change with time, of which the first is shown", placed.name)
         if placed.animated:
             self.moving.setdefault(path, []).extend(instances)
 
-    def _splats(self, placed: Placed, materials: UsdMaterials) -> list[SplatInstance]:
+    def _splats(self, placed: PlacedPrim, materials: UsdMaterials) -> list[SplatInstance]:
         """A capture at its place; what an instance cannot be, the Gaussians become."""
         if placed.asset not in self._captures:
             columns = read_particles(self.file, placed.prim)
@@ -213,12 +213,12 @@ class Reading:
         settings = _settings(placed.prim)
         return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]
 
-    def _add_light(self, placed: Placed) -> None:
-        light = None if placed.is_flat else read_light(self.file, placed)
+    def _add_light(self, placed: PlacedPrim) -> None:
+        light = None if placed.is_degenerate else read_light(self.file, placed)
         if light is None:
             return
-        has_sky = any(isinstance(one, LightEnvironment) and one.enabled for one in self.lights)
-        if isinstance(light, LightEnvironment) and light.enabled and has_sky:
+        has_environment = any(isinstance(one, LightEnvironment) and one.enabled for one in self.lights)
+        if isinstance(light, LightEnvironment) and light.enabled and has_environment:
             self.file.remarks.add("all skies but the first", str(placed.prim.GetPath()))
             return
         self.lights.append(light)

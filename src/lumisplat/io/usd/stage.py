@@ -26,7 +26,7 @@ from lumisplat.errors import FormatError, MissingFileError
 from lumisplat.io.files.native import utf8_path
 from lumisplat.io.files.source import PathLike, check_regular, read_reference, referenced_file
 from lumisplat.io.usd.library import check_layers, pxr
-from lumisplat.io.usd.process import allow_asset
+from lumisplat.io.usd.process import raise_limit_for_asset
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.transforms import axis_rotation
 from lumisplat.scene.materials import Texture
@@ -43,7 +43,7 @@ _NAMES_LISTED = 3
 _REMARKS_LISTED = 12
 """Remarks in one line."""
 
-_HINT = "lumisplat"
+_CUSTOM_DATA_KEY = "lumisplat"
 """Dictionary in the custom data of a prim in which we note what the format has no place for."""
 _UNIT_ERROR = 1e-9
 """Error of a unit of length that is none, relative."""
@@ -106,7 +106,7 @@ class UsdFile:
         """Unit of length of the stage, metres."""
         return float(np.linalg.norm(self.world_from_stage[:3, 0]))
 
-    def place_of(self, matrix: Any) -> Doubles:
+    def world_transform(self, matrix: Any) -> Doubles:
         """``world_from_prim``, shape (4, 4), from a matrix of the library, which is for row vectors."""
         return self.world_from_stage @ np.array(matrix, dtype=np.float64).T
 
@@ -129,10 +129,10 @@ def open_usd(path: Path) -> UsdFile:
     remarks = Remarks(path, "not read, or read otherwise")
     for error in stage.GetCompositionErrors():
         remarks.add("layers that cannot be composed", _first_line(str(error), path))
-    return UsdFile(path, stage, _shown_time(stage), _world_from_stage(path, stage, remarks), remarks, held)
+    return UsdFile(path, stage, _first_time(stage), _world_from_stage(path, stage, remarks), remarks, held)
 
 
-def _shown_time(stage: Any) -> Any:
+def _first_time(stage: Any) -> Any:
     """The first time code of a stage that says its times, else that of the first key of each value."""
     code = pxr().Usd.TimeCode
     return code(stage.GetStartTimeCode()) if stage.HasAuthoredTimeCodeRange() else code.EarliestTime()
@@ -175,9 +175,9 @@ def shortest(found: float) -> float:
     return float(str(single)) if float(single) == found else float(found)
 
 
-def hints_of(prim: Any) -> dict[str, Any]:
+def custom_data_of(prim: Any) -> dict[str, Any]:
     """What we have noted at a prim, in files of ours."""
-    found = prim.GetCustomDataByKey(_HINT)
+    found = prim.GetCustomDataByKey(_CUSTOM_DATA_KEY)
     return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
 
 
@@ -248,7 +248,7 @@ def asset_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
         FormatError: There is no such file, it leaves the folder of the stage, or it cannot be read.
     """
     data = _stored_bytes(file, asset, label)
-    allow_asset(len(data))
+    raise_limit_for_asset(len(data))
     return data
 
 
@@ -261,11 +261,11 @@ def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
     if not ar.IsPackageRelativePath(found):
         return read_reference(file.path, found)
     package, inner = ar.SplitPackageRelativePathOuter(found)
-    place = referenced_file(file.path, package)
+    package_path = referenced_file(file.path, package)
     try:
-        check_regular(place, place.stat())
+        check_regular(package_path, package_path.stat())
         # A package in a package is not unpacked: USD advises against them.
-        with zipfile.ZipFile(place) as held:
+        with zipfile.ZipFile(package_path) as held:
             entry = held.getinfo(inner)
             if entry.file_size > FILE_BYTES_MAX or entry.compress_type != zipfile.ZIP_STORED:
                 raise FormatError(file.path, f"{label} names {name[:200]!r}, which is packed or too large")
@@ -296,7 +296,7 @@ class StageWriter:
 
     def __post_init__(self) -> None:
         px = pxr()
-        self.remarks = Remarks(self.path, "OpenUSD has no place for all of it, left out or simplified")
+        self.remarks = Remarks(self.path, "OpenUSD has no package_path for all of it, left out or simplified")
         self.stage = px.Usd.Stage.CreateInMemory(".usdc")
         is_z_up = self.up == up_vector("z-up")
         px.UsdGeom.SetStageUpAxis(self.stage, "Z" if is_z_up else "Y")
@@ -304,9 +304,9 @@ class StageWriter:
         self._paths.add(f"{_ROOT}/Materials")
         root = px.UsdGeom.Xform.Define(self.stage, _ROOT)
         self.stage.SetDefaultPrim(root.GetPrim())
-        turn = np.eye(4)
-        turn[:3, :3] = np.eye(3) if is_z_up else y_up_from(self.up)
-        self.place(root.GetPrim(), turn)
+        rotation = np.eye(4)
+        rotation[:3, :3] = np.eye(3) if is_z_up else y_up_from(self.up)
+        self.set_transform(root.GetPrim(), rotation)
 
     def path_of(self, name: str, parent: str = _ROOT) -> str:
         """A path of its own below ``parent`` for something that is called so, as far as paths can be."""
@@ -327,17 +327,17 @@ class StageWriter:
             pxr().UsdGeom.Scope.Define(self.stage, path)
         return path
 
-    def hint(self, prim: Any, **noted: Any) -> None:
+    def set_custom_data(self, prim: Any, **noted: Any) -> None:
         """Notes at a prim what only we read."""
         for key, held in noted.items():
-            prim.SetCustomDataByKey(f"{_HINT}:{key}", held)
+            prim.SetCustomDataByKey(f"{_CUSTOM_DATA_KEY}:{key}", held)
 
     def name(self, prim: Any, name: str) -> None:
         """Keeps the name of a prim whose path cannot be it."""
         if name and prim.GetName() != name:
             prim.SetDisplayName(name)
 
-    def place(self, prim: Any, world_from_object: Doubles) -> None:
+    def set_transform(self, prim: Any, world_from_object: Doubles) -> None:
         """Places a prim below the root."""
         if not np.array_equal(world_from_object, np.eye(4)):
             pxr().UsdGeom.Xformable(prim).AddTransformOp().Set(matrix(world_from_object))
@@ -375,7 +375,7 @@ def _png_bytes(texels: Texture) -> bytes:
     return buffer.getvalue()
 
 
-class Placed(NamedTuple):
+class PlacedPrim(NamedTuple):
     """A prim, once for each place at which it is shown."""
 
     prim: Any
@@ -396,21 +396,21 @@ class Placed(NamedTuple):
         return str(shared.GetPath())
 
     @property
-    def is_flat(self) -> bool:
+    def is_degenerate(self) -> bool:
         """Whether its place has no volume: files hide things by scaling them to nothing."""
         linear = self.world_from_prim[:3, :3]
         size = np.abs(linear).max()
         return not np.isfinite(size) or size == 0.0 or abs(np.linalg.det(linear / size)) < 1e-9
 
 
-def placed_prims(file: UsdFile) -> Iterator[Placed]:
+def placed_prims(file: UsdFile) -> Iterator[PlacedPrim]:
     """All prims of a file that are active and defined, parents first, each in all its places.
 
     Raises:
         FormatError: There are too many instances.
     """
     walk = _Walk(file, pxr().UsdGeom.XformCache(file.time))
-    yield from walk.below(file.stage.GetPseudoRoot(), file.world_from_stage, ())
+    yield from walk.descendants(file.stage.GetPseudoRoot(), file.world_from_stage, ())
 
 
 def prim_name(prim: Any) -> str:
@@ -428,42 +428,42 @@ class _Walk:
     """A walk through a stage. It ends where there is too much of it, shown or not."""
 
     file: UsdFile
-    places: Any
+    xform_cache: Any
     """Transforms of prims."""
     prims: int = 0
     instances: int = 0
 
-    def below(self, root: Any, world_from_base: Doubles, inside: tuple[Any, ...]) -> Iterator[Placed]:
+    def descendants(self, root: Any, world_from_base: Doubles, instancers: tuple[Any, ...]) -> Iterator[PlacedPrim]:
         """The prims at and below ``root``.
 
         Args:
             root: A prim.
             world_from_base: The world from the space in which the transforms of prims end, shape (4, 4).
-            inside: Paths of the point instancers around: those that show themselves end here.
+            instancers: Paths of the point instancers around: those that show themselves end here.
         """
         file, px = self.file, pxr()
         walk = iter(px.Usd.PrimRange(root, px.Usd.TraverseInstanceProxies(px.Usd.PrimDefaultPredicate)))
         for prim in walk:
-            self.prims = self._counted(self.prims)
+            self.prims = self._incremented(self.prims)
             # Types that the library does not know have no visibility of their own; one of them we read.
             imageable = px.UsdGeom.Imageable(prim if px.UsdGeom.Imageable(prim) else prim.GetParent())
             if not imageable and not _is_unknown_field(prim):
                 continue
-            local = np.array(self.places.GetLocalToWorldTransform(prim), dtype=np.float64).T
+            local = np.array(self.xform_cache.GetLocalToWorldTransform(prim), dtype=np.float64).T
             world_from_prim = world_from_base @ local
             visible = not imageable or (
                 imageable.ComputeVisibility(file.time) != "invisible"
                 and imageable.ComputePurpose() in ("default", "render")
             )
             if not prim.IsA(px.UsdGeom.PointInstancer):
-                moves = not inside and _moves(prim)
-                yield Placed(prim, world_from_prim, prim_name(prim), visible, moves, instanced=bool(inside))
+                animated = not instancers and _is_animated(prim)
+                yield PlacedPrim(prim, world_from_prim, prim_name(prim), visible, animated, instanced=bool(instancers))
                 continue
             walk.PruneChildren()  # its prototypes, which are not shown by themselves
-            if visible and prim.GetPath() not in inside:
-                yield from self._instanced(prim, world_from_prim, (*inside, prim.GetPath()))
+            if visible and prim.GetPath() not in instancers:
+                yield from self._instanced(prim, world_from_prim, (*instancers, prim.GetPath()))
 
-    def _instanced(self, prim: Any, world_from_prim: Doubles, inside: tuple[Any, ...]) -> Iterator[Placed]:
+    def _instanced(self, prim: Any, world_from_prim: Doubles, instancers: tuple[Any, ...]) -> Iterator[PlacedPrim]:
         """What a point instancer shows."""
         file, px = self.file, pxr()
         instancer = px.UsdGeom.PointInstancer(prim)
@@ -480,16 +480,16 @@ class _Walk:
         for number, (which, transform) in enumerate(zip(indices, transforms, strict=True)):
             if mask and not mask[number]:
                 continue
-            self.instances = self._counted(self.instances)
+            self.instances = self._incremented(self.instances)
             if not 0 <= which < len(prototypes) or not prototypes[which]:
                 raise FormatError(file.path, f"{prim.GetPath()} shows prototype {which} of {len(prototypes)}")
             root = prototypes[which]
             # Where the prototype lies in the file does not matter: its own transform does, those above it do not.
-            above = np.array(self.places.GetParentToWorldTransform(root), dtype=np.float64).T
+            above = np.array(self.xform_cache.GetParentToWorldTransform(root), dtype=np.float64).T
             placed = world_from_prim @ np.array(transform, dtype=np.float64).T @ np.linalg.inv(above)
-            yield from self.below(root, placed, inside)
+            yield from self.descendants(root, placed, instancers)
 
-    def _counted(self, before: int) -> int:
+    def _incremented(self, before: int) -> int:
         """One more."""
         if before >= USD_INSTANCES_MAX:
             raise FormatError(self.file.path, f"shows more than {USD_INSTANCES_MAX:,} prims: instances of instances")
@@ -500,7 +500,7 @@ def _is_unknown_field(prim: Any) -> bool:
     return str(prim.GetTypeName()).startswith("ParticleField") and not pxr().UsdGeom.Imageable(prim)
 
 
-def _moves(prim: Any) -> bool:
+def _is_animated(prim: Any) -> bool:
     """Whether the transform of a prim, or of one above it, changes with time."""
     px = pxr()
     while prim and not prim.IsPseudoRoot():

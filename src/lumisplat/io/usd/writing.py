@@ -24,7 +24,7 @@ from lumisplat.io.files.atomic import atomic_write
 from lumisplat.io.files.native import utf8_path
 from lumisplat.io.files.source import PathLike
 from lumisplat.io.meshes.mesh_arrays import flip_v
-from lumisplat.io.usd.cameras import camera_place, camera_values, define_camera, write_cameras
+from lumisplat.io.usd.cameras import camera_transform, camera_values, define_camera, write_cameras
 from lumisplat.io.usd.library import pxr, writing_usd
 from lumisplat.io.usd.lights import write_light
 from lumisplat.io.usd.materials import MaterialWriter
@@ -44,7 +44,7 @@ read."""
 Instance = SplatInstance | MeshInstance
 _PROTOTYPES = "/Prototypes"
 
-_PLACE = "xformOp:transform"
+_TRANSFORM_OP = "xformOp:transform"
 
 _Key = tuple[str, int, int]
 
@@ -109,7 +109,7 @@ class AssetWriter:
             else:
                 prim = self.define(path, instance)
             self.writer.name(prim, instance.name)
-            self.writer.place(prim, instance.transform)
+            self.writer.set_transform(prim, instance.transform)
 
     def define(self, path: str, instance: Instance) -> Any:
         """Writes what an instance shows, in its own coordinates; its prim."""
@@ -117,9 +117,9 @@ class AssetWriter:
             prim = _define_mesh(self.writer, path, instance.mesh)
             self.materials.bind(prim, instance.mesh.material, instance.mesh.colors is not None)
             if instance.mesh.colors is not None and instance.mesh.material.base_color_texture is not None:
-                self.writer.hint(prim, multipliesColors=True)
+                self.writer.set_custom_data(prim, multipliesColors=True)
             if instance.shadow_catcher:
-                self.writer.hint(prim, shadow_catcher=True)
+                self.writer.set_custom_data(prim, shadow_catcher=True)
                 self.writer.remarks.add(
                     "that a mesh is a shadow catcher, which only Lumisplat will know", instance.mesh.name
                 )
@@ -129,7 +129,7 @@ class AssetWriter:
             self.materials.bind(prim, instance.material)
             self.writer.remarks.add("that a capture is relit, which only Lumisplat will know", instance.name)
         if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX:
-            self.writer.hint(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
+            self.writer.set_custom_data(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
             self.writer.remarks.add(
                 "shadow_catcher and sh_degree of captures, which only Lumisplat will know", instance.name
             )
@@ -230,7 +230,7 @@ def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation
         prim = define_camera(writer, cameras[0])
         samples = _Samples(prim)
         for frame, camera in enumerate(cameras):
-            samples.add(frame, _PLACE, matrix(camera_place(camera)), camera.camera_from_world.tobytes())
+            samples.add(frame, _TRANSFORM_OP, matrix(camera_transform(camera)), camera.camera_from_world.tobytes())
             for name, value in camera_values(camera).items():
                 samples.add(frame, name, value, value)
 
@@ -249,7 +249,7 @@ class _Samples:
     def add(self, frame: int, name: str, value: Any, mark: Any) -> None:
         """Takes the value of an attribute at a frame; equal marks mean equal values."""
         attribute = self.prim.GetAttribute(name)
-        if name == _PLACE and not attribute:
+        if name == _TRANSFORM_OP and not attribute:
             attribute = pxr().UsdGeom.Xformable(self.prim).AddTransformOp().GetAttr()
         if name not in self._last:
             attribute.Set(value)
@@ -270,9 +270,9 @@ def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animati
     if not actor.casts_shadow or not actor.relight:
         writer.remarks.add("how actors are lit (relight, casts_shadow)", actor.name)
     prims: dict[_Key, _Samples] = {}
-    shown: dict[_Key, Any] = {}
+    written_assets: dict[_Key, Any] = {}
     for frame, time in enumerate(animation.times):
-        present = dict(_keyed(actor.at(float(time))))
+        present = dict(_with_keys(actor.at(float(time))))
         for key, instance in present.items():
             if key not in prims:
                 name = instance.name or actor.name or "actor"
@@ -283,18 +283,18 @@ def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animati
                 if frame > 0:
                     prims[key].add(0, "visibility", "invisible", "invisible")
             samples = prims[key]
-            samples.add(frame, _PLACE, matrix(instance.transform), instance.transform.tobytes())
+            samples.add(frame, _TRANSFORM_OP, matrix(instance.transform), instance.transform.tobytes())
             asset = instance.mesh if isinstance(instance, MeshInstance) else instance.gaussians
-            if shown.get(key) is not asset:
-                for name, value in _shape(instance).items():
+            if written_assets.get(key) is not asset:
+                for name, value in _varying_values(instance).items():
                     samples.add(frame, name, value, np.asarray(value).tobytes())
-                shown[key] = asset
+                written_assets[key] = asset
         for key, samples in prims.items():
-            seen = "inherited" if key in present else "invisible"
-            samples.add(frame, "visibility", seen, seen)
+            visibility = "inherited" if key in present else "invisible"
+            samples.add(frame, "visibility", visibility, visibility)
 
 
-def _keyed(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
+def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
     """Instances by what stays of them from frame to frame: their kind, their material, and the how many-th it is."""
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
@@ -303,7 +303,7 @@ def _keyed(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
         counts[own] += 1
 
 
-def _shape(instance: Instance) -> dict[str, Any]:
+def _varying_values(instance: Instance) -> dict[str, Any]:
     """The values of an instance that may change with time, by attribute."""
     if not isinstance(instance, MeshInstance):
         return particle_values(instance.gaussians)
@@ -331,7 +331,7 @@ def _write_files(writer: StageWriter) -> None:
 def _write_package(writer: StageWriter) -> None:
     path, folder_name = writer.path, folder_of(writer.path)
     with tempfile.TemporaryDirectory() as folder:
-        layer = Path(folder) / f"{_plain(path.stem)}.usdc"
+        layer = Path(folder) / f"{_ascii_stem(path.stem)}.usdc"
         _export(writer, layer)
         files = {layer: layer.name}
         for name, data in writer.files.items():
@@ -345,11 +345,11 @@ def _write_package(writer: StageWriter) -> None:
             package = pxr().Sdf.ZipFileWriter.CreateNew(text)
             for file, name in files.items():  # the first one is what a package shows
                 package.AddFile(os.fspath(file), name)
-            if not package.Save() or not _is_whole(temporary, len(files)):
+            if not package.Save() or not _is_complete(temporary, len(files)):
                 raise FormatError(path, "cannot be written: is the disk full?")
 
 
-def _is_whole(package: Path, count: int) -> bool:
+def _is_complete(package: Path, count: int) -> bool:
     """Whether all of a package is on the disk: the library says that it saved what a full one did not take."""
     try:
         with zipfile.ZipFile(package) as written:
@@ -364,6 +364,6 @@ def _export(writer: StageWriter, file: Path) -> None:
             raise FormatError(writer.path, "cannot be written: is the disk full?")
 
 
-def _plain(stem: str) -> str:
+def _ascii_stem(stem: str) -> str:
     """The name of a layer inside of a package."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)[:64] or "scene"
