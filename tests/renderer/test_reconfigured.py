@@ -70,15 +70,15 @@ def test_a_change_of_settings_uploads_and_builds_nothing_again() -> None:
     renderer = ls.create_renderer(replace(BASE, pipeline=ls.Pipeline.HYBRID), "cpu")
     renderer.render(LIT, CAMERA)
     scene = renderer._scene
-    assets, tree, faces, triangles = scene.assets[0].data, scene.bvh.held[0].bvh, scene._meshes.data, scene._mesh_bvh
+    assets, tree, faces, triangles = scene.assets[0].data, scene.bvh.cached[0].bvh, scene._meshes.data, scene._mesh_bvh
     renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.PATH, seed=3))
     renderer.render(LIT, CAMERA)
     scene = renderer._scene
-    assert scene.assets[0].data is assets and scene.bvh.held[0].bvh is tree
+    assert scene.assets[0].data is assets and scene.bvh.cached[0].bvh is tree
     assert scene._meshes.data is faces and scene._mesh_bvh is triangles
     renderer.reconfigure(replace(BASE, pipeline=ls.Pipeline.PATH, response=ls.config.ResponseConfig(min_response=0.3)))
     renderer.render(LIT, CAMERA)
-    assert renderer._scene.bvh.held[0].bvh is not tree
+    assert renderer._scene.bvh.cached[0].bvh is not tree
 
 
 def test_buffers_of_other_settings_are_freed() -> None:

@@ -171,7 +171,7 @@ class GaussianViewer(Renderer):
                 least=np.pi * decode_srgb(captured).astype(np.float64),
             )
             change, received = light.change_and_received()
-        elif self._plan.has_shadow_only:
+        elif self._plan.has_shadow_catchers:
             change = read(sums.factor) * scale / samples - 1.0  # exactly 0 where nothing is shadowed
             received = np.broadcast_to(weight[:, None], captured.shape)
         return ShownLight(

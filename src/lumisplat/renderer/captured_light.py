@@ -19,7 +19,7 @@ from lumisplat.frame.frame import Frame
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.directions import panorama_directions
 from lumisplat.renderer.cubemap import cube_solid_angles, face_pixels, render_faces
-from lumisplat.renderer.scene.frame_plan import CapturedLight, keeps_captures
+from lumisplat.renderer.scene.frame_plan import CapturedLight, has_emissive_captures
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
@@ -37,16 +37,16 @@ _FINER = 4
 """Directions across and down a pixel of the image, whose mean it is."""
 
 
-def takes_captured_light(config: RenderConfig, scene: Scene) -> bool:
+def uses_captured_light(config: RenderConfig, scene: Scene) -> bool:
     """Whether the light of a scene's captures replaces the lights that it does not have, where that surrounds meshes.
 
     Paths and frames in real time find that light by themselves.
     """
     is_unlit = config.lighting is None and not scene.lights
-    return is_unlit and bool(scene.meshes) and keeps_captures(scene) and not config.pipeline.bounces_light
+    return is_unlit and bool(scene.meshes) and has_emissive_captures(scene) and not config.pipeline.bounces_light
 
 
-class MeshSurroundings:
+class CapturedLightCache:
     """Finds the light of captures around meshes, and keeps it as long as both stay where they are."""
 
     def __init__(self) -> None:
@@ -62,16 +62,16 @@ class MeshSurroundings:
         """Returns the scene with the light of its captures; as it is where these do not surround its meshes.
 
         Args:
-            scene: One that takes it, by `takes_captured_light`.
+            scene: One that takes it, by `uses_captured_light`.
             stops: ``RenderConfig.capture_gain``.
             renderer: Makes what renders unlit frames without a background, as `lumisplat.Renderer.render` does.
         """
-        box, is_same = np.stack(_bounds(scene.meshes)), _same(scene.splats, self._splats)
+        box, is_same = np.stack(_bounds(scene.meshes)), _are_same_captures(scene.splats, self._splats)
         if not is_same or not np.array_equal(box, self._box):
             render = self._render or renderer()
             self._light = captured_light(scene, box, render)
             self._splats, self._box, self._render = scene.splats, box, render if is_same else None
-        _say(
+        _warn_once(
             "there are no lights: meshes are lit by the capture around them (RenderConfig.lighting=True: by a light at "
             "the camera, RenderConfig.lighting=False: not at all)"
             if self._light
@@ -111,7 +111,7 @@ def _bounds(meshes: tuple[MeshInstance, ...]) -> tuple[Doubles, Doubles]:
     return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
-def _same(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> bool:
+def _are_same_captures(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> bool:
     """Whether captures look the same: the same Gaussians at the same places."""
     return len(now) == len(before) and all(
         one is other
@@ -125,6 +125,6 @@ def _same(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> 
 
 
 @cache
-def _say(line: str) -> None:
+def _warn_once(line: str) -> None:
     """Logs a line, once a process: renderers come and go, and what was assumed stays."""
     _log.warning("%s", line)

@@ -63,32 +63,32 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
 
 
 def catcher_scenes(scene: Scene) -> list[Scene]:
-    """Returns scenes whose frames need the kernels of those that `with_caught` renders."""
+    """Returns scenes whose frames need the kernels of those that `with_caught_shadows` renders."""
     added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
     bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
     return [bare, replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes))]
 
 
-def with_caught(frame: Frame, scene: Scene, render: Render, *, keeps_ratio: bool) -> Frame:
+def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_ratio: bool) -> Frame:
     """The frame of ``without_catcher_meshes`` with what its catcher meshes catch.
 
     Args:
         frame: It is lit, and has its ``shadow_ratio``.
         scene: With the catchers.
         render: Renders with `catcher_config`.
-        keeps_ratio: Whether the frame shows its ``shadow_ratio``.
+        returns_ratio: Whether the frame shows its ``shadow_ratio``.
     """
     assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
     catchers = tuple(one for one in scene.meshes if one.shadow_catcher)
     added = _added(scene)
     bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
     seen, lit = render(bare), render(replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes)))
-    there = (seen.instance_index >= 0) & ~_is_before(frame, scene, seen)
+    there = (seen.instance_index >= 0) & ~_is_in_front(frame, scene, seen)
     caught = there & (lit.instance_index >= len(added.splats) + len(added.meshes)) & (seen.color > 0.0).any(axis=2)
     ratio = np.ones_like(seen.color)
     known = caught[..., None] & (seen.color > 0.0)  # a light may lack a channel
     ratio[known] = lit.color[known] / seen.color[known]
-    ratio = np.where(there[..., None], _filled(ratio, caught), np.float32(1.0))
+    ratio = np.where(there[..., None], _dilated(ratio, caught), np.float32(1.0))
     reflected = np.where(there[..., None], _reflections(scene, added, catchers, render), np.float32(0.0))
     captured = captured_radiance(frame.captured, frame.captured_weight)
     clear = 1.0 - frame.alpha if frame.background is None else np.zeros_like(frame.alpha)
@@ -102,12 +102,12 @@ def with_caught(frame: Frame, scene: Scene, render: Render, *, keeps_ratio: bool
         light=light,
         color=np.where(changed, np.maximum(captured + light, 0.0), frame.color),
         alpha=frame.alpha + clear * np.maximum(darkness, np.clip(reflected.max(axis=2), 0.0, 1.0)),
-        shadow_ratio=ratio if keeps_ratio else None,
+        shadow_ratio=ratio if returns_ratio else None,
         accumulated=None,
     )
 
 
-def numbered_as(frame: Frame, scene: Scene) -> Frame:
+def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
     """The frame of ``without_catcher_meshes`` with the numbers that its instances have in the scene."""
     numbers = np.array([k for k, one in enumerate(scene.meshes) if not one.shadow_catcher], np.int32)
     first, index = len(scene.splats), frame.instance_index
@@ -167,7 +167,7 @@ def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...],
     frame = render(replace(added, lights=lights, meshes=(*added.meshes, *black)))
     is_catcher = frame.instance_index >= len(added.splats) + len(added.meshes)
     mirrored = np.where(is_catcher[..., None], np.maximum(frame.color - without, 0.0), np.float32(0.0))
-    return _filled(mirrored, is_catcher)
+    return _dilated(mirrored, is_catcher)
 
 
 def _mirrors(material: MaterialPbr) -> bool:
@@ -180,7 +180,7 @@ def _without_diffuse(material: object) -> MaterialPbr:
     return replace(material, base_color=color, base_color_texture=None, emissive=0.0, transmission=0.0)
 
 
-def _is_before(frame: Frame, scene: Scene, seen: Frame) -> Flags:
+def _is_in_front(frame: Frame, scene: Scene, seen: Frame) -> Flags:
     """Where a captured surface stands before a catcher, farther than surfaces of its Gaussians are thick, (H, W)."""
     height = ((frame.position - seen.position) * seen.normal).sum(axis=2)
     thickness = np.zeros_like(height)
@@ -196,7 +196,7 @@ def _offset(frame: Frame) -> float:
     return (frame.config or RenderConfig()).shadow_rays.offset
 
 
-def _filled(image: FloatArray, known: Flags) -> FloatArray:
+def _dilated(image: FloatArray, known: Flags) -> FloatArray:
     """The image with pixels beside the known ones set to the mean of those, as far as edges of objects reach."""
     values, known = np.where(known[..., None], image, np.float32(0.0)), known.copy()
     filled = image.copy()

@@ -36,7 +36,7 @@ _RAYS = 16
 _SURFACE_PX = 16.0
 """Distance in depth between rays of one pixel, in widths of it there, within which meshes are one surface: it is seen
 at up to 86 degrees from its normal."""
-_SKY_DEPTH = 1e30
+_ENVIRONMENT_DEPTH = 1e30
 """How far away an environment is, scene units: behind everything, and finite for those who compute with it."""
 _TINY = float(np.finfo(np.float32).tiny)
 """Keeps divisions from 0."""
@@ -87,17 +87,17 @@ def render_deep(
     frame = frame or tracer.frame()
     tracer.show_lights(frame)
     offsets = _offsets(frame, scene, camera)
-    wanted = _Wanted(
+    target = _Target(
         _linear(frame).reshape(-1, 3), frame.alpha.ravel().astype(np.float64), _depths(frame, scene, camera)
     )
     step = max(_BAND_RAYS // len(offsets), 1)
-    bands = [tracer.band(slice(begin, begin + step), wanted, offsets) for begin in range(0, width * height, step)]
+    bands = [tracer.band(slice(begin, begin + step), target, offsets) for begin in range(0, width * height, step)]
     columns: Iterator[Any] = zip(*bands, strict=True)
     counts, *samples = (np.concatenate(parts) for parts in columns)
     return DeepFrame(size, np.concatenate([[0], np.cumsum(counts, dtype=np.int64)]), *samples)
 
 
-class _Wanted(NamedTuple):
+class _Target(NamedTuple):
     """What the samples of each pixel are to add up to."""
 
     color: FloatArray
@@ -107,9 +107,9 @@ class _Wanted(NamedTuple):
     depth: FloatArray
     """Of what no ray meets, (N,)."""
 
-    def of(self, pixels: slice) -> _Wanted:
+    def of(self, pixels: slice) -> _Target:
         """That of some pixels."""
-        return _Wanted(self.color[pixels], self.alpha[pixels], self.depth[pixels])
+        return _Target(self.color[pixels], self.alpha[pixels], self.depth[pixels])
 
 
 class _Layers(NamedTuple):
@@ -165,10 +165,10 @@ class _DeepTracer:
         rays = RenderConfig(pipeline=Pipeline.TRACE, trace=trace, lighting=False, seed=config.seed)
         self._gaussians, self._meshes = (create_renderer(rays, device) for _ in range(2))
         self._firsts = np.cumsum([0, *(splat.gaussians.count for splat in scene.splats)])
-        self._colors = _shown_colors(scene, camera)
-        self._places = _ray_places(*camera.image_size)
-        self._sky: LightEnvironment | None = None
-        self._lamps: list[AreaLight] = []
+        self._colors = _view_colors(scene, camera)
+        self._ray_indices = _pixel_ray_indices(*camera.image_size)
+        self._environment: LightEnvironment | None = None
+        self._area_lights: list[AreaLight] = []
 
     def frame(self) -> Frame:
         """The frame of the rays."""
@@ -181,95 +181,98 @@ class _DeepTracer:
             return
         for light in filter(operator.attrgetter("enabled"), self._scene.lights):
             if isinstance(light, LightEnvironment) and light.visible and config.background is not None:
-                self._sky = light
+                self._environment = light
             elif isinstance(light, AreaLight) and light.visible and config.pipeline.traces_paths:
-                self._lamps.append(light)
+                self._area_lights.append(light)
 
-    def band(self, pixels: slice, wanted: _Wanted, offsets: list[tuple[float, float]]) -> _Samples:
+    def band(self, pixels: slice, target: _Target, offsets: list[tuple[float, float]]) -> _Samples:
         """Samples of some pixels, by one ray through each of some points of them, 0..1."""
-        places = self._places[pixels]
-        wanted = wanted.of(pixels)
-        found = [self._layers(places, sample, offset) for sample, offset in enumerate(offsets)]
+        ray_indices = self._ray_indices[pixels]
+        target = target.of(pixels)
+        found = [self._layers(ray_indices, sample, offset) for sample, offset in enumerate(offsets)]
         layers = _Layers.of(found)
         layers = layers._replace(light=layers.light / np.float32(len(offsets)))
-        has_any = np.bincount(layers.pixel, minlength=len(places)) > 0
-        covers = np.bincount(layers.pixel, layers.weight, len(places)) > 0.0  # lamps cover nothing
-        missed = np.flatnonzero((~covers & (wanted.alpha > 0.0)) | (~has_any & wanted.color.any(axis=1)))
+        has_any = np.bincount(layers.pixel, minlength=len(ray_indices)) > 0
+        covers = np.bincount(layers.pixel, layers.weight, len(ray_indices)) > 0.0  # lamps cover nothing
+        missed = np.flatnonzero((~covers & (target.alpha > 0.0)) | (~has_any & target.color.any(axis=1)))
         ones, white = np.ones(len(missed), np.float32), np.ones((len(missed), 3), np.float32)
-        layers = _Layers.of([layers, _Layers(missed, wanted.depth[missed], ones, white, np.zeros(len(missed), bool))])
-        return self._joined(layers.chosen(np.lexsort((layers.depth, layers.pixel))), wanted)
+        layers = _Layers.of([layers, _Layers(missed, target.depth[missed], ones, white, np.zeros(len(missed), bool))])
+        return self._samples_of(layers.chosen(np.lexsort((layers.depth, layers.pixel))), target)
 
-    def _layers(self, places: IntArray, sample: int, offset: tuple[float, float]) -> _Layers:
+    def _layers(self, ray_indices: IntArray, sample: int, offset: tuple[float, float]) -> _Layers:
         """Gaussians and meshes on a ray of each pixel."""
-        met = self._gaussians.profile_pixels(self._scene, self._camera, places, sample, offset)
-        profile = met.gaussians
+        traced = self._gaussians.profile_pixels(self._scene, self._camera, ray_indices, sample, offset)
+        profile = traced.gaussians
         pixel = np.repeat(np.arange(len(profile)), np.diff(profile.first))
         in_front = profile.transmittance / (np.float32(1.0) - profile.alpha)
         color = self._colors[self._firsts[profile.instance_index] + profile.gaussian_index]
-        depth = self._depths(met, pixel, profile.t)
+        depth = self._depths(traced, pixel, profile.t)
         weight = (in_front - profile.transmittance).astype(np.float32)
         gaussians = _Layers(pixel, depth, weight, weight[:, None] * color, np.zeros(len(pixel), bool))
-        left = np.ones(len(places), np.float32)
+        left = np.ones(len(ray_indices), np.float32)
         ends = np.flatnonzero(np.diff(profile.first))
         left[ends] = profile.transmittance[profile.first[ends + 1] - 1]
         left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray has ended before
-        behind = [gaussians, *(self._lamp_layers(lamp, met, pixel) for lamp in self._lamps)]
+        behind = [gaussians, *(self._light_layers(light, traced, pixel) for light in self._area_lights)]
         if self._scene.meshes:
-            behind.append(self._mesh_layers(met, left))
-        if self._sky is not None:
-            sees = np.flatnonzero(np.isinf(met.mesh_distance) & met.directions.any(axis=1) & (left > 0.0))
-            far, shown = np.full(len(sees), _SKY_DEPTH, np.float32), _seen_sky(self._sky, met.directions[sees])
-            behind.append(_Layers(sees, far, left[sees], left[sees, None] * shown, np.ones(len(sees), bool)))
+            behind.append(self._mesh_layers(traced, left))
+        if self._environment is not None:
+            hit = np.flatnonzero(np.isinf(traced.mesh_distance) & traced.directions.any(axis=1) & (left > 0.0))
+            far, shown = (
+                np.full(len(hit), _ENVIRONMENT_DEPTH, np.float32),
+                _environment_radiance(self._environment, traced.directions[hit]),
+            )
+            behind.append(_Layers(hit, far, left[hit], left[hit, None] * shown, np.ones(len(hit), bool)))
         return _Layers.of(behind)
 
-    def _lamp_layers(self, lamp: AreaLight, met: PixelProfile, pixel: Rows) -> _Layers:
+    def _light_layers(self, light: AreaLight, traced: PixelProfile, pixel: Rows) -> _Layers:
         """A lamp that is seen as a body: it adds light, and blocks none; ``pixel`` is that of each Gaussian."""
-        distance = lamp.distances(met.origins, met.directions.astype(np.float64))
+        distance = light.distances(traced.origins, traced.directions.astype(np.float64))
         left = np.ones(len(distance), np.float32)
-        in_front = met.gaussians.t < distance[pixel]
-        np.minimum.at(left, pixel[in_front], met.gaussians.transmittance[in_front])
+        in_front = traced.gaussians.t < distance[pixel]
+        np.minimum.at(left, pixel[in_front], traced.gaussians.transmittance[in_front])
         reaches = left > self._gaussians.config.trace.transmittance_min
-        sees = np.flatnonzero((distance < met.mesh_distance) & met.directions.any(axis=1) & reaches)
-        depth = self._depths(met, sees, distance[sees].astype(np.float32))
-        light = left[sees, None] * (np.array(lamp.color) * lamp.intensity).astype(np.float32)
-        return _Layers(sees, depth, np.zeros(len(sees), np.float32), light, np.ones(len(sees), bool))
+        hit = np.flatnonzero((distance < traced.mesh_distance) & traced.directions.any(axis=1) & reaches)
+        depth = self._depths(traced, hit, distance[hit].astype(np.float32))
+        radiance = left[hit, None] * (np.array(light.color) * light.intensity).astype(np.float32)
+        return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
-    def _mesh_layers(self, met: PixelProfile, left: FloatArray) -> _Layers:
+    def _mesh_layers(self, traced: PixelProfile, left: FloatArray) -> _Layers:
         """The meshes that end rays, of which so much is left there."""
-        end = np.flatnonzero(np.isfinite(met.mesh_distance) & (left > 0.0))
+        end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (left > 0.0))
         if not len(end):
             return _Layers(end, left[end], left[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
-        shown = self._meshes.trace_rays(self._behind, met.origins[end], met.directions[end]).radiance
-        depth = self._depths(met, end, met.mesh_distance[end])
+        shown = self._meshes.trace_rays(self._behind, traced.origins[end], traced.directions[end]).radiance
+        depth = self._depths(traced, end, traced.mesh_distance[end])
         light = left[end, None] * decode_srgb(shown).astype(np.float32)
         return _Layers(end, depth, left[end], light, np.ones(len(end), bool))
 
-    def _depths(self, met: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
+    def _depths(self, traced: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
         """Depths of points on rays."""
         if self._camera.model is CameraModel.FISHEYE:
             return distance
         forward = self._camera.world_from_camera[:3, 2]
-        from_eye = (met.origins - self._camera.eye) @ forward
-        return (from_eye[pixel] + distance * (met.directions @ forward)[pixel]).astype(np.float32)
+        from_eye = (traced.origins - self._camera.eye) @ forward
+        return (from_eye[pixel] + distance * (traced.directions @ forward)[pixel]).astype(np.float32)
 
-    def _joined(self, layers: _Layers, wanted: _Wanted) -> _Samples:
+    def _samples_of(self, layers: _Layers, target: _Target) -> _Samples:
         """Samples that add up to what is wanted, of layers that are sorted."""
-        count = len(wanted.alpha)
+        count = len(target.alpha)
         total = np.bincount(layers.pixel, layers.weight, count)
-        scale = np.divide(wanted.alpha, total, out=np.zeros(count), where=total > 0.0)
+        scale = np.divide(target.alpha, total, out=np.zeros(count), where=total > 0.0)
         weight = layers.weight * scale[layers.pixel]
         before = np.cumsum(weight) - weight
         firsts = np.searchsorted(layers.pixel, layers.pixel)
         through = np.maximum(1.0 - (before - before[firsts]), weight)
         starts = self._starts(layers, through)
         ends = np.append(starts[1:], len(layers.pixel))[: len(starts)] - 1
-        share = _shares(layers, wanted.color)
+        contribution = _contributions(layers, target.color)
         if len(starts):
-            weight, share = np.add.reduceat(weight, starts), np.add.reduceat(share, starts)
+            weight, contribution = np.add.reduceat(weight, starts), np.add.reduceat(contribution, starts)
         in_front = through[starts]
-        is_seen = (weight > 0.0) | share.any(axis=1)
+        is_seen = (weight > 0.0) | contribution.any(axis=1)
         starts, ends, in_front = starts[is_seen], ends[is_seen], np.maximum(in_front[is_seen], _TINY)
-        color, alpha = share[is_seen] / in_front[:, None], np.minimum(weight[is_seen] / in_front, 1.0)
+        color, alpha = contribution[is_seen] / in_front[:, None], np.minimum(weight[is_seen] / in_front, 1.0)
         counts = np.bincount(layers.pixel[starts], minlength=count)
         near, far = layers.depth[starts], layers.depth[ends]
         return _Samples(counts, near, far, color.astype(np.float32), alpha.astype(np.float32))
@@ -292,7 +295,7 @@ class _DeepTracer:
         return distance / np.float32(min(self._camera.fx, self._camera.fy))
 
 
-def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
+def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
     """What each layer adds to its pixel, (M, 3).
 
     Lamps, which alone have no weight, their own light, as it is known; the others what is left, channel by channel in
@@ -301,26 +304,26 @@ def _shares(layers: _Layers, wanted: FloatArray) -> Doubles:
 
     def summed(values: Doubles) -> Doubles:
         """Of each pixel, (N, 1 or 3)."""
-        columns = [np.bincount(layers.pixel, one, len(wanted)) for one in values.T]
+        columns = [np.bincount(layers.pixel, one, len(target)) for one in values.T]
         return np.stack(columns, axis=1, dtype=np.float64)
 
     own, weight = layers.light.astype(np.float64), layers.weight[:, None].astype(np.float64)
-    lamps = np.where(weight > 0.0, 0.0, own)
-    rest, shone, weights = own - lamps, summed(lamps), summed(weight)
-    factor = wanted / np.maximum(shone, _TINY)
-    lamps *= np.where(weights > 0.0, np.minimum(factor, 1.0), factor)[layers.pixel]
+    area_lights = np.where(weight > 0.0, 0.0, own)
+    rest, shone, weights = own - area_lights, summed(area_lights), summed(weight)
+    factor = target / np.maximum(shone, _TINY)
+    area_lights *= np.where(weights > 0.0, np.minimum(factor, 1.0), factor)[layers.pixel]
     sums = summed(rest)
     is_black = sums <= 0.0
-    factor = np.maximum(wanted - summed(lamps), 0.0) / np.where(is_black, np.maximum(weights, _TINY), sums)
-    return lamps + np.where(is_black[layers.pixel], weight, rest) * factor[layers.pixel]
+    factor = np.maximum(target - summed(area_lights), 0.0) / np.where(is_black, np.maximum(weights, _TINY), sums)
+    return area_lights + np.where(is_black[layers.pixel], weight, rest) * factor[layers.pixel]
 
 
-def _seen_sky(sky: LightEnvironment, directions: FloatArray) -> FloatArray:
+def _environment_radiance(environment: LightEnvironment, directions: FloatArray) -> FloatArray:
     """Radiance of an environment along unit directions in the world, (N, 3)."""
-    image = np.ones((1, 1, 3)) if sky.image is None else sky.image
-    world_from_sky = matrices_from_quaternions(np.array([sky.rotation_wxyz]))[0]
-    seen = panorama_lookup(image, directions.astype(np.float64) @ world_from_sky)
-    return (seen * sky.color * sky.intensity).astype(np.float32)
+    image = np.ones((1, 1, 3)) if environment.image is None else environment.image
+    world_from_environment = matrices_from_quaternions(np.array([environment.rotation_wxyz]))[0]
+    seen = panorama_lookup(image, directions.astype(np.float64) @ world_from_environment)
+    return (seen * environment.color * environment.intensity).astype(np.float32)
 
 
 def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:
@@ -333,7 +336,7 @@ def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, fl
     return [subpixel(sample) for sample in range(count)]
 
 
-def _ray_places(width: int, height: int) -> IntArray:
+def _pixel_ray_indices(width: int, height: int) -> IntArray:
     """Of the pixels' rays among those of all, pixels row by row: rays come in square blocks, (H W,)."""
     side = RAY_BLOCK_PX
     down, right = (numbers.ravel() for numbers in np.divmod(np.arange(width * height), width))
@@ -360,7 +363,7 @@ def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
     return np.interp(np.arange(flat.size), known, flat[known]).astype(np.float32)
 
 
-def _shown_colors(scene: Scene, camera: Camera) -> FloatArray:
+def _view_colors(scene: Scene, camera: Camera) -> FloatArray:
     """Linear colours of all Gaussians as the camera sees them, instance by instance, (N, 3)."""
     shown = [np.zeros((0, 3), np.float32)]
     for splat in scene.splats:

@@ -121,7 +121,7 @@ class RayHits:
         return len(self.depth)
 
 
-class GivenRays:
+class RayLoader:
     """Loads rays, up to a batch at a time.
 
     Args:
@@ -249,7 +249,7 @@ class RayQueries:
     ) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._tracer, self._integrators = tracer, integrators
-        self._rays = GivenRays(launcher, buffers)
+        self._rays = RayLoader(launcher, buffers)
         exact = ShadowConfig(transmittance_min=config.trace.transmittance_min)
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
@@ -281,8 +281,8 @@ class RayQueries:
         parts: list[dict[str, npt.NDArray[Any]]] = []
         nonfinite = 0
         starts, bounced = _starts(origins, offsets), offsets is not None
-        far = np.full(len(origins), np.inf, np.float32) if ends is None else ends
-        for first, batch in batches(origins, directions, far, starts):
+        limits = np.full(len(origins), np.inf, np.float32) if ends is None else ends
+        for first, batch in batches(origins, directions, limits, starts):
             images, count = self._query_batch(scene, plan, first, batch, bounced=bounced)
             parts.append(images)
             nonfinite += count
@@ -380,40 +380,42 @@ class RayProfiles:
         self._buffers = buffers
         self._meshes = MeshTracer(launcher, buffers)
         self._gaussians = GaussianTracer(launcher, buffers, exact, "profile")
-        self._rays = GivenRays(launcher, buffers)
+        self._rays = RayLoader(launcher, buffers)
         self._camera_rays = CameraRays(launcher, buffers)
 
-    def query(self, scene: DeviceScene, asked: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
+    def query(self, scene: DeviceScene, user_scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
         """The profile of rays; ``directions`` are unit vectors.
 
         Hits are counted first, and then written by so many rays at a time that the device holds a bounded number.
 
         Args:
             scene: The scene on the device, synced.
-            asked: The same as the caller has it.
+            user_scene: The same as the caller has it.
             origins: World space, (N, 3).
             directions: Likewise.
         """
         found = self._hits(scene, origins, directions)
         counts = np.concatenate([device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found])
-        return self._written(scene, asked, counts, lambda rays: self._given(scene, origins[rays], directions[rays]))
+        return self._profile_of(
+            scene, user_scene, counts, lambda rays: self._loaded_rays(scene, origins[rays], directions[rays])
+        )
 
     def query_pixels(
-        self, scene: DeviceScene, asked: Scene, places: IntArray, sample: int, offset: tuple[float, float]
+        self, scene: DeviceScene, user_scene: Scene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> PixelProfile:
         """Of the rays by which a camera's pixels are sampled, which are as wide as the pixels.
 
         Args:
             scene: As for `query`, with the camera.
-            asked: As for `query`.
-            places: Of the rays among those of all pixels, (N,).
+            user_scene: As for `query`.
+            ray_indices: Of the rays among those of all pixels, (N,).
             sample: Number of the sample, from which its place on the lens follows.
             offset: Position of the sample in its pixels, 0..1.
         """
         scene.begin_sample(sample)
-        rays = self._started(scene, places, sample, offset)
+        rays = self._pixel_rays(scene, ray_indices, sample, offset)
         found = self._find(scene, rays)
-        count = len(places)
+        count = len(ray_indices)
         active, hits = (
             device_array(values).numpy()[:count].copy() for values in (rays.is_active, found.gaussians.hits)
         )
@@ -422,8 +424,11 @@ class RayProfiles:
         origins, directions = (device_array(ends).numpy()[:count].copy() for ends in (rays.origin, rays.direction))
         origins = origins + scene.frame.origin
         directions[~active] = 0.0
-        profile = self._written(
-            scene, asked, np.where(active, hits, 0), lambda part: self._started(scene, places[part], sample, offset)
+        profile = self._profile_of(
+            scene,
+            user_scene,
+            np.where(active, hits, 0),
+            lambda part: self._pixel_rays(scene, ray_indices[part], sample, offset),
         )
         return PixelProfile(profile, mesh_distance, origins, directions)
 
@@ -452,26 +457,28 @@ class RayProfiles:
         gaussians = self._gaussians.find(scene, rays, meshes.t, "profile.gaussians", bounced=False, profiles=profiles)
         return PrimaryHits(rays, meshes, gaussians)
 
-    def _given(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> RayData:
+    def _loaded_rays(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> RayData:
         """Rays of a caller."""
         rays = self._rays.allocate(len(origins))
         inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
         self._rays.load(scene, 0, len(origins), inputs, rays)
         return rays
 
-    def _started(self, scene: DeviceScene, places: IntArray, sample: int, offset: tuple[float, float]) -> RayData:
+    def _pixel_rays(
+        self, scene: DeviceScene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
+    ) -> RayData:
         """Rays of a camera's pixels, as of `query_pixels`."""
-        count = whole_packets(grown_capacity(len(places)))
+        count = whole_packets(grown_capacity(len(ray_indices)))
         listed = self._buffers.struct("profile.listed", ListedRays, count)
         padded = np.full(count, -1, np.int32)
-        padded[: len(places)] = places
+        padded[: len(ray_indices)] = ray_indices
         device_array(listed.place).assign(padded)
         device_array(listed.sample).fill_(sample)
         device_array(listed.offset).assign(np.full((count, 2), offset, np.float32))
         return self._camera_rays.start(scene, listed)
 
-    def _written(
-        self, scene: DeviceScene, asked: Scene, counts: IntArray, start: Callable[[slice], RayData]
+    def _profile_of(
+        self, scene: DeviceScene, user_scene: Scene, counts: IntArray, start: Callable[[slice], RayData]
     ) -> RayProfile:
         """The profile of rays that have so many hits; ``start`` starts some of them once more."""
         first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
@@ -480,7 +487,7 @@ class RayProfiles:
             for begin, end in profile_ranges(counts)
         ]
         joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-        firsts = np.cumsum([0, *(instance.gaussians.count for instance in asked.splats)])
+        firsts = np.cumsum([0, *(instance.gaussians.count for instance in user_scene.splats)])
         instances = np.searchsorted(firsts, joined["gaussian"], side="right") - 1
         return RayProfile(
             first=first,

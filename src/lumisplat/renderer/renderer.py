@@ -22,13 +22,13 @@ from lumisplat.frame.redistorted import pinhole_of, redistorted
 from lumisplat.frame.sample_part import SamplePart
 from lumisplat.math.arrays import FloatArray, IntArray
 from lumisplat.progress import Progress
-from lumisplat.renderer.captured_light import MeshSurroundings, takes_captured_light
+from lumisplat.renderer.captured_light import CapturedLightCache, uses_captured_light
 from lumisplat.renderer.catcher_meshes import (
     catcher_config,
     catcher_scenes,
     has_catcher_meshes,
-    numbered_as,
-    with_caught,
+    with_caught_shadows,
+    with_scene_indices,
     without_catcher_meshes,
 )
 from lumisplat.renderer.checks import (
@@ -67,7 +67,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.ops.views import focused_camera, pixel_ray
 from lumisplat.scene.scene import Scene
 
-_ANY = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+_ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 """Of rays that are not a camera's."""
 
 
@@ -110,7 +110,7 @@ class Renderer:
         self._profiles = RayProfiles(launcher, buffers, config)
         self._warnings = RasterWarnings()
         self._light_warnings = LightWarnings()
-        self._surroundings = MeshSurroundings()
+        self._captured_light = CapturedLightCache()
         self._developed: FrameStats | None = None
         """Of the last frame, as long as the film has its samples."""
         self._loaded: tuple[FramePlan, bool] | None = None
@@ -154,7 +154,7 @@ class Renderer:
     def _modules_of(self, scene: Scene, *, encode: bool = False) -> list[KernelModule]:
         """The kernel modules of frames of a scene; those that take long to compile first."""
         modules: list[KernelModule] = []
-        if takes_captured_light(self.config, scene):  # or a headlight, if captures do not surround its meshes
+        if uses_captured_light(self.config, scene):  # or a headlight, if captures do not surround its meshes
             light = CapturedLight(visible=False, casts_shadow=False)
             modules += self._modules(FramePlan.of(self.config, replace(scene, lights=(light,))), encodes=encode)
             modules += self._unlit_raster.modules(has_meshes=False)
@@ -212,8 +212,8 @@ class Renderer:
         if has_catcher_meshes(scene):
             if resume is not None:
                 raise ConfigError("a frame with meshes that are shadow catchers cannot be resumed")
-            return self._with_caught(scene, camera, progress, stop)
-        scene = self._lit(scene)
+            return self._with_caught_shadows(scene, camera, progress, stop)
+        scene = self._with_captured_light(scene)
         plan = FramePlan.of(self.config, scene)
         if plan.rasterises and not plan.is_unscented and camera.is_distorted:
             refuse_lens(camera, self.config.pipeline)
@@ -239,18 +239,20 @@ class Renderer:
         self._developed = frame.stats
         return frame
 
-    def _with_caught(
+    def _with_caught_shadows(
         self, scene: Scene, camera: Camera, progress: Progress | None, stop: Callable[[], bool] | None
     ) -> Frame:
         """A frame of a scene whose meshes catch shadows, which frames of another renderer find."""
-        shown, keeps_ratio = without_catcher_meshes(scene), "shadow_ratio" in self.config.aovs
+        shown, returns_ratio = without_catcher_meshes(scene), "shadow_ratio" in self.config.aovs
         frame = self.render(shown, camera, progress=progress, stop=stop)
         self._developed = None
         if not frame.has("light"):
-            return numbered_as(frame, scene)
+            return with_scene_indices(frame, scene)
         catchers = self._catcher_renderer()
-        caught = with_caught(frame, scene, lambda one: catchers.render(one, camera, stop=stop), keeps_ratio=keeps_ratio)
-        return numbered_as(caught, scene)
+        caught = with_caught_shadows(
+            frame, scene, lambda one: catchers.render(one, camera, stop=stop), returns_ratio=returns_ratio
+        )
+        return with_scene_indices(caught, scene)
 
     def _catcher_renderer(self) -> Renderer:
         """Finds what meshes that are shadow catchers catch."""
@@ -264,7 +266,7 @@ class Renderer:
         check_camera(camera)
         if has_catcher_meshes(scene):
             raise ConfigError("samples of a frame with meshes that are shadow catchers cannot be split")
-        scene = self._lit(scene)
+        scene = self._with_captured_light(scene)
         plan = FramePlan.of(self.config, scene)
         check_blocks(self.config, plan, camera)
         self._check(plan, scene, camera, None)
@@ -330,7 +332,7 @@ class Renderer:
         """As ``reset``, and lets go of the scene of the last frame, which it else holds until the next frame."""
         self.reset()
         self._scene.release()
-        self._surroundings = MeshSurroundings()
+        self._captured_light = CapturedLightCache()
 
     def _sampled(
         self,
@@ -405,12 +407,12 @@ class Renderer:
         return replace(hits, profile=self._profiles.query(self._scene, scene, start, along))
 
     def profile_pixels(
-        self, scene: Scene, camera: Camera, places: IntArray, sample: int, offset: tuple[float, float]
+        self, scene: Scene, camera: Camera, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> PixelProfile:
         """What rays of a camera's pixels meet, as of `RayProfiles.query_pixels`, for ``Pipeline.TRACE``."""
         plan = self._sync_rays(scene, camera)
         self._load(self._modules(plan))
-        return self._profiles.query_pixels(self._scene, scene, places, sample, offset)
+        return self._profiles.query_pixels(self._scene, scene, ray_indices, sample, offset)
 
     def focused(self, scene: Scene, camera: Camera, x: int, y: int) -> Camera:
         """As the function ``focused``, if the renderer has ``Pipeline.TRACE`` or ``PATH``; it keeps the hierarchies."""
@@ -453,7 +455,7 @@ class Renderer:
             scene = without_catcher_meshes(scene)
         plan = FramePlan.of_rays(self.config, scene)
         self._launcher.stage_ms = {}
-        self._sync(scene, camera or _ANY, plan)
+        self._sync(scene, camera or _ANY_CAMERA, plan)
         return plan
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
@@ -467,13 +469,13 @@ class Renderer:
         """Returns world positions as the device has them, once the scene is synced, shape (N, 3)."""
         return self._scene.frame.points(points).astype(np.float32)
 
-    def _lit(self, scene: Scene) -> Scene:
+    def _with_captured_light(self, scene: Scene) -> Scene:
         """The scene with the light of its captures on its meshes, if it has no lights and nobody has decided."""
-        if not takes_captured_light(self.config, scene):
+        if not uses_captured_light(self.config, scene):
             return scene
-        return self._surroundings.lit(scene, self.config.capture_gain, self._render_surroundings)
+        return self._captured_light.lit(scene, self.config.capture_gain, self._captured_light_renderer)
 
-    def _render_surroundings(self) -> Callable[[Scene, Camera], Frame]:
+    def _captured_light_renderer(self) -> Callable[[Scene, Camera], Frame]:
         """What renders captures as they are, for a short while: it has a copy of them on the device."""
         launcher = Launcher(self.device, self._launcher.threads, parallel=self._launcher.is_parallel)
         raster = replace(self.config.raster, strategy=RasterStrategy.SORTED, projection=Projection.EWA)

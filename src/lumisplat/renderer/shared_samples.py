@@ -17,7 +17,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
-SAMPLES_A_BLOCK = 32
+SAMPLES_PER_BLOCK = 32
 """Samples of a frame that one process adds up where several share it; frames that are shared depend on it by rounding.
 A power of two, as points of Sobol sequences are well spread in such numbers."""
 
@@ -32,8 +32,8 @@ def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:
     check_scene(scene)
     plan = FramePlan.of(renderer.config, scene)
     check_blocks(renderer.config, plan)
-    starts = range(0, plan.samples, SAMPLES_A_BLOCK)
-    return [range(start, min(start + SAMPLES_A_BLOCK, plan.samples)) for start in starts]
+    starts = range(0, plan.samples, SAMPLES_PER_BLOCK)
+    return [range(start, min(start + SAMPLES_PER_BLOCK, plan.samples)) for start in starts]
 
 
 def render_samples(

@@ -30,7 +30,7 @@ from lumisplat.renderer.raster.binning import binning_of, pair_starts
 from lumisplat.renderer.raster.mesh_raster import MeshRaster
 from lumisplat.renderer.raster.splat_raster import SplatRaster, raster_table
 from lumisplat.renderer.raster.unlit_raster import DrawnSplats, UnlitRaster
-from lumisplat.renderer.raster.unscented_raster import SplatsOnRays, UnscentedRaster
+from lumisplat.renderer.raster.unscented_raster import DrawnRaySplats, UnscentedRaster
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.camera_rays import CameraRays
@@ -348,7 +348,7 @@ class TrainingUnscented(_Backend):
         return pose_of_rays_gradient(self._backward.motions(self._last_hits), [SplatInstance(self._gaussians)], camera)
 
     @property
-    def _last_hits(self) -> SplatsOnRays:
+    def _last_hits(self) -> DrawnRaySplats:
         """What the rays of the last frame hit."""
         assert self._raster.drawn is not None
         return self._raster.drawn

@@ -23,9 +23,9 @@ MATT = ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1), base_color=(0.5,
 
 @pytest.fixture(autouse=True)
 def _unsaid() -> Iterator[None]:
-    captured_light._say.cache_clear()
+    captured_light._warn_once.cache_clear()
     yield
-    captured_light._say.cache_clear()
+    captured_light._warn_once.cache_clear()
 
 
 def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gaussians:

@@ -155,7 +155,7 @@ def test_gaussians_bring_their_own_normals(pipeline: ls.Pipeline) -> None:
     """Light falls by the normals that Gaussians carry; whichever way they point, they face the viewer.
 
     The curtain just fills the view: turned around, normals of one that is as wide as the others would be near the
-    horizon of the eye at its sides, where they are bent (test_own_normals.py).
+    horizon of the eye at its sides, where they are bent (test_stored_normals.py).
     """
     tilted, narrow = np.array([0.6, 0.0, -0.8]), np.array([0.4, 0.4, 1.0])
     toward = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)

@@ -13,7 +13,7 @@ from lumisplat.config.render import PATH_PARTS
 from lumisplat.constants import SH_C0
 from lumisplat.device.gi.captured_emitters import EmitterBox
 from lumisplat.math.transforms import rotation_from_degrees
-from lumisplat.renderer.scene.captured_emitters import boxes_of, stands_apart
+from lumisplat.renderer.scene.captured_emitters import boxes_of, is_separate_emitter
 from lumisplat.runtime.struct_tables import table_dtype
 from support.probes import probe_captured_emitter_kernels as probe
 from support.scenes.path_scenes import diffuse
@@ -121,9 +121,9 @@ def test_what_stands_around_receivers_is_no_light() -> None:
     """A lamp over a floor is a light; a capture of a room in which a mesh stands is not."""
     corners = np.column_stack([RNG.uniform(-4.0, 4.0, (100, 3)), np.ones(100)])
     flat, around = np.array(((-0.5, -0.1, -0.5), (0.5, 0.1, 0.5))), np.array(((-5.0,) * 3, (5.0,) * 3))
-    assert stands_apart(placed(1.0), flat, corners)
-    assert not stands_apart(placed(1.0), around, corners)
-    assert not stands_apart(placed(1.0), flat, np.zeros((0, 4)))
+    assert is_separate_emitter(placed(1.0), flat, corners)
+    assert not is_separate_emitter(placed(1.0), around, corners)
+    assert not is_separate_emitter(placed(1.0), flat, np.zeros((0, 4)))
 
 
 def test_a_captured_room_lights_a_mesh_in_it_by_probes_alone() -> None:

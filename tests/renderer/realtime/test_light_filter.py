@@ -198,7 +198,7 @@ def test_short_histories_count_less_when_light_has_changed() -> None:
         sequence = FilterSequence()
         for _ in range(frames):
             sequence.render(plane(), even())
-        sequence.known_share = 0.1
+        sequence.history_weight = 0.1
         sequence.render(plane(), even())
         np.testing.assert_allclose(sequence.ages(), expected, rtol=1e-6)
 
@@ -209,7 +209,7 @@ def test_a_shadow_that_passes_leaves_no_trail() -> None:
     column = np.arange(COUNT) % SIZE["width"]
     for _ in range(20):
         sequence.render(seen, even())
-    sequence.known_share = 0.8
+    sequence.history_weight = 0.8
     for left in range(0, 20, 2):
         shadow = (column == left) | (column == left + 1)
         found = sequence.render(seen, np.where(shadow[:, None], 0.0, even()))[:, 0]
@@ -371,12 +371,12 @@ def test_it_is_the_twin(radius: int, passes: int, moves: str) -> None:
     twin = Filter(radius=radius, passes=passes, shared=shared)
     for step in range(12):
         seen, diffuse, glossy, sampled = moving(step)
-        sequence.known_share = 0.8 if moves == "things" and step % 4 else 1.0
+        sequence.history_weight = 0.8 if moves == "things" and step % 4 else 1.0
         if moves != "camera":
             seen = moving(0)[0]
         if moves == "samples":
             seen = seen_in_box(box_camera(0.0), offset=subpixel(step))
         found = sequence.render(seen, diffuse, glossy, sampled)
-        truth = twin.render(seen, diffuse, glossy, sampled, sequence.known_share)
+        truth = twin.render(seen, diffuse, glossy, sampled, sequence.history_weight)
         np.testing.assert_allclose(sequence.ages(), twin.history.frames, rtol=2e-5)
         np.testing.assert_allclose(found, truth, rtol=1e-5, atol=2e-5 * diffuse.max() if moves == "camera" else 1e-5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lumisplat.device.gi.radiance_cache import CacheTiles
-from lumisplat.renderer.scene.motion import OUTDATED_SHARE
+from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
 from lumisplat.runtime.launcher import Launcher
 from support.oracles.radiance_cache_oracle import Cell, RadianceCacheOracle, Samples, cell_at
 from support.scenes.cache_rig import CacheRig, made_samples, on_floor, unit
@@ -151,7 +151,7 @@ def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
     assert len(twin.indirect) > 150
 
 
-@pytest.mark.parametrize("share", [OUTDATED_SHARE, 0.7])
+@pytest.mark.parametrize("share", [OUTDATED_HISTORY_WEIGHT, 0.7])
 def test_outdated_means_are_the_twins(share: float) -> None:
     """When light changes after three frames: right after it, and while cells find other light, some of few samples."""
     rng = np.random.default_rng(10)

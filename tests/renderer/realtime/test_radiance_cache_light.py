@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lumisplat.renderer.scene.motion import OUTDATED_SHARE
+from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
 from support.oracles.radiance_cache_oracle import Samples
 from support.scenes.cache_rig import UP, CacheRig, cosine_directions, made_samples, on_floor
 
@@ -250,7 +250,7 @@ def test_outdated_light_stays_until_other_is_found() -> None:
     rig = CacheRig()
     position = on_floor(rng, 3000, 8.0)
     lit_floor(rig, position, range(40), 1.0)
-    rig.cache.outdate(OUTDATED_SHARE)
+    rig.cache.outdate(OUTDATED_HISTORY_WEIGHT)
     assert rig.look_up(made_samples(position)) == pytest.approx(1.5, rel=1e-6), "better than nothing"
     _, host = rig.points(40)
     cells = {*zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True)}

@@ -14,7 +14,7 @@ from lumisplat.device.gaussian.layers import LAYER_LIFT
 from lumisplat.device.gi.probe_placement import ProbeData
 from lumisplat.math.directions import directions_of_square
 from lumisplat.renderer.scene.camera_table import subpixel
-from lumisplat.renderer.scene.motion import OUTDATED_SHARE
+from lumisplat.renderer.scene.motion import OUTDATED_HISTORY_WEIGHT
 from lumisplat.runtime.buffers import device_array
 from support.oracles import screen_probe_oracle as oracle
 from support.oracles.means_oracle import mean_weight
@@ -225,7 +225,7 @@ def test_outdated_light_stays_until_other_is_found() -> None:
     for _ in range(12):
         sequence.render(seen)
     sequence.place(seen)
-    sequence.probes.outdate(OUTDATED_SHARE)
+    sequence.probes.outdate(OUTDATED_HISTORY_WEIGHT)
     sequence.tracer = constant([np.nan] * 3)
     sequence.trace()
     np.testing.assert_allclose(sequence.look_up(seen), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)

@@ -45,7 +45,7 @@ def assert_as_new(warm: ls.Renderer, way: str, scene: ls.Scene) -> None:
 
 def held(renderer: ls.Renderer) -> list[int]:
     """Identities of the trees, by asset."""
-    return [id(one.bvh) for one in renderer._scene.bvh._held]
+    return [id(one.bvh) for one in renderer._scene.bvh._cached]
 
 
 # --- Assets ---
@@ -78,11 +78,11 @@ def test_an_asset_in_another_ones_place_is_followed(way: str) -> None:
     warm = renderer_of(way, TRACE)
     assert_as_new(warm, way, ls.Scene([first, second]))
     trees = held(warm)
-    second_nodes = warm._scene.bvh._held[1].bvh.nodes.numpy().tobytes()
+    second_nodes = warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes()
     moved = replace(first, means=first.means + np.float32(0.05))
     assert_as_new(warm, way, ls.Scene([moved, second]))
     assert held(warm) == trees
-    assert warm._scene.bvh._held[1].bvh.nodes.numpy().tobytes() == second_nodes
+    assert warm._scene.bvh._cached[1].bvh.nodes.numpy().tobytes() == second_nodes
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_other_changes_build_what_is_new(way: str, change: str) -> None:
     warm = renderer_of(way, TRACE)
     warm.render(ls.Scene([first, second]), view())
     a, b = held(warm)
-    kept = warm._scene.bvh._held  # so that a new tree cannot have an old one's identity
+    kept = warm._scene.bvh._cached  # so that a new tree cannot have an old one's identity
     other = random_gaussians(7, 60)
     scenes: dict[str, tuple[list[ls.Gaussians], list[int | None]]] = {
         "count": ([random_gaussians(7, 61), second], [None, b]),
@@ -187,7 +187,7 @@ def test_the_stack_is_for_the_deepest_way() -> None:
         renderer.render(ls.Scene(places), view())
         bvh = renderer._scene.bvh
         nodes = bvh.data(renderer._scene.splat_instances).tlas_nodes
-        needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(held.bvh.stack_size for held in bvh.held))
+        needed.append(waiting_in_tree(nodes.numpy()) - 1 + max(held.bvh.stack_size for held in bvh.cached))
         assert bvh.stack >= needed[-1]
     assert needed[1] > needed[0] == 1
     assert needed[2] == needed[1] + 1

@@ -124,7 +124,7 @@ def test_animated_sets_keep_their_memory(pipeline: ls.Pipeline, lighting: bool) 
         before = launcher.launches
         moving = wavy(shown, amount)
         frame = renderer.render(moving, camera)
-        held = renderer._scene.bvh.held
+        held = renderer._scene.bvh.cached
         refit = 1 + len(held[0].bvh.levels) if held else 0
         expected = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)).render(moving, camera)
         np.testing.assert_allclose(frame.color, expected.color, atol=2e-5)
@@ -188,7 +188,7 @@ def test_rebuilt_hierarchies_are_shrunk_anew() -> None:
         moving = dataclasses.replace(shown.splats[0], gaussians=dataclasses.replace(capture, means=moved))
         other = dataclasses.replace(shown, splats=[moving])
         frame = renderer.render(other, camera)
-        builds.add(renderer._scene.bvh.held[0].bvh.build)
+        builds.add(renderer._scene.bvh.cached[0].bvh.build)
         expected = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)).render(other, camera)
         np.testing.assert_allclose(frame.color, expected.color, atol=1e-5)
     assert len(builds) > 1, "no hierarchy was rebuilt"

@@ -316,7 +316,7 @@ def test_refitted_images_are_those_of_a_new_tree(way: str) -> None:
         fresh = renderer_of(way, TRACE).render(ls.Scene([step]), front_camera(24, 18, 22.0))
         for name in ("color", "alpha", "depth", "normal", "gaussian_index"):
             np.testing.assert_array_equal(getattr(shown, name), getattr(fresh, name), err_msg=name)
-        tree = warm._scene.bvh._held[0].bvh
+        tree = warm._scene.bvh._cached[0].bvh
         trees.append((id(tree), tree.cost_built))
     assert len({number for number, _ in trees}) == 1, "followed by one tree"
     costs = [cost for _, cost in trees]

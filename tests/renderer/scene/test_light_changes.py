@@ -10,10 +10,10 @@ import pytest
 import lumisplat as ls
 from lumisplat.renderer.scene.motion import (
     CHANGED_FRAMES,
-    CHANGED_SHARE,
+    CHANGED_HISTORY_WEIGHT,
     MOVED_FRAMES,
-    MOVED_SHARE,
-    OUTDATED_SHARE,
+    MOVED_HISTORY_WEIGHT,
+    OUTDATED_HISTORY_WEIGHT,
     LightChanges,
     in_order,
 )
@@ -75,43 +75,45 @@ OTHER = {
 def test_what_is_known_counts_less_when_light_changes(change: str) -> None:
     """For some frames if it has changed a little; for next to nothing in the frame in which it is suddenly another."""
     changes = LightChanges()
-    assert [changes.share(LIT, False) for _ in range(3)] == [1.0] * 3
-    after = [changes.share((SAME | CHANGED | OTHER)[change], False) for _ in range(CHANGED_FRAMES + 1)]
-    assert after[0] == (1.0 if change in SAME else CHANGED_SHARE if change in CHANGED else OUTDATED_SHARE)
-    assert after[1:CHANGED_FRAMES] == [1.0 if change in SAME else CHANGED_SHARE] * (CHANGED_FRAMES - 1)
-    assert after[CHANGED_FRAMES] in (1.0, MOVED_SHARE)  # what is gone may have moved
+    assert [changes.history_weight(LIT, False) for _ in range(3)] == [1.0] * 3
+    after = [changes.history_weight((SAME | CHANGED | OTHER)[change], False) for _ in range(CHANGED_FRAMES + 1)]
+    assert after[0] == (
+        1.0 if change in SAME else CHANGED_HISTORY_WEIGHT if change in CHANGED else OUTDATED_HISTORY_WEIGHT
+    )
+    assert after[1:CHANGED_FRAMES] == [1.0 if change in SAME else CHANGED_HISTORY_WEIGHT] * (CHANGED_FRAMES - 1)
+    assert after[CHANGED_FRAMES] in (1.0, MOVED_HISTORY_WEIGHT)  # what is gone may have moved
 
 
 @pytest.mark.parametrize("move", MOVED)
 def test_what_is_known_fades_while_things_move(move: str) -> None:
     """More slowly, and for longer, than if a light had changed."""
     changes = LightChanges()
-    changes.share(LIT, False)
-    after = [changes.share(MOVED[move], False) for _ in range(MOVED_FRAMES + 1)]
-    assert after == [MOVED_SHARE] * MOVED_FRAMES + [1.0]
+    changes.history_weight(LIT, False)
+    after = [changes.history_weight(MOVED[move], False) for _ in range(MOVED_FRAMES + 1)]
+    assert after == [MOVED_HISTORY_WEIGHT] * MOVED_FRAMES + [1.0]
 
 
 def test_captures_that_are_lights_count_as_lights() -> None:
     """One that moves changes the light, and one that becomes a light is another light."""
     changes = LightChanges()
-    assert [changes.share(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
-    assert changes.share(MOVED["a capture that moves"], False, (0,)) == CHANGED_SHARE
-    assert changes.share(MOVED["a capture that moves"], False) == OUTDATED_SHARE
+    assert [changes.history_weight(LIT, False, (0,)) for _ in range(2)] == [1.0] * 2
+    assert changes.history_weight(MOVED["a capture that moves"], False, (0,)) == CHANGED_HISTORY_WEIGHT
+    assert changes.history_weight(MOVED["a capture that moves"], False) == OUTDATED_HISTORY_WEIGHT
 
 
 def test_nothing_is_outdated_at_the_beginning() -> None:
     """In the first frame, and in the first one of another sequence."""
     changes = LightChanges()
-    assert changes.share(LIT, False) == 1.0
+    assert changes.history_weight(LIT, False) == 1.0
     changes.forget()
-    assert changes.share(ls.Scene(), False) == 1.0
+    assert changes.history_weight(ls.Scene(), False) == 1.0
 
 
 def test_a_headlight_is_a_light() -> None:
     """A scene may lose its last light, and then be lit by the headlight."""
     changes, dark = LightChanges(), replace(LIT, lights=())
-    assert [changes.share(dark, False) for _ in range(2)] == [1.0] * 2
-    assert changes.share(dark, True) == OUTDATED_SHARE
+    assert [changes.history_weight(dark, False) for _ in range(2)] == [1.0] * 2
+    assert changes.history_weight(dark, True) == OUTDATED_HISTORY_WEIGHT
 
 
 def test_lights_are_in_one_order() -> None:

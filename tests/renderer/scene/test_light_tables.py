@@ -18,7 +18,7 @@ from lumisplat.device.light.light import (
     LIGHT_SPOT,
 )
 from lumisplat.renderer.scene import lights as render_lights
-from lumisplat.renderer.scene.lights import LightTable, environment_ends
+from lumisplat.renderer.scene.lights import LightTable, environment_cdfs
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.lights import (
@@ -142,7 +142,7 @@ def test_environment(rig: Rig) -> None:
 def test_images_are_kept(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same object is uploaded once, whatever else changes, also after it was off for a while."""
     uploads = []
-    monkeypatch.setattr(render_lights, "environment_ends", lambda i: uploads.append(i) or environment_ends(i))
+    monkeypatch.setattr(render_lights, "environment_cdfs", lambda i: uploads.append(i) or environment_cdfs(i))
     sky = LightEnvironment(IMAGE)
     image: Any = sky.image
     for light in (sky, sky, LightEnvironment(image, intensity=3.0), LightEnvironment(image, enabled=False)):
@@ -173,10 +173,10 @@ def test_large_figures_stay_finite(rig: Rig) -> None:
 def test_shares_of_rows() -> None:
     """By hand: one row as bright as the other has the larger share where it is the larger band of the sphere."""
     image = np.ones((3, 2, 3), dtype=np.float32)
-    rows, columns = environment_ends(image)
+    rows, columns = environment_cdfs(image)
     np.testing.assert_allclose(rows, (0.25, 0.75, 1.0), rtol=1e-6)  # 1 - cos 60 degrees, halved
     np.testing.assert_allclose(columns, [(0.5, 1.0)] * 3)
     image[0] = 0.0
     image[2] = 0.0
-    rows, _ = environment_ends(image)  # cells beside it get 1/8, its own keeps 3/4
+    rows, _ = environment_cdfs(image)  # cells beside it get 1/8, its own keeps 3/4
     np.testing.assert_allclose(rows, np.cumsum([0.125 * 0.25, 0.75 * 0.5, 0.125 * 0.25]) / 0.4375, rtol=1e-6)

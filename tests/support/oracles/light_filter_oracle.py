@@ -153,15 +153,15 @@ def accumulated(
     sampled: Mask,
     frames_max: int,
     shared: int,
-    known_share: float = 1.0,
+    history_weight: float = 1.0,
 ) -> Light:
     """A history with the samples of one more frame."""
     sampled = sampled & (seen.share > 0.0)
     samples = np.where(sampled[:, None, None], samples, 0.0)
     retained = retained_shares(seen, history, samples, sampled, shared)
-    if known_share < 1.0:
+    if history_weight < 1.0:
         retained = np.minimum(retained, shares_inside(seen, history, samples, sampled))
-        retained *= np.where(history.frames < YOUNG_FRAMES, known_share, 1.0)
+        retained *= np.where(history.frames < YOUNG_FRAMES, history_weight, 1.0)
     count = retained * history.frames + 1.0
     bright = luminance(samples)
     moments = np.stack([bright, bright * bright], axis=-1)
@@ -244,13 +244,15 @@ class Filter:
         self._before: Seen | None = None
         self.history = empty(0)
 
-    def render(self, seen: Seen, diffuse: Doubles, glossy: Doubles, sampled: Mask, known_share: float = 1.0) -> Doubles:
+    def render(
+        self, seen: Seen, diffuse: Doubles, glossy: Doubles, sampled: Mask, history_weight: float = 1.0
+    ) -> Doubles:
         """The filtered light of the next frame, shape (pixels, 2, 3), of its samples."""
         history = empty(len(sampled))
         if self._before is not None:
             history = reprojected(seen, self._before, self.history)
         samples = np.stack([diffuse, glossy], axis=1)
-        self.history = accumulated(seen, history, samples, sampled, self._frames, self._shared, known_share)
+        self.history = accumulated(seen, history, samples, sampled, self._frames, self._shared, history_weight)
         self._before = seen
         light, variance = self.history.light, variances(seen, self.history)
         for number in range(self._passes):

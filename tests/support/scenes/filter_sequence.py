@@ -36,7 +36,7 @@ class FilterSequence:
         launcher = Launcher("cpu", threads=threads, parallel=parallel)
         self.filter = LightFilter(launcher, self._buffers, ls.config.FilterConfig(**settings), "light", shared)
         self.frame = 0
-        self.known_share = 1.0
+        self.history_weight = 1.0
         """Of the next frames, as of ``Motion``."""
         self._seen: Seen | None = None
         self._before: SurfacePixels | None = None
@@ -60,7 +60,7 @@ class FilterSequence:
         now = seen.upload()
         scene = SimpleNamespace(
             camera=camera_rows(seen.camera, offset=seen.offset),
-            motion=SimpleNamespace(camera=camera_rows(before.camera), known_share=self.known_share),
+            motion=SimpleNamespace(camera=camera_rows(before.camera), history_weight=self.history_weight),
             image_size=(seen.camera.width, seen.camera.height),
         )
         surfaces = PixelSurfaces(1, now, self._before or now)

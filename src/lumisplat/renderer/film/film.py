@@ -96,7 +96,7 @@ class Film:
         row.pixels, row.count = self._pixels.data, self._count
         if plan.is_lit:
             row.lit = self._lit.data
-        if plan.has_shadow_only:
+        if plan.has_shadow_catchers:
             row.capture_factor = self._image("capture_factor")
         if plan.has_receivers:
             for name in CATCHER_LAYERS:
@@ -271,7 +271,7 @@ class Film:
         if self._plan.has_receivers:
             radiance = wave.row.radiance
             images |= {name: device_array(getattr(radiance, field)) for name, field in CATCHER_LAYERS.items()}
-        if self._plan.has_shadow_only:
+        if self._plan.has_shadow_catchers:
             images["capture_factor"] = device_array(wave.row.radiance.capture_factor)
         if "hits" in self._plan.aovs:
             images["hits"] = self._buffers.get("film.hit_counts", wp.vec3, wave.count)
@@ -284,7 +284,7 @@ class Film:
         names = [
             name for name in ("albedo", "reflection", "hits", *PATH_PARTS, *REALTIME_AOVS) if name in self._plan.aovs
         ]
-        names += ["capture_factor"] * self._plan.has_shadow_only
+        names += ["capture_factor"] * self._plan.has_shadow_catchers
         names += CATCHER_LAYERS if self._plan.has_receivers else ()
         if "bounces" in self._plan.aovs:
             names += [f"bounce{n}" for n in range(self._plan.max_bounces + 2)]
@@ -365,7 +365,7 @@ class Film:
     @property
     def _adds_captured(self) -> bool:
         """Whether captures, which paths add up apart, or their changes are yet to be added to the emission."""
-        return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_only)
+        return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_catchers)
 
     def _image(self, name: str) -> DeviceArray:
         return self._buffers.get(f"film.{name}", wp.vec3, self._pixel_count)
@@ -405,7 +405,7 @@ class Film:
 
 def has_catchers(plan: FramePlan) -> bool:
     """Whether a frame shows shadow catchers."""
-    return plan.has_shadow_only or plan.has_receivers
+    return plan.has_shadow_catchers or plan.has_receivers
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from lumisplat.renderer.gradients.arrays import (
     set_gradient,
 )
 from lumisplat.renderer.gradients.pose import pose_of_rays_gradient
-from lumisplat.renderer.rays import GivenRays, RayHits, batches
+from lumisplat.renderer.rays import RayHits, RayLoader, batches
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer, packet_ranges, trace_table
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
@@ -122,7 +122,7 @@ class RayBackward:
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers = launcher, buffers
-        self._given = GivenRays(launcher, buffers)
+        self._given = RayLoader(launcher, buffers)
         self._tracer = GaussianTracer(launcher, buffers, config, "backward.trace")
         self._settings = buffers.get("backward.settings", TraceData, 1)
         assign_table(self._settings, trace_table(launcher, config.trace))

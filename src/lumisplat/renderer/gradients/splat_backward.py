@@ -94,7 +94,7 @@ class SplatBackward:
             by_splat: Derivatives by splats.
             number: The instance's, in the scene.
         """
-        asset = next(asset for asset in scene.assets if number in asset.placed)
+        asset = next(asset for asset in scene.assets if number in asset.instances)
         chunks = -(-asset.gaussians.count // POSE_CHUNK)
         sums = self._buffers.get("backward.pose", PoseGradient, chunks)
         data = (number, asset.data, drawn.splats.data, drawn.splats.rects, by_splat)

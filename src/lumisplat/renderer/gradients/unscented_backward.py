@@ -23,7 +23,7 @@ from lumisplat.renderer.gradients.arrays import (
 )
 from lumisplat.renderer.gradients.pose import pose_of_rays_gradient
 from lumisplat.renderer.raster.binning import pair_starts
-from lumisplat.renderer.raster.unscented_raster import SplatsOnRays
+from lumisplat.renderer.raster.unscented_raster import DrawnRaySplats
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -37,7 +37,7 @@ class UnscentedFrame:
 
     scene: Scene
     camera: Camera
-    drawn: SplatsOnRays
+    drawn: DrawnRaySplats
 
 
 class UnscentedBackward:
@@ -87,7 +87,7 @@ class UnscentedBackward:
         )
 
     def splats(
-        self, scene: DeviceScene, drawn: SplatsOnRays, pixels: PixelData, gradient: PixelGradient
+        self, scene: DeviceScene, drawn: DrawnRaySplats, pixels: PixelData, gradient: PixelGradient
     ) -> DeviceArray:
         """Derivatives by all Gaussians of a frame, an element of ``RaySplatGradient`` each.
 
@@ -114,7 +114,7 @@ class UnscentedBackward:
         return sums
 
     def gaussians(
-        self, scene: DeviceScene, drawn: SplatsOnRays, by_splat: DeviceArray, number: int
+        self, scene: DeviceScene, drawn: DrawnRaySplats, by_splat: DeviceArray, number: int
     ) -> GaussianGradient:
         """Derivatives by the Gaussians of an asset, 0 for those that were not met.
 
@@ -133,7 +133,7 @@ class UnscentedBackward:
             self._launcher.run_banded(kernels.backward_ray_gaussians, asset.gaussians.count, *inputs)
         return out
 
-    def motions(self, drawn: SplatsOnRays) -> DeviceArray:
+    def motions(self, drawn: DrawnRaySplats) -> DeviceArray:
         """Derivatives by where the rays are that meet each Gaussian, ``RayMotion``; after ``gaussians`` of all assets.
 
         Args:

@@ -32,7 +32,7 @@ class Integrators:
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
-        self._parts = launcher, buffers, config, tracer
+        self._arguments = launcher, buffers, config, tracer
         self._whitted: WhittedIntegrator | None = None
         self._paths: PathIntegrator | None = None
         self._realtime: RealtimeIntegrator | None = None
@@ -42,16 +42,16 @@ class Integrators:
         if plan.has_history:
             from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
 
-            self._realtime = self._realtime or RealtimeIntegrator(*self._parts)
+            self._realtime = self._realtime or RealtimeIntegrator(*self._arguments)
             return self._realtime
         if plan.traces_paths:
             from lumisplat.renderer.integrators.paths import PathIntegrator
 
-            self._paths = self._paths or PathIntegrator(*self._parts)
+            self._paths = self._paths or PathIntegrator(*self._arguments)
             return self._paths
         from lumisplat.renderer.integrators.whitted import WhittedIntegrator
 
-        self._whitted = self._whitted or WhittedIntegrator(*self._parts)
+        self._whitted = self._whitted or WhittedIntegrator(*self._arguments)
         return self._whitted
 
     def forget(self) -> None:

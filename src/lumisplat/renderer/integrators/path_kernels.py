@@ -53,10 +53,10 @@ wp.set_module_options(SHADE_OPTIONS)
 # have others.
 DIRECTION_BRANCH = wp.constant(6)
 """In which direction a path goes on."""
-WAY_BRANCH = wp.constant(7)
+SURFACE_BRANCH = wp.constant(7)
 """By which surface, and by which part of its BSDF."""
 ROULETTE_BRANCH = wp.constant(8)
-OPEN_BRANCH = wp.constant(9)
+AMBIENT_BRANCH = wp.constant(9)
 """How Gaussians hide ambient light from a shadow catcher."""
 
 
@@ -107,11 +107,11 @@ def start_ambient_rays(
     rays_out.is_active[i] = False
     if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
         rays_out.is_active[i] = not is_black(images[0].ambient[paths[0].root[i]])
-        start_along(i, i, wp.inf, OPEN_BRANCH, wave, rays_out)
+        start_along(i, i, wp.inf, AMBIENT_BRANCH, wave, rays_out)
 
 
 @wp.kernel
-def add_open(
+def add_ambient_visibility(
     start: int,
     rays: RayData,
     visibility: wp.array[wp.vec3],
@@ -150,15 +150,15 @@ def add_captured_light(
     if not (wave[0].rays.is_active[i] and leaves_receiver(i, paths)):
         return
     throughput = paths[0].throughput[i]
-    own = scene[0].settings[0].capture_gain * captured_color(captured.color[i], 1.0 - captured.transmittance[i])
-    far = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
+    emitted = scene[0].settings[0].capture_gain * captured_color(captured.color[i], 1.0 - captured.transmittance[i])
+    escaped = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
     # As ``add_seen_light`` does: where both are the same light, they are the same number.
-    add_own_light(paths[0].root[i], wp.cw_mul(throughput, own), images_inout)
-    add_sent_light(paths[0].root[i], wp.cw_mul(throughput, far), images_inout)
+    add_own_light(paths[0].root[i], wp.cw_mul(throughput, emitted), images_inout)
+    add_sent_light(paths[0].root[i], wp.cw_mul(throughput, escaped), images_inout)
 
 
 @wp.func
-def far_behind(
+def ray_escaped_radiance(
     i: int,
     number: int,
     no_shadows: bool,
@@ -178,7 +178,7 @@ def far_behind(
 
 
 @wp.kernel
-def add_seen_light(
+def add_hit_radiance(
     start: int,
     number: int,
     no_shadows: bool,
@@ -208,22 +208,24 @@ def add_seen_light(
     if not wave_inout[0].rays.is_active[i]:
         return
     lights = scene[0].settings[0].light_count
-    far_number = environment_number(scene)
-    if far_number < 0:
-        far_number = lights
-    far = wave_inout[0].gaussians.transmittance[i] * far_behind(i, number, no_shadows, paths, scene, wave_inout)
-    own = wp.vec3(0.0)
+    environment_index = environment_number(scene)
+    if environment_index < 0:
+        environment_index = lights
+    escaped = wave_inout[0].gaussians.transmittance[i] * ray_escaped_radiance(
+        i, number, no_shadows, paths, scene, wave_inout
+    )
+    emitted = wp.vec3(0.0)
     if number == 0:
         # The first wave's light is that of its surfaces and of the sky: all of it is added below.
-        own = wave_inout[0].radiance.light[i] - far
+        emitted = wave_inout[0].radiance.light[i] - escaped
         wave_inout[0].radiance.light[i] = wp.vec3(0.0)
     else:
-        own = own_light(i, no_shadows, paths, scene, wave_inout)
+        emitted = own_light(i, no_shadows, paths, scene, wave_inout)
     throughput = wp.cw_mul(paths[0].throughput[i], passed_by_ray(i, scene, wave_inout))
     diffuse = diffuse_of(i, number, paths)
     root, receives = paths[0].root[i], paths[0].receives[i]
-    add_light(root, receives, wp.cw_mul(throughput, own), number, lights, lights, diffuse, images_inout)
-    add_light(root, receives, wp.cw_mul(throughput, far), number, far_number, lights, diffuse, images_inout)
+    add_light(root, receives, wp.cw_mul(throughput, emitted), number, lights, lights, diffuse, images_inout)
+    add_light(root, receives, wp.cw_mul(throughput, escaped), number, environment_index, lights, diffuse, images_inout)
     add_shown_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
 
 
@@ -282,8 +284,8 @@ def continue_paths(
     if images_inout[0].sent:
         receives_light = number == 0
     bounce = bounce_at(i, scene, wave)
-    ways = sobol_2d(branch_key(key, WAY_BRANCH), sample)
-    branch = branch_of(i, ways[0], receives_light, bounce, wave)
+    u_surface = sobol_2d(branch_key(key, SURFACE_BRANCH), sample)
+    branch = branch_of(i, u_surface[0], receives_light, bounce, wave)
     if branch.kind == BRANCH_NONE:
         return
 
@@ -304,7 +306,7 @@ def continue_paths(
         splits = bool(False)
         if steps_out[0].paths.diffuse:
             splits = number == 0
-        step = scattered_step(i, branch, interaction, u, ways[1], splits, scene, wave)
+        step = scattered_step(i, branch, interaction, u, u_surface[1], splits, scene, wave)
     else:
         step = specular_step(i, branch, bounce, scene, wave)
     throughput = wp.cw_mul(factor, step.weight)

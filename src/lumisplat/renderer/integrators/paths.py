@@ -17,7 +17,7 @@ from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import Carried, LightImages, RayWave
+from lumisplat.renderer.trace.ray_wave import CarriedState, LightImages, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
@@ -77,9 +77,9 @@ class PathIntegrator:
             if capacity == 0:
                 break
             rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
-            onwards = self._paths(plan, number % 2, capacity)
-            self._spawn(wave, paths, steps, number, rays=rays, onwards=onwards)
-            paths = onwards
+            next_paths = self._paths(plan, number % 2, capacity)
+            self._spawn(wave, paths, steps, number, rays=rays, next_paths=next_paths)
+            paths = next_paths
             hits = self._tracer.find_hits(scene, rays, f"path{number % 2}", bounced=True)
             wave = self._wave(scene, plan, hits, paths, number)
             if number == 1 and plan.has_receivers:
@@ -100,9 +100,15 @@ class PathIntegrator:
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
         """A wave, with what its rays see but for lights, and its interactions."""
         # Two sets of buffers are enough: the first wave's stay, and a later one is done before the next begins.
-        carried = Carried(media=device_array(paths.media) if plan.has_media and number > 0 else None)
+        carried = CarriedState(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(
-            scene, plan, hits, min(number, 1), carried=carried, may_branch=False, table=f"path.wave{_turn(number)}"
+            scene,
+            plan,
+            hits,
+            min(number, 1),
+            carried=carried,
+            may_branch=False,
+            table=f"path.wave{_buffer_index(number)}",
         )
 
     def _add_captured(
@@ -124,7 +130,7 @@ class PathIntegrator:
             visibility = self._shadows.trace(
                 scene, ambient, skips, "path.open", splat_shadows=plan.splat_shadows, incoherent=True
             )
-        run(kernels.add_open, count, ambient, visibility, *rows)
+        run(kernels.add_ambient_visibility, count, ambient, visibility, *rows)
 
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
@@ -143,7 +149,7 @@ class PathIntegrator:
         )
         scattering = number, no_shadows, scene.shading, wave.data, *rows
         with self._launcher.stage("shade"):
-            run(kernels.add_seen_light, count, *scattering, bands=bands)
+            run(kernels.add_hit_radiance, count, *scattering, bands=bands)
             if number <= plan.max_bounces:
                 run(kernels.continue_paths, count, *scattering, self._row("steps", PathSteps, steps), bands=bands)
             else:
@@ -166,7 +172,7 @@ class PathIntegrator:
         return steps
 
     def _spawn(
-        self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, *, rays: RayData, onwards: PathData
+        self, wave: RayWave, paths: PathData, steps: PathSteps, number: int, *, rays: RayData, next_paths: PathData
     ) -> None:
         """Writes the rays of wave ``number``, and their paths."""
         rays.is_active.zero_()
@@ -174,7 +180,7 @@ class PathIntegrator:
             self._row(f"paths{(number - 1) % 2}", PathData, paths),
             self._row("steps", PathSteps, steps),
             rays,
-            self._row(f"paths{number % 2}", PathData, onwards),
+            self._row(f"paths{number % 2}", PathData, next_paths),
         )
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
@@ -207,7 +213,7 @@ class PathIntegrator:
         return shadows
 
 
-def _turn(number: int) -> int:
+def _buffer_index(number: int) -> int:
     """Which of the sets of arrays a wave has: the first wave's stay."""
     return 0 if number == 0 else 1 + number % 2
 

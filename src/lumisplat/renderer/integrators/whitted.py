@@ -11,7 +11,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import Carried, LightImages, RayWave
+from lumisplat.renderer.trace.ray_wave import CarriedState, LightImages, RayWave
 from lumisplat.renderer.trace.specular_waves import SpecularWaves
 from lumisplat.runtime.buffers import Buffers
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -92,7 +92,7 @@ class WhittedIntegrator:
         return self._launcher.replay(f"wave {number}", (scene.graph_key, list(sizes)), work)
 
     def _shade_wave(
-        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried | None = None
+        self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: CarriedState | None = None
     ) -> RayWave:
         """A wave with emission and direct light, and its branches numbered."""
         may_branch = number < plan.max_bounces and hits.count > 0

@@ -41,7 +41,7 @@ class DirectLight:
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
         """Adds the light that a wave's interactions reflect of all lights."""
         # Shadow catchers are darkened by the blocked share of all light, so they need unshadowed lights, too.
-        one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_only)
+        one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_catchers)
         if plan.has_unshadowed and not one_by_one:
             with self._launcher.stage("shade"):
                 self._add_unshadowed(scene, plan, wave)
@@ -88,7 +88,7 @@ class DirectLight:
         """Adds each shadowed light, and each unshadowed one if images of lights or shadow catchers need it."""
         images = self.images(scene, plan, wave.count) if self._wants_images(plan, wave) else None
         arrivals = Arrivals()
-        if plan.has_shadow_only:
+        if plan.has_shadow_catchers:
             arrivals = self._buffers.struct("light.arrivals", Arrivals, wave.count)
             arrivals.sent.zero_()
             arrivals.arrived.zero_()
@@ -96,14 +96,14 @@ class DirectLight:
         for number in range(len(scene.lights.names)):
             light = scene.lights.lights[number] if scene.lights.lights else None
             shadowed = plan.casts_shadows and light is not None and light.casts_shadow
-            direct = arrived = caught = None
+            direct = arrived = catcher_light = None
             if images is not None:
                 direct, arrived = images.direct[number], images.arrived[number]
                 direct.zero_()
                 arrived.zero_()
-                if plan.has_shadow_only:
-                    caught = self._caught(number, wave)
-                    caught.zero_()
+                if plan.has_shadow_catchers:
+                    catcher_light = self._catcher_light(number, wave)
+                    catcher_light.zero_()
             if shadowed or also_unshadowed:
                 for samples_bsdf in (False, True) if isinstance(light, LightEnvironment) else (False,):
                     contributions = self._contributions(scene, plan, wave, number, samples_bsdf)
@@ -112,18 +112,18 @@ class DirectLight:
                         self._launcher.run_banded(
                             kernels.add_light,
                             wave.count,
-                            *(shadowed, contributions, visibility, wave.data, arrivals, direct, arrived, caught),
+                            *(shadowed, contributions, visibility, wave.data, arrivals, direct, arrived, catcher_light),
                         )
-        if plan.has_shadow_only:
+        if plan.has_shadow_catchers:
             self._add_ambient(scene, plan, wave, arrivals)
             inputs = plan.ambient_rays, scene.shading, arrivals, wave.data
             self._launcher.run_banded(kernels.darken_captured, wave.count, *inputs)
             pairs = [] if images is None else list(zip(images.direct, images.arrived, strict=True))
             for number, (direct, arrived) in enumerate(pairs):
-                inputs = arrivals, self._caught(number, wave), direct, arrived
-                self._launcher.run_banded(kernels.add_caught, wave.count, *inputs)
+                inputs = arrivals, self._catcher_light(number, wave), direct, arrived
+                self._launcher.run_banded(kernels.add_catcher_light, wave.count, *inputs)
 
-    def _caught(self, number: int, wave: RayWave) -> DeviceArray:
+    def _catcher_light(self, number: int, wave: RayWave) -> DeviceArray:
         """Light of one light at the shadow catchers of a wave, first unshadowed, then shadowed."""
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
@@ -134,7 +134,7 @@ class DirectLight:
             inputs = number, scene.shading, wave.data, rays, media
             self._launcher.run_banded(kernels.spawn_ambient_rays, wave.count, *inputs)
             visibility = self._visibility(scene, plan, wave)
-            self._launcher.run_banded(kernels.add_open, wave.count, rays, visibility, arrivals)
+            self._launcher.run_banded(kernels.add_ambient_visibility, wave.count, rays, visibility, arrivals)
 
     def _contributions(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, number: int, samples_bsdf: bool

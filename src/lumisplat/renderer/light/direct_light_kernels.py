@@ -77,7 +77,7 @@ def add_light(
     arrivals_inout: Arrivals,
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
-    caught_inout: wp.array[wp.vec3],
+    catcher_light_inout: wp.array[wp.vec3],
 ):
     """Adds a light to the radiance of rays, times ``visibility`` if it is ``shadowed``.
 
@@ -96,9 +96,9 @@ def add_light(
             if wave_inout[0].interactions.shadow_only[j]:
                 arrivals_inout.sent[i] += sent
                 arrivals_inout.arrived[i] += arrived
-                if caught_inout:
-                    caught_inout[i] += sent
-                    caught_inout[stride + i] += arrived
+                if catcher_light_inout:
+                    catcher_light_inout[i] += sent
+                    catcher_light_inout[stride + i] += arrived
             else:
                 wave_inout[0].radiance.light[i] += arrived
                 if direct_inout:
@@ -139,7 +139,7 @@ def spawn_ambient_rays(
 
 
 @wp.kernel
-def add_open(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: Arrivals):
+def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: Arrivals):
     """Item = ray: adds the visibility of ambient light along an ambient ray."""
     i = start + wp.tid()
     if rays.is_active[i]:
@@ -197,14 +197,14 @@ def darken_captured(
 
 
 @wp.kernel
-def add_caught(
+def add_catcher_light(
     start: int,
     arrivals: Arrivals,
-    caught: wp.array[wp.vec3],
+    catcher_light: wp.array[wp.vec3],
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
 ):
     """Item = ray: adds to a light's own images that part of a catcher's captured colour which is its light."""
     i = start + wp.tid()
-    direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], caught[i])
-    arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], caught[caught.shape[0] // 2 + i])
+    direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[i])
+    arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[catcher_light.shape[0] // 2 + i])

@@ -23,11 +23,11 @@ class LightWarnings:
 
     def warn_of_noise(self, plan: FramePlan, samples: int) -> None:
         """Logs that so many samples, given by the user, are few for the light of the frame."""
-        if plan.grain and samples < plan.samples_wanted and not self._has_warned_of_noise:
+        if plan.noise_sources and samples < plan.samples_wanted and not self._has_warned_of_noise:
             self._has_warned_of_noise = True
             _noise_log.warning(
                 "light from %s is grainy with %d %s a pixel: %d or more make it smooth, and are the default",
-                " and ".join(plan.grain),
+                " and ".join(plan.noise_sources),
                 samples,
                 "sample" if samples == 1 else "samples",
                 plan.samples_wanted,

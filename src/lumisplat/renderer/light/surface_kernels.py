@@ -50,7 +50,7 @@ LIT_MIN = wp.constant(wp.float32(LIT_WEIGHT_MIN))
 
 
 @wp.func
-def far_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
+def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
     """Linear radiance of a ray that is not traced further: the environment's, else the background's."""
     if scene[0].environment.exists != 0:
         return environment_radiance(scene[0].environment, direction)
@@ -87,9 +87,9 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
 @wp.func
 def store_no_lobe(i: int, wave: wp.array[WaveData]):
     """Writes that a ray has no branch within a highlight, if the frame has such rays."""
-    place = 2 * wave[0].path_weights.shape[0] + i
-    if wave[0].may_branch != 0 and place < wave[0].branches.shape[0]:
-        wave[0].branches[place] = 0
+    slot = 2 * wave[0].path_weights.shape[0] + i
+    if wave[0].may_branch != 0 and slot < wave[0].branches.shape[0]:
+        wave[0].branches[slot] = 0
 
 
 @wp.func
@@ -215,11 +215,11 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
             branches = followed_branches(i, bounce, surface.transmittance, wave)
             store_branches(i, branches, wave)
             if branches[0] == 0 and not is_black(bounce.reflected):
-                far = far_radiance(reflect(wave[0].rays.direction[i], bounce.normal), scene)
-                beyond += surface.transmittance * wp.cw_mul(bounce.reflected, far)
+                escaped = untraced_radiance(reflect(wave[0].rays.direction[i], bounce.normal), scene)
+                beyond += surface.transmittance * wp.cw_mul(bounce.reflected, escaped)
             if branches[1] == 0 and not is_black(bounce.refracted) and sees_far(i, wave):
-                far = far_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
-                beyond += surface.transmittance * wp.cw_mul(bounce.refracted, far)
+                escaped = untraced_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
+                beyond += surface.transmittance * wp.cw_mul(bounce.refracted, escaped)
     elif over_light and shows_environment(i, scene, wave):
         light = surface.transmittance * environment_radiance(scene[0].environment, wave[0].rays.direction[i])
 

@@ -10,7 +10,7 @@ from lumisplat.renderer.light import surface_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
-from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.renderer.trace.ray_wave import CarriedState, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
@@ -49,7 +49,7 @@ class Surfaces:
         hits: PrimaryHits,
         number: int,
         *,
-        carried: Carried | None = None,
+        carried: CarriedState | None = None,
         may_branch: bool,
         on_paths: bool = True,
         table: str | None = None,
@@ -70,7 +70,7 @@ class Surfaces:
             if plan.has_media and number == 0:
                 self._unentered = self._buffers.get("wave.unentered", wp.int32, scene.mesh_instances.shape[0])
                 self._unentered.zero_()
-            row = self._row(plan, hits, number, carried or Carried(), may_branch=may_branch, on_paths=on_paths)
+            row = self._row(plan, hits, number, carried or CarriedState(), may_branch=may_branch, on_paths=on_paths)
             wave = RayWave(number, hits, row, self._buffers.table(table or f"wave.{number}", WaveData, [row]))
             self._launcher.run_banded(
                 kernels.shade_surfaces,
@@ -81,7 +81,14 @@ class Surfaces:
         return wave
 
     def _row(
-        self, plan: FramePlan, hits: PrimaryHits, number: int, carried: Carried, *, may_branch: bool, on_paths: bool
+        self,
+        plan: FramePlan,
+        hits: PrimaryHits,
+        number: int,
+        carried: CarriedState,
+        *,
+        may_branch: bool,
+        on_paths: bool,
     ) -> WaveData:
         count, get = hits.count, self._buffers.get
         row = WaveData()
@@ -102,9 +109,9 @@ class Surfaces:
         if carried.sees_far is not None:
             row.sees_far = carried.sees_far
         row.spawns_lobes = int(plan.has_lobes and may_branch and number == 0)
-        places = (3 if plan.has_lobes else 2) * count
-        row.branches = get(f"wave.{number}.branches", wp.int32, places)
-        row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, places)
+        slots = (3 if plan.has_lobes else 2) * count
+        row.branches = get(f"wave.{number}.branches", wp.int32, slots)
+        row.branch_ends = get(f"wave.{number}.branch_ends", wp.int32, slots)
         return row
 
     def _interactions(self, plan: FramePlan, count: int) -> Interactions:
@@ -119,7 +126,7 @@ class Surfaces:
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:
         """The arrays that the frame needs: layers in the primary wave only."""
-        without: set[str] = set() if plan.has_shadow_only else {"capture_factor"}
+        without: set[str] = set() if plan.has_shadow_catchers else {"capture_factor"}
         if number > 0 or not plan.has_receivers:
             without |= RECEIVED_FIELDS
         if number > 0 or "reflection" not in plan.aovs:

@@ -46,7 +46,7 @@ class RasterHits:
         counts = self._is_sorted and "hits" in self._config.aovs
         modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts)
         modules += [relit_kernels] if self._is_sorted and plan.mixes_sets else []
-        modules += [relit_kernels.MEANS] if plan.shows_means else []
+        modules += [relit_kernels.MEANS] if plan.has_mean_surface else []
         return [*modules, *self._meshes.modules(has_meshes=plan.has_meshes)]
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
@@ -73,7 +73,7 @@ class RasterHits:
                 self._splats.find_hits(scene, tiles, pixels, gaussians, counts=counts)
                 if scene.plan.mixes_sets:
                     self._splats.find_relit(scene, tiles, pixels, gaussians)
-                if scene.plan.shows_means:
+                if scene.plan.has_mean_surface:
                     self._splats.find_means(scene, splats, tiles, pixels, gaussians)
             else:
                 self._splats.sample_hits(scene, tiles, pixels, gaussians)

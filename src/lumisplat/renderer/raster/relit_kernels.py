@@ -91,7 +91,7 @@ def find_relit(
     tile_splats: wp.array[int],
     mixed_starts: wp.array[int],
     meshes: MeshPixels,
-    shown: GaussianHits,
+    relit: GaussianHits,
     hits_inout: GaussianHits,
 ):
     """Item = tile * 256 + pixel of the tile: what relit sets show, their share, and which of their Gaussians is lit.
@@ -105,7 +105,7 @@ def find_relit(
         tile_splats: Numbers of splats, tile after tile.
         mixed_starts: As ``tile_starts``, of the mixed tiles only.
         meshes: Nothing beyond them counts.
-        shown: These splats, composited in the mixed tiles.
+        relit: These splats, composited in the mixed tiles.
         hits_inout: Of all splats; receives the result.
     """
     i = start + wp.tid()
@@ -121,25 +121,25 @@ def find_relit(
     end = tile_starts[tile + 1]
     color = wp.vec3(0.0)
     weight = float(0.0)
-    found = int(-1)
+    gaussian = int(-1)
     if mixed_starts[tile] < mixed_starts[tile + 1]:
-        if shown.normal[ray][0] > 0.0:
+        if relit.normal[ray][0] > 0.0:
             surface = hits_inout.gaussian[ray]
             if hits_inout.depth[ray] < wp.inf and splats[surface].normal[0] > 0.0:
-                found = surface
+                gaussian = surface
             else:
-                found = first_touching(splats, tile_splats, begin, end, look(view, meshes, x, y), True)
-        if found >= 0:
-            color = shown.color[ray]
-            weight = shown.normal[ray][0]
+                gaussian = first_touching(splats, tile_splats, begin, end, look(view, meshes, x, y), True)
+        if gaussian >= 0:
+            color = relit.color[ray]
+            weight = relit.normal[ray][0]
     elif begin < end:
         if is_relit(instances, tile_splats[begin]):
             color = hits_inout.color[ray]
             weight = 1.0 - hits_inout.transmittance[ray]
-            found = hits_inout.gaussian[ray]
+            gaussian = hits_inout.gaussian[ray]
     hits_inout.relit_color[ray] = color
     hits_inout.relit_weight[ray] = weight
-    hits_inout.relit_gaussian[ray] = found
+    hits_inout.relit_gaussian[ray] = gaussian
 
 
 # The weighted-mean surface of relit Gaussians.
@@ -149,7 +149,7 @@ wp.set_module_options(OPTIONS, MEANS)
 
 
 @wp.kernel(module=MEANS)
-def show_surfaces(
+def write_surface_attributes(
     start: int,
     camera: wp.array[CameraData],
     settings: wp.array[RasterData],

@@ -88,7 +88,7 @@ class SplatRaster:
         for asset in scene.assets:
             self._launcher.run_banded(
                 splat_kernels.project_splats,
-                asset.placed_count,
+                asset.instanced_count,
                 *(scene.splat_camera, self.settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )
@@ -145,9 +145,9 @@ class SplatRaster:
         Tiles that hold others, too, are composited once more, with all others black.
         """
         count, get = len(hits.hits), self._buffers.get
-        shown = self._buffers.struct("raster.relit", GaussianHits, count, EXTRA_FIELDS)
+        relit = self._buffers.struct("raster.relit", GaussianHits, count, EXTRA_FIELDS)
         mixed = self._mixed_tiles(scene, tiles)
-        self._composite(scene, (mixed.splats, mixed.starts, mixed.items, meshes, True, PixelData(), shown))
+        self._composite(scene, (mixed.splats, mixed.starts, mixed.items, meshes, True, PixelData(), relit))
         hits.relit_color = get("raster.relit_color", wp.vec3, count)
         hits.relit_weight = get("raster.relit_weight", wp.float32, count)
         hits.relit_gaussian = get("raster.relit_gaussian", wp.int32, count)
@@ -155,7 +155,7 @@ class SplatRaster:
         self._run_pixels(
             scene,
             relit_kernels.find_relit,
-            (scene.splat_camera, scene.splat_instances, *lists, meshes, shown, hits),
+            (scene.splat_camera, scene.splat_instances, *lists, meshes, relit, hits),
         )
 
     def _mixed_tiles(self, scene: DeviceScene, tiles: SplatTiles) -> SplatTiles:
@@ -180,7 +180,7 @@ class SplatRaster:
         """
         count, run = len(hits.hits), self._launcher.run_banded
         inputs = (scene.splat_camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
-        run(relit_kernels.show_surfaces, splats.count, *inputs)
+        run(relit_kernels.write_surface_attributes, splats.count, *inputs)
         sums = self._buffers.struct("raster.means", GaussianHits, count, EXTRA_FIELDS)
         self.sum_splats(scene, tiles, meshes, sums)
         hits.mean_depth = self._buffers.get("raster.mean_depth", wp.float32, count)

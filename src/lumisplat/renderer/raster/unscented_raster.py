@@ -27,7 +27,7 @@ from lumisplat.scene.camera import Camera
 
 
 @dataclass(frozen=True, slots=True)
-class SplatsOnRays:
+class DrawnRaySplats:
     """What the rays of a frame's pixels have met."""
 
     splats: ProjectedSplats
@@ -56,7 +56,7 @@ class UnscentedRaster:
         self._meshes = MeshTracer(launcher, buffers)
         self._table = settings_table(config)
         self._settings = buffers.get("unscented.settings", RayRasterData, 1)
-        self.drawn: SplatsOnRays | None = None
+        self.drawn: DrawnRaySplats | None = None
         """What the last frame's rays have met."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
@@ -92,7 +92,7 @@ class UnscentedRaster:
             tiles = SplatTiles(splats.data, lists.starts, lists.items)
         with stage("composite"):
             hits = self._composite(scene, tiles, centers or rays, meshes.t)
-        self.drawn = SplatsOnRays(splats, tiles, centers or rays, meshes.t, hits, self._settings)
+        self.drawn = DrawnRaySplats(splats, tiles, centers or rays, meshes.t, hits, self._settings)
         return PrimaryHits(rays, meshes, hits)
 
     def _is_by_pixel(self, *, mixes_sets: bool) -> bool:
@@ -109,7 +109,7 @@ class UnscentedRaster:
         for asset in scene.assets:
             self._launcher.run_banded(
                 kernels.project_gaussians,
-                asset.placed_count,
+                asset.instanced_count,
                 *(scene.splat_camera, self._settings, scene.splat_instances, asset.instance_ids, asset.data),
                 *(splats.data, splats.keys, splats.rects),
             )

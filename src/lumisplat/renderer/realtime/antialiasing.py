@@ -48,10 +48,12 @@ class Antialiasing:
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
         self._run(kernels.store_pixels, wave.count, *inputs, wave.data, shown, shares)
-        self._run(kernels.weight_history, width * height, size, motion.known_share, motion.moved_to, before, shown, now)
+        self._run(
+            kernels.weight_history, width * height, size, motion.history_weight, motion.moved_to, before, shown, now
+        )
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
-        images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_only else {}
+        images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_catchers else {}
         for name, image in images.items():
             means = [self._mean(scene, name, number) for number in (frame - 1, frame)]
             inputs = size, scene.camera, shown, means[0], image, means[1]

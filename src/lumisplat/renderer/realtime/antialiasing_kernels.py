@@ -203,7 +203,7 @@ def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], me
 def weight_history(
     start: int,
     size: wp.vec2i,
-    known_share: float,
+    history_weight: float,
     moved_to: wp.array[int],
     history: ShownHistory,
     shown_inout: ShownPixels,
@@ -214,7 +214,7 @@ def weight_history(
     Args:
         start: First item.
         size: Width and height of the images.
-        known_share: Share of its frames for which a history counts, 1 unless something has changed.
+        history_weight: Share of its frames for which a history counts, 1 unless something has changed.
         moved_to: Numbers of the instances of the frame before, as of ``has_left``.
         history: History of the frame before.
         shown_inout: The pixels; receive position and weight.
@@ -242,7 +242,7 @@ def weight_history(
         near_y = int(wp.round(position[1]))
         if near_x >= 0 and near_x < size[0] and near_y >= 0 and near_y < size[1]:
             tap = near_y * size[0] + near_x
-            frames = known_share * history.frames[tap]
+            frames = history_weight * history.frames[tap]
             if position[0] != float(near_x) or position[1] != float(near_y):
                 frames = wp.min(frames, MOVING)
             if frames > 0.0 and has_left(history.instance[tap], instance, moved_to):

@@ -24,9 +24,9 @@ from lumisplat.renderer.realtime.screen_probes import ScreenProbes
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.shadow.shadow_rays import ShadowRays
-from lumisplat.renderer.trace.path_gaussians import Dark
+from lumisplat.renderer.trace.path_gaussians import DarkenedCaptures
 from lumisplat.renderer.trace.ray_tracer import RayTracer
-from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.renderer.trace.ray_wave import CarriedState, RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
@@ -109,9 +109,9 @@ class IndirectLight:
         with self._launcher.stage("probes"):
             shown = self._larger(surfaces)
             self.probes.place(shown, scene.camera, scene.motion.camera, scene.image_size, frame)
-            if scene.motion.known_share < 1.0:
-                self.probes.outdate(scene.motion.known_share)
-                self.cache.outdate(scene.motion.known_share)
+            if scene.motion.history_weight < 1.0:
+                self.probes.outdate(scene.motion.history_weight)
+                self.cache.outdate(scene.motion.history_weight)
             rays = self.probes.rays(frame)
         hits = self._rays.trace(scene, plan, rays, "probe_rays", hits_emitters=False)
         self.cache.insert(hits.samples, frame)
@@ -220,9 +220,9 @@ class SecondaryRays:
         goes_on = plan.max_bounces > 0
         onward = self._onward(plan, count) if goes_on else OnwardRays()
         media = device_array(onward.media) if plan.has_media else None
-        carried = Carried(device_array(onward.weights), media) if goes_on else None
+        carried = CarriedState(device_array(onward.weights), media) if goes_on else None
         marked, mirrored = scene.captured_emitters.marked, device_array(onward.mirrored) if goes_on else None
-        dark = None if hits_emitters or marked is None else Dark(marked, mirrored)
+        dark = None if hits_emitters or marked is None else DarkenedCaptures(marked, mirrored)
         for _ in range(1 + SPECULAR_WAVES * goes_on):
             hits = self._tracer.find_hits(scene, rays, name, bounced=True, dark=dark)
             with self._launcher.stage("bounced"):

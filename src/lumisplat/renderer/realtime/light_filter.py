@@ -59,7 +59,7 @@ class LightFilter:
         found = self._buffers.struct("filter.history", LightHistory, len(now.frames))
         inputs = surfaces.now, surfaces.before, scene.camera, scene.motion.camera, before, found
         self._run(scene, kernels.reproject, *inputs)
-        settings = float(self._config.frames), scene.motion.known_share, self._shared
+        settings = float(self._config.frames), scene.motion.history_weight, self._shared
         inputs = surfaces.now, scene.camera, light, found, now
         self._run(scene, kernels.accumulate, *settings, *inputs)
         return now

@@ -264,7 +264,7 @@ def accumulate(
     start: int,
     size: wp.vec2i,
     frames_max: float,
-    known_share: float,
+    history_weight: float,
     shared: float,
     surfaces: SurfacePixels,
     camera: wp.array[CameraData],
@@ -281,7 +281,7 @@ def accumulate(
         start: First item.
         size: Width and height of the images.
         frames_max: Frames after which old samples fade.
-        known_share: Share of its frames for which a short history counts, 1 unless something has changed.
+        history_weight: Share of its frames for which a short history counts, 1 unless something has changed.
         shared: Pixels that share each sample, and so its noise.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
@@ -294,8 +294,8 @@ def accumulate(
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
         is_young = own.frames < YOUNG
         if is_young:
-            own.frames *= known_share
-        if own.frames > 0.0 and (known_share < 1.0 or not is_young):
+            own.frames *= history_weight
+        if own.frames > 0.0 and (history_weight < 1.0 or not is_young):
             x = pixel % size[0]
             y = pixel // size[0]
             extent = surfaces.extent[pixel]
@@ -330,7 +330,7 @@ def accumulate(
                             held = luminance(held_glossies[tap])
                             glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
             retained = wp.min(retained_share(diffuse, shared), retained_share(glossy, shared))
-            if known_share < 1.0:
+            if history_weight < 1.0:
                 retained = wp.min(retained, share_inside(diffuse, luminance(own.diffuse)))
                 retained = wp.min(retained, share_inside(glossy, luminance(own.glossy)))
             own.frames *= retained

@@ -105,7 +105,7 @@ class Mirrors:
 
     def _add_lights(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
         """Adds direct light of all lights one by one, or, of many lights, of those that the light grid chooses."""
-        if self._grids.is_needed(scene) and not plan.has_shadow_only:
+        if self._grids.is_needed(scene) and not plan.has_shadow_catchers:
             grid = self._grids.of_wave(scene, wave)
             for slot in range(GRID_LIGHTS + 1):
                 self._add_samples(scene, plan, wave, kernels.sample_light_of_cells, slot, not plan.casts_shadows, grid)

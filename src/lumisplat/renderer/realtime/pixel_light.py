@@ -23,7 +23,7 @@ from lumisplat.renderer.trace.ray_wave import RayWave
 from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
-_OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_only=False)
+_OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_catchers=False)
 
 
 class PixelLights:
@@ -49,11 +49,11 @@ class PixelLights:
     def modules(self, plan: FramePlan) -> list[KernelModule]:
         """The kernel modules of a frame."""
         modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules()]
-        if plan.keeps_captures:
+        if plan.has_emissive_captures:
             modules += [captured_emitter_kernels, *self._shadows.modules(_OF_MESHES, has_meshes=plan.has_meshes)]
         if not plan.casts_shadows:
             return modules
-        if plan.has_shadow_only:
+        if plan.has_shadow_catchers:
             modules += self._direct_light.modules(plan)
         return [*modules, *self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes)]
 

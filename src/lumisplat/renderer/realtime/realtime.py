@@ -105,7 +105,7 @@ class RealtimeIntegrator:
         if plan.max_bounces > 0:
             with frame_pass("mirrors"):
                 self._layers["indirect_glossy"].assign(self._mirrors.add(scene, plan, wave, sample))
-        if plan.has_shadow_only and plan.casts_shadows:
+        if plan.has_shadow_catchers and plan.casts_shadows:
             with frame_pass("direct"):
                 self._lights.darken(scene, plan, wave, sample)
         if lobes and surfaces:

@@ -31,13 +31,13 @@ class SplatAsset:
     gaussians: Gaussians
     data: GaussianData
     attributes: SplatAttributes
-    placed: tuple[int, ...]
+    instances: tuple[int, ...]
     """Indices of its splat instances."""
     instance_ids: DeviceArray
     """The same on the device."""
 
     @property
-    def placed_count(self) -> int:
+    def instanced_count(self) -> int:
         """Gaussians over all of its instances."""
         return self.gaussians.count * self.instance_ids.shape[0]
 
@@ -48,39 +48,39 @@ class SplatAsset:
         return bytes_of(d.means, d.rotations, d.scales, d.opacities, d.sh)
 
 
-def sync_splat_assets(scene: Scene, held: list[SplatAsset], device: str) -> list[SplatAsset]:
+def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> list[SplatAsset]:
     """The assets of a scene, in the order of their first instances.
 
     A set that replaces one like it, as in animations, is copied to where that was, if the device has copies at all.
 
     Args:
         scene: The scene whose instances place them.
-        held: Assets on the device; those no longer placed are removed from the list, and their memory freed or written
-            again, before others are uploaded: the peak is one scene, not both.
+        cached: Assets on the device. Assets without an instance are removed from the list, and their memory is freed or
+            written again, before others are uploaded: the peak is one scene, not both.
         device: Warp device name.
     """
     numbers: dict[int, list[int]] = {}
     for number, instance in enumerate(scene.splats):
         numbers.setdefault(id(instance.gaussians), []).append(number)
-    sets = [scene.splats[placed[0]].gaussians for placed in numbers.values()]
-    known = {id(asset.gaussians): asset for asset in held if id(asset.gaussians) in numbers}
+    sets = [scene.splats[instances[0]].gaussians for instances in numbers.values()]
+    known = {id(asset.gaussians): asset for asset in cached if id(asset.gaussians) in numbers}
     replaced = {
         id(gaussians): asset
-        for asset, gaussians in zip(held, sets, strict=False)
+        for asset, gaussians in zip(cached, sets, strict=False)
         if not shares_memory(device)
         and not {id(asset.gaussians), id(gaussians)} & known.keys()
         and are_alike(asset.gaussians, gaussians)
     }
-    held[:] = known.values()
+    cached[:] = known.values()
     assets: list[SplatAsset] = []
-    for gaussians, placed in zip(sets, numbers.values(), strict=True):
+    for gaussians, instances in zip(sets, numbers.values(), strict=True):
         asset = known.get(id(gaussians)) or replaced.pop(id(gaussians), None)
-        if asset is None or asset.placed != tuple(placed):
-            ids = DeviceArray(np.array(placed, np.int32), device=device)
+        if asset is None or asset.instances != tuple(instances):
+            ids = DeviceArray(np.array(instances, np.int32), device=device)
         else:
             ids = asset.instance_ids
         data, attributes = _on_device(gaussians, asset, device)
-        assets.append(SplatAsset(gaussians, data, attributes, tuple(placed), ids))
+        assets.append(SplatAsset(gaussians, data, attributes, tuple(instances), ids))
     return assets
 
 

@@ -32,22 +32,22 @@ class SplatSets(Enum):
     """Which splat sets of a scene rays meet."""
 
     ALL = "all"
-    KEPT = "kept"
+    CAPTURED = "captured"
     """Those that keep their captured colours."""
     RELIT = "relit"
     """The others."""
-    SHADOW_ONLY = "shadow_only"
+    SHADOW_CATCHERS = "shadow_catchers"
     """A part of the kept ones."""
 
     def has(self, instance: SplatInstance) -> bool:
         """Whether an instance is one of them."""
-        if self is SplatSets.SHADOW_ONLY:
+        if self is SplatSets.SHADOW_CATCHERS:
             return instance.shadow_catcher
         return self is SplatSets.ALL or is_relit(instance) == (self is SplatSets.RELIT)
 
 
 @dataclass(frozen=True, slots=True)
-class HeldBvh:
+class CachedBvh:
     """The BVH of an asset."""
 
     gaussians: Gaussians
@@ -67,12 +67,12 @@ class BvhScene:
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
         self._buffers = Buffers(launcher.device)
-        self._held: list[HeldBvh] = []
+        self._cached: list[CachedBvh] = []
         self.assets: DeviceArray | None = None
         """What the instances place, as AssetBvh."""
         self._tlas_nodes: dict[SplatSets, DeviceArray] = {}
         """Top levels: trees of the instances' world boxes; their leaves are ~instance."""
-        self._placed: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
+        self._synced: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
         self.footprint = 0.0
         """The widest footprint of the instances, in widths of a pixel."""
         self.hit_distance = HIT_PEAK
@@ -87,7 +87,7 @@ class BvhScene:
     @property
     def bytes(self) -> int:
         """Memory of the BVHs, bytes."""
-        return self._buffers.bytes + sum(held.bvh.bytes for held in self._held)
+        return self._buffers.bytes + sum(cached.bvh.bytes for cached in self._cached)
 
     def data(self, instances: DeviceArray, sets: SplatSets = SplatSets.ALL) -> SceneBvh:
         """What kernels traverse.
@@ -111,15 +111,15 @@ class BvhScene:
         # `stack` follows from the builds and from the tree over the instances, which may keep its memory.
         arrays = [(array.ptr, array.shape) for array in (self.assets, *self._tlas_nodes.values())]
         rays = self.packet_radius, self.footprint, self.hit_distance
-        return arrays, [held.bvh.build for held in self._held], self.stack, rays
+        return arrays, [cached.bvh.build for cached in self._cached], self.stack, rays
 
     @property
-    def held(self) -> list[HeldBvh]:
+    def cached(self) -> list[CachedBvh]:
         """The assets' BVHs, in their order."""
-        return self._held
+        return self._cached
 
     def sync(
-        self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool, tells_apart: bool
+        self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool, has_subsets: bool
     ) -> None:
         """Builds or refits what changed, and the top levels if an instance has moved.
 
@@ -128,34 +128,34 @@ class BvhScene:
             assets: Its Gaussians on the device.
             config: Its kernel settings are those that the bounds follow.
             is_lit: Whether the frame is lit.
-            tells_apart: Whether rays may meet some of `SplatSets` alone.
+            has_subsets: Whether rays may meet some of `SplatSets` alone.
 
         Raises:
             DeviceError: The device is out of memory.
         """
         wanted = [(id(asset.gaussians), id(asset.data)) for asset in assets]
-        if wanted != [(id(held.gaussians), id(held.data)) for held in self._held]:
-            before, self._held = self._held, []  # until all are there: one may be refitted when the next one fails
-            self._placed = None
+        if wanted != [(id(cached.gaussians), id(cached.data)) for cached in self._cached]:
+            before, self._cached = self._cached, []  # until all are there: one may be refitted when the next one fails
+            self._synced = None
             try:
-                self._held = [self._bvh_of(place, assets, before, config) for place in range(len(assets))]
+                self._cached = [self._bvh_of(index, assets, before, config) for index in range(len(assets))]
                 self.assets = self._buffers.table("assets", AssetBvh, self._asset_rows() or [AssetBvh()])
             except DeviceError:
                 raise
             except RuntimeError as error:  # Warp's own, of what its sorts and sums allocate
                 raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
-        place_of = {id(held.gaussians): place for place, held in enumerate(self._held)}
-        places = [place_of[id(instance.gaussians)] for instance in scene.splats]
-        kinds = tuple(SplatSets) if tells_apart else (SplatSets.ALL,)
+        index_of = {id(cached.gaussians): index for index, cached in enumerate(self._cached)}
+        asset_indices = [index_of[id(instance.gaussians)] for instance in scene.splats]
+        kinds = tuple(SplatSets) if has_subsets else (SplatSets.ALL,)
         members = {kind: [kind.has(instance) for instance in scene.splats] for kind in kinds}
-        placed = places, [instance.transform.tobytes() for instance in scene.splats], members
+        synced = asset_indices, [instance.transform.tobytes() for instance in scene.splats], members
         self.footprint = max((footprint_of(instance.gaussians, config) for instance in scene.splats), default=0.0)
         hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
         self.hit_distance = HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
-        if placed != self._placed:
-            self._placed = None  # until all of it is there
-            self._place(scene, places, members)
-            self._placed = placed
+        if synced != self._synced:
+            self._synced = None  # until all of it is there
+            self._build_top_levels(scene, asset_indices, members)
+            self._synced = synced
 
     def refit(self, scene: Scene) -> None:
         """Follows Gaussians that were written where they lie, or whose arrays are others, since the last ``sync``.
@@ -163,28 +163,28 @@ class BvhScene:
         Args:
             scene: The one that was synced.
         """
-        assert self._placed is not None
-        places, _, members = self._placed
-        for held in self._held:
-            held.bvh.refit(held.data)
+        assert self._synced is not None
+        asset_indices, _, members = self._synced
+        for cached in self._cached:
+            cached.bvh.refit(cached.data)
         self.assets = self._buffers.table("assets", AssetBvh, self._asset_rows() or [AssetBvh()])
-        self._place(scene, places, members)
+        self._build_top_levels(scene, asset_indices, members)
 
-    def _place(self, scene: Scene, places: list[int], members: dict[SplatSets, list[bool]]) -> None:
+    def _build_top_levels(self, scene: Scene, asset_indices: list[int], members: dict[SplatSets, list[bool]]) -> None:
         """Builds the top levels.
 
         Args:
             scene: With the instances.
-            places: The asset of each.
+            asset_indices: The asset of each.
             members: Which of them each top level is of.
         """
-        extents = (self._held[p].bvh.extent * i.scale for i, p in zip(scene.splats, places, strict=True))
+        extents = (self._cached[p].bvh.extent * i.scale for i, p in zip(scene.splats, asset_indices, strict=True))
         self.extent = max(extents, default=0.0)
         self.packet_radius = COHERENT_RADIUS * self.extent
-        boxes = self._world_boxes(scene, places)
-        trees = {kind: tree_of_boxes(*boxes_among(boxes, among)) for kind, among in members.items()}
+        boxes = self._world_boxes(scene, asset_indices)
+        trees = {kind: tree_of_boxes(*boxes_of_members(boxes, chosen)) for kind, chosen in members.items()}
         waiting = max(waiting_in_tree(nodes) for nodes in trees.values())
-        needed = waiting - 1 + max((held.bvh.stack_size for held in self._held), default=1)
+        needed = waiting - 1 + max((cached.bvh.stack_size for cached in self._cached), default=1)
         self.stack = TRAVERSE_STACK_SMALL if needed <= TRAVERSE_STACK_SMALL else TRAVERSE_STACK
         self._tlas_nodes = {
             kind: self._buffers.get(f"tlas_nodes.{kind.value}", Node, len(nodes)) for kind, nodes in trees.items()
@@ -192,38 +192,38 @@ class BvhScene:
         for kind, nodes in trees.items():
             assign_table(self._tlas_nodes[kind], nodes)
 
-    def _bvh_of(self, place: int, assets: list[SplatAsset], before: list[HeldBvh], config: RenderConfig) -> HeldBvh:
+    def _bvh_of(self, index: int, assets: list[SplatAsset], before: list[CachedBvh], config: RenderConfig) -> CachedBvh:
         """The BVH that is held; that of the asset whose place this one took, refitted; or a new one."""
-        gaussians, data = assets[place].gaussians, assets[place].data
-        held = next((held for held in before if held.gaussians is gaussians), None)
-        if held is not None:
-            return replace(held, data=data)
+        gaussians, data = assets[index].gaussians, assets[index].data
+        cached = next((cached for cached in before if cached.gaussians is gaussians), None)
+        if cached is not None:
+            return replace(cached, data=data)
         kernel = kernel_data(gaussians, config)
         used = {id(asset.gaussians) for asset in assets}
-        there = before[place] if place < len(before) else None
+        previous = before[index] if index < len(before) else None
         if (
-            there is not None
-            and id(there.gaussians) not in used
-            and there.gaussians.count == gaussians.count
-            and there.kernel.degree == kernel.degree
+            previous is not None
+            and id(previous.gaussians) not in used
+            and previous.gaussians.count == gaussians.count
+            and previous.kernel.degree == kernel.degree
         ):
-            there.bvh.refit(data)
-            return HeldBvh(gaussians, data, kernel, there.bvh)
-        return HeldBvh(gaussians, data, kernel, GaussianBvh(self._launcher, data, kernel))
+            previous.bvh.refit(data)
+            return CachedBvh(gaussians, data, kernel, previous.bvh)
+        return CachedBvh(gaussians, data, kernel, GaussianBvh(self._launcher, data, kernel))
 
     def _asset_rows(self) -> list[AssetBvh]:
         rows: list[AssetBvh] = []
-        for held in self._held:
+        for cached in self._cached:
             row = AssetBvh()
-            row.nodes, row.particles, row.gaussians = held.bvh.nodes, held.bvh.particles, held.data
+            row.nodes, row.particles, row.gaussians = cached.bvh.nodes, cached.bvh.particles, cached.data
             rows.append(row)
         return rows
 
-    def _world_boxes(self, scene: Scene, places: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        bounds = [held.bvh.bounds() for held in self._held]
-        lows, highs = np.full((len(places), 3), FAR), np.full((len(places), 3), -FAR)
-        for i, (instance, place) in enumerate(zip(scene.splats, places, strict=True)):
-            low, high = bounds[place]
+    def _world_boxes(self, scene: Scene, asset_indices: list[int]) -> tuple[np.ndarray, np.ndarray]:
+        bounds = [cached.bvh.bounds() for cached in self._cached]
+        lows, highs = np.full((len(asset_indices), 3), FAR), np.full((len(asset_indices), 3), -FAR)
+        for i, (instance, index) in enumerate(zip(scene.splats, asset_indices, strict=True)):
+            low, high = bounds[index]
             if (low <= high).all():
                 corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
                 world = corners @ instance.transform[:3, :3].T + instance.transform[:3, 3]
@@ -232,9 +232,9 @@ class BvhScene:
         return lows, highs
 
 
-def boxes_among(boxes: tuple[np.ndarray, np.ndarray], among: list[bool]) -> tuple[np.ndarray, np.ndarray]:
+def boxes_of_members(boxes: tuple[np.ndarray, np.ndarray], members: list[bool]) -> tuple[np.ndarray, np.ndarray]:
     """The boxes, as ``tree_of_boxes`` takes them, those left out inverted."""
-    chosen = np.array(among, bool)[:, None]
+    chosen = np.array(members, bool)[:, None]
     return np.where(chosen, boxes[0], FAR), np.where(chosen, boxes[1], -FAR)
 
 
@@ -254,7 +254,7 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
         row = empty_node()
         rows.append(row)
         number = len(rows) - 1
-        for c, group in enumerate(_dealt(items, lows + highs)):
+        for c, group in enumerate(_split(items, lows + highs)):
             for k, axis in enumerate("xyz"):
                 row[f"low_{axis}"][0, c] = lows[group, k].min()
                 row[f"high_{axis}"][0, c] = highs[group, k].max()
@@ -284,7 +284,7 @@ def empty_node() -> np.ndarray:
     return row
 
 
-def _dealt(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
+def _split(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
     """Items in at most as many groups as a node has children."""
     groups = [items] if len(items) else []
     while len(groups) < NODE_WIDTH:

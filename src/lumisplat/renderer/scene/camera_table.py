@@ -16,7 +16,7 @@ from lumisplat.scene.camera import Camera, CameraModel
 IMAGE_PIXELS_MAX = 200_000_000
 """Pixels of a frame: its buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
 
-PICTURE_PIXELS_MAX = 2**31 - 1
+FULL_IMAGE_PIXELS_MAX = 2**31 - 1
 """Pixels of a picture that frames show windows of: signed 32-bit numbers count them."""
 
 FIELD_MARGIN = 0.1
@@ -46,9 +46,9 @@ def check_camera(camera: object) -> None:
             f"an image of {width} x {height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels; larger pictures are "
             "made of windows (Camera.window, lumisplat render --tiles)"
         )
-    if camera.width * camera.height > PICTURE_PIXELS_MAX:
+    if camera.width * camera.height > FULL_IMAGE_PIXELS_MAX:
         raise SceneError(
-            f"a picture of {camera.width} x {camera.height} is too large: at most {PICTURE_PIXELS_MAX:,} pixels"
+            f"a picture of {camera.width} x {camera.height} is too large: at most {FULL_IMAGE_PIXELS_MAX:,} pixels"
         )
 
 

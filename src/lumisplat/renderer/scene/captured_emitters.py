@@ -30,7 +30,7 @@ EMITTER_REACH = 3.0
 EMITTER_FLAT = 1e-3
 """Least edge of a box as a share of its longest: volumes of flat boxes are more than rounding errors."""
 
-EMITTER_LEAST_SHARE = 0.05
+EMITTER_FLOOR = 0.05
 """Of the power, for a box around the whole capture; and of the mean luminance, for Gaussians that are dark."""
 
 EMITTER_GAUSSIANS = 16_384
@@ -39,7 +39,7 @@ EMITTER_GAUSSIANS = 16_384
 EMITTER_RECEIVERS = 1024
 """Triangles or Gaussians of an instance that stand for all it has, when captures are told from surroundings."""
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 
 class Boxes(NamedTuple):
@@ -65,24 +65,24 @@ class CapturedEmitters:
         """The scene's splat instances, of which those that are lights, alone, count as relit."""
         self.instances: tuple[int, ...] = ()
         """Which splat instances they are."""
-        self._boxes: _Held[Boxes] = _Held(boxes_of)
-        self._bounds: _Held[Doubles] = _Held(_bounds_of)
-        self._places: _Held[Doubles] = _Held(_places_of)
+        self._boxes: _AssetCache[Boxes] = _AssetCache(boxes_of)
+        self._bounds: _AssetCache[Doubles] = _AssetCache(_bounds_of)
+        self._points: _AssetCache[Doubles] = _AssetCache(_sample_points)
 
     def sync(self, scene: Scene, splats: np.ndarray, buffers: Buffers) -> None:
         """Writes the tables of a scene; ``splats``: its splat instances, as SplatInstanceData."""
-        shining = [number for number, instance in enumerate(scene.splats) if not is_relit(instance)]
-        receivers = self._receivers(scene) if shining else np.zeros((0, 4))
-        bounds = self._bounds.of([scene.splats[number].gaussians for number in shining])
-        apart = zip(shining, bounds, strict=True)
-        lights = [number for number, box in apart if stands_apart(scene.splats[number], box, receivers)]
+        emissive = [number for number, instance in enumerate(scene.splats) if not is_relit(instance)]
+        receivers = self._receivers(scene) if emissive else np.zeros((0, 4))
+        bounds = self._bounds.of([scene.splats[number].gaussians for number in emissive])
+        apart = zip(emissive, bounds, strict=True)
+        lights = [number for number, box in apart if is_separate_emitter(scene.splats[number], box, receivers)]
         self.instances = tuple(lights)
-        lamps = [scene.splats[number] for number in lights]
-        boxes = self._boxes.of([lamp.gaussians for lamp in lamps])
+        emitters = [scene.splats[number] for number in lights]
+        boxes = self._boxes.of([emitter.gaussians for emitter in emitters])
         if not lights:
             self.boxes = self.marked = None
             return
-        rows = np.concatenate([_placed(lamp, its) for lamp, its in zip(lamps, boxes, strict=True)])
+        rows = np.concatenate([_world_rows(emitter, its) for emitter, its in zip(emitters, boxes, strict=True)])
         self.boxes = buffers.upload("captured_emitters", EmitterBox, rows)
         marked = splats.copy()
         marked["relit"] = np.isin(np.arange(len(marked)), lights)
@@ -92,33 +92,33 @@ class CapturedEmitters:
         """Returns points that light falls on, and the areas that they stand for, shape (N, 4)."""
         placed = [(instance.mesh, instance.transform) for instance in scene.meshes]
         placed += [(instance.gaussians, instance.transform) for instance in scene.splats if is_relit(instance)]
-        places = self._places.of([asset for asset, _ in placed])
+        points = self._points.of([asset for asset, _ in placed])
         rows = [np.zeros((0, 4))]
-        for (_, world_from_object), local in zip(placed, places, strict=True):
+        for (_, world_from_object), local in zip(placed, points, strict=True):
             linear = world_from_object[:3, :3]
             stretch = abs(float(np.linalg.det(linear))) ** (2.0 / 3.0)
             rows.append(np.column_stack([local[:, :3] @ linear.T + world_from_object[:3, 3], stretch * local[:, 3]]))
         return np.concatenate(rows)
 
 
-class _Held(Generic[Found]):
+class _AssetCache(Generic[Result]):
     """What was found of assets, as long as these are asked for."""
 
-    def __init__(self, find: Callable[[Any], Found]) -> None:
+    def __init__(self, find: Callable[[Any], Result]) -> None:
         self._find = find
-        self._held: list[tuple[object, Found]] = []
+        self._cached: list[tuple[object, Result]] = []
 
-    def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Found]:
+    def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Result]:
         """Returns what is found of each."""
-        known = {id(asset): found for asset, found in self._held}
+        known = {id(asset): found for asset, found in self._cached}
         for asset in assets:
             if id(asset) not in known:
                 known[id(asset)] = self._find(asset)
-        self._held = [(asset, known[id(asset)]) for asset in assets]
-        return [found for _, found in self._held]
+        self._cached = [(asset, known[id(asset)]) for asset in assets]
+        return [found for _, found in self._cached]
 
 
-def stands_apart(instance: SplatInstance, bounds: Doubles, receivers: Doubles) -> bool:
+def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Doubles) -> bool:
     """Returns whether most of what a capture lights is outside of it: then it is a light, else it is surroundings.
 
     Args:
@@ -145,18 +145,18 @@ def boxes_of(gaussians: Gaussians) -> Boxes:
     rotations = matrices_from_quaternions(gaussians.rotations_wxyz[::step].astype(np.float64))
     shown = decode_srgb(np.clip(gaussians.sh[::step, 0].astype(np.float64) * SH_C0 + 0.5, 0.0, None))
     luminance = shown @ np.array(LUMINANCE)
-    luminance = np.maximum(luminance, EMITTER_LEAST_SHARE * max(float(luminance.mean()), 1e-6))
+    luminance = np.maximum(luminance, EMITTER_FLOOR * max(float(luminance.mean()), 1e-6))
     low_to_high = np.sort(scales, axis=1)
     areas = 2.0 * np.pi * gaussians.opacities[::step].astype(np.float64) * low_to_high[:, 1] * low_to_high[:, 2]
     spread = rotations * scales[:, None, :]
-    part = _Part(means, spread, luminance, np.maximum(areas, 1e-30))
-    parts = [part.box(np.arange(len(means)))]
+    builder = _GaussianBoxes(means, spread, luminance, np.maximum(areas, 1e-30))
+    parts = [builder.box(np.arange(len(means)))]
     while len(parts) < EMITTER_BOXES:
         largest = max(range(len(parts)), key=lambda k: parts[k].power if len(parts[k].members) > 1 else 0.0)
         if len(parts[largest].members) < 2:
             break
-        parts += part.halves(parts.pop(largest))
-    all_of_it = _all_of(gaussians, EMITTER_LEAST_SHARE * sum(box.power for box in parts))
+        parts += builder.halves(parts.pop(largest))
+    all_of_it = _all_of(gaussians, EMITTER_FLOOR * sum(box.power for box in parts))
     return Boxes(
         np.stack([all_of_it.center, *(box.center for box in parts)]),
         np.stack([all_of_it.axes, *(box.axes for box in parts)]),
@@ -173,7 +173,7 @@ class _Box(NamedTuple):
     members: npt.NDArray[np.integer]
 
 
-class _Part(NamedTuple):
+class _GaussianBoxes(NamedTuple):
     """Gaussians that boxes are put around."""
 
     means: Doubles
@@ -222,7 +222,7 @@ def _bounds(gaussians: Gaussians, step: int) -> Doubles:
     return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)]).astype(np.float64)
 
 
-def _placed(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
+def _world_rows(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
     """Returns the rows of a capture's boxes, world space."""
     rows = np.zeros(len(boxes.powers), table_dtype(EmitterBox))
     linear = instance.transform[:3, :3]
@@ -233,11 +233,11 @@ def _placed(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
     return rows
 
 
-_PLACES = np.array([[1.0, 1.0, 1.0], [2.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 2.0]]) / 3.0
+_TRIANGLE_POINTS = np.array([[1.0, 1.0, 1.0], [2.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 2.0]]) / 3.0
 """Barycentric weights of places in a triangle, of equal areas."""
 
 
-def _places_of(asset: Mesh | Gaussians) -> Doubles:
+def _sample_points(asset: Mesh | Gaussians) -> Doubles:
     """Returns points of a mesh or of Gaussians, object space, and the areas that they stand for, shape (N, 4)."""
     if isinstance(asset, Mesh):
         step = max(1, -(-asset.face_count // EMITTER_RECEIVERS))
@@ -245,8 +245,8 @@ def _places_of(asset: Mesh | Gaussians) -> Doubles:
         sides = corners[:, 1:] - corners[:, :1]
         areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
         # Large triangles reach far: each stands for four places in it.
-        places = np.einsum("pc,fcx->pfx", _PLACES, corners).reshape(-1, 3)
-        return np.column_stack([places, step * np.tile(0.25 * areas, len(_PLACES))])
+        points = np.einsum("pc,fcx->pfx", _TRIANGLE_POINTS, corners).reshape(-1, 3)
+        return np.column_stack([points, step * np.tile(0.25 * areas, len(_TRIANGLE_POINTS))])
     step = max(1, -(-asset.count // EMITTER_RECEIVERS))
     scales = np.sort(asset.scales[::step].astype(np.float64), axis=1)
     return np.column_stack([asset.means[::step].astype(np.float64), step * 2.0 * np.pi * scales[:, 1] * scales[:, 2]])

@@ -33,7 +33,7 @@ from lumisplat.scene.checks import with_checked
 from lumisplat.scene.local_frame import LocalFrame, rendered_frame
 from lumisplat.scene.scene import Scene
 
-_ANYWHERE = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+_ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class DeviceScene:
@@ -173,7 +173,7 @@ class DeviceScene:
                 )
         if plan.follows_rays:
             with self._launcher.stage("build"):
-                self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit, tells_apart=plan.traces_paths)
+                self.bvh.sync(scene, self.assets, self._config, is_lit=plan.is_lit, has_subsets=plan.traces_paths)
         self.plan = plan
         if self._synced != self.graph_key:
             self._launcher.drop_graphs()
@@ -204,7 +204,7 @@ class DeviceScene:
 
     def release(self) -> None:
         """Drops all assets; the next ``sync`` uploads its own."""
-        self.sync(Scene(), _ANYWHERE, FramePlan.of(self._config, Scene()))
+        self.sync(Scene(), _ANY_CAMERA, FramePlan.of(self._config, Scene()))
         # Such a frame may need neither light nor rays, whose tables and hierarchies hold assets, too.
         self._shading = ShadingTables(self._buffers, self._config, self._launcher.device)
         self._mesh_bvh, self.bvh = MeshBvhScene(self._launcher), BvhScene(self._launcher)

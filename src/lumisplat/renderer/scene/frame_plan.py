@@ -33,14 +33,14 @@ from lumisplat.scene.lights import AreaLight, Light, LightDirectional, LightEnvi
 from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
-SAMPLES_OPEN = 1_000_000
+SAMPLES_UNLIMITED = 1_000_000
 """Most samples of a frame that ends by its time or its noise: no scene needs as many."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
 """Samples of a pixel where light comes from random directions, or alpha is drawn, unless they are given: what noise is
 left is fine grain."""
 
-SAMPLES_OF_SKY_ON_SPLATS = 8
+SAMPLES_OF_ENVIRONMENT_ON_SPLATS = 8
 """The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to
 many (41 dB on the biker) as 16 of meshes (42 dB on a duck), but cost more, as each ray crosses Gaussians."""
 
@@ -66,9 +66,9 @@ shadow rays they cost little, and a frame needs one sample only. docs/adr/0093-m
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
 """Further images that unlit frames have, too."""
 
-SKY = "the environment"
+ENVIRONMENT = "the environment"
 SOFT_LIGHTS = "lights that have a size"
-SURROUNDINGS = "what is around rough surfaces"
+REFLECTIONS = "what is around rough surfaces"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +82,7 @@ class SplatShadows:
 
     on_reflecting: bool
     """On surfaces that reflect light: all sets do."""
-    on_shadow_only: bool
+    on_shadow_catchers: bool
     """On shadow catchers: sets that are none themselves do."""
 
     @classmethod
@@ -94,10 +94,10 @@ class SplatShadows:
     @property
     def exist(self) -> bool:
         """Whether there are any."""
-        return self.on_reflecting or self.on_shadow_only
+        return self.on_reflecting or self.on_shadow_catchers
 
 
-ON_ALL = SplatShadows(on_reflecting=True, on_shadow_only=True)
+ON_ALL = SplatShadows(on_reflecting=True, on_shadow_catchers=True)
 """Of rays whose receivers are not known."""
 
 
@@ -132,7 +132,7 @@ class FramePlan:
     """Those that nobody asked for spread over their pixel for meshes alone, where captures are kept."""
     samples_wanted: int
     """How many its light needs, so that none of it is grainy."""
-    grain: tuple[str, ...]
+    noise_sources: tuple[str, ...]
     """Light that comes from random directions, in words: too few samples show it as grain."""
     has_lobes: bool
     """Rough surfaces reflect what is around them, by a ray within their highlights."""
@@ -151,17 +151,17 @@ class FramePlan:
     """Interactions have clearcoat, sheen, or light that is scattered more than once."""
     has_rough_glass: bool
     """Paths are scattered through rough surfaces."""
-    has_shadow_only: bool
+    has_shadow_catchers: bool
     """Some splat set is a shadow catcher, and not seen by paths: lights darken it."""
     ambient_rays: int
     """Shadow rays a sample, in random directions, from what shows a shadow catcher on which ambient light is given."""
-    keeps_captures: bool
+    has_emissive_captures: bool
     """Some splat sets keep their captured colours."""
     relights: bool
     """Some splat sets are relit."""
     mixes_sets: bool
     """Both are there, and what they show is added up apart."""
-    shows_means: bool
+    has_mean_surface: bool
     """Surfaces of relit Gaussians that are rasterised are weighted means."""
     has_receivers: bool
     """Paths find what shadow catchers receive, as there is something that takes or adds light."""
@@ -220,7 +220,7 @@ class FramePlan:
         traces_paths = bounces and is_lit
         rasterises, only_rasterises = pipeline.rasterises, not pipeline.spawns_rays
         is_unscented = rasterises and config.raster.projection is Projection.UNSCENTED
-        keeps, relights = keeps_captures(scene), any(is_relit(instance) for instance in scene.splats)
+        has_captures, relights = has_emissive_captures(scene), any(is_relit(instance) for instance in scene.splats)
         reflects, splat_shadows = reflects_light(scene), SplatShadows.of(scene)
         in_haze = is_lit and shows_lights_in_haze(config, scene)
         if in_haze:
@@ -231,20 +231,20 @@ class FramePlan:
         has_mirrors = any(instance.mesh.material.sends_rays_on for instance in scene.meshes)
         all_cast = casts_shadows and all(light.casts_shadow for light in scene.lights)
         has_unshadowed = is_lit and not is_path and reflects and not all_cast
-        grain = random_light(config, scene) if not bounces and (has_unshadowed or casts_shadows) else ()
+        noise_sources = random_light(config, scene) if not bounces and (has_unshadowed or casts_shadows) else ()
         follows = pipeline.integrator is Integrator.WHITTED and config.max_bounces != 0
         wants_lobes = has_rough_metal(scene) if config.glossy_reflections is None else config.glossy_reflections
         has_lobes = wants_lobes and follows and is_lit and reflects
-        grain += (SURROUNDINGS,) * has_lobes
+        noise_sources += (REFLECTIONS,) * has_lobes
         has_media = not only_rasterises and any(is_medium(i, traces_paths=traces_paths) for i in scene.meshes)
         is_dithered = only_rasterises and any(instance.mesh.material.blends for instance in scene.meshes)
-        samples_wanted = 1 if is_realtime else SAMPLES_OF_PATHS if traces_paths else samples_of(grain, scene)
+        samples_wanted = 1 if is_realtime else SAMPLES_OF_PATHS if traces_paths else samples_of(noise_sources, scene)
         samples_wanted = max(samples_wanted, SAMPLES_OF_RANDOM_LIGHT if is_dithered else 1)
         is_stochastic = config.raster.strategy is RasterStrategy.STOCHASTIC or is_dithered
-        is_open = config.time_limit is not None or config.noise is not None
+        has_stop_criterion = config.time_limit is not None or config.noise is not None
         adapts = may_adapt(config) and (config.noise is not None if config.adaptive is None else config.adaptive)
-        spreads = is_realtime or is_open or config.samples is not None or not keeps
-        samples = config.samples or (SAMPLES_OPEN if is_open else samples_wanted)
+        spreads = is_realtime or has_stop_criterion or config.samples is not None or not has_captures
+        samples = config.samples or (SAMPLES_UNLIMITED if has_stop_criterion else samples_wanted)
         return cls(
             is_lit=is_lit,
             visibility=pipeline.visibility,
@@ -259,21 +259,23 @@ class FramePlan:
             jitters=may_jitter(config, is_lit=is_lit) and spreads,
             jitters_meshes=may_jitter(config, is_lit=is_lit) and not spreads and not adapts and bool(scene.meshes),
             samples_wanted=samples_wanted,
-            grain=grain,
+            noise_sources=noise_sources,
             has_lobes=has_lobes,
             max_bounces=bounces_of(config, is_lit=is_lit, has_mirrors=has_mirrors, has_lobes=has_lobes),
-            has_headlight=is_lit and not scene.lights and not (bounces and config.lighting is None and shines(scene)),
+            has_headlight=is_lit
+            and not scene.lights
+            and not (bounces and config.lighting is None and has_emitters(scene)),
             has_meshes=bool(scene.meshes),
             has_media=has_media,
             absorbs=has_media and any(map(absorbs, scene.meshes)),
             has_coatings=is_lit and (config.energy_compensation or any(map(has_layers, materials_of(scene)))),
             has_rough_glass=traces_paths and any(map(is_rough_glass, scene.meshes)),
             ambient_rays=ambient_rays_of(config, scene, samples_wanted) * casts_shadows,
-            keeps_captures=keeps,
+            has_emissive_captures=has_captures,
             relights=relights,
-            mixes_sets=is_lit and keeps and relights and blends_first(config),
-            shows_means=is_lit and rasterises and relights and takes_means(config.raster),
-            has_shadow_only=is_lit and not is_path and any(instance.shadow_catcher for instance in scene.splats),
+            mixes_sets=is_lit and has_captures and relights and blends_first(config),
+            has_mean_surface=is_lit and rasterises and relights and finds_mean_surface(config.raster),
+            has_shadow_catchers=is_lit and not is_path and any(instance.shadow_catcher for instance in scene.splats),
             has_receivers=casts_shadows and traces_paths and not is_realtime and adds_to_captures(scene),
             shows_lights_in_haze=in_haze,
             aovs=aovs,
@@ -287,7 +289,7 @@ class FramePlan:
         pipeline = Pipeline.PATH if is_path else Pipeline.TRACE
         lighting = config.lighting
         if lighting is None:
-            lighting = bool(scene.lights) or (is_path and shines(scene))
+            lighting = bool(scene.lights) or (is_path and has_emitters(scene))
         limits = {"time_limit": None, "noise": None, "adaptive": False}  # samples alone end a ray
         plan = cls.of(with_checked(config, pipeline=pipeline, aovs=(), lighting=lighting, **limits), scene)
         has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
@@ -317,14 +319,14 @@ def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
     if config.shadows is Shadows.OFF:
         return False
     casts = any(light.enabled and light.casts_shadow for light in scene.lights)
-    return casts or (config.pipeline.bounces_light and shines(scene))
+    return casts or (config.pipeline.bounces_light and has_emitters(scene))
 
 
 def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
     """Whether rays of paths may show lights behind Gaussians that are blended, so that shadow rays say how much."""
     if not config.pipeline.bounces_light or config.shadows is Shadows.OFF:
         return False
-    return (keeps_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
+    return (has_emissive_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
 
 
 def adds_to_captures(scene: Scene) -> bool:
@@ -360,9 +362,9 @@ def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lob
     return SPECULAR_BOUNCES if config.max_bounces is None else config.max_bounces
 
 
-def shines(scene: Scene) -> bool:
+def has_emitters(scene: Scene) -> bool:
     """Whether something in a scene shines by itself, so that paths find light without any lamp."""
-    return keeps_captures(scene) or any(material.is_emissive for material in materials_of(scene))
+    return has_emissive_captures(scene) or any(material.is_emissive for material in materials_of(scene))
 
 
 def materials_of(scene: Scene) -> list[Material]:
@@ -376,12 +378,12 @@ def reflects_light(scene: Scene) -> bool:
     return bool(scene.meshes) or not all(i.shadow_catcher or emits_capture_only(i) for i in scene.splats)
 
 
-def takes_means(raster: RasterConfig) -> bool:
+def finds_mean_surface(raster: RasterConfig) -> bool:
     """Whether the rasteriser finds weighted-mean surfaces: a sample of its stochastic strategy has one Gaussian."""
     return raster.surface is GaussianSurface.MEAN and raster.strategy is RasterStrategy.SORTED
 
 
-def keeps_captures(scene: Scene) -> bool:
+def has_emissive_captures(scene: Scene) -> bool:
     """Whether some splat set keeps its captured colours in lit frames."""
     return not all(is_relit(instance) for instance in scene.splats)
 
@@ -392,7 +394,7 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
     environment = any(isinstance(light, LightEnvironment) for light in lights)
     environment = environment and not draws_captured_light(config.aovs, scene)
     soft = config.shadows is Shadows.SOFT and any(has_size(light) for light in lights)
-    return (SKY,) * environment + (SOFT_LIGHTS,) * soft
+    return (ENVIRONMENT,) * environment + (SOFT_LIGHTS,) * soft
 
 
 def draws_captured_light(aovs: Collection[str], scene: Scene) -> bool:
@@ -408,11 +410,11 @@ def environment_draws(plan: FramePlan, scene: Scene) -> int:
     return math.ceil(CAPTURED_LIGHT_DRAWS / plan.samples) if draws_captured_light(plan.aovs, scene) else 1
 
 
-def samples_of(grain: tuple[str, ...], scene: Scene) -> int:
+def samples_of(noise_sources: tuple[str, ...], scene: Scene) -> int:
     """Samples a pixel that random light needs; one if there is none."""
-    if not grain:
+    if not noise_sources:
         return 1
-    return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in grain else SAMPLES_OF_SKY_ON_SPLATS
+    return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in noise_sources else SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
 def has_rough_metal(scene: Scene) -> bool:

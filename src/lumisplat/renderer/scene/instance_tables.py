@@ -18,7 +18,7 @@ from lumisplat.device.structs.scene import (
 )
 from lumisplat.renderer.scene.assets import MeshAssets
 from lumisplat.renderer.scene.frame_plan import FramePlan
-from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, place_texture, shading_overrides
+from lumisplat.renderer.scene.materials import fill_layers, is_medium, is_relit, shading_overrides, write_texture
 from lumisplat.renderer.trees.mesh_bvh import InstanceBoxes
 from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera
@@ -136,7 +136,7 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, pla
     row["base_color"] = material.base_color
     texture = material.base_color_texture
     if texture is not None and mesh.uvs is not None:
-        place_texture(row["texture"], texture, wraps_of(material, "base_color_texture"), assets.texture_first)
+        write_texture(row["texture"], texture, wraps_of(material, "base_color_texture"), assets.texture_first)
     row["alpha"]["mode"] = _ALPHA_MODES[material.alpha_mode]
     row["alpha"]["factor"], row["alpha"]["cutoff"] = material.alpha, material.alpha_cutoff
     is_body = plan.has_media and is_medium(instance, traces_paths=plan.traces_paths)

@@ -124,7 +124,7 @@ class LightTable:
     def _upload(self, image: npt.NDArray[np.floating], buffers: Buffers) -> None:
         data = self.environment
         data.height, data.width = image.shape[:2]
-        rows, columns = environment_ends(image)
+        rows, columns = environment_cdfs(image)
         for name, dtype, values in (
             ("texels", wp.vec3, image.reshape(-1, 3)),
             ("row_ends", wp.float32, rows),
@@ -195,7 +195,7 @@ def mean_radiance(image: npt.NDArray[np.floating]) -> Doubles:
     return means
 
 
-def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Cumulative shares of an environment's rows, shape (H,), and of each row's texels, shape (H, W).
 
     A texel's share is the mean luminance of the interpolated image in its cell, times the cell's solid angle. Black
@@ -205,8 +205,8 @@ def environment_ends(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
     across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
     mean = _cell_means(np.pad(across, ((1, 1), (0, 0)), mode="edge"))
     edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
-    rows = cumulative_shares(mean.sum(axis=1, dtype=np.float64) * (edges[:-1] - edges[1:]))
-    return rows, np.stack([cumulative_shares(row) for row in mean])
+    rows = cumulative_distribution(mean.sum(axis=1, dtype=np.float64) * (edges[:-1] - edges[1:]))
+    return rows, np.stack([cumulative_distribution(row) for row in mean])
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
@@ -218,7 +218,7 @@ def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
 
 
-def cumulative_shares(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+def cumulative_distribution(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
     """Cumulative shares, exact in float32, so that every weight above 0 gets a share."""
     total = float(weights.sum(dtype=np.float64))
     if total == 0.0:
@@ -255,36 +255,36 @@ class Emitters:
 
     def sync(self, scene: Scene, buffers: Buffers) -> None:
         """Writes the table of a scene."""
-        shining = [(number, instance) for number, instance in enumerate(scene.meshes) if shines(instance)]
-        placed = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in shining]
+        emitters = [(number, instance) for number, instance in enumerate(scene.meshes) if is_emitter(instance)]
+        placed = [(number, id(instance.mesh), instance.transform.tobytes()) for number, instance in emitters]
         key = placed, len(scene.meshes)
         if key == self._key:
             return
         self._key, data = None, self.data  # a failed upload does not count as finished
         first = np.full(max(len(scene.meshes), 1), -1, np.int32)
-        first[[number for number, _ in shining]] = np.cumsum([0, *(i.mesh.face_count for _, i in shining)])[:-1]
-        powers = [powers_of(instance) for _, instance in shining]
+        first[[number for number, _ in emitters]] = np.cumsum([0, *(i.mesh.face_count for _, i in emitters)])[:-1]
+        powers = [powers_of(instance) for _, instance in emitters]
         power = np.concatenate(powers) if powers else np.zeros(0)
-        numbers = np.repeat([number for number, _ in shining], [len(values) for values in powers]).astype(np.int32)
+        numbers = np.repeat([number for number, _ in emitters], [len(values) for values in powers]).astype(np.int32)
         data.first = buffers.upload("emitters.first", wp.int32, first)
         data.power = float(min(power.sum(), LIGHT_POWER_MAX))
-        ends = cumulative_shares(power) if data.power > 0.0 else np.zeros(0, np.float32)
+        ends = cumulative_distribution(power) if data.power > 0.0 else np.zeros(0, np.float32)
         data.ends = buffers.upload("emitters.ends", wp.float32, ends)
         data.instances = buffers.upload("emitters.instances", wp.int32, numbers)
-        tables = [triangles_of(instance) for _, instance in shining]
+        tables = [triangles_of(instance) for _, instance in emitters]
         rows = np.concatenate(tables) if tables else np.zeros(0, table_dtype(EmitterTriangle))
         data.triangles = buffers.upload("emitters.triangles", EmitterTriangle, rows)
         if data.power > 0.0:
-            centers = np.concatenate([_centers(instance) for _, instance in shining])
+            centers = np.concatenate([_centers(instance) for _, instance in emitters])
             center = np.average(centers, axis=0, weights=power)
             data.center = wp.vec3(*center)
             spread = np.average(((centers - center) ** 2).sum(axis=1), weights=power)
-            data.radius = float(np.sqrt(spread + _mean_area(shining)))
-        self._held = [instance for _, instance in shining]  # so that no other mesh gets its id
+            data.radius = float(np.sqrt(spread + _mean_area(emitters)))
+        self._held = [instance for _, instance in emitters]  # so that no other mesh gets its id
         self._key = key
 
 
-def shines(instance: MeshInstance) -> bool:
+def is_emitter(instance: MeshInstance) -> bool:
     """Whether a mesh instance emits light."""
     return instance.mesh.material.is_emissive
 
@@ -369,6 +369,6 @@ def _centers(instance: MeshInstance) -> Doubles:
     return _corners(instance).mean(axis=1)
 
 
-def _mean_area(shining: list[tuple[int, MeshInstance]]) -> float:
+def _mean_area(emitters: list[tuple[int, MeshInstance]]) -> float:
     """Of their triangles."""
-    return float(np.concatenate([_areas(instance) for _, instance in shining]).mean())
+    return float(np.concatenate([_areas(instance) for _, instance in emitters]).mean())

@@ -158,7 +158,7 @@ def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
     for name in _TEXTURES:
         texture = getattr(mesh.material, name)
         if texture is not None:
-            place_texture(row[name], texture, wraps_of(mesh.material, name), texture_first)
+            write_texture(row[name], texture, wraps_of(mesh.material, name), texture_first)
 
 
 def varies(mesh: Mesh) -> bool:
@@ -178,7 +178,7 @@ def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) 
         for name, field in _VARIED.items():
             texture = getattr(material, name)
             if texture is not None:
-                place_texture(row[field], texture, wraps_of(material, name), texture_first)
+                write_texture(row[field], texture, wraps_of(material, name), texture_first)
     return table
 
 
@@ -195,7 +195,7 @@ def has_layers(material: Material | None) -> bool:
     return isinstance(material, MaterialPbr) and (material.clearcoat > 0.0 or any(material.sheen_color))
 
 
-def place_texture(row: Any, texture: np.ndarray, wraps: WrapPair, texture_first: TextureFirst) -> None:
+def write_texture(row: Any, texture: np.ndarray, wraps: WrapPair, texture_first: TextureFirst) -> None:
     """Fills a row of TextureData."""
     row["first"] = texture_first(texture)
     row["height"], row["width"] = texture.shape[:2]

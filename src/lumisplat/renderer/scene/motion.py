@@ -24,17 +24,17 @@ from lumisplat.scene.lights import Light
 from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
-OUTDATED_SHARE = 1e-4
+OUTDATED_HISTORY_WEIGHT = 1e-4
 """Share of its weight that a mean keeps when a light comes or goes: what is found next takes its place, and is until
 then better than nothing. Many old cells of a tile together weigh less than one new sample."""
 
-CHANGED_SHARE = 0.7
+CHANGED_HISTORY_WEIGHT = 0.7
 """The same when lights move or change a little, in each of the frames that follow: means are over some three frames."""
 
 CHANGED_FRAMES = 8
 """Frames for which means fade after a change."""
 
-MOVED_SHARE = 0.8
+MOVED_HISTORY_WEIGHT = 0.8
 """Share of its weight that a mean keeps in a frame when things move that light falls on."""
 
 MOVED_FRAMES = 16
@@ -63,7 +63,7 @@ class Motion:
         self._camera: Camera | None = None
         self._positions: wp.array[wp.vec3] | None = None
         self._changes = LightChanges()
-        self.known_share = 1.0
+        self.history_weight = 1.0
         """Share of its weight that what is known of light keeps; 1 unless light has changed."""
         self.camera = buffers.get("motion.camera", CameraData, 1)
         """That of the frame before; written by ``sync``."""
@@ -93,14 +93,14 @@ class Motion:
         """
         before = self._scene or Scene()
         assign_table(self.camera, camera_table(self._camera or camera))
-        splats = numbers_before(scene.splats, before.splats, lambda instance: instance.gaussians, is_same_capture)
-        meshes = numbers_before(scene.meshes, before.meshes, lambda instance: instance.mesh, is_same_mesh)
+        splats = previous_indices(scene.splats, before.splats, lambda instance: instance.gaussians, is_same_capture)
+        meshes = previous_indices(scene.meshes, before.meshes, lambda instance: instance.mesh, is_same_mesh)
         self.splats = upload_structs(self._splat_rows(scene, before, splats), InstanceMotion, self._device)
         self.meshes = upload_structs(self._mesh_rows(scene, before, meshes), InstanceMotion, self._device)
         numbers = [*splats, *(None if number is None else len(before.splats) + number for number in meshes)]
-        places = moved_to(placed_assets(scene), placed_assets(before), numbers)
-        self.moved_to = as_device_array(np.array(places, np.int32), wp.int32, self._device)
-        self.known_share = self._changes.share(scene, has_headlight, captures)
+        moved = moved_to(asset_transforms(scene), asset_transforms(before), numbers)
+        self.moved_to = as_device_array(np.array(moved, np.int32), wp.int32, self._device)
+        self.history_weight = self._changes.history_weight(scene, has_headlight, captures)
         self._scene, self._camera = scene, camera
         self._positions = positions
 
@@ -116,7 +116,7 @@ class Motion:
             if number is None:
                 continue
             old = before.splats[number]
-            place(row, instance.transform, old.transform)
+            write_motion(row, instance.transform, old.transform)
             if old.gaussians is not instance.gaussians:
                 row.deforms = 1
                 rotations = np.ascontiguousarray(old.gaussians.rotations_wxyz[:, [1, 2, 3, 0]])
@@ -136,11 +136,11 @@ class Motion:
                 if first[id(instance.mesh)] != first_before[id(old.mesh)] or self._positions is None:
                     continue
                 row.deforms, row.positions = 1, self._positions
-            place(row, instance.transform, old.transform)
+            write_motion(row, instance.transform, old.transform)
         return rows
 
 
-def numbers_before(
+def previous_indices(
     now: Sequence[Instance],
     before: Sequence[Instance],
     asset_of: Callable[[Instance], object],
@@ -192,7 +192,7 @@ def first_vertices(scene: Scene) -> dict[int, int]:
     return first_of(counts)
 
 
-def place(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> None:
+def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> None:
     """Writes where an instance was, by its transforms, shape (4, 4) each."""
     row.is_known = 1
     # What has not moved is where it was, to the last bit.
@@ -204,7 +204,7 @@ def place(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class LightOfScene:
+class LightState:
     """What the light of a scene comes from, and what reflects it.
 
     Arrays and materials are compared by identity: both scenes have to live.
@@ -216,7 +216,7 @@ class LightOfScene:
     """Of each light, by channel."""
     rest: Sequence[object]
     """The lights, meshes that shine and their places, and materials."""
-    things: Sequence[object]
+    objects: Sequence[object]
     """What reflects light and casts shadows: which sets and meshes, and where."""
 
 
@@ -224,14 +224,14 @@ class LightChanges:
     """Compares the light of each frame with that of the frame before."""
 
     def __init__(self) -> None:
-        self._before: LightOfScene | None = None
+        self._before: LightState | None = None
         self._changed_ago, self._moved_ago = CHANGED_FRAMES, MOVED_FRAMES
 
     def forget(self) -> None:
         """There was no frame before."""
         self._before, self._changed_ago, self._moved_ago = None, CHANGED_FRAMES, MOVED_FRAMES
 
-    def share(self, scene: Scene, has_headlight: bool, captures: Sequence[int] = ()) -> float:
+    def history_weight(self, scene: Scene, has_headlight: bool, captures: Sequence[int] = ()) -> float:
         """The share of its weight that what is known of light keeps in the frame that shows a scene.
 
         Next to nothing if a light came, went, or is suddenly of another strength: what was known is of another scene.
@@ -243,36 +243,36 @@ class LightChanges:
             has_headlight: Whether one replaces the lights that the scene does not have.
             captures: The splat instances that are sampled as lights.
         """
-        now = light_of(scene, has_headlight, captures)
+        now = light_state(scene, has_headlight, captures)
         before, self._before = self._before or now, now
-        is_other = is_suddenly_other(before, now)
+        is_other = has_changed_suddenly(before, now)
         has_changed = is_other or before.rest != now.rest
         self._changed_ago = 0 if has_changed else self._changed_ago + 1
-        self._moved_ago = 0 if before.things != now.things else self._moved_ago + 1
+        self._moved_ago = 0 if before.objects != now.objects else self._moved_ago + 1
         if is_other:
-            return OUTDATED_SHARE
+            return OUTDATED_HISTORY_WEIGHT
         if self._changed_ago < CHANGED_FRAMES:
-            return CHANGED_SHARE
-        return MOVED_SHARE if self._moved_ago < MOVED_FRAMES else 1.0
+            return CHANGED_HISTORY_WEIGHT
+        return MOVED_HISTORY_WEIGHT if self._moved_ago < MOVED_FRAMES else 1.0
 
 
-def light_of(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> LightOfScene:
-    """The light of a scene, to be compared; arguments as for `LightChanges.share`."""
+def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> LightState:
+    """The light of a scene, to be compared; arguments as for `LightChanges.history_weight`."""
     shining = [instance for instance in scene.meshes if instance.mesh.material.is_emissive]
     # A mesh that deforms is another one with as many vertices and faces.
     meshes = [(i.mesh.vertex_count, i.mesh.face_count, emission_of(i.mesh.material)) for i in shining]
-    lamps = [scene.splats[number] for number in captures]
-    sources = [has_headlight, *((type(light), light.enabled) for light in scene.lights), *meshes, len(lamps)]
+    emitters = [scene.splats[number] for number in captures]
+    sources = [has_headlight, *((type(light), light.enabled) for light in scene.lights), *meshes, len(emitters)]
     strengths = [strength_of(light) for light in scene.lights]
     lights = [values_of(light) for light in scene.lights]
     places = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
-    places += [(id(instance.gaussians), instance.transform.tobytes()) for instance in lamps]
+    places += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
     materials = [id(instance.material) for instance in scene.splats]
     rest = [lights, places, materials, [id(instance.mesh.material) for instance in scene.meshes]]
-    return LightOfScene(sources, strengths, rest, placed_assets(scene))
+    return LightState(sources, strengths, rest, asset_transforms(scene))
 
 
-def placed_assets(scene: Scene) -> list[tuple[int, bytes]]:
+def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
     """What stands where in a scene, to be compared; splats first."""
     splats = [(id(instance.gaussians), instance.transform.tobytes()) for instance in scene.splats]
     return splats + [(id(instance.mesh), instance.transform.tobytes()) for instance in scene.meshes]
@@ -290,7 +290,7 @@ def emission_of(material: Material) -> tuple[object, ...]:
     return material.emissive, material.double_sided
 
 
-def is_suddenly_other(before: LightOfScene, now: LightOfScene) -> bool:
+def has_changed_suddenly(before: LightState, now: LightState) -> bool:
     """Whether a light came or went, or one is more than ``CHANGED_STRENGTH`` times as strong, or weaker by as much."""
     if before.sources != now.sources:
         return True

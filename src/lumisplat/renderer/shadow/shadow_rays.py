@@ -144,7 +144,7 @@ class ShadowRays:
             light.fill_(1.0)
             return rays.t_max
         limits = self._buffers.get(f"{self._name}.limits", wp.float32, count)
-        meshes_only = not splat_shadows.on_shadow_only
+        meshes_only = not splat_shadows.on_shadow_catchers
         self._launcher.run_banded(
             mesh_shadow_kernels.shadow_by_meshes,
             count,
@@ -221,7 +221,7 @@ class StochasticBvh:
 
     def _shrunk_nodes(self, scene: DeviceScene, settings: DeviceArray) -> list[DeviceArray]:
         nodes: list[DeviceArray] = []
-        for number, (asset, held) in enumerate(zip(scene.assets, scene.bvh.held, strict=True)):
+        for number, (asset, held) in enumerate(zip(scene.assets, scene.bvh.cached, strict=True)):
             bvh = held.bvh
             if asset.instance_ids.shape[0] > SHRINK_INSTANCES_MAX:
                 nodes.append(bvh.nodes)
@@ -237,7 +237,7 @@ class StochasticBvh:
 
     def _upload(self, scene: DeviceScene, nodes: list[DeviceArray]) -> DeviceArray:
         rows: list[AssetBvh] = []
-        for held, shrunk in zip(scene.bvh.held, nodes, strict=True):
+        for held, shrunk in zip(scene.bvh.cached, nodes, strict=True):
             row = AssetBvh()
             row.nodes, row.particles, row.gaussians = shrunk, held.bvh.particles, held.data
             rows.append(row)

@@ -26,15 +26,15 @@ def start_rays(
     i = start + wp.tid()
     camera = cameras[0]
     sample = samples[0]
-    place = i
+    pixel_index = i
     rays_out.is_active[i] = False
     if listed.place:
-        place = listed.place[i]
-        if place < 0:
+        pixel_index = listed.place[i]
+        if pixel_index < 0:
             return
         sample.index = listed.sample[i]
         camera.offset = listed.offset[i]
-    pixel = seen_pixel(camera, place)
+    pixel = seen_pixel(camera, pixel_index)
     x = pixel[0]
     y = pixel[1]
     if not is_shown(camera, x, y):

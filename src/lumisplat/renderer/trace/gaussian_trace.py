@@ -92,15 +92,25 @@ class GaussianTracer:
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
-        tells_relit = marked is not None or (scene.plan.mixes_sets and sets is SplatSets.ALL)
-        hits = self._buffers.struct(name, GaussianHits, count, MEAN_FIELDS if tells_relit else EXTRA_FIELDS)
+        separates_relit = marked is not None or (scene.plan.mixes_sets and sets is SplatSets.ALL)
+        hits = self._buffers.struct(name, GaussianHits, count, MEAN_FIELDS if separates_relit else EXTRA_FIELDS)
         if scene.gaussian_count == 0 and profiles is None:
             return without_hits(hits)
         run, bands = self._launcher.run_banded, RAY_BANDS_PER_THREAD * self._launcher.threads
         bvh = scene.bvh.data(scene.splat_instances if marked is None else marked, sets)
         if bounced and self._is_stochastic_hit:
             order = ray_order(self._launcher, self._buffers, rays, scene.bvh.extent)
-            run(stochastic_hit_kernels.meet_gaussians, count, order, settings, bvh, rays, limits, hits, bands=bands)
+            run(
+                stochastic_hit_kernels.find_stochastic_hits,
+                count,
+                order,
+                settings,
+                bvh,
+                rays,
+                limits,
+                hits,
+                bands=bands,
+            )
             return hits
         run(
             self._kernels[scene.bvh.stack],

@@ -19,7 +19,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
-class Dark(NamedTuple):
+class DarkenedCaptures(NamedTuple):
     """Captures that rays see as black, since surfaces receive their light as that of lights."""
 
     marked: DeviceArray
@@ -41,7 +41,9 @@ class PathGaussians:
         self._launcher, self._buffers = launcher, buffers
         self._is_blended_first = config.path.primary is PathPrimary.ISO
         self._blended = GaussianTracer(launcher, buffers, _with(config, TraceStrategy.SORTED), "trace.blended")
-        self._met = GaussianTracer(launcher, buffers, _with(config, TraceStrategy.STOCHASTIC_HIT), "trace.met")
+        self._stochastic = GaussianTracer(
+            launcher, buffers, _with(config, TraceStrategy.STOCHASTIC_HIT), "trace.stochastic"
+        )
         ended = _with(config, TraceStrategy.SORTED)
         ended = replace(ended, trace=replace(ended.trace, transmittance_min=EMITTER_OPAQUE))
         self._emitted = GaussianTracer(launcher, buffers, ended, "trace.emitted")
@@ -51,9 +53,9 @@ class PathGaussians:
         if not plan.traces_paths:
             return self._blended.modules(bounced=bounced)
         modules = self._blended.modules(bounced=bounced)
-        if plan.relights or not plan.keeps_captures:
-            modules += self._met.modules(bounced=True)
-        return [*modules, kernels] if plan.keeps_captures else modules
+        if plan.relights or not plan.has_emissive_captures:
+            modules += self._stochastic.modules(bounced=True)
+        return [*modules, kernels] if plan.has_emissive_captures else modules
 
     def find(
         self,
@@ -63,7 +65,7 @@ class PathGaussians:
         name: str,
         *,
         bounced: bool,
-        dark: Dark | None = None,
+        dark: DarkenedCaptures | None = None,
     ) -> GaussianHits:
         """As `GaussianTracer.find`: a ray that meets a relit Gaussian has a transmittance of 0.
 
@@ -77,14 +79,14 @@ class PathGaussians:
         """
         if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
             return self._blended.find(scene, rays, limits, name, bounced=bounced)
-        if not scene.plan.keeps_captures:
-            return self._met.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
+        if not scene.plan.has_emissive_captures:
+            return self._stochastic.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.RELIT)
         if not scene.plan.relights:
-            return self._kept(scene, rays, limits, name, bounced=bounced, dark=dark)
-        met, ends = self._met_before(scene, rays, limits, name, bounced=bounced)
-        kept = self._kept(scene, rays, ends, name, bounced=bounced, dark=dark)
-        self._launcher.run_banded(kernels.choose_hits, len(rays.t_max), rays, met, kept)
-        return kept
+            return self._find_captured(scene, rays, limits, name, bounced=bounced, dark=dark)
+        relit, ends = self._find_relit(scene, rays, limits, name, bounced=bounced)
+        captured = self._find_captured(scene, rays, ends, name, bounced=bounced, dark=dark)
+        self._launcher.run_banded(kernels.choose_hits, len(rays.t_max), rays, relit, captured)
+        return captured
 
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], marked: DeviceArray, name: str
@@ -101,19 +103,19 @@ class PathGaussians:
             name: Of the buffers that hold the result.
         """
         if scene.plan.relights:
-            limits = self._met_before(scene, rays, limits, name, bounced=True)[1]
-        return self._emitted.find(scene, rays, limits, name, bounced=True, sets=SplatSets.KEPT, marked=marked)
+            limits = self._find_relit(scene, rays, limits, name, bounced=True)[1]
+        return self._emitted.find(scene, rays, limits, name, bounced=True, sets=SplatSets.CAPTURED, marked=marked)
 
-    def _met_before(
+    def _find_relit(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
     ) -> tuple[GaussianHits, DeviceArray]:
         """The relit Gaussian that each ray meets, and where the ray ends, by that or at its limit."""
-        met = self._met.find(scene, rays, limits, f"{name}.met", bounced=bounced, sets=SplatSets.RELIT)
+        relit = self._stochastic.find(scene, rays, limits, f"{name}.relit", bounced=bounced, sets=SplatSets.RELIT)
         ends = self._buffers.get(f"{name}.ends", wp.float32, len(rays.t_max))
-        self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, met, ends)
-        return met, ends
+        self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, relit, ends)
+        return relit, ends
 
-    def _kept(
+    def _find_captured(
         self,
         scene: DeviceScene,
         rays: RayData,
@@ -121,11 +123,11 @@ class PathGaussians:
         name: str,
         *,
         bounced: bool,
-        dark: Dark | None,
+        dark: DarkenedCaptures | None,
     ) -> GaussianHits:
         """What captures that are kept give rays."""
         marked = dark.marked if dark else None
-        hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.KEPT, marked=marked)
+        hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.CAPTURED, marked=marked)
         if dark is None:
             return hits
         self._launcher.run_banded(kernels.darken, len(rays.t_max), rays, dark.mirrored, hits)
@@ -133,7 +135,7 @@ class PathGaussians:
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
         """What shadow-only sets alone give bounced rays, as `RayTracer.find_captured`."""
-        return self._blended.find(scene, rays, ends, name, bounced=True, sets=SplatSets.SHADOW_ONLY)
+        return self._blended.find(scene, rays, ends, name, bounced=True, sets=SplatSets.SHADOW_CATCHERS)
 
 
 def _with(config: RenderConfig, strategy: TraceStrategy) -> RenderConfig:

@@ -16,7 +16,7 @@ def end_at_surfaces(start: int, limits: wp.array[float], surfaces: GaussianHits,
 
 
 @wp.kernel
-def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, kept_inout: GaussianHits):
+def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inout: GaussianHits):
     """Where a ray meets a relit Gaussian, it shows that one with the probability that what is before lets through.
 
     Else it shows what is before, alone. The mean is that of the one over the other.
@@ -24,18 +24,18 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, kept_inout: G
     i = start + wp.tid()
     if not (rays.is_active[i] and surfaces.depth[i] < wp.inf):
         return
-    hidden = 1.0 - kept_inout.transmittance[i]
-    kept_inout.hits[i] = kept_inout.hits[i] + surfaces.hits[i]
+    hidden = 1.0 - captured_inout.transmittance[i]
+    captured_inout.hits[i] = captured_inout.hits[i] + surfaces.hits[i]
     if draw(rays.sample_key[i], KEPT_OR_RELIT) < hidden:
-        kept_inout.color[i] = kept_inout.color[i] / hidden
-        kept_inout.normal[i] = kept_inout.normal[i] / hidden
-        kept_inout.transmittance[i] = 0.0
+        captured_inout.color[i] = captured_inout.color[i] / hidden
+        captured_inout.normal[i] = captured_inout.normal[i] / hidden
+        captured_inout.transmittance[i] = 0.0
     else:
-        kept_inout.color[i] = surfaces.color[i]
-        kept_inout.normal[i] = surfaces.normal[i]
-        kept_inout.transmittance[i] = surfaces.transmittance[i]
-        kept_inout.depth[i] = surfaces.depth[i]
-        kept_inout.gaussian[i] = surfaces.gaussian[i]
+        captured_inout.color[i] = surfaces.color[i]
+        captured_inout.normal[i] = surfaces.normal[i]
+        captured_inout.transmittance[i] = surfaces.transmittance[i]
+        captured_inout.depth[i] = surfaces.depth[i]
+        captured_inout.gaussian[i] = surfaces.gaussian[i]
 
 
 @wp.kernel

@@ -11,7 +11,7 @@ from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import mesh_trace_kernels
 from lumisplat.renderer.trace.gaussian_trace import GaussianTracer
-from lumisplat.renderer.trace.path_gaussians import Dark, PathGaussians
+from lumisplat.renderer.trace.path_gaussians import DarkenedCaptures, PathGaussians
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
@@ -47,7 +47,7 @@ class RayTracer:
         *,
         bounced: bool = False,
         centers: RayData | None = None,
-        dark: Dark | None = None,
+        dark: DarkenedCaptures | None = None,
     ) -> PrimaryHits:
         """The nearest mesh on each ray, and what the Gaussians before it give the ray.
 

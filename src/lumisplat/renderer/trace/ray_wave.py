@@ -10,7 +10,7 @@ from lumisplat.runtime.buffers import DeviceArray
 
 
 @dataclass(frozen=True, slots=True)
-class Carried:
+class CarriedState:
     """What the rays of a later wave bring along."""
 
     weights: DeviceArray | None = None

@@ -14,7 +14,7 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
 from lumisplat.renderer.trace import specular_wave_kernels as kernels
-from lumisplat.renderer.trace.ray_wave import Carried, RayWave
+from lumisplat.renderer.trace.ray_wave import CarriedState, RayWave
 from lumisplat.runtime.buffers import Buffers, device_array, grown_capacity
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
@@ -48,7 +48,7 @@ class SpecularWaves:
         count = int(device_array(wave.row.branch_ends)[-1:].numpy()[0])
         return grown_capacity(count)
 
-    def spawn(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> tuple[RayData, Carried]:
+    def spawn(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> tuple[RayData, CarriedState]:
         """The rays of the next wave, and what they bring along; also writes their path weights."""
         number = wave.number + 1
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
@@ -62,7 +62,7 @@ class SpecularWaves:
             len(wave.row.branches),
             *(scene.shading, wave.data, rays, weights, path_weights, media, sees_far),
         )
-        return rays, Carried(weights, media, sees_far)
+        return rays, CarriedState(weights, media, sees_far)
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
         """Adds the radiance of the ``far`` wave's rays to the rays of the ``near`` wave that they branch off."""

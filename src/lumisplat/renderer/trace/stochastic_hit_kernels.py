@@ -36,7 +36,7 @@ wp.set_module_options(PACKET_OPTIONS)
 
 
 @wp.func
-def meet_in_instance(
+def find_hit_in_instance(
     stack: wp.array[WaitingLink],
     top: int,
     i: int,
@@ -45,7 +45,7 @@ def meet_in_instance(
     config: TraceData,
     scene: SceneBvh,
     rays: RayData,
-    met: wp.ref[Hit],
+    nearest: wp.ref[Hit],
 ):
     """Replaces what ray ``i`` meets by a nearer Gaussian of instance ``number``, on the stack above ``top``."""
     instance = scene.instances[number]
@@ -58,18 +58,18 @@ def meet_in_instance(
     push_link(stack, height, 0)
     while height > top:
         height -= 1
-        if stack[height].entry <= met.t:
+        if stack[height].entry <= nearest.t:
             link = stack[height].link
             if link >= 0:
                 load_node(scene.assets[instance.asset].nodes, link, node)
-                reach = lesser(met.t, wp.where(instance.hit_distance == HIT_MEAN, FAR, end))
+                reach = lesser(nearest.t, wp.where(instance.hit_distance == HIT_MEAN, FAR, end))
                 push_entered(stack, height, node, enter_tree(node, ray, instance.hit_distance, end), reach)
             else:
                 load_particle(scene.assets[instance.asset].particles, ~link, particle)
                 begin = begin_past(t_min, config.offset, config.offset_absolute, particle, instance.scale)
                 hit = hit_particle(particle, ray, instance.scale, instance.hit_distance, begin, end)
                 index = instance.first + particle.index
-                counts = hit.t < met.t or (hit.t == met.t and index < met.index)
+                counts = hit.t < nearest.t or (hit.t == nearest.t and index < nearest.index)
                 if counts and hit.is_near:
                     gaussians = scene.assets[instance.asset].gaussians
                     mean, axis = world_mean(particle, instance), thin_axis(particle, instance)
@@ -77,12 +77,12 @@ def meet_in_instance(
                 if counts:
                     alpha = alpha_at(instance.kernel, particle, hit.distance2)
                     if draw(key, wp.uint32(index)) * config.acceptance_scale < alpha:
-                        met.t = hit.t
-                        met.index = index
+                        nearest.t = hit.t
+                        nearest.index = index
 
 
 @wp.kernel
-def meet_gaussians(
+def find_stochastic_hits(
     start: int,
     order: wp.array[int],
     settings: wp.array[TraceData],
@@ -101,9 +101,9 @@ def meet_gaussians(
     if not rays.is_active[i] or not limits[i] > 0.0:
         return
     end = wp.min(limits[i], FAR)
-    met = Hit()
-    met.t = FAR
-    met.index = -1
+    nearest = Hit()
+    nearest.t = FAR
+    nearest.index = -1
     storage = LinkStackStorage()
     stack = link_stack(storage)
     node = Node()
@@ -116,14 +116,14 @@ def meet_gaussians(
         if link >= 0:
             load_node(scene.tlas_nodes, link, node)
             push_entered(stack, top, node, enter_tree(node, world, HIT_HULL, end), end)
-        elif stack[top].entry <= met.t or scene.instances[~link].hit_distance == HIT_MEAN:
-            meet_in_instance(stack, top, i, ~link, end, config, scene, rays, met)
-    if met.index >= 0:
+        elif stack[top].entry <= nearest.t or scene.instances[~link].hit_distance == HIT_MEAN:
+            find_hit_in_instance(stack, top, i, ~link, end, config, scene, rays, nearest)
+    if nearest.index >= 0:
         ray = ray_of(rays, i)
         if config.offset < FAR:
             ray.t_min = 0.0  # small Gaussians count before it
-        shown = blend_hit(pixel, config, scene.instances, scene.assets, ray, met.index, 1.0)
-        store_pixel(hits_out, i, shown)
-        hits_out.depth[i] = surface_distance(scene, ray, end, met.index, met.t)
+        blended = blend_hit(pixel, config, scene.instances, scene.assets, ray, nearest.index, 1.0)
+        store_pixel(hits_out, i, blended)
+        hits_out.depth[i] = surface_distance(scene, ray, end, nearest.index, nearest.t)
         if hits_out.relit_weight:
-            add_relit(hits_out, i, scene.instances, pixel, shown, met.index)
+            add_relit(hits_out, i, scene.instances, pixel, blended, nearest.index)

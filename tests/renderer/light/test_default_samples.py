@@ -13,14 +13,14 @@ import pytest
 import lumisplat as ls
 from lumisplat.cli.commands import demo
 from lumisplat.demo.shapes import icosphere
-from lumisplat.renderer.scene.frame_plan import SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS, FramePlan
+from lumisplat.renderer.scene.frame_plan import SAMPLES_OF_ENVIRONMENT_ON_SPLATS, SAMPLES_OF_RANDOM_LIGHT, FramePlan
 from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 SUN = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0)
 SOFT_SUN = replace(SUN, angle=0.1)
 SKY = ls.LightEnvironment()
-MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_SKY_ON_SPLATS
+MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
 def ball(radius: float) -> ls.MeshInstance:
