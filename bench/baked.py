@@ -125,13 +125,13 @@ def main() -> None:
 def harmonics(scene: ls.Scene, degree: int, options: argparse.Namespace) -> tuple[Doubles, Doubles]:
     """Baked harmonics, of Gaussians alone and once they are seen together, (N, K, 3) each."""
     alone: list[Doubles] = []
-    changed = JointShFit.changed
+    changed = JointShFit.refitted
 
     def noted(self: JointShFit, sh: Doubles, *rest: Any) -> Doubles:
         alone.append(np.array(sh))
         return changed(self, sh, *rest)
 
-    with patch.object(JointShFit, "changed", noted):
+    with patch.object(JointShFit, "refitted", noted):
         baked = ls.bake(
             scene,
             ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=options.samples, max_bounces=BOUNCES),

@@ -29,7 +29,7 @@ from bench.timing import parser
 from lumisplat.io.images.texture import write_png
 from lumisplat.math.arrays import Doubles, Flags, FloatArray
 from lumisplat.math.color import decode_srgb, encode_srgb
-from lumisplat.relighting.delight import SURE
+from lumisplat.relighting.delight import CONFIDENT
 from lumisplat.relighting.irradiance import median_outgoing
 
 OUT = Path("/tmp/delighted")
@@ -233,9 +233,9 @@ def roughness_figures(case: Case, found: FloatArray, sureness: FloatArray, agree
     def rmse(rows: Flags) -> float:
         return round(float(np.sqrt(np.square(found - true)[rows].mean())), 3)
 
-    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (sureness > SURE))}
+    figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (sureness > CONFIDENT))}
     figures["rmse_all_0.8"] = round(float(np.sqrt(np.square(0.8 - true)[agree].mean())), 3)
-    figures["sure"] = round(float((sureness > SURE).mean()), 3)
+    figures["sure"] = round(float((sureness > CONFIDENT).mean()), 3)
     for name, place in (("floor", on_floor), ("cow", ~on_floor)):
         for value in GLOSSY:
             rows = agree & place & np.isclose(true, value)

@@ -320,12 +320,12 @@ GAUSSIANS_LEAST = 64
 OPACITY_SEEN = 0.1
 """Smallest opacity of the Gaussians that form a surface."""
 
-FOG_EXTENT, FOG_SCALES = 0.02, 2.0
+SURFACE_DEPTH_EXTENT, SURFACE_DEPTH_SCALES = 0.02, 2.0
 """Distance around its depth within which a ray that hits a sharp surface loses its transmittance: a fraction of the
 set's extent, or a multiple of the largest scale of the Gaussian there if that is farther, because coarse surfaces are
 thick."""
 
-FOG_ROUND, FOG_SHARE = 0.9, 0.8
+ISOTROPIC_RATIO, ISOTROPIC_SHARE_MAX = 0.9, 0.8
 """Ratio of the smallest to the middle scale above which a Gaussian has no normal, and the fraction of such Gaussians
 by area in haze. Captures have fractions of 0.02 to 0.65, including captures that were barely trained."""
 
@@ -335,7 +335,7 @@ each."""
 
 # --- Light fitting ---
 
-SKY_SHARE_MIN, SKY_ERRORS_MIN = 0.01, 3.0
+ENVIRONMENT_SHARE_MIN, ENVIRONMENT_ERRORS_MIN = 0.01, 3.0
 """Thresholds of an environment in a light fit: its fraction of the explained light, and its mean radiance in standard
 errors. Below both there is none: where only local lights shone, noise and 8-bit images gave up to 0.006 and 1.6 errors.
 """

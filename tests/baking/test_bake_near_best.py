@@ -107,11 +107,11 @@ def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.Mon
         return float(np.mean([decibels(one, scene) for one in seeds]))
 
     whole = baked()
-    monkeypatch.setattr(joint_sh_fit, "TOGETHER_RAYS", 100 * 64)
+    monkeypatch.setattr(joint_sh_fit, "JOINT_RAYS", 100 * 64)
     parts = baked()
-    fit = joint_sh_fit.changed_to_fit
+    fit = joint_sh_fit.refitted_sh
     monkeypatch.setattr(
-        joint_sh_fit, "changed_to_fit", lambda blend, some, sh, told: fit(blend, some, sh, np.zeros_like(told))
+        joint_sh_fit, "refitted_sh", lambda blend, some, sh, told: fit(blend, some, sh, np.zeros_like(told))
     )
     heedless = baked()
     print(f"whole {whole:.2f} dB, in parts {parts:.2f} dB, if later rays undo what others have told {heedless:.2f} dB")

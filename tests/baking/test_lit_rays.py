@@ -9,7 +9,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.baking import joint_sh_fit
-from lumisplat.baking.joint_sh_fit import JointShFit, MetGaussians, Pixels, clear_spans, reflected_colors
+from lumisplat.baking.joint_sh_fit import HitGaussians, JointShFit, Pixels, clear_spans, reflected_colors
 from lumisplat.baking.sample_rays import SampleRays
 from lumisplat.constants import SH_C0
 from lumisplat.math.color import decode_srgb, encode_srgb
@@ -73,7 +73,7 @@ def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypat
 def test_parts_of_rays_end_half_way_to_what_is_not_wanted() -> None:
     """Around the Gaussian that is seen most of; before meshes just behind the last one."""
     wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
-    met = MetGaussians(
+    met = HitGaussians(
         ray=np.array([0, 0, 0, 0, 0, 1, 1, 2, 3]),
         gaussian=np.arange(9),
         weight=np.array([0.01, 0.5, 0.4, 0.01, 0.01, 0.6, 0.3, 0.5, 0.2]),

@@ -7,7 +7,7 @@ import pytest
 
 from lumisplat.baking.bake import fit_sh
 from lumisplat.baking.bake_denoising import angularly_denoised
-from lumisplat.baking.sample_rays import on_seen_sides, random_turns, turned_directions, view_weights
+from lumisplat.baking.sample_rays import on_visible_sides, random_rotations, rotated_directions, view_weights
 from lumisplat.math.sh import even_directions, sh_basis
 
 N, D = 50, 32
@@ -15,7 +15,7 @@ N, D = 50, 32
 
 def directions(count: int = D) -> np.ndarray:
     """Of N Gaussians."""
-    return turned_directions(count, random_turns(N, np.random.default_rng(0)))
+    return rotated_directions(count, random_rotations(N, np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -83,14 +83,14 @@ def test_the_side_counts_that_is_seen() -> None:
     light[1, 2:] = 0.0
     light[2, :2] = 0.0
     distance = np.tile([2.0, 1.0, 1.0, 2.0], (3, 1))
-    unknown = view_weights(front, light, distance, knows_front=False)
+    unknown = view_weights(front, light, distance, has_front=False)
     np.testing.assert_allclose(unknown[0], distance[0])
     assert unknown[1, 2:].max() < 0.01 * unknown[1, :2].min()
     assert unknown[2, :2].max() < 0.01 * unknown[2, 2:].min()
-    known = view_weights(front, light, distance, knows_front=True)
+    known = view_weights(front, light, distance, has_front=True)
     assert known[0, 2:].max() < 0.1 * known[0, :2].min()
     assert known[2, :2].max() < 0.2 * known[2, 2:].min()  # a front that is black in the light is a wall's outside
-    dark = view_weights(front, 0.0 * light, 0.0 * distance, knows_front=True)
+    dark = view_weights(front, 0.0 * light, 0.0 * distance, has_front=True)
     assert (dark > 0.0).all()
 
 
@@ -99,9 +99,9 @@ def test_directions_go_where_anything_is_seen() -> None:
     along = directions()
     normals = np.tile([0.0, 0.0, 1.0], (N, 1))
     front = along[..., 2] < 0.0
-    only_front = on_seen_sides(along, normals, front.astype(float), front)
+    only_front = on_visible_sides(along, normals, front.astype(float), front)
     assert (only_front[..., 2] < 0.0).all()
     np.testing.assert_array_equal(only_front[front], along[front])
     np.testing.assert_allclose(only_front[~front], along[~front] * (1.0, 1.0, -1.0))
-    assert (on_seen_sides(along, normals, (~front).astype(float), front)[..., 2] > 0.0).all()
-    np.testing.assert_array_equal(on_seen_sides(along, normals, np.ones((N, D)), front), along)
+    assert (on_visible_sides(along, normals, (~front).astype(float), front)[..., 2] > 0.0).all()
+    np.testing.assert_array_equal(on_visible_sides(along, normals, np.ones((N, D)), front), along)

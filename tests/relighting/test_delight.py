@@ -14,7 +14,7 @@ import lumisplat as ls
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.relighting import delight as steps
-from lumisplat.relighting.albedo_fit import AlikeAlbedos, Light, SkyCells, first_light
+from lumisplat.relighting.albedo_fit import AlbedoPairFit, EnvironmentCells, Light, initial_light
 from lumisplat.relighting.capture_measures import measure_surface
 from lumisplat.relighting.delight import MaterialEstimate, emitters_of, is_white
 from lumisplat.relighting.incident import IncidentRays, Smoother, SurfacePoints, agreed_sides, neighbours_of
@@ -34,7 +34,9 @@ def colored(gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
     return replace(gaussians, sh=sh[:, None].astype(np.float32), albedo=None, roughness=None, normals=None)
 
 
-def incident_of(gaussians: ls.Gaussians, normals: np.ndarray, cells: SkyCells, emitters: np.ndarray) -> Irradiance:
+def incident_of(
+    gaussians: ls.Gaussians, normals: np.ndarray, cells: EnvironmentCells, emitters: np.ndarray
+) -> Irradiance:
     """What shines on the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, cells)
@@ -50,7 +52,7 @@ def ball() -> tuple[ls.Gaussians, np.ndarray]:
 
 def test_cells_of_the_sky_tile_it() -> None:
     """Solid angles add up to the sphere's, also after some are divided, and integrate a cosine to pi."""
-    cells = SkyCells.even(6)
+    cells = EnvironmentCells.even(6)
     finer = cells.of(np.arange(2, 36)).joined(cells.of(np.arange(2)).parts(3))
     for some in (cells, finer):
         assert np.isclose(some.solid_angles.sum(), 4.0 * np.pi)
@@ -77,7 +79,7 @@ def is_room(opacity: float) -> bool:
     capture = colored(ls.merge([ls.gaussians_from_mesh(ls.sphere(1.0), 200), walls]), np.full((700, 3), 0.4))
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     rays, near = IncidentRays(capture, renderer, 0), neighbours_of(capture)
-    return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, known=False)[1]
+    return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, has_normals=False)[1]
 
 
 def test_sides_spread_over_a_surface_from_one_vote() -> None:
@@ -126,16 +128,17 @@ def test_light_of_an_open_sky_and_of_a_white_furnace(ball: tuple[ls.Gaussians, n
     """All of the sky's cells light a ball by pi in total; from inside of a ball of one colour, that colour is seen."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
-    cells, no_lamps = SkyCells.even(8), np.full(plain.count, -1)
+    cells, no_lamps = EnvironmentCells.even(8), np.full(plain.count, -1)
     gray = colored(plain, np.full((plain.count, 3), (0.2, 0.4, 0.6)))
     outside = incident_of(gray, outward, cells, no_lamps)
-    assert abs(float(outside.sky.sum(axis=1).mean()) - 1.0) < 0.02
+    assert abs(float(outside.environment.sum(axis=1).mean()) - 1.0) < 0.02
     assert outside.observed.max() < 0.12
     inside = incident_of(gray, -outward, cells, no_lamps)
-    assert np.allclose(inside.observed.mean(axis=0) + inside.sky.sum() / plain.count * np.array((0.2, 0.4, 0.6)),
+    escaped = inside.environment.sum() / plain.count
+    assert np.allclose(inside.observed.mean(axis=0) + escaped * np.array((0.2, 0.4, 0.6)),
                        (0.2, 0.4, 0.6), rtol=0.03)  # fmt: skip
     lit = inside.total(np.ones((64, 3)), np.zeros((0, 3)))
-    assert np.allclose(lit, inside.observed + inside.sky.sum(axis=1, keepdims=True), atol=1e-5)
+    assert np.allclose(lit, inside.observed + inside.environment.sum(axis=1, keepdims=True), atol=1e-5)
 
 
 def test_a_lamp_lights_by_its_area_and_distance() -> None:
@@ -147,7 +150,7 @@ def test_a_lamp_lights_by_its_area_and_distance() -> None:
     groups = emitters_of(both, is_white(both, normals))
     assert (groups[: emitter.count] == 0).all()
     assert (groups[emitter.count :] == -1).all()
-    shares = incident_of(both, normals, SkyCells.even(4), groups).emitters[emitter.count :, 0]
+    shares = incident_of(both, normals, EnvironmentCells.even(4), groups).emitters[emitter.count :, 0]
     way = np.array((0.0, 2.0, 0.0)) - floor.means
     distance = np.linalg.norm(way, axis=1)
     expected = (way[:, 1] / distance) ** 2 / distance**2
@@ -163,21 +166,23 @@ def _lifted(height: float) -> np.ndarray:
 
 def test_the_light_of_which_albedos_agree_is_found() -> None:
     """A sky and a lamp that are known, surfaces of two albedos: both are found, to what the prior leaves."""
-    cells = SkyCells.even(4)
+    cells = EnvironmentCells.even(4)
     sky = RNG.random((900, 16)) * cells.solid_angles
     emitters = RNG.random((900, 1))
     true = Light(np.full((16, 3), (0.8, 1.0, 1.3)), np.array([[6.0, 4.0, 2.0]]))
     incident = Irradiance(np.full((900, 3), 0.1), sky.astype(np.float32), emitters.astype(np.float32))
     albedo = np.where((np.arange(900) < 450)[:, None], (0.7, 0.4, 0.2), (0.2, 0.3, 0.6))
-    outgoing = albedo * incident.total(true.sky, true.emitters)
+    outgoing = albedo * incident.total(true.environment, true.emitters)
     rng = np.random.default_rng(0)
     pairs = np.concatenate([rng.integers(0, 450, (6000, 2)), rng.integers(450, 900, (6000, 2))])
-    fit = AlikeAlbedos(outgoing, incident, pairs, cells)
-    light = fit.solved(first_light(outgoing, incident))
-    found = outgoing / incident.total(light.sky, light.emitters)
+    fit = AlbedoPairFit(outgoing, incident, pairs, cells)
+    light = fit.solved(initial_light(outgoing, incident))
+    found = outgoing / incident.total(light.environment, light.emitters)
     ratio = found / albedo
     assert (ratio.std(axis=0) / ratio.mean(axis=0)).max() < 0.02
-    assert np.allclose(light.emitters[0] / light.sky.mean(axis=0), true.emitters[0] / true.sky.mean(axis=0), rtol=0.1)
+    assert np.allclose(
+        light.emitters[0] / light.environment.mean(axis=0), true.emitters[0] / true.environment.mean(axis=0), rtol=0.1
+    )
 
 
 def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -352,7 +357,7 @@ def test_fog_has_no_surface(count: int, scale: float, opacity: float) -> None:
 
 def is_fog_to(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> bool:
     """Whether it is refused."""
-    return measure_surface(gaussians, renderer, seed).is_fog
+    return measure_surface(gaussians, renderer, seed).has_no_surface
 
 
 def test_what_stops_rays_at_once_is_no_fog(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
@@ -487,8 +492,8 @@ def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]
     n = plain.count
     half = np.arange(n) < n // 2
     estimate = MaterialEstimate(
-        plain, SkyCells.even(4), np.ones((16, 3)), np.full((1, 3), 3.5), np.full(n, -1), half.astype(np.float32),
-        np.ones(n, np.float32), np.where(half, 0.9, 0.1).astype(np.float32), False, half,
+        plain, EnvironmentCells.even(4), np.ones((16, 3)), np.full((1, 3), 3.5), np.full(n, -1),
+        half.astype(np.float32), np.ones(n, np.float32), np.where(half, 0.9, 0.1).astype(np.float32), False, half,
         np.arange(n) < n // 4, np.arange(n) < n // 5,
     )  # fmt: skip
     text = "\n".join(estimate.remarks)

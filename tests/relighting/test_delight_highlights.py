@@ -9,7 +9,7 @@ import lumisplat as ls
 from lumisplat.constants import SPREAD_SHARE
 from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
-from lumisplat.relighting.albedo_fit import Light, SkyCells
+from lumisplat.relighting.albedo_fit import EnvironmentCells, Light
 from lumisplat.relighting.incident import neighbours_of, normal_variances
 from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.relighting.roughness_fit import (
@@ -87,19 +87,19 @@ def test_harmonics_keep_what_they_can_show(lobes: Lobes) -> None:
 def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
     """From the sky and from the capture, each cell's irradiance in the bin of its direction; nothing is lost."""
     normals = even_directions(9)
-    cells = SkyCells.even(4)
+    cells = EnvironmentCells.even(4)
     rng = np.random.default_rng(2)
     cosines = np.maximum(normals @ cells.directions.T, 0.0)
     sky = (cosines * rng.random(cosines.shape)).astype(np.float32)
-    by_way = (cosines.T[..., None] * rng.random((16, 9, 3))).astype(np.float16)
+    by_direction = (cosines.T[..., None] * rng.random((16, 9, 3))).astype(np.float16)
     light = Light(rng.random((16, 3)), np.zeros((0, 3)))
-    incident = Irradiance(by_way.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_way)
+    incident = Irradiance(by_direction.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_direction)
     arriving = arriving_light(normals, cells, incident, light)
     assert arriving.shape == (9, BIN_RINGS * BIN_SECTORS, 3)
-    assert np.allclose(arriving.sum(axis=1), incident.total(light.sky, light.emitters), atol=2e-3)
+    assert np.allclose(arriving.sum(axis=1), incident.total(light.environment, light.emitters), atol=2e-3)
     local = np.einsum("nij,ki->nkj", frames_of(normals), cells.directions)
     mean = np.einsum("nqc,qk->nk", arriving, bin_samples().mean(axis=1))
-    expected = np.einsum("nkc,nkj->nj", sky[..., None] * light.sky + np.swapaxes(by_way, 0, 1), local)
+    expected = np.einsum("nkc,nkj->nj", sky[..., None] * light.environment + np.swapaxes(by_direction, 0, 1), local)
     assert np.abs(mean - expected).max() < 0.12 * np.abs(expected).max()
 
 
@@ -177,7 +177,7 @@ def found(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndarray, reach:
     """What is found with neighbours so far away, in distances from the middle."""
     means = plain.means.astype(np.float64)
     near = cross_pairs(means, means, reach * float(np.linalg.norm(means[0])))
-    return RoughnessFit(plain, normals, near, Lobes.of(plain.sh_degree)).found(arriving)
+    return RoughnessFit(plain, normals, near, Lobes.of(plain.sh_degree)).fitted(arriving)
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
@@ -185,7 +185,7 @@ def test_a_known_roughness_is_found(roughness: float) -> None:
     """From harmonics of degree 3 of what the equations show in any frame; with noise of 1 of 255, too."""
     rough = found(*glossy(roughness, 3, 1.0 / 255.0))
     assert np.abs(rough.value - roughness).max() < 0.05
-    assert rough.sureness.min() > 0.8
+    assert rough.confidence.min() > 0.8
 
 
 @pytest.mark.parametrize(("roughness", "turns", "near", "flat"), [(0.5, 0.15, 0.03, 0.06), (0.6, 0.2, 0.1, 0.11)])
@@ -226,9 +226,9 @@ def test_what_harmonics_do_not_hold_is_not_claimed() -> None:
     """Degree 0 leaves the prior, to the bit; the sharpest are only said to be sharp; lower degrees are less sure."""
     unknown = found(*glossy(0.4, 0))
     assert (unknown.value == np.float32(ROUGHNESS_UNKNOWN)).all()
-    assert unknown.sureness.max() < 1e-9
+    assert unknown.confidence.max() < 1e-9
     assert found(*glossy(0.15, 3)).value.max() < 0.35
-    assert found(*glossy(0.4, 1, 0.02)).sureness.mean() < found(*glossy(0.4, 3, 0.02)).sureness.mean()
+    assert found(*glossy(0.4, 1, 0.02)).confidence.mean() < found(*glossy(0.4, 3, 0.02)).confidence.mean()
 
 
 def test_noise_is_not_taken_for_highlights() -> None:
@@ -240,4 +240,4 @@ def test_noise_is_not_taken_for_highlights() -> None:
     noisy = ls.Gaussians(plain.means, plain.rotations_wxyz, plain.scales, plain.opacities, sh)
     rough = found(noisy, normals, arriving)
     assert np.median(rough.value) > 0.65
-    assert np.median(rough.sureness) < 0.6
+    assert np.median(rough.confidence) < 0.6

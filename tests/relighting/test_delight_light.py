@@ -13,7 +13,7 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions, panorama_lookup
 from lumisplat.math.sh import sh_basis
 from lumisplat.math.transforms import rotation_matrix
-from lumisplat.relighting.albedo_fit import Light, SkyCells, first_light, with_typical_albedos
+from lumisplat.relighting.albedo_fit import EnvironmentCells, Light, initial_light, with_typical_albedos
 from lumisplat.relighting.delight import emitters_of, is_white
 from lumisplat.relighting.incident import IncidentRays
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
@@ -43,7 +43,7 @@ def lamp_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
 def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray) -> Irradiance:
     """What shines on the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
-    return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, SkyCells.even(8))
+    return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
 
 
 def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
@@ -57,7 +57,7 @@ def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
     assert as_lamp.emitters[LAMP:, 0].min() > 0.0 and not as_white.emitters.size
     # A lamp of the radiance that was captured shines as what was captured does: its Gaussians overlap.
     assert np.isclose(as_lamp.emitters[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
-    np.testing.assert_array_equal(as_lamp.sky, as_white.sky)
+    np.testing.assert_array_equal(as_lamp.environment, as_white.environment)
 
 
 def test_lamps_shine_on_one_side_and_cast_shadows() -> None:
@@ -99,15 +99,15 @@ def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
-    outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.sky, true.emitters)
-    for start in (Light(5.0 * true.sky, true.emitters), Light(0.3 * true.sky, true.emitters)):
+    outgoing = rng.uniform(0.1, 1.0, (400, 3)) * some.total(true.environment, true.emitters)
+    for start in (Light(5.0 * true.environment, true.emitters), Light(0.3 * true.environment, true.emitters)):
         light = with_typical_albedos(start, outgoing, some)
-        lightest = (outgoing / some.total(light.sky, light.emitters)).max(axis=1)
+        lightest = (outgoing / some.total(light.environment, light.emitters)).max(axis=1)
         assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=1e-3)
-        np.testing.assert_allclose(light.sky / true.sky, (light.sky / true.sky)[0, 0])
-    grey = first_light(outgoing, some)
-    assert np.ptp(grey.sky) == 0.0
-    lightest = (outgoing / some.total(grey.sky, grey.emitters)).max(axis=1)
+        np.testing.assert_allclose(light.environment / true.environment, (light.environment / true.environment)[0, 0])
+    grey = initial_light(outgoing, some)
+    assert np.ptp(grey.environment) == 0.0
+    lightest = (outgoing / some.total(grey.environment, grey.emitters)).max(axis=1)
     assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=0.01)
 
 
@@ -119,7 +119,7 @@ def test_surfaces_that_are_hidden_from_a_lamp_do_not_tell_how_bright_it_is() -> 
     hidden = np.arange(4000)[:, None] % 10 == 0
     found = lit * np.where(hidden, rng.uniform(0.1, 0.3, (4000, 1)), 1.0)
     some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), found.astype(np.float32))
-    assert first_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
+    assert initial_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
     # All Gaussians alike would have it that a lamp is brighter by far.
     wanted = (outgoing[:, 0] / 0.8 - 0.2) / found[:, 0]
     assert np.quantile(wanted, 0.95) > 60.0
@@ -132,12 +132,12 @@ def test_few_surfaces_beside_a_lamp_do_not_tell_how_bright_it_is() -> None:
     lit[:40], albedo[:40] = 2.0, 0.05
     some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), lit.astype(np.float32))
     outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
-    assert first_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
+    assert initial_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
 
 
 def test_the_image_of_a_sky_turns_with_its_light() -> None:
     """However an image stands in the world, the same radiance comes from each direction."""
-    cells, sky = SkyCells.even(6), np.random.default_rng(2).random((36, 3))
+    cells, sky = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = shown(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
     found = replace(ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=sky)
     turn = np.array([0.8, 0.4, -0.2, 0.4])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.relighting.fitting.light_layers import SmoothLight
+from lumisplat.relighting.fitting.light_layers import SurfaceAverage
 from support.scenes.fit_rooms import DIRECT, assert_powers, closed, power, taken, three_lamps, unknown, view
 
 VIEW = view(48, 36)
@@ -67,10 +67,10 @@ def test_what_has_bounced_is_averaged_as_far_in_the_scene_at_any_size():
     for width, radius in ((64, 2), (128, 4)):
         aovs = ("albedo", "lights", "direct_diffuse", "direct_glossy", "emission")
         frame = ls.render(closed(), view(width, 48), replace(PATHS, samples=1, aovs=aovs), device="cpu")
-        smooth = SmoothLight.of(closed(), frame)
+        smooth = SurfaceAverage.of(closed(), frame)
         assert max(smooth.offsets) == (radius, radius)
         ramp = np.repeat(np.arange(float(width))[None, :, None], 48, axis=0).repeat(3, axis=2) * smooth.albedo
-        inside = smooth.together.all(axis=0)
+        inside = smooth.same_surface.all(axis=0)
         assert inside.mean() > 0.1
         np.testing.assert_allclose(smooth.averaged(ramp)[inside], ramp[inside], rtol=1e-6)
 
@@ -80,8 +80,8 @@ def test_nothing_is_averaged_beyond_the_edges_of_a_picture():
     floor = ls.Scene((), [ls.plane(40.0, 40.0)])
     above = ls.Camera.look_at((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, fov_y=0.6)
     frame = ls.render(floor, above, replace(DIRECT, lighting=True, aovs=("albedo",)), device="cpu")
-    smooth = SmoothLight.of(floor, frame)
-    neighbours, reach = smooth.together.sum(axis=0), max(smooth.offsets)[0]
+    smooth = SurfaceAverage.of(floor, frame)
+    neighbours, reach = smooth.same_surface.sum(axis=0), max(smooth.offsets)[0]
     assert reach > 0 and neighbours[24, 32] == (2 * reach + 1) ** 2
     for row, column in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
         assert neighbours[row, column] == (reach + 1) ** 2

@@ -1,6 +1,6 @@
 """Lights planted in a room of Gaussians are found: where they are, of their colour, in order; nothing else is.
 
-By their looks alone: nothing in this room is lit by them. What they light is in test_lamp_evidence.py.
+By their looks alone: nothing in this room is lit by them. What they light is in test_light_evidence.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pytest
 
 import lumisplat as ls
 from lumisplat.math.color import decode_srgb
-from lumisplat.relighting.light_estimation import surroundings
+from lumisplat.relighting.light_estimation import surrounding_scores
 from lumisplat.scene.lights import facing_irradiance
 from lumisplat.scene.ops.colors import colors_along
 from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
@@ -128,7 +128,7 @@ def test_corners_of_a_wall_are_surrounded_by_it(x: float, y: float) -> None:
     around = np.random.default_rng(0).uniform(-2.0, 2.0, (9000, 3))
     points = np.concatenate([wall, around, [[0.0, 0.0, 1.5], [x, y, 0.0]]])
     scores = np.concatenate([np.ones(len(wall)), np.full(len(around), 0.1), [1.0, 1.0]])
-    lamp_level, wall_level = surroundings(points, scores, np.array([len(points) - 2, len(points) - 1]), 0.15)
+    lamp_level, wall_level = surrounding_scores(points, scores, np.array([len(points) - 2, len(points) - 1]), 0.15)
     assert wall_level > 0.8 and lamp_level < 0.11
 
 

@@ -12,14 +12,14 @@ from typing import cast
 import numpy as np
 
 from lumisplat.baking.bake_denoising import angularly_denoised
-from lumisplat.baking.gaussian_views import GaussianViewer, ShownLight
+from lumisplat.baking.gaussian_views import GaussianViewer, ViewRadiance
 from lumisplat.baking.joint_sh_fit import JointShFit
 from lumisplat.baking.sample_rays import (
     SampleRays,
-    on_seen_sides,
+    on_visible_sides,
     plane_normals,
-    random_turns,
-    turned_directions,
+    random_rotations,
+    rotated_directions,
     view_weights,
 )
 from lumisplat.config import Pipeline, RenderConfig
@@ -115,15 +115,15 @@ def bake(
     viewer = GaussianViewer(config, Launcher(device), progress)
     frame, _ = rendered_frame(scene)
     scene = frame.scene(scene)
-    viewer.enter(scene, _extent(scene), progress)
+    viewer.upload(scene, _extent(scene), progress)
     if not viewer.is_lit:
         raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
     joint = sum(one.gaussians.count for one in scene.splats if is_relit(one))
-    ways = SampleRays.room(joint, directions)
-    baker = _Baker(viewer, settings, progress, scene.gaussian_count, ways)
+    rays = SampleRays.allocated(joint, directions)
+    baker = _Baker(viewer, settings, progress, scene.gaussian_count, rays)
     splats = [baker.baked(scene, k) if is_lit else scene.splats[k] for k, is_lit in enumerate(lit)]
     back = LocalFrame(-frame.origin)
-    return back.scene(Scene(baker.fitted_together(scene, splats), up=scene.up))
+    return back.scene(Scene(baker.joint_fitted(scene, splats), up=scene.up))
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class _Settings:
         return self.config.samples or BAKE_SAMPLES
 
     @property
-    def samples_alone(self) -> int:
+    def samples_separate(self) -> int:
         """Number of samples of each direction, for sets that are fitted together afterwards."""
         return max(self.samples // 2, 2)
 
@@ -164,9 +164,9 @@ class _Baker:
     progress: Progress | None
     total: int
     """Gaussians of the scene."""
-    ways: SampleRays
+    rays: SampleRays
     """Along which eyes see the Gaussians of relit sets; of as many of them as are baked."""
-    ways_put: int = 0
+    rays_stored: int = 0
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
         """The instance of this number, as it looks in the light of the scene."""
@@ -174,17 +174,17 @@ class _Baker:
         first = sum(one.gaussians.count for one in scene.splats[:number])
         parts: list[FloatArray] = []
         nonfinite = 0
-        samples = self.settings.samples_alone if is_relit(instance) else self.settings.samples
+        samples = self.settings.samples_separate if is_relit(instance) else self.settings.samples
         for views in self._views(instance, first):
-            shown = self._shown(views, samples)
-            nonfinite += shown.nonfinite
+            viewed = self._rendered(views, samples)
+            nonfinite += viewed.nonfinite
             if instance.shadow_catcher:
-                parts.append(views.shadow(shown))
+                parts.append(views.shadow(viewed))
                 continue
-            parts.append(views.harmonics(shown, self.settings))
+            parts.append(views.fitted_sh(viewed, self.settings))
             if is_relit(instance):
-                self.ways.put(self.ways_put, views.ways(shown, instance))
-                self.ways_put += views.gaussians.count
+                self.rays.put(self.rays_stored, views.rays(viewed, instance))
+                self.rays_stored += views.gaussians.count
         if nonfinite:
             _log.warning(
                 "%d samples of %s were not finite and left out: lights or materials are too bright for float32",
@@ -197,23 +197,23 @@ class _Baker:
         baked = replace(instance.gaussians, sh=read_only_view(joined), albedo=None, roughness=None, metallic=None)
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
 
-    def fitted_together(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
+    def joint_fitted(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
         """The sets, with harmonics of relit ones changed such that blends of them show what frames do."""
-        if not self.ways_put:
+        if not self.rays_stored:
             return splats
         terms = (self.settings.degree + 1) ** 2
         config = replace(self.settings.config, samples=self.settings.samples)
         joint = JointShFit(scene, config, self.settings.exposure, self.viewer.launcher)
-        known = np.zeros((scene.gaussian_count, terms, 3))
+        separate = np.zeros((scene.gaussian_count, terms, 3))
         firsts = np.cumsum([0, *(one.gaussians.count for one in splats)])
         rows = [slice(*ends) for ends in itertools.pairwise(firsts)]
         relit = [is_relit(one) for one in scene.splats]
         for row, one in itertools.compress(zip(rows, splats, strict=True), relit):
-            known[row] = one.gaussians.sh
-        changed = joint.changed(known, self.ways, self.progress).astype(np.float32)
+            separate[row] = one.gaussians.sh
+        changed = joint.refitted(separate, self.rays, self.progress).astype(np.float32)
         return [
-            replace(one, gaussians=replace(one.gaussians, sh=read_only_view(changed[row]))) if is_one else one
-            for one, row, is_one in zip(splats, rows, relit, strict=True)
+            replace(one, gaussians=replace(one.gaussians, sh=read_only_view(changed[row]))) if is_relit_set else one
+            for one, row, is_relit_set in zip(splats, rows, relit, strict=True)
         ]
 
     def _views(self, instance: SplatInstance, first: int) -> Iterator[_Views]:
@@ -221,22 +221,22 @@ class _Baker:
         count = instance.gaussians.count
         at_once = max(VIEWS_AT_ONCE // self.settings.directions, 1)
         rotation = instance.transform[:3, :3] / instance.scale
-        turns = random_turns(count, np.random.default_rng((self.settings.config.seed, first)))
+        rotations = random_rotations(count, np.random.default_rng((self.settings.config.seed, first)))
         for begin in range(0, count, at_once):
             rows = np.arange(begin, min(begin + at_once, count))
             if self.progress:
                 self.progress("baking", 0.5 * (first + begin) / self.total)
             some = instance.gaussians.subset(rows)
-            turned = turned_directions(self.settings.directions, turns[rows])
-            pilot = _Views(some, turned_directions(PILOT_DIRECTIONS, turns[rows]), rotation, first + begin)
-            yield replace(pilot, directions=pilot.on_seen_sides(self._shown(pilot, 2), turned))
+            turned = rotated_directions(self.settings.directions, rotations[rows])
+            pilot = _Views(some, rotated_directions(PILOT_DIRECTIONS, rotations[rows]), rotation, first + begin)
+            yield replace(pilot, directions=pilot.on_visible_sides(self._rendered(pilot, 2), turned))
 
-    def _shown(self, views: _Views, samples: int) -> ShownLight:
+    def _rendered(self, views: _Views, samples: int) -> ViewRadiance:
         """Renders views of Gaussians; returns what they show."""
         count = views.directions.shape[1]
         gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
         number = views.first * count % 2**30  # of random numbers: 32 bits on the device
-        return self.viewer.show(number, gaussian, views.along, samples)
+        return self.viewer.render_views(number, gaussian, views.along, samples)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,42 +256,44 @@ class _Views:
         """The directions in world space, a view each, (N * D, 3)."""
         return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
-    def on_seen_sides(self, shown: ShownLight, directions: Doubles) -> Doubles:
+    def on_visible_sides(self, viewed: ViewRadiance, directions: Doubles) -> Doubles:
         """Other directions of these Gaussians, on the sides that count by what these views show."""
-        weights = self._weights(shown)
-        return on_seen_sides(directions, plane_normals(self.gaussians), weights, self._front)
+        weights = self._weights(viewed)
+        return on_visible_sides(directions, plane_normals(self.gaussians), weights, self._front)
 
-    def harmonics(self, shown: ShownLight, settings: _Settings) -> FloatArray:
+    def fitted_sh(self, viewed: ViewRadiance, settings: _Settings) -> FloatArray:
         """Harmonics of what views show, (N, K, 3)."""
         shape = (*self.directions.shape[:2], 3)
-        even, odd = shown.even.reshape(shape), shown.odd.reshape(shape)
+        even, odd = viewed.even.reshape(shape), viewed.odd.reshape(shape)
         front = self._front
-        captured, kept = shown.captured.reshape(shape), shown.captured_weight.reshape(shape[:2])
-        weights = self._weights(shown)
+        captured, captured_weight = viewed.captured.reshape(shape), viewed.captured_weight.reshape(shape[:2])
+        weights = self._weights(viewed)
         even, odd = angularly_denoised(even, odd, weights, front)
 
-        def seen(light: Doubles) -> Doubles:
-            return lit_picture(captured, kept, light, settings.exposure, settings.config.tone_map).astype(np.float64)
+        def displayed(light: Doubles) -> Doubles:
+            return lit_picture(captured, captured_weight, light, settings.exposure, settings.config.tone_map).astype(
+                np.float64
+            )
 
         # The curve bends noise: that of the mean by half as much as that of the halves, which is taken out.
-        halves = seen(even), seen(odd)
+        halves = displayed(even), displayed(odd)
         noise = 0.25 * np.square(halves[0] - halves[1]).mean(axis=2)
         shares = weights / weights.sum(axis=1, keepdims=True)
-        colors = 2.0 * seen(0.5 * (even + odd)) - 0.5 * (halves[0] + halves[1])
+        colors = 2.0 * displayed(0.5 * (even + odd)) - 0.5 * (halves[0] + halves[1])
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
 
-    def ways(self, shown: ShownLight, instance: SplatInstance) -> SampleRays:
+    def rays(self, viewed: ViewRadiance, instance: SplatInstance) -> SampleRays:
         """Along which eyes see these Gaussians of the instance, by what views show."""
-        weights, distances = self._weights(shown), shown.distance.reshape(self.directions.shape[:2])
+        weights, distances = self._weights(viewed), viewed.distance.reshape(self.directions.shape[:2])
         some = replace(instance, gaussians=self.gaussians)
         return SampleRays.of_views(some, self.directions, weights, distances, self.first)
 
-    def shadow(self, shown: ShownLight) -> FloatArray:
+    def shadow(self, viewed: ViewRadiance) -> FloatArray:
         """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""
         shape = (*self.directions.shape[:2], 3)
-        weights = self._weights(shown)[..., None]
-        change = (weights * shown.change.reshape(shape)).sum(axis=1)
-        received = (weights * shown.received.reshape(shape)).sum(axis=1)
+        weights = self._weights(viewed)[..., None]
+        change = (weights * viewed.change.reshape(shape)).sum(axis=1)
+        received = (weights * viewed.received.reshape(shape)).sum(axis=1)
         share = np.divide(change, received, out=np.zeros_like(change), where=received > 0.0)
         return np.maximum(1.0 + share, 0.0).astype(np.float32)
 
@@ -300,12 +302,12 @@ class _Views:
         normals = plane_normals(self.gaussians)
         return (self.directions @ normals[:, :, None])[..., 0] < 0.0
 
-    def _weights(self, shown: ShownLight) -> Doubles:
+    def _weights(self, viewed: ViewRadiance) -> Doubles:
         """How much views count, (N, D)."""
         shape = self.directions.shape[:2]
-        light = (0.5 * (shown.even + shown.odd) + decode_srgb(shown.captured)).reshape(*shape, 3)
-        knows_front = self.gaussians.normals is not None
-        return view_weights(self._front, light, shown.distance.reshape(shape), knows_front=knows_front)
+        light = (0.5 * (viewed.even + viewed.odd) + decode_srgb(viewed.captured)).reshape(*shape, 3)
+        has_front = self.gaussians.normals is not None
+        return view_weights(self._front, light, viewed.distance.reshape(shape), has_front=has_front)
 
 
 def _extent(scene: Scene) -> float:

@@ -17,7 +17,7 @@ _Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SeenWeights:
+class RayWeights:
     """With which weights P rays blend N Gaussians, in S sights."""
 
     ray: _Rows
@@ -44,7 +44,7 @@ def _sums(to: _Rows, weight: Doubles, of: _Rows, values: Doubles, count: int) ->
     return np.stack([np.bincount(to, weight * column[of], count) for column in values.T], axis=1).astype(np.float64)
 
 
-def denoised_by_rays(halves: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, slope: float) -> Doubles:
+def denoised_by_rays(halves: Doubles, hit_share: Doubles, base: Doubles, weights: RayWeights, slope: float) -> Doubles:
     """Light of what rays meet, drawn towards that of the same Gaussians on other rays.
 
     Divided by what a ray would show of even light, light changes little along a surface; so it is averaged over the
@@ -54,9 +54,9 @@ def denoised_by_rays(halves: Doubles, found: Doubles, base: Doubles, seen: SeenW
 
     Args:
         halves: Linear light by every other sample, and by the others, shape (2, P, 3).
-        found: Share of these samples that met something, shape (2, P, 1).
+        hit_share: Share of these samples that met something, shape (2, P, 1).
         base: What rays that meet something show of even light of radiance 1, shape (P, 3).
-        seen: Which Gaussians rays see.
+        weights: Which Gaussians rays see.
         slope: How fast rays keep more of their own light the more they differ by more than their noise; by 1, as
             James and Stein (1961) have it.
 
@@ -64,24 +64,28 @@ def denoised_by_rays(halves: Doubles, found: Doubles, base: Doubles, seen: SeenW
         Of what is met alone, shape (2, P, 3), each half by itself: rays of which no sample has met anything show what
         others see there.
     """
-    weight = np.maximum(seen.blended(np.ones((seen.gaussians, 1))), 1e-12)
-    shared = np.stack([_averaged(*of_half, base, seen, weight) for of_half in zip(halves, found, strict=True)])
-    both = found.sum(axis=0)
-    own = np.where(found > 0.0, halves / np.maximum(found, 1e-12), halves.sum(axis=0) / np.maximum(both, 1e-12))
-    own = np.where(both > 0.0, own, shared)
-    is_known = (found > 0.0).all(axis=0).astype(np.float64)  # by the difference of halves, where each has met something
+    weight = np.maximum(weights.blended(np.ones((weights.gaussians, 1))), 1e-12)
+    shared = np.stack([_averaged(*of_half, base, weights, weight) for of_half in zip(halves, hit_share, strict=True)])
+    both = hit_share.sum(axis=0)
+    measured = np.where(
+        hit_share > 0.0, halves / np.maximum(hit_share, 1e-12), halves.sum(axis=0) / np.maximum(both, 1e-12)
+    )
+    measured = np.where(both > 0.0, measured, shared)
+    both_hit = (
+        (hit_share > 0.0).all(axis=0).astype(np.float64)
+    )  # by the difference of halves, where each has met something
     least = np.maximum(base, SHARED_COLOR_MIN)
-    unlike, difference = (own - shared).mean(axis=0) / least, 0.5 * (own[0] - own[1]) / least
-    squares = is_known * np.stack([np.square(one).sum(axis=1) for one in (difference, unlike)], axis=1)
-    noise, spread = seen.mean_of(squares).T
-    kept = np.clip(slope * (1.0 - noise / np.maximum(spread, 1e-300)), 0.0, 1.0)[:, None]
-    return shared + seen.blended(kept) / weight * (own - shared)
+    deviation, difference = (measured - shared).mean(axis=0) / least, 0.5 * (measured[0] - measured[1]) / least
+    squares = both_hit * np.stack([np.square(values).sum(axis=1) for values in (difference, deviation)], axis=1)
+    noise, spread = weights.mean_of(squares).T
+    shrinkage = np.clip(slope * (1.0 - noise / np.maximum(spread, 1e-300)), 0.0, 1.0)[:, None]
+    return shared + weights.blended(shrinkage) / weight * (measured - shared)
 
 
-def _averaged(light: Doubles, found: Doubles, base: Doubles, seen: SeenWeights, weight: Doubles) -> Doubles:
+def _averaged(light: Doubles, hit_share: Doubles, base: Doubles, weights: RayWeights, weight: Doubles) -> Doubles:
     """Returns what rays show of the mean light of their Gaussians, (P, 3); ``weight`` of all Gaussians, (P, 1)."""
-    sent, received = (seen.blended(seen.mean_of(one / weight)) for one in (light, found * base))
-    return base * np.divide(sent, received, out=np.zeros_like(sent), where=received > 0.0)
+    outgoing, received = (weights.blended(weights.mean_of(values / weight)) for values in (light, hit_share * base))
+    return base * np.divide(outgoing, received, out=np.zeros_like(outgoing), where=received > 0.0)
 
 
 def angularly_denoised(even: Doubles, odd: Doubles, weights: Doubles, front: Flags) -> tuple[Doubles, Doubles]:
@@ -98,7 +102,7 @@ def angularly_denoised(even: Doubles, odd: Doubles, weights: Doubles, front: Fla
         front: Which show the front, shape (N, D).
     """
     mean = 0.5 * (even + odd)
-    steady_even, steady_odd = even.copy(), odd.copy()
+    denoised_even, denoised_odd = even.copy(), odd.copy()
     for side in (front, ~front):
         shares = weights * side
         total = np.maximum(shares.sum(axis=1, keepdims=True), 1e-300)
@@ -106,7 +110,7 @@ def angularly_denoised(even: Doubles, odd: Doubles, weights: Doubles, front: Fla
         middle = (shares * mean).sum(axis=1, keepdims=True)
         spread = (shares * np.square(mean - middle)).sum(axis=(1, 2))
         noise = (shares * np.square(0.5 * (even - odd))).sum(axis=(1, 2))
-        kept = np.clip(1.0 - noise / np.maximum(spread, 1e-300), 0.0, 1.0)[:, None, None]
-        for half, out in ((even, steady_even), (odd, steady_odd)):
-            np.copyto(out, middle + kept * (half - middle), where=side[..., None])
-    return steady_even, steady_odd
+        shrinkage = np.clip(1.0 - noise / np.maximum(spread, 1e-300), 0.0, 1.0)[:, None, None]
+        for half, out in ((even, denoised_even), (odd, denoised_odd)):
+            np.copyto(out, middle + shrinkage * (half - middle), where=side[..., None])
+    return denoised_even, denoised_odd

@@ -58,7 +58,7 @@ class CatcherLight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ShownLight:
+class ViewRadiance:
     """Holds what V views show, as means over the samples."""
 
     even: Doubles
@@ -93,7 +93,7 @@ class GaussianViewer(Renderer):
         self._plan: FramePlan
         self._far = 0.0
 
-    def enter(self, scene: Scene, far: float, progress: Progress | None = None) -> None:
+    def upload(self, scene: Scene, far: float, progress: Progress | None = None) -> None:
         """Uploads the scene; eyes are at most ``far`` scene units away from what they see."""
         plan = self._sync_rays(scene)
         # Rays of queries do not find what shadow catchers receive; views do.
@@ -111,7 +111,9 @@ class GaussianViewer(Renderer):
         """Whether anything in the scene gives light."""
         return self._plan.is_lit
 
-    def show(self, first: int, gaussian: npt.NDArray[np.integer], direction: FloatArray, samples: int) -> ShownLight:
+    def render_views(
+        self, first: int, gaussian: npt.NDArray[np.integer], direction: FloatArray, samples: int
+    ) -> ViewRadiance:
         """Renders views of single Gaussians; returns what they show.
 
         Args:
@@ -128,33 +130,33 @@ class GaussianViewer(Renderer):
         device_array(views.direction)[:count].assign(direction)
         rays, outward = (buffers.struct(f"bake.{name}", RayData, room) for name in ("rays", "outward"))
         meshes = buffers.struct("bake.meshes", MeshHits, room)
-        met = buffers.struct("bake.met", GaussianHits, room, EXTRA_FIELDS)
+        gaussian_hits = buffers.struct("bake.hits", GaussianHits, room, EXTRA_FIELDS)
         sums = buffers.struct("bake.sums", kernels.ViewSums, room)
-        hits = PrimaryHits(rays, meshes, met)
+        hits = PrimaryHits(rays, meshes, gaussian_hits)
         degree = self.config.trace.sh_degree
         for sample in range(samples):
             scene.begin_sample(sample)
             run(
-                kernels.meet_gaussians,
+                kernels.hit_gaussians,
                 room,
                 *(first, count, degree, VIEW_SPREAD, scene.shading, scene.gaussians, views),
-                *(rays, meshes, met, outward),
+                *(rays, meshes, gaussian_hits, outward),
             )
             hidden = self._tracer.find_hits(scene, outward, "bake.hidden", bounced=True)
             wave = self._integrators.of(self._plan).shade(scene, self._plan, hits, sample)
             run(kernels.add_views, room, sample, self._far, wave.data, hidden.meshes, hidden.gaussians, sums)
         return self._means(sums, count, samples)
 
-    def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ShownLight:
+    def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ViewRadiance:
         """The means of sums over samples."""
 
         def read(array: Any) -> Doubles:
             return device_array(array).numpy()[:count].astype(np.float64)
 
-        found = read(sums.count)
+        finite = read(sums.count)
         halves = (samples + 1) // 2, samples // 2
         # Samples that are not finite are few, and not told apart: both halves are scaled for them alike.
-        scale = (samples / np.maximum(found, 1.0))[:, None]
+        scale = (samples / np.maximum(finite, 1.0))[:, None]
         captured, weight = read(sums.captured), read(sums.captured_weight)
         change: Doubles = np.zeros_like(captured)
         received: Doubles = change
@@ -174,7 +176,7 @@ class GaussianViewer(Renderer):
         elif self._plan.has_shadow_catchers:
             change = read(sums.factor) * scale / samples - 1.0  # exactly 0 where nothing is shadowed
             received = np.broadcast_to(weight[:, None], captured.shape)
-        return ShownLight(
+        return ViewRadiance(
             even=read(sums.even) * (scale / halves[0]),
             odd=read(sums.odd) * (scale / halves[1]),
             captured=captured,
@@ -182,5 +184,5 @@ class GaussianViewer(Renderer):
             change=change,
             received=received,
             distance=read(sums.distance) / samples,
-            nonfinite=samples * count - int(found.sum(dtype=np.float64)),
+            nonfinite=samples * count - int(finite.sum(dtype=np.float64)),
         )

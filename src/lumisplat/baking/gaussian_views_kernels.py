@@ -137,7 +137,7 @@ def start_ray(
 
 
 @wp.kernel
-def meet_gaussians(
+def hit_gaussians(
     start: int,
     first: int,
     count: int,
@@ -189,8 +189,8 @@ def meet_gaussians(
     point = spread * normal_point(pixel_key_of(first + i, sample.seed), sample.index, reach)
     slope = canonical_from_object(gaussians.rotations[k], scales) * along
     peak = point - (wp.dot(point, slope) / wp.dot(slope, slope)) * slope
-    place = gaussians.means[k] + wp.quat_rotate(gaussians.rotations[k], wp.cw_mul(scales, peak))
-    origin = instance.scale * (instance.world_from_object * (place - instance.object_from_world_offset))
+    position = gaussians.means[k] + wp.quat_rotate(gaussians.rotations[k], wp.cw_mul(scales, peak))
+    origin = instance.scale * (instance.world_from_object * (position - instance.object_from_world_offset))
 
     store_hit(i, sh_degree, instance, gaussians, k, along, hits_out)
     start_ray(i, first + i, origin, views.direction[i], 0.0, sample, rays_out)

@@ -11,8 +11,8 @@ import warp as wp
 from scipy.sparse.linalg import LinearOperator, cg
 
 from lumisplat.baking import joint_sh_fit_kernels as kernels
-from lumisplat.baking.bake_denoising import SeenWeights, denoised_by_rays
-from lumisplat.baking.sample_rays import Lines, SampleRays, plane_normals
+from lumisplat.baking.bake_denoising import RayWeights, denoised_by_rays
+from lumisplat.baking.sample_rays import DrawnRays, SampleRays, plane_normals
 from lumisplat.config import HitDistance, Pipeline, RenderConfig
 from lumisplat.math.arrays import Doubles, Flags, FloatArray, IntArray
 from lumisplat.math.tone_map import lit_picture
@@ -32,7 +32,7 @@ from lumisplat.scene.scene import Scene, SplatInstance
 RAYS_A_DIRECTION = 2
 """Rays to Gaussians that are seen together, for each direction from which they are seen alone."""
 
-LINE_ROUNDS = 8
+RAY_DRAWS = 8
 """Rounds of as many lines as a Gaussian is to have rays, to those that lack any: in closed rooms, a quarter
 to a half of the lines show the back of something, or what is not baked, and near corners up to nine in ten."""
 
@@ -40,14 +40,14 @@ DIRECT_SLOPE = 2.0
 """How fast rays keep more of their own direct light as they differ from what is shared by more than their noise: by 1,
 edges of shadows are drawn to the mean, too, which costs 0.5 dB in a room."""
 
-BOUNCED_PART = 2
+BOUNCED_FRACTION = 2
 """One in so many paths of each ray bounces: what has bounced is shared among rays, so that fewer tell enough."""
 
 BOUNCED_MIN = 2
 """Paths of each half of the samples that bounce at least, if there are as many."""
 
-SIGHT_MIN = 0.005
-"""Share of a ray below which a Gaussian is left out of it: half of those that it meets, and 1 % of what it shows."""
+CONTRIBUTION_MIN = 0.005
+"""Share of a ray below which a Gaussian is left out of it: half of those that it reaches, and 1 % of what it shows."""
 
 COVERED_MIN = 0.05
 """Share of a ray that Gaussians must cover for it to tell of them."""
@@ -58,7 +58,7 @@ OTHERS_MAX = 0.02
 SPAN_PAST = 1e-4
 """How far behind the last Gaussian rays end before meshes, of its distance: more than float32 leaves uncertain."""
 
-LINES_AT_ONCE = 2**17
+RAYS_AT_ONCE = 2**17
 """Lines whose Gaussians are listed at once: some 200 MB of the host's memory."""
 
 CHANGE_SPREAD = 0.15
@@ -68,13 +68,13 @@ l a part of 1 / (l + 1), so that noise of rays does not go into how matt surface
 MISFIT = 0.03
 """Error of blended harmonics that is expected besides noise, display-referred."""
 
-TOGETHER_STEPS = 40
+JOINT_STEPS = 40
 """Most steps of conjugate gradients: with 10, a room has 0.3 dB less, a statue 0.3, a ball of rough metal 0.6."""
 
-TOGETHER_ERROR = 1e-6
+JOINT_ERROR = 1e-6
 """Relative residual at which these end: what single precision on the device resolves."""
 
-TOGETHER_RAYS = 2**19
+JOINT_RAYS = 2**19
 """Rays to Gaussians that are changed together: to 8,192 of them with 32 directions."""
 
 _Rows = npt.NDArray[np.int64]
@@ -107,7 +107,7 @@ class Pixels:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _SeenRays:
+class _UsableRays:
     """P rays that show nothing but relit sets, from their front, and S sights of the Gaussians that they blend."""
 
     origins: FloatArray
@@ -128,7 +128,7 @@ class _SeenRays:
     """From the eye to the Gaussian's mean, its own space, unit, (S, 3)."""
 
     @classmethod
-    def joined(cls, parts: list[_SeenRays]) -> _SeenRays:
+    def joined(cls, parts: list[_UsableRays]) -> _UsableRays:
         """All of them, in order; the list is emptied, and one field at a time is held twice."""
         firsts = np.cumsum([0, *(len(part.share) for part in parts)])
         fields = {name: [getattr(part, name) for part in parts] for name in cls.__slots__}
@@ -156,103 +156,107 @@ class JointShFit:
         self._means = np.concatenate([one.world_means for one in scene.splats])
         self._colors = np.concatenate([reflected_colors(one) for one in scene.splats])
         self._normals = np.concatenate([_world_normals(one) for one in scene.splats])
-        self._knows_front = np.repeat([one.gaussians.normals is not None for one in scene.splats], counts)
+        self._has_front = np.repeat([one.gaussians.normals is not None for one in scene.splats], counts)
         half = max((config.samples or 2) // 2, 1)
         self._paths = FrameRays(replace(config, samples=half), launcher)
         self._bounced: tuple[FrameRays, FrameRays] | None = None
         if config.pipeline.traces_paths and config.max_bounces != 0:
             # By the same random numbers: what paths bring without bouncing is a part of what they bring.
-            few = replace(config, samples=min(max(half // BOUNCED_PART, BOUNCED_MIN), half))
+            few = replace(config, samples=min(max(half // BOUNCED_FRACTION, BOUNCED_MIN), half))
             self._bounced = FrameRays(few, launcher), FrameRays(replace(few, max_bounces=0), launcher)
             self._paths = FrameRays(replace(self._paths.config, max_bounces=0), launcher)
         # Where rays of lit frames meet Gaussians: by peaks, by which it is told, too, what lies before an end.
         order = config.trace.hit_distance or HitDistance.PEAK
-        met = replace(config, pipeline=Pipeline.TRACE, lighting=False, trace=replace(config.trace, hit_distance=order))
-        self._met = FrameRays(met, launcher)
+        unlit = replace(
+            config, pipeline=Pipeline.TRACE, lighting=False, trace=replace(config.trace, hit_distance=order)
+        )
+        self._hit_rays = FrameRays(unlit, launcher)
         self._blends = Renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), launcher)
 
-    def changed(self, sh: Doubles, ways: SampleRays, progress: Progress | None) -> Doubles:
+    def refitted(self, sh: Doubles, rays_of_gaussians: SampleRays, progress: Progress | None) -> Doubles:
         """Harmonics of all Gaussians of the scene, (N, K, 3), such that rays along these ways show what frames do.
 
         Neighbours are changed together, some thousands at a time. What is around them follows, and the more rays it was
         fitted to before, the less.
         """
         result, information = np.array(sh), np.zeros(len(sh))
-        order = morton_order(self._means[ways.gaussian])
-        rays = RAYS_A_DIRECTION * ways.shares.shape[1]
-        for rows in _ranges(len(order), max(TOGETHER_RAYS // rays, 1)):
+        order = morton_order(self._means[rays_of_gaussians.gaussian])
+        rays = RAYS_A_DIRECTION * rays_of_gaussians.shares.shape[1]
+        for rows in _ranges(len(order), max(JOINT_RAYS // rays, 1)):
             if progress:
                 progress("baking", 0.5 + 0.5 * rows.start / len(order))
-            pixels = self.pixels(ways.of(order[rows]), rays)
+            pixels = self.pixels(rays_of_gaussians.of(order[rows]), rays)
             if not len(pixels.colors):
                 continue
             here, renamed = np.unique(pixels.gaussian, return_inverse=True)
             some = replace(pixels, gaussian=renamed)
             blend = Blend(some, len(here), sh.shape[1], self._launcher)
-            result[here] = changed_to_fit(blend, some, result[here], information[here])
+            result[here] = refitted_sh(blend, some, result[here], information[here])
             information[here] += some.information(len(here))
         return result
 
-    def pixels(self, ways: SampleRays, count: int) -> Pixels:
+    def pixels(self, rays_of_gaussians: SampleRays, count: int) -> Pixels:
         """What frames show on so many rays to each Gaussian, along these ways."""
-        rays = self._rays(ways, count)
-        colors, noise = self._shown(self._light(rays), rays.share[:, None])
+        rays = self._rays(rays_of_gaussians, count)
+        colors, noise = self._displayed(self._light(rays), rays.share[:, None])
         return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
 
-    def _rays(self, ways: SampleRays, count: int) -> _SeenRays:
+    def _rays(self, rays_of_gaussians: SampleRays, count: int) -> _UsableRays:
         """Those that show nothing but relit sets, from their front; in place of others, more are drawn, some rounds."""
-        parts: list[_SeenRays] = []
-        lacking = np.full(len(ways.gaussian), count)
-        for number in range(LINE_ROUNDS):
+        parts: list[_UsableRays] = []
+        lacking = np.full(len(rays_of_gaussians.gaussian), count)
+        for number in range(RAY_DRAWS):
             wanting = np.flatnonzero(lacking)
             if not len(wanting):
                 break
-            for some in _ranges(len(wanting), max(LINES_AT_ONCE // count, 1)):
+            for some in _ranges(len(wanting), max(RAYS_AT_ONCE // count, 1)):
                 rows = wanting[some]
-                seen, found = self._seen(ways.of(rows).lines(number, count, self._config.seed), lacking[rows])
-                parts.append(seen)
+                usable, found = self._choose_usable(
+                    rays_of_gaussians.of(rows).draw(number, count, self._config.seed), lacking[rows]
+                )
+                parts.append(usable)
                 lacking[rows] -= found
-        return _SeenRays.joined(parts)
+        return _UsableRays.joined(parts)
 
-    def _seen(self, lines: Lines, wanted: _Rows) -> tuple[_SeenRays, _Rows]:
+    def _choose_usable(self, drawn: DrawnRays, wanted: _Rows) -> tuple[_UsableRays, _Rows]:
         """The first lines to each Gaussian that show relit sets as viewers of captures do, and how many these are."""
-        origins, directions = (rays.reshape(-1, 3) for rays in (lines.origins, lines.directions))
+        origins, directions = (array.reshape(-1, 3) for array in (drawn.origins, drawn.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
         assert hits.profile is not None
-        met = MetGaussians.of(hits.profile, self._firsts)
-        share, relit = met.total(np.ones(len(met.ray))), self._relit[met.gaussian]
-        kept = (share > COVERED_MIN) & (met.total(~relit) < OTHERS_MAX)
-        kept &= 1.0 - hits.transmittance - share < OTHERS_MAX
-        facing = self._facing(met.gaussian, directions[met.ray])
+        gaussian_hits = HitGaussians.of(hits.profile, self._firsts)
+        share, relit = gaussian_hits.total(np.ones(len(gaussian_hits.ray))), self._relit[gaussian_hits.gaussian]
+        usable = (share > COVERED_MIN) & (gaussian_hits.total(~relit) < OTHERS_MAX)
+        usable &= 1.0 - hits.transmittance - share < OTHERS_MAX
+        facing = self._facing(gaussian_hits.gaussian, directions[gaussian_hits.ray])
         # Rays that see more of the backs of Gaussians with normals than of their fronts: nobody is there.
-        kept &= met.total(facing * self._knows_front[met.gaussian]) <= 0.0
+        usable &= gaussian_hits.total(facing * self._has_front[gaussian_hits.gaussian]) <= 0.0
         if self._config.pipeline.traces_paths:  # which shows lights as bodies, in front of Gaussians and behind
-            kept &= ~hits_light(self._scene.lights, origins, directions)
-        kept = kept.reshape(lines.origins.shape[:2])
-        kept &= np.cumsum(kept, axis=1) <= wanted[:, None]
-        found, kept = kept.sum(axis=1), kept.ravel()
-        rows = kept[met.ray] & relit & (met.weight > SIGHT_MIN)
-        met, back = met.where(rows), facing[rows] > 0.0
-        scale = share / np.maximum(met.total(np.ones(len(met.ray))), 1e-12)
-        seen = _SeenRays(
-            origins[kept],
-            directions[kept],
-            share[kept],
-            (hits.transmittance == 0.0)[kept],
-            ray=(np.cumsum(kept) - 1)[met.ray],
-            side=(2 * met.gaussian + back).astype(np.int32),
-            weight=scale[met.ray] * met.weight,
-            along=self._directions(origins[met.ray], met.gaussian),
+            usable &= ~hits_light(self._scene.lights, origins, directions)
+        usable = usable.reshape(drawn.origins.shape[:2])
+        usable &= np.cumsum(usable, axis=1) <= wanted[:, None]
+        found, usable = usable.sum(axis=1), usable.ravel()
+        rows = usable[gaussian_hits.ray] & relit & (gaussian_hits.weight > CONTRIBUTION_MIN)
+        gaussian_hits, back = gaussian_hits.where(rows), facing[rows] > 0.0
+        scale = share / np.maximum(gaussian_hits.total(np.ones(len(gaussian_hits.ray))), 1e-12)
+        rays = _UsableRays(
+            origins[usable],
+            directions[usable],
+            share[usable],
+            (hits.transmittance == 0.0)[usable],
+            ray=(np.cumsum(usable) - 1)[gaussian_hits.ray],
+            side=(2 * gaussian_hits.gaussian + back).astype(np.int32),
+            weight=scale[gaussian_hits.ray] * gaussian_hits.weight,
+            along=self._directions(origins[gaussian_hits.ray], gaussian_hits.gaussian),
         )
-        return seen, found
+        return rays, found
 
     def _facing(self, gaussian: _Rows, directions: FloatArray) -> Doubles:
         """Cosines of directions to the normals of Gaussians: above 0 where they show their backs."""
         return (self._normals[gaussian] * directions).sum(axis=1)
 
-    def _light(self, rays: _SeenRays) -> Doubles:
+    def _light(self, rays: _UsableRays) -> Doubles:
         """Linear light of what rays meet, by every other sample and by the others, with less noise, (2, P, 3)."""
-        begins, ends, base = self._lit(rays)
+        begins, ends, base = self._lit_segments(rays)
         starts = (rays.origins + begins[:, None] * rays.directions).astype(np.float32)
         twice = (
             np.tile(starts, (2, 1)),
@@ -260,48 +264,48 @@ class JointShFit:
             np.tile((ends - begins).astype(np.float32), 2),
         )
 
-        def seen(paths: FrameRays) -> tuple[Doubles, Doubles]:
-            hits = paths.shown(self._scene, *twice)
-            found = 1.0 - hits.transmittance.astype(np.float64)
-            return hits.radiance.astype(np.float64).reshape(2, -1, 3), found.reshape(2, -1, 1)
+        def rendered(paths: FrameRays) -> tuple[Doubles, Doubles]:
+            hits = paths.radiance(self._scene, *twice)
+            hit_share = 1.0 - hits.transmittance.astype(np.float64)
+            return hits.radiance.astype(np.float64).reshape(2, -1, 3), hit_share.reshape(2, -1, 1)
 
         # Both sides of a sheet have light of their own.
         sides, renamed = np.unique(rays.side, return_inverse=True)
-        weights = SeenWeights(rays.ray, renamed, rays.weight, len(rays.share), len(sides))
-        light = denoised_by_rays(*seen(self._paths), base, weights, DIRECT_SLOPE)
+        weights = RayWeights(rays.ray, renamed, rays.weight, len(rays.share), len(sides))
+        light = denoised_by_rays(*rendered(self._paths), base, weights, DIRECT_SLOPE)
         if self._bounced is not None:
-            (whole, found), (first, _) = map(seen, self._bounced)
-            light += denoised_by_rays(whole - first, found, base, weights, 1.0)
+            (whole, hit_share), (first, _) = map(rendered, self._bounced)
+            light += denoised_by_rays(whole - first, hit_share, base, weights, 1.0)
         return light
 
-    def _lit(self, rays: _SeenRays) -> tuple[Doubles, Doubles, Doubles]:
+    def _lit_segments(self, rays: _UsableRays) -> tuple[Doubles, Doubles, Doubles]:
         """Where the parts of rays begin and end on which nothing but relit sets is, and what these show of even light.
 
         As lit frames sort them, by where rays meet them: viewers of captures sort them by their means. Shapes (P,),
         (P,), (P, 3).
         """
         parts: list[tuple[Doubles, Doubles, Doubles]] = []
-        for rows in _ranges(len(rays.share), LINES_AT_ONCE):
-            profile = self._met.met(self._scene, rays.origins[rows], rays.directions[rows])
-            met = MetGaussians.of(profile, self._firsts)
-            begins, ends, within = clear_spans(met, self._relit[met.gaussian], rays.before_mesh[rows])
-            met = met.where(within)
-            shown = [met.total(channel[met.gaussian]) for channel in (*self._colors.T, np.ones(len(self._colors)))]
-            parts.append((begins, ends, np.stack(shown[:3], axis=1) / np.maximum(shown[3], 1e-12)[:, None]))
+        for rows in _ranges(len(rays.share), RAYS_AT_ONCE):
+            profile = self._hit_rays.hits(self._scene, rays.origins[rows], rays.directions[rows])
+            hits = HitGaussians.of(profile, self._firsts)
+            begins, ends, within = clear_spans(hits, self._relit[hits.gaussian], rays.before_mesh[rows])
+            hits = hits.where(within)
+            totals = [hits.total(channel[hits.gaussian]) for channel in (*self._colors.T, np.ones(len(self._colors)))]
+            parts.append((begins, ends, np.stack(totals[:3], axis=1) / np.maximum(totals[3], 1e-12)[:, None]))
         begins, ends, base = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
         return begins, ends, base
 
-    def _shown(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
+    def _displayed(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
         """Display-referred colours of rays of this light, and the mean variance of their noise."""
 
-        def seen(light: Doubles) -> Doubles:
+        def displayed(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)
-            shown = lit_picture(nothing, nothing[..., 0], light, self._exposure, self._config.tone_map)
-            return share * shown.astype(np.float64)
+            values = lit_picture(nothing, nothing[..., 0], light, self._exposure, self._config.tone_map)
+            return share * values.astype(np.float64)
 
         # The curve bends noise: that of the mean by half as much as that of the halves, which is taken out.
-        halves = seen(light)
-        colors = 2.0 * seen(light.mean(axis=0)) - halves.mean(axis=0)
+        halves = displayed(light)
+        colors = 2.0 * displayed(light.mean(axis=0)) - halves.mean(axis=0)
         return colors, float(0.25 * np.square(halves[0] - halves[1]).mean()) if len(colors) else 0.0
 
     def _directions(self, eyes: FloatArray, gaussian: _Rows) -> FloatArray:
@@ -321,11 +325,11 @@ class Blend:
         buffers = Buffers(launcher.device)
         self._launcher, self._terms, self._gaussians = launcher, terms, gaussians
         self._pixels = len(pixels.colors)
-        self._sights = buffers.struct("sights", kernels.Sights, len(pixels.ray))
+        self._contributions = buffers.struct("contributions", kernels.Contributions, len(pixels.ray))
         for name in ("ray", "gaussian"):
-            device_array(getattr(self._sights, name)).assign(getattr(pixels, name).astype(np.int32))
-        device_array(self._sights.weight).assign(pixels.weight.astype(np.float32))
-        device_array(self._sights.direction).assign(pixels.direction)
+            device_array(getattr(self._contributions, name)).assign(getattr(pixels, name).astype(np.int32))
+        device_array(self._contributions.weight).assign(pixels.weight.astype(np.float32))
+        device_array(self._contributions.direction).assign(pixels.direction)
         order = np.argsort(pixels.gaussian, kind="stable").astype(np.int32)
         self._by_ray = _uploaded(buffers, "by_ray", _first_of(pixels.ray, self._pixels))
         self._by_gaussian = _uploaded(buffers, "by_gaussian", _first_of(pixels.gaussian, gaussians))
@@ -333,7 +337,7 @@ class Blend:
         self._colors = buffers.get("colors", wp.vec3, self._pixels)
         self._sh = buffers.get("sh", wp.vec3, (gaussians, terms))
 
-    def show(self, sh: Doubles) -> Doubles:
+    def pixel_colors(self, sh: Doubles) -> Doubles:
         """What pixels show, (N, K, 3) to (P, 3)."""
         return self._blended(sh, 0.5, 0.0)
 
@@ -348,21 +352,21 @@ class Blend:
         self._launcher.run_banded(
             kernels.gather_errors,
             self._gaussians,
-            *(self._terms, self._sights, self._order, self._by_gaussian, self._colors, self._sh),
+            *(self._terms, self._contributions, self._order, self._by_gaussian, self._colors, self._sh),
         )
         return self._sh.numpy().astype(np.float64)
 
     def _blended(self, sh: Doubles, shift: float, least: float) -> Doubles:
         self._sh.assign(sh.astype(np.float32))
         self._launcher.run_banded(
-            kernels.blend_harmonics,
+            kernels.blend_sh,
             self._pixels,
-            *(self._terms, shift, least, self._sights, self._by_ray, self._sh, self._colors),
+            *(self._terms, shift, least, self._contributions, self._by_ray, self._sh, self._colors),
         )
         return self._colors.numpy().astype(np.float64)
 
 
-def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles) -> Doubles:
+def refitted_sh(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles) -> Doubles:
     """Harmonics (N, K, 3) changed so that pixels show their colours, by least squares.
 
     Coefficients are expected to change by some hundredths, and pixels tell as much of it as their noise lets them: the
@@ -376,14 +380,14 @@ def changed_to_fit(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubl
     """
     level: Doubles = np.floor(np.sqrt(np.arange(sh.shape[1], dtype=np.float64) + 0.5))[:, None]
     ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2 + information[:, None, None]
-    residual = blend.gather(pixels.colors - blend.show(sh))
+    residual = blend.gather(pixels.colors - blend.pixel_colors(sh))
 
     def normal_equations(change: Doubles) -> Doubles:
         change = change.reshape(sh.shape)
         return (blend.gather(blend.blend(change)) + ridge * change).ravel()
 
     operator = LinearOperator((sh.size, sh.size), normal_equations, dtype=np.float64)
-    change, _ = cg(operator, residual.ravel(), rtol=TOGETHER_ERROR, maxiter=TOGETHER_STEPS)
+    change, _ = cg(operator, residual.ravel(), rtol=JOINT_ERROR, maxiter=JOINT_STEPS)
     return sh + change.reshape(sh.shape)
 
 
@@ -412,11 +416,11 @@ def _uploaded(buffers: Buffers, name: str, values: IntArray) -> DeviceArray:
 class FrameRays(Renderer):
     """A renderer that shows rays up to where they end, and lists what they meet in the order of its settings."""
 
-    def shown(self, scene: Scene, origins: FloatArray, directions: FloatArray, ends: FloatArray) -> RayHits:
+    def radiance(self, scene: Scene, origins: FloatArray, directions: FloatArray, ends: FloatArray) -> RayHits:
         """What rays show before these distances, shape (N,); directions are unit vectors."""
         return self._queries.query(self._scene, self._ready(scene), origins, directions, ends=ends)
 
-    def met(self, scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
+    def hits(self, scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
         """The Gaussians on rays, one by one; directions are unit vectors."""
         self._ready(scene)
         return self._profiles.query(self._scene, scene, origins, directions)
@@ -428,7 +432,7 @@ class FrameRays(Renderer):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MetGaussians:
+class HitGaussians:
     """The Gaussians on P rays, S rows sorted by ray, each ray's in the order in which they are blended."""
 
     ray: _Rows
@@ -442,7 +446,7 @@ class MetGaussians:
     rays: int
 
     @classmethod
-    def of(cls, profile: RayProfile, firsts: IntArray) -> MetGaussians:
+    def of(cls, profile: RayProfile, firsts: IntArray) -> HitGaussians:
         """Those of a profile; ``firsts`` are the numbers of the first Gaussian of each instance."""
         return cls(
             ray=np.repeat(np.arange(len(profile)), np.diff(profile.first)),
@@ -452,39 +456,39 @@ class MetGaussians:
             rays=len(profile),
         )
 
-    def where(self, rows: Flags) -> MetGaussians:
+    def where(self, rows: Flags) -> HitGaussians:
         """Some of them, on the same rays."""
-        return MetGaussians(self.ray[rows], self.gaussian[rows], self.weight[rows], self.t[rows], self.rays)
+        return HitGaussians(self.ray[rows], self.gaussian[rows], self.weight[rows], self.t[rows], self.rays)
 
     def total(self, values: Doubles | Flags) -> Doubles:
         """Weighted sums of values of the rows over each ray, shape (P,)."""
         return np.bincount(self.ray, self.weight * values, self.rays).astype(np.float64)
 
 
-def clear_spans(met: MetGaussians, wanted: Flags, before_mesh: Flags) -> tuple[Doubles, Doubles, Flags]:
+def clear_spans(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[Doubles, Doubles, Flags]:
     """The part of each ray around what it shows most of, on which nothing but wanted Gaussians is.
 
     Args:
-        met: The Gaussians on the rays.
+        hits: The Gaussians on the rays.
         wanted: Which rows are of these, shape (S,).
         before_mesh: Which rays meet a mesh behind all of them, shape (P,).
 
     Returns:
-        Where it begins and where it ends, shape (P,) each: 0 and infinity where the ray meets nothing else, else half
+        Where it begins and where it ends, shape (P,) each: 0 and infinity where the ray reaches nothing else, else half
         way between what is wanted and what is not; and which rows are within, shape (S,). A ray that nothing is left
         of ends where it begins.
     """
-    ray, t = met.ray, met.t
-    most, middle = np.zeros(met.rays), np.zeros(met.rays)
-    np.maximum.at(most, ray[wanted], met.weight[wanted])
-    heaviest = wanted & (met.weight == most[ray])
+    ray, t = hits.ray, hits.t
+    most, middle = np.zeros(hits.rays), np.zeros(hits.rays)
+    np.maximum.at(most, ray[wanted], hits.weight[wanted])
+    heaviest = wanted & (hits.weight == most[ray])
     middle[ray[heaviest]] = t[heaviest]
     before, behind = ~wanted & (t < middle[ray]), ~wanted & (t >= middle[ray])
-    low, high = np.zeros(met.rays), np.full(met.rays, np.inf)
+    low, high = np.zeros(hits.rays), np.full(hits.rays, np.inf)
     np.maximum.at(low, ray[before], t[before])
     np.minimum.at(high, ray[behind], t[behind])
     within = wanted & (t > low[ray]) & (t < high[ray])
-    first, last = np.full(met.rays, np.inf), np.zeros(met.rays)
+    first, last = np.full(hits.rays, np.inf), np.zeros(hits.rays)
     np.minimum.at(first, ray[within], t[within])
     np.maximum.at(last, ray[within], t[within])
     begin = np.where(low > 0.0, 0.5 * (low + first), 0.0)
@@ -518,8 +522,8 @@ def hits_light(lights: Iterable[Light], origins: FloatArray, directions: FloatAr
         directions: Unit, shape (N, 3).
     """
     starts, along = origins.astype(np.float64), directions.astype(np.float64)
-    meets = np.zeros(len(origins), np.bool_)
+    reaches = np.zeros(len(origins), np.bool_)
     for light in lights:
         if isinstance(light, AreaLight) and light.enabled and light.visible:
-            meets |= np.isfinite(light.distances(starts, along))
-    return meets
+            reaches |= np.isfinite(light.distances(starts, along))
+    return reaches

@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False})
 
 
 @struct
-class Sights:
+class Contributions:
     """A Gaussian on a ray."""
 
     ray: wp.array[int]
@@ -25,12 +25,12 @@ class Sights:
 
 
 @wp.kernel
-def blend_harmonics(
+def blend_sh(
     start: int,
     terms: int,
     shift: float,
     least: float,
-    sights: Sights,
+    contributions: Contributions,
     first: wp.array[int],
     sh: wp.array2d[wp.vec3],
     color_out: wp.array[wp.vec3],
@@ -42,7 +42,7 @@ def blend_harmonics(
         terms: Coefficients of a Gaussian.
         shift: Added to the colour of each Gaussian.
         least: Below which no channel of these falls.
-        sights: Sorted by ray.
+        contributions: Sorted by ray.
         first: Each ray's first sight, and their number at the end.
         sh: Coefficients.
         color_out: Blended colours.
@@ -50,11 +50,11 @@ def blend_harmonics(
     i = start + wp.tid()
     total = wp.vec3(0.0)
     for j in range(first[i], first[i + 1]):
-        basis = sh_terms(sights.direction[j])
+        basis = sh_terms(contributions.direction[j])
         color = wp.vec3(shift)
         for k in range(terms):
-            color += basis[k] * sh[sights.gaussian[j], k]
-        total += sights.weight[j] * wp.max(color, wp.vec3(least))
+            color += basis[k] * sh[contributions.gaussian[j], k]
+        total += contributions.weight[j] * wp.max(color, wp.vec3(least))
     color_out[i] = total
 
 
@@ -62,7 +62,7 @@ def blend_harmonics(
 def gather_errors(
     start: int,
     terms: int,
-    sights: Sights,
+    contributions: Contributions,
     order: wp.array[int],
     first: wp.array[int],
     error: wp.array[wp.vec3],
@@ -73,7 +73,7 @@ def gather_errors(
     Args:
         start: First item.
         terms: Coefficients of a Gaussian.
-        sights: Sorted by ray.
+        contributions: Sorted by ray.
         order: Sights sorted by Gaussian.
         first: Each Gaussian's first place in that order, and the number of sights at the end.
         error: Of rays.
@@ -81,8 +81,8 @@ def gather_errors(
     """
     i = start + wp.tid()
     for j in range(first[i], first[i + 1]):
-        sight = order[j]
-        basis = sh_terms(sights.direction[sight])
-        part = sights.weight[sight] * error[sights.ray[sight]]
+        contribution = order[j]
+        basis = sh_terms(contributions.direction[contribution])
+        part = contributions.weight[contribution] * error[contributions.ray[contribution]]
         for k in range(terms):
             sh_inout[i, k] += basis[k] * part

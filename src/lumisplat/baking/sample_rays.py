@@ -27,12 +27,12 @@ DARK_SIDE_MIN = 1e-3
 GOLDEN_STEP = 0.6180339887498949
 """Fraction of the golden ratio: its multiples are spread evenly, however many there are."""
 
-SIGHT_REACH = 3.0
+POINT_REACH = 3.0
 """Standard deviations from the middle of a Gaussian up to which rays look at it, of those seen together."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class DrawnRays:
     """Rays, world space, R to each of N Gaussians."""
 
     origins: FloatArray
@@ -59,9 +59,9 @@ class SampleRays:
     """Of rays along each way and the ways before it, up to 1, shape (N, D)."""
 
     @classmethod
-    def room(cls, gaussians: int, ways: int) -> SampleRays:
+    def allocated(cls, gaussians: int, directions_each: int) -> SampleRays:
         """Room for so many ways to each of so many Gaussians."""
-        shapes = (3,), (3, 3), (ways, 3), (ways,), (ways,)
+        shapes = (3,), (3, 3), (directions_each, 3), (directions_each,), (directions_each,)
         return cls(np.empty(gaussians, np.int32), *(np.empty((gaussians, *shape), np.float32) for shape in shapes))
 
     @classmethod
@@ -103,7 +103,7 @@ class SampleRays:
         """Those of some of the Gaussians."""
         return SampleRays(*(getattr(self, name)[rows] for name in self.__slots__))
 
-    def lines(self, number: int, count: int, seed: int) -> Lines:
+    def draw(self, number: int, count: int, seed: int) -> DrawnRays:
         """Rays to each Gaussian, through points drawn from it: those of a round, evenly spread over the ways.
 
         Eyes are spread along the distance up to which the Gaussian is seen, the farther the more.
@@ -113,45 +113,45 @@ class SampleRays:
             count: Of the rays to each Gaussian; the same in all rounds.
             seed: By which, and by the number of the Gaussian, points and distances are drawn.
         """
-        even, point = self._draws(number, count, seed)
-        wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + even[:, :1]) % 1.0
+        uniform, points = self._draws(number, count, seed)
+        wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + uniform[:, :1]) % 1.0
         # With the row added, the shares of all Gaussians ascend, and are searched at once.
         row = np.arange(len(wanted))[:, None]
         below = np.searchsorted((row + self.shares[:, :-1].astype(np.float64)).ravel(), row + wanted)
-        way = below - row * (self.shares.shape[1] - 1)
-        along = np.take_along_axis(self.directions, way[:, :, None], axis=1).astype(np.float64)
-        away = np.take_along_axis(self.distances, way, axis=1) * np.sqrt(even[:, 1:])
-        point *= np.minimum(1.0, SIGHT_REACH / np.maximum(np.linalg.norm(point, axis=2, keepdims=True), 1e-12))
+        chosen = below - row * (self.shares.shape[1] - 1)
+        along = np.take_along_axis(self.directions, chosen[:, :, None], axis=1).astype(np.float64)
+        away = np.take_along_axis(self.distances, chosen, axis=1) * np.sqrt(uniform[:, 1:])
+        points *= np.minimum(1.0, POINT_REACH / np.maximum(np.linalg.norm(points, axis=2, keepdims=True), 1e-12))
         # From the eye; one within the very point that it looks at looks past it.
-        towards = away[..., None] * along + point @ np.swapaxes(self.axes, 1, 2)
-        length = np.linalg.norm(towards, axis=2, keepdims=True)
-        towards = np.where(length > 0.0, towards / np.maximum(length, 1e-300), along)
+        to_point = away[..., None] * along + points @ np.swapaxes(self.axes, 1, 2)
+        length = np.linalg.norm(to_point, axis=2, keepdims=True)
+        to_point = np.where(length > 0.0, to_point / np.maximum(length, 1e-300), along)
         eyes = self.means[:, None] - away[..., None] * along
-        return Lines(eyes.astype(np.float32), towards.astype(np.float32))
+        return DrawnRays(eyes.astype(np.float32), to_point.astype(np.float32))
 
     def _draws(self, number: int, count: int, seed: int) -> tuple[Doubles, Doubles]:
         """Even numbers, the first of a Gaussian the same in all rounds, (N, 1 + R), and normal ones, (N, R, 3)."""
-        even, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
+        uniform, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
         for row, gaussian in enumerate(self.gaussian):
             start, rng = (
                 np.random.Generator(np.random.Philox(key=(seed, int(gaussian)), counter=(0, 0, 0, first)))
                 for first in (0, 1 + number)
             )
-            even[row, 0] = start.random()
-            rng.random(out=even[row, 1:])
+            uniform[row, 0] = start.random()
+            rng.random(out=uniform[row, 1:])
             rng.standard_normal(out=normal[row])
-        return even, normal
+        return uniform, normal
 
 
-def random_turns(count: int, rng: np.random.Generator) -> Doubles:
+def random_rotations(count: int, rng: np.random.Generator) -> Doubles:
     """Rotations, uniform, as unit quaternions, wxyz, shape (count, 4)."""
-    turns = rng.standard_normal((count, 4))
-    return turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    rotations = rng.standard_normal((count, 4))
+    return rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
 
 
-def turned_directions(count: int, turns: Doubles) -> Doubles:
+def rotated_directions(count: int, rotations: Doubles) -> Doubles:
     """Even directions, turned for each Gaussian, so that neighbours are seen from others: shape (N, count, 3)."""
-    return even_directions(count) @ np.swapaxes(matrices_from_quaternions(turns), 1, 2)
+    return even_directions(count) @ np.swapaxes(matrices_from_quaternions(rotations), 1, 2)
 
 
 def plane_normals(gaussians: Gaussians) -> Doubles:
@@ -161,7 +161,7 @@ def plane_normals(gaussians: Gaussians) -> Doubles:
     return shortest_axes(gaussians)
 
 
-def on_seen_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
+def on_visible_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
     """Directions, mirrored at the planes of the Gaussians onto the side that alone counts, where one does.
 
     Args:
@@ -177,7 +177,7 @@ def on_seen_sides(directions: Doubles, normals: Doubles, weights: Doubles, front
     return np.where(unseen[..., None], mirrored, directions)
 
 
-def view_weights(front: Flags, light: Doubles, distance: Doubles, *, knows_front: bool) -> Doubles:
+def view_weights(front: Flags, light: Doubles, distance: Doubles, *, has_front: bool) -> Doubles:
     """How much views count, shape (N, D).
 
     The share of all pixels that show a Gaussian from a direction, if eyes are anywhere in free space, is as the
@@ -189,7 +189,7 @@ def view_weights(front: Flags, light: Doubles, distance: Doubles, *, knows_front
         front: Whether the front is seen, shape (N, D).
         light: Linear radiance, shape (N, D, 3).
         distance: Up to which it is seen, shape (N, D).
-        knows_front: Whether the front is the outside.
+        has_front: Whether the front is the outside.
     """
     weights = np.maximum(distance, 1e-6 * distance.max(initial=1e-30))
     luminance = light @ np.array(LUMINANCE)
@@ -197,7 +197,7 @@ def view_weights(front: Flags, light: Doubles, distance: Doubles, *, knows_front
     brighter = np.maximum(np.maximum(front_light, back_light), 1e-30)
     of_front = np.maximum(np.square(front_light / brighter), DARK_SIDE_MIN)
     of_back = np.maximum(np.square(back_light / brighter), DARK_SIDE_MIN)
-    if knows_front:
+    if has_front:
         of_back *= BACK_SHARE
     return weights * np.where(front, of_front[:, None], of_back[:, None])
 

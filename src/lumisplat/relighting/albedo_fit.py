@@ -15,16 +15,16 @@ from lumisplat.math.directions import directions_of_square
 from lumisplat.relighting.irradiance import (
     Irradiance,
     chroma_similarity,
-    even_radiance,
-    lit_evenly,
+    constant_radiance,
     typical_albedo_factor,
+    unit_irradiance,
 )
 from lumisplat.scene.ops.neighbours import Pairs
 
 CELL_REACH = 1.3
 """How far apart the centres of neighbouring cells of the sky may be, in sums of the radii of discs as large."""
 
-FAR_SHARE = 0.25
+RANDOM_PAIR_SHARE = 0.25
 """Pairs of any Gaussians that are compared, beside one of neighbours: things of like chroma are often of one albedo,
 and neighbours more often."""
 
@@ -34,7 +34,7 @@ CHROMA_WIDTH = 0.03
 EDGE_WIDTHS = (0.2, 0.1)
 """Differences of albedo, natural logarithm, from which on they are rather edges (Cauchy): first and last."""
 
-FAR_LEAST = 1000
+RANDOM_PAIRS_MIN = 1000
 """Such pairs, at least."""
 
 LIGHT_STEPS = 25
@@ -46,19 +46,19 @@ LIGHT_STEP_MAX = 0.7
 LIGHT_CONVERGED = 1e-3
 """Largest change of a radiance, natural logarithm, at which they end."""
 
-SKY_SMOOTHNESS = 3e-3
+ENVIRONMENT_SMOOTHNESS = 3e-3
 """Weight of differences between neighbouring directions of the sky, beside one pair of Gaussians."""
 
 LIGHT_PRIOR = 3e-4
 """Weight of a radiance's distance from that which it begins with, likewise."""
 
-LIT_MOST = 3.0
+IRRADIANCE_WEIGHT_MAX = 3.0
 """Light of lamps at a Gaussian, in medians, from which on it tells that no better, for its error grows with it: a shade
 beside a lamp counts as nine walls at most. Of trained rooms, 2 to 4 % of the Gaussians have more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SkyCells:
+class EnvironmentCells:
     """K squares of the map of all directions (`directions_of_square`), in which areas are solid angles."""
 
     corners: Doubles
@@ -67,10 +67,10 @@ class SkyCells:
     """Their lengths, shape (K,)."""
 
     @staticmethod
-    def even(across: int) -> SkyCells:
+    def even(across: int) -> EnvironmentCells:
         """``across`` times ``across`` of one size."""
         v, u = np.divmod(np.arange(across * across), across)
-        return SkyCells(np.stack([u, v], axis=1) / across, np.full(across * across, 1.0 / across))
+        return EnvironmentCells(np.stack([u, v], axis=1) / across, np.full(across * across, 1.0 / across))
 
     def __len__(self) -> int:
         return len(self.sides)
@@ -93,19 +93,21 @@ class SkyCells:
         first, second = np.nonzero(np.triu(angles < CELL_REACH * (radii[:, None] + radii), 1))
         return np.stack([first, second], axis=1)
 
-    def of(self, rows: Rows) -> SkyCells:
+    def of(self, rows: Rows) -> EnvironmentCells:
         """Some of them."""
-        return SkyCells(self.corners[rows], self.sides[rows])
+        return EnvironmentCells(self.corners[rows], self.sides[rows])
 
-    def joined(self, others: SkyCells) -> SkyCells:
+    def joined(self, others: EnvironmentCells) -> EnvironmentCells:
         """These, and others after them."""
-        return SkyCells(np.concatenate([self.corners, others.corners]), np.concatenate([self.sides, others.sides]))
+        return EnvironmentCells(
+            np.concatenate([self.corners, others.corners]), np.concatenate([self.sides, others.sides])
+        )
 
-    def parts(self, across: int) -> SkyCells:
+    def parts(self, across: int) -> EnvironmentCells:
         """Each in ``across`` times ``across``, one after the other."""
         v, u = np.divmod(np.arange(across * across), across)
         within = np.stack([u, v], axis=1)[None] * (self.sides[:, None, None] / across)
-        return SkyCells(
+        return EnvironmentCells(
             (self.corners[:, None] + within).reshape(-1, 2), np.repeat(self.sides / across, across * across)
         )
 
@@ -118,14 +120,14 @@ class SkyCells:
 class Light:
     """Radiances, linear, in units of display white."""
 
-    sky: Doubles
+    environment: Doubles
     """Shape (K, 3)."""
     emitters: Doubles
     """Shape (L, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AlikeAlbedos:
+class AlbedoPairFit:
     """The light of which pairs of Gaussians get the most alike albedos.
 
     Albedo is outgoing radiance over irradiance over pi. Of surfaces with one albedo, the logarithms of both differ by
@@ -139,7 +141,7 @@ class AlikeAlbedos:
     """What shines on them."""
     pairs: Rows
     """Of Gaussians, shape (P, 2)."""
-    cells: SkyCells
+    cells: EnvironmentCells
     """Of the sky."""
 
     def solved(self, start: Light) -> Light:
@@ -151,25 +153,25 @@ class AlikeAlbedos:
 
     def _improved(self, start: Light, width: float) -> Light:
         """Steps of Gauss-Newton with one width of edges."""
-        first = np.concatenate([start.sky, start.emitters])
+        first = np.concatenate([start.environment, start.emitters])
         radiances, prior = first.copy(), self._prior()
         rows, pairs = np.unique(self.pairs, return_inverse=True)  # of many Gaussians, few are in pairs
-        one, other = pairs.reshape(-1, 2).T
-        columns = np.concatenate([self.incident.sky[rows], self.incident.emitters[rows]], axis=1)
-        shown, observed = np.log(np.maximum(self.outgoing[rows], RADIANCE_LEAST)), self.incident.observed[rows]
+        first_row, second_row = pairs.reshape(-1, 2).T
+        columns = np.concatenate([self.incident.environment[rows], self.incident.emitters[rows]], axis=1)
+        log_outgoing, observed = np.log(np.maximum(self.outgoing[rows], RADIANCE_LEAST)), self.incident.observed[rows]
         for _ in range(LIGHT_STEPS):
             irradiance = np.maximum(observed + columns @ radiances, RADIANCE_LEAST)
-            differences = shown - np.log(irradiance)
-            differences = differences[one] - differences[other]
+            differences = log_outgoing - np.log(irradiance)
+            differences = differences[first_row] - differences[second_row]
             weights = self._weights(differences, width)
             largest = 0.0
             for channel in range(3):
                 slopes = columns * (radiances[:, channel] / irradiance[:, channel, None]).astype(np.float32)
-                jacobian = slopes[other] - slopes[one]
+                jacobian = slopes[second_row] - slopes[first_row]
                 weighted = jacobian * weights[:, channel, None].astype(np.float32)
-                moved = np.log(radiances[:, channel] / first[:, channel])
+                change = np.log(radiances[:, channel] / first[:, channel])
                 hessian = (weighted.T @ jacobian).astype(np.float64) + prior
-                gradient = weighted.T @ differences[:, channel] + prior @ moved
+                gradient = weighted.T @ differences[:, channel] + prior @ change
                 step = -np.linalg.solve(hessian, gradient)
                 step *= min(1.0, LIGHT_STEP_MAX / max(float(np.abs(step).max(initial=0.0)), 1e-12))
                 radiances[:, channel] *= np.exp(step)
@@ -188,7 +190,7 @@ class AlikeAlbedos:
         emitters, share = self.incident.emitters.shape[1], self.cells.solid_angles / (4.0 * np.pi)
         form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(emitters, 1.0 / max(emitters, 1))]))
         first, second = self.cells.neighbours.T
-        weights = SKY_SMOOTHNESS * np.sqrt(share[first] * share[second])
+        weights = ENVIRONMENT_SMOOTHNESS * np.sqrt(share[first] * share[second])
         np.add.at(form, (first, first), weights)
         np.add.at(form, (second, second), weights)
         np.add.at(form, (first, second), -weights)
@@ -196,24 +198,26 @@ class AlikeAlbedos:
         return form
 
 
-def first_light(outgoing: Doubles, incident: Irradiance) -> Light:
+def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
     """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo.
 
     Of lamps, Gaussians count by the square of the light that reaches them: what is wrong about that light makes a
     radiance wrong by as much, divided by it. Without, some that fog hides from a lamp make it many times too bright.
     """
-    lit = lit_evenly(incident)
+    irradiance = unit_irradiance(incident)
     exponent = 2.0 if incident.emitters.size else 0.0
-    weights = np.minimum(lit / max(float(np.median(lit)), 1e-9), LIT_MOST) ** exponent
-    radiance = even_radiance(outgoing, incident, weights)
-    return Light(np.full((incident.sky.shape[1], 3), radiance), np.full((incident.emitters.shape[1], 3), radiance))
+    weights = np.minimum(irradiance / max(float(np.median(irradiance)), 1e-9), IRRADIANCE_WEIGHT_MAX) ** exponent
+    radiance = constant_radiance(outgoing, incident, weights)
+    return Light(
+        np.full((incident.environment.shape[1], 3), radiance), np.full((incident.emitters.shape[1], 3), radiance)
+    )
 
 
 def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
     """The light, brighter or darker by one factor, so that the lightest surfaces have a usual albedo."""
-    lit = incident.total(light.sky, light.emitters) - incident.observed
-    factor = typical_albedo_factor(outgoing, incident.observed, lit, np.ones(len(lit)))
-    return Light(factor * light.sky, factor * light.emitters)
+    irradiance = incident.total(light.environment, light.emitters) - incident.observed
+    factor = typical_albedo_factor(outgoing, incident.observed, irradiance, np.ones(len(irradiance)))
+    return Light(factor * light.environment, factor * light.emitters)
 
 
 def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:
@@ -227,4 +231,6 @@ def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generat
     """
     beside = np.stack([near.first, near.second], axis=1)[near.first < near.second]
     beside = rng.permutation(beside[np.isin(beside, reflects).all(axis=1)])[:count]
-    return np.concatenate([beside, rng.choice(reflects, (max(int(FAR_SHARE * len(beside)), FAR_LEAST), 2))])
+    return np.concatenate(
+        [beside, rng.choice(reflects, (max(int(RANDOM_PAIR_SHARE * len(beside)), RANDOM_PAIRS_MIN), 2))]
+    )

@@ -158,26 +158,29 @@ class AvatarLighter:
         casting = [actor for actor, flag in zip(placed, casts, strict=True) if flag]
         takes_light = actor_flags("relit", relit, len(placed))
         self._forget_normals(placed)
-        keeps_lights = self._keeps_lights(placed)
+        uses_scene_lights = self._uses_scene_lights(placed)
         splats = [
-            self._relight(actor) if flag and (emits_capture_only(actor) or not keeps_lights) else actor
+            self._relight(actor) if flag and (emits_capture_only(actor) or not uses_scene_lights) else actor
             for actor, flag in zip(placed, takes_light, strict=True)
             if isinstance(actor, SplatInstance)
         ]
         meshes = [actor for actor in placed if isinstance(actor, MeshInstance)]
         sets = self._darken(casting)
-        if keeps_lights:
+        if uses_scene_lights:
             lights = self.scene.lights
         elif meshes:
             # Only meshes are to be lit: sets that would reflect the lights of another frame are shown as captured.
-            sets, splats = [_as_captured(one) for one in sets], [_as_captured(one) for one in splats]
+            sets, splats = (
+                [_as_captured(instance) for instance in sets],
+                [_as_captured(instance) for instance in splats],
+            )
             lights = self._mesh_lights(meshes)
         else:
             # An environment is seen behind everything; other lights have nothing to light.
             lights = tuple(light for light in self.scene.lights if isinstance(light, LightEnvironment))
         return replace(self.scene, splats=(*sets, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
 
-    def _keeps_lights(self, actors: list[PlacedActor]) -> bool:
+    def _uses_scene_lights(self, actors: list[PlacedActor]) -> bool:
         """Whether the scene's lights stay in the frame: they light something in it, or an actor that reflects."""
         reflecting = any(isinstance(actor, SplatInstance) and not emits_capture_only(actor) for actor in actors)
         return self._roles.as_captured or (reflecting and bool(self.scene.lights))
@@ -203,18 +206,20 @@ class AvatarLighter:
     def _casting_lights(self, actors: Sequence[PlacedActor]) -> tuple[Light, ...]:
         """The lights that cast shadows, estimated around the actors if there are none yet."""
         if self.lights is None:
-            place = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
+            position = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
             # The lights give ``direct`` of the irradiance at the place, its surroundings the rest.
-            irradiance = self.config.direct * np.pi * _mean_luminance(self._probes.at(place))
-            self.lights = self._found_lights(place, irradiance)
+            irradiance = self.config.direct * np.pi * _mean_luminance(self._probes.at(position))
+            self.lights = self._estimated_lights(position, irradiance)
         return self.lights
 
-    def _found_lights(self, place: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
+    def _estimated_lights(self, position: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
         """The lamps of the capture, or its sun; together they give a place an irradiance."""
         try:
-            self.estimate = estimate_lights(self.scene, place, self.config.light_count, config=self.config.estimation)
+            self.estimate = estimate_lights(
+                self.scene, position, self.config.light_count, config=self.config.estimation
+            )
         except SceneError as nothing_found:
-            self.sun = estimate_sun(self.scene, place, progress=self._progress)
+            self.sun = estimate_sun(self.scene, position, progress=self._progress)
             if self.sun is None:
                 raise
             _log.warning("%s", nothing_found)
@@ -250,13 +255,13 @@ class AvatarLighter:
             self._warned_of_darkness = True
             gamma = self.config.transfer.gamma
             as_dark = "as dark" if gamma == 1.0 else f"at {gamma * mean:.2g} of what they were captured"
-            line = f"actors stand in {mean:.2g} of display white, and come out {as_dark}"
+            message = f"actors stand in {mean:.2g} of display white, and come out {as_dark}"
             if mean > 1e-3:
-                line += (
+                message += (
                     f": a RelightConfig.gamma of {_DARK / mean:.2g} shows them half as bright as they were captured, "
                     f"{1.0 / mean:.2g} as bright (in a scene.toml: gamma in [animation.lighting.transfer])"
                 )
-            _log.warning("%s", line)
+            _log.warning("%s", message)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
         """The lights for meshes, and an environment of the rest of the light at their place.

@@ -17,12 +17,12 @@ from lumisplat.constants import (
     AGREEING_NEIGHBOURS,
     AGREEING_PICKS,
     AGREEING_SET,
-    FOG_EXTENT,
-    FOG_ROUND,
-    FOG_SCALES,
-    FOG_SHARE,
     GAUSSIANS_LEAST,
+    ISOTROPIC_RATIO,
+    ISOTROPIC_SHARE_MAX,
     OPACITY_SEEN,
+    SURFACE_DEPTH_EXTENT,
+    SURFACE_DEPTH_SCALES,
 )
 from lumisplat.errors import SceneError
 from lumisplat.math.arrays import Doubles, three_numbers
@@ -35,13 +35,13 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 
-FOG_RAYS = 512
+SURFACE_RAYS = 512
 """Rays from outside by which fog is told from surfaces."""
 
-FOG_HALF = 0.5
+HIT_ALPHA_MIN = 0.5
 """Share of its light that a ray has to lose to have met anything."""
 
-FOG_SHARP = 0.6
+HAZE_AT_ONCE_MAX = 0.6
 """Share of what they lose that half of the rays lose within that, at least, if there is a surface: 0.9 to 1 of captures
 of others and of baked ones, 0.39 to 0.99 of those that were learnt in some minutes, 0 to 0.56 of balls of fog
 (docs/adr/0079-fog-has-no-surface.md)."""
@@ -70,14 +70,14 @@ class SurfaceMeasure:
     """Mean squared cosine between normals of neighbours, 0..1; 1/3 if they are random; 1 of few Gaussians."""
 
     @property
-    def is_fog(self) -> bool:
+    def has_no_surface(self) -> bool:
         """Whether there is surely no surface: Gaussians are round, and rays lose their light bit by bit."""
-        return self.round_share >= FOG_SHARE and self.at_once < FOG_SHARP
+        return self.round_share >= ISOTROPIC_SHARE_MAX and self.at_once < HAZE_AT_ONCE_MAX
 
     @property
     def fault(self) -> str | None:
         """What is wrong with the surface, a clause; None: nothing."""
-        if self.round_share >= FOG_SHARE:
+        if self.round_share >= ISOTROPIC_SHARE_MAX:
             return f"{self.round_share:.0%} of its Gaussians, by area, are round and have no normal"
         if self.agreement < AGREEING_LEAST:
             return "normals of neighbouring Gaussians differ as if they were random"
@@ -100,7 +100,7 @@ def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> Surf
     has_normals = gaussians.normals is not None
     return SurfaceMeasure(
         at_once=float(np.median(_lost_at_once(gaussians, weights, renderer, seed))),
-        round_share=0.0 if has_normals else float(weights[least >= FOG_ROUND * middle].sum()),
+        round_share=0.0 if has_normals else float(weights[least >= ISOTROPIC_RATIO * middle].sum()),
         agreement=_agreement(gaussians, weights, seed),
     )
 
@@ -124,10 +124,10 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
         return None
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device)
     fault = measure_surface(replace(gaussians, origin=(0.0, 0.0, 0.0)), renderer, 0).fault
-    return fault and no_surface(fault)
+    return fault and no_surface_message(fault)
 
 
-def no_surface(fault: str) -> str:
+def no_surface_message(fault: str) -> str:
     """Returns the sentence that says so, with what to do."""
     return (
         f"the capture has no clear surface ({fault}): normals, light and shadows on it come out in patches; train it "
@@ -140,20 +140,20 @@ def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, se
     rng, scene = np.random.default_rng([seed, 11]), Scene([gaussians])
     low, high = scene.bulk_bounds()
     extent = float(np.linalg.norm(high - low))
-    ways = rng.standard_normal((FOG_RAYS, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    met = gaussians.means[rng.choice(gaussians.count, FOG_RAYS, p=weights)]
-    starts = met - 2.0 * extent * ways
-    hits = renderer.trace_rays(scene, starts, ways)
+    directions = rng.standard_normal((SURFACE_RAYS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    targets = gaussians.means[rng.choice(gaussians.count, SURFACE_RAYS, p=weights)]
+    starts = targets - 2.0 * extent * directions
+    hits = renderer.trace_rays(scene, starts, directions)
     lost = 1.0 - hits.transmittance.astype(np.float64)
-    rows = np.flatnonzero((lost > FOG_HALF) & np.isfinite(hits.depth))
+    rows = np.flatnonzero((lost > HIT_ALPHA_MIN) & np.isfinite(hits.depth))
     scales = gaussians.scales.max(axis=1)[hits.gaussian_index[rows]]
-    reach = np.maximum(FOG_EXTENT * extent, FOG_SCALES * scales)
+    reach = np.maximum(SURFACE_DEPTH_EXTENT * extent, SURFACE_DEPTH_SCALES * scales)
     before, after = (
-        renderer.transmittance(scene, starts[rows], ways[rows], np.maximum(hits.depth[rows] + sign * reach, 0.0))
+        renderer.transmittance(scene, starts[rows], directions[rows], np.maximum(hits.depth[rows] + sign * reach, 0.0))
         for sign in (-1.0, 1.0)
     )
-    shares = np.zeros(FOG_RAYS)
+    shares = np.zeros(SURFACE_RAYS)
     shares[rows] = (before - after) / lost[rows]
     return shares
 
@@ -177,10 +177,10 @@ def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
     return float(cosines.mean())
 
 
-CAPTURE_GAIN_FOUND_MAX = 6.0
+CAPTURE_GAIN_MAX = 6.0
 """Stops that are found at most: beyond, the place is too dark to say what light it has."""
 
-SURROUNDINGS_ALBEDO = 0.5
+AROUND_ALBEDO = 0.5
 """Albedo that surfaces around an object are taken to have on average, of which the brightness of the light on them
 follows: rooms have 0.4 to 0.6 (CIBSE, Lighting Guide 5)."""
 
@@ -213,19 +213,19 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
         DeviceError: There is no such device.
     """
     check_scene(scene)
-    around = tuple(one for one in scene.splats if not is_relit(one))
+    around = tuple(instance for instance in scene.splats if not is_relit(instance))
     if not around:
         raise SceneError("the scene has no capture that is as captured: there is no captured light to be brightened")
     if position is None:
-        added = Scene(tuple(one for one in scene.splats if is_relit(one)), scene.meshes)
+        added = Scene(tuple(instance for instance in scene.splats if is_relit(instance)), scene.meshes)
         if not added.splats and not added.meshes:
             raise SceneError("the scene has nothing but captures that are as captured: give the position of the object")
-        place = np.mean(added.bulk_bounds(), axis=0)
+        center = np.mean(added.bulk_bounds(), axis=0)
     else:
-        place = np.array(three_numbers("position", position))
+        center = np.array(three_numbers("position", position))
     directions = even_directions(GAIN_DIRECTIONS)
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE), device)
-    clear = renderer.transmittance(Scene(around), np.broadcast_to(place, directions.shape), directions)
+    clear = renderer.transmittance(Scene(around), np.broadcast_to(center, directions.shape), directions)
     coverage = 1.0 - float(clear.mean(dtype=np.float64))
     # The mean radiance of the surroundings arrives times their coverage, and had arrived over their albedo.
-    return round(-math.log2(max(SURROUNDINGS_ALBEDO * coverage, 2.0**-CAPTURE_GAIN_FOUND_MAX)), 1)
+    return round(-math.log2(max(AROUND_ALBEDO * coverage, 2.0**-CAPTURE_GAIN_MAX)), 1)

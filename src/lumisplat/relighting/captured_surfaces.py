@@ -85,23 +85,23 @@ class SolidCells:
             directions: Unit, shape (N, 3).
             distances: How far the ways go, scene units, a number or shape (N,).
         """
-        places = (origins - self.corner) / self.cell
+        grid_points = (origins - self.corner) / self.cell
         step = SURFACE_STEP * directions
-        left = np.broadcast_to(np.asarray(distances, np.float64), len(places)) / (SURFACE_STEP * self.cell)
+        left = np.broadcast_to(np.asarray(distances, np.float64), len(grid_points)) / (SURFACE_STEP * self.cell)
         size = self.solid.shape[0]
-        free = np.ones(len(places), np.bool_)
-        alive = np.arange(len(places))
+        free = np.ones(len(grid_points), np.bool_)
+        alive = np.arange(len(grid_points))
         flat = self.solid.ravel()
         passed = 0
         while alive.size:
-            cells = np.floor(places).astype(np.int64)
+            cells = np.floor(grid_points).astype(np.int64)
             inside = ((cells >= 0) & (cells < size)).all(axis=1) & (left > passed)
             cells = np.where(inside[:, None], cells, 0)
             blocked = inside & flat[(cells[:, 0] * size + cells[:, 1]) * size + cells[:, 2]]
             free[alive[blocked]] = False
             on = inside & ~blocked
             alive, left, step = alive[on], left[on], step[on]
-            places = places[on] + step
+            grid_points = grid_points[on] + step
             passed += 1
         return free
 
@@ -148,7 +148,9 @@ def captured_surfaces(
         center: The place, world space, shape (3,).
         extent: Half the side of the cube, scene units.
     """
-    discs = _Discs.joined([_discs(one, world, center, extent) for one, world in zip(splats, worlds, strict=True)])
+    discs = _Discs.joined(
+        [_discs(instance, world, center, extent) for instance, world in zip(splats, worlds, strict=True)]
+    )
     grid = _Grid(center - extent, 2.0 * extent / SURFACE_CELLS)
     solid, normals, is_flat = _solid_cells(discs, grid)
     cells, inside = grid.keys(discs.means)
@@ -260,13 +262,13 @@ def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
     shuffled = np.random.default_rng(0).permutation(rows.size)
     order = shuffled[np.argsort(cells[shuffled], kind="stable")]
     starts = np.searchsorted(cells[order], cells[order])
-    kept = np.sort(order[np.arange(rows.size) - starts < SURFACE_PER_CELL])
-    if kept.size > SURFACES_MAX:
-        kept = np.sort(np.random.default_rng(0).choice(kept, SURFACES_MAX, replace=False))
-    return rows[kept]
+    chosen = np.sort(order[np.arange(rows.size) - starts < SURFACE_PER_CELL])
+    if chosen.size > SURFACES_MAX:
+        chosen = np.sort(np.random.default_rng(0).choice(chosen, SURFACES_MAX, replace=False))
+    return rows[chosen]
 
 
-_EVEN = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+_EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Products of the components of normals that span what depends on a normal, and not on its sign, to degree 2."""
 
 
@@ -286,7 +288,7 @@ class Shading:
     """Luminance of surfaces, and what explains it so far."""
 
     surfaces: CapturedSurfaces
-    known: Doubles
+    design: Doubles
     """Irradiance of what is known, a column each, shape (M, K)."""
     weights: Doubles
     """Of each surface's squared residual: residuals are relative, and outliers count little, shape (M,)."""
@@ -302,14 +304,14 @@ class Shading:
             degree: Of the sky.
         """
         normals = surfaces.normals
-        even = np.stack([normals[:, i] * normals[:, j] for i, j in _EVEN], axis=1)
-        sky = cosines @ sh_basis(directions, degree) * (4.0 * np.pi / len(directions))
-        known = np.concatenate([even, sky], axis=1)
-        return cls(surfaces, known, _robust_weights(known, surfaces.luminance))
+        even = np.stack([normals[:, i] * normals[:, j] for i, j in _EVEN_PRODUCTS], axis=1)
+        environment = cosines @ sh_basis(directions, degree) * (4.0 * np.pi / len(directions))
+        design = np.concatenate([even, environment], axis=1)
+        return cls(surfaces, design, _robust_weights(design, surfaces.luminance))
 
     def with_light(self, irradiance: Doubles) -> Shading:
         """The same with one more light known."""
-        return replace(self, known=np.column_stack([self.known, irradiance]))
+        return replace(self, design=np.column_stack([self.design, irradiance]))
 
     def traces(self, irradiances: Doubles, counted: Flags | None = None) -> list[Trace]:
         """The trace of each of several lights alone.
@@ -320,7 +322,7 @@ class Shading:
         """
         weights = self.weights if counted is None else self.weights * counted
         both = np.column_stack([self.surfaces.luminance, irradiances])
-        left = both - _explained(self.known, both, weights)
+        left = both - _explained(self.design, both, weights)
         dark, light = left[:, 0], left[:, 1:]
         power = np.maximum(weights @ light**2, 1e-30)
         factors = (weights * dark) @ light / power
@@ -341,19 +343,19 @@ def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
     Its length is 1 over an endless ground under an open sky, and 0 in a closed room or in the air.
     """
     directions = even_directions(TRACE_DIRECTIONS)
-    open_ways = surfaces.cells.is_free(np.broadcast_to(center, directions.shape), directions)
+    is_open = surfaces.cells.is_free(np.broadcast_to(center, directions.shape), directions)
     # The mean of a half space of unit vectors has length 1/4.
-    return -4.0 * np.mean(open_ways[:, None] * directions, axis=0)
+    return -4.0 * np.mean(is_open[:, None] * directions, axis=0)
 
 
-def _robust_weights(known: Doubles, luminance: Doubles) -> Doubles:
+def _robust_weights(design: Doubles, luminance: Doubles) -> Doubles:
     """Weights of squared residuals, relative to the luminance and by Huber's loss, shape (M,)."""
     weights = np.ones_like(luminance)
     if not luminance.size:
         return weights
     floor = max(TRACE_FLOOR * float(np.median(luminance)), 1e-12)
     for _ in range(TRACE_STEPS):
-        explained = _explained(known, luminance, weights)
+        explained = _explained(design, luminance, weights)
         scale = 1.0 / np.maximum(explained, floor)
         relative = np.abs(luminance - explained) * scale
         width = max(HUBER_WIDTH / MAD_PER_DEVIATION * float(np.median(relative)), 1e-6)
@@ -361,9 +363,9 @@ def _robust_weights(known: Doubles, luminance: Doubles) -> Doubles:
     return weights
 
 
-def _explained(known: Doubles, values: Doubles, weights: Doubles) -> Doubles:
+def _explained(design: Doubles, values: Doubles, weights: Doubles) -> Doubles:
     """The part of values, shape (M,) or (M, L), that the columns of ``known`` explain: weighted least squares."""
-    weighted = known * weights[:, None]
-    gram = weighted.T @ known
+    weighted = design * weights[:, None]
+    gram = weighted.T @ design
     gram += TRACE_RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))
-    return np.asarray(known @ np.linalg.solve(gram, weighted.T @ values), np.float64)
+    return np.asarray(design @ np.linalg.solve(gram, weighted.T @ values), np.float64)

@@ -23,14 +23,14 @@ from lumisplat.math.directions import panorama_directions
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.progress import Progress, StagedProgress, no_progress
 from lumisplat.relighting.albedo_fit import (
-    AlikeAlbedos,
+    AlbedoPairFit,
+    EnvironmentCells,
     Light,
-    SkyCells,
     albedo_pairs,
-    first_light,
+    initial_light,
     with_typical_albedos,
 )
-from lumisplat.relighting.capture_measures import measure_surface, no_surface
+from lumisplat.relighting.capture_measures import measure_surface, no_surface_message
 from lumisplat.relighting.incident import SIDE_DIRECTIONS, IncidentRays, Smoother, neighbours_of
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 from lumisplat.relighting.roughness_fit import Lobes, Roughness, RoughnessFit, arriving_light
@@ -47,7 +47,7 @@ BRIGHT_CELLS = 6
 BRIGHT_PARTS = 4
 """Into so many times so many parts."""
 
-BRIGHT_ROUNDS = 2
+BRIGHT_REFINEMENTS = 2
 """Times that this is done."""
 
 CLIPPED = 0.985
@@ -62,13 +62,13 @@ EMITTER_GAP = 4.0
 PAIRS = 24_000
 """Pairs of neighbours whose albedos are compared, at most."""
 
-LIGHT_SEEN = 0.03
+IRRADIANCE_KNOWN = 0.03
 """Light at a Gaussian, as a share of the median, below which its albedo is that of its neighbours."""
 
 MATT_LEAST = 0.2
 """Share of what Gaussians show that is left, at least, when what they mirror is taken away."""
 
-SURE = 0.8
+CONFIDENT = 0.8
 """Sureness of a roughness from which on highlights are said to tell it."""
 
 TOO_LIGHT = 0.02
@@ -77,7 +77,7 @@ TOO_LIGHT = 0.02
 RESIDUAL_LARGE = 0.25
 """Unexplained share of a captured colour that counts for that."""
 
-SKY_IMAGE_ROWS = 64
+ENVIRONMENT_IMAGE_ROWS = 64
 """Of the image of the sky that was found."""
 
 _log = logging.getLogger("lumisplat")
@@ -146,10 +146,10 @@ def estimate_materials(
     config = config or DelightConfig()
     check_argument("delight", gaussians, Gaussians, "Gaussians")
     check_kind("config", config, DelightConfig)
-    seen = int(np.count_nonzero(gaussians.opacities >= OPACITY_SEEN))
-    if seen < GAUSSIANS_LEAST:
+    visible = int(np.count_nonzero(gaussians.opacities >= OPACITY_SEEN))
+    if visible < GAUSSIANS_LEAST:
         raise SceneError(
-            f"no surface whose material could be told: {seen} of {gaussians.count} Gaussians have an opacity of "
+            f"no surface whose material could be told: {visible} of {gaussians.count} Gaussians have an opacity of "
             f"{OPACITY_SEEN} or more, expected {GAUSSIANS_LEAST} at least"
         )
     if gaussians.albedo is not None:
@@ -159,13 +159,13 @@ def estimate_materials(
     if not np.ptp(gaussians.means, axis=0).any():
         raise SceneError("no surface whose material could be told: all Gaussians are in one place")
     surface = measure_surface(gaussians, renderer, config.seed)
-    if surface.is_fog:
+    if surface.has_no_surface:
         raise SceneError(
             "no surface whose material could be told: light passes between round Gaussians, or is lost in them bit by "
             "bit, as in fog (of a training that was stopped early, more steps make surfaces)"
         )
     if surface.fault:
-        _log.warning("%s", no_surface(surface.fault))
+        _log.warning("%s", no_surface_message(surface.fault))
     report = progress or no_progress
     pace = StagedProgress(report, _LABEL)
     rays = IncidentRays(gaussians, renderer, config.seed, traced=pace.add)
@@ -180,8 +180,8 @@ def estimate_materials(
 _LABEL = "delighting"
 _SIDES, _RAYS, _LIGHT, _HIGHLIGHTS = "finding sides", "tracing the light", "finding the light", "finding highlights"
 _BRIGHT = tuple(
-    (f"tracing the bright sky ({number} of {BRIGHT_ROUNDS})", f"{_LIGHT} ({number} of {BRIGHT_ROUNDS})")
-    for number in range(1, BRIGHT_ROUNDS + 1)
+    (f"tracing the bright sky ({number} of {BRIGHT_REFINEMENTS})", f"{_LIGHT} ({number} of {BRIGHT_REFINEMENTS})")
+    for number in range(1, BRIGHT_REFINEMENTS + 1)
 )
 _FIT_COST, _HIGHLIGHT_COST = 5e6, 500.0
 """What a fit of the light takes, and the highlights of a Gaussian, in rays that take as long (20,000 Gaussians)."""
@@ -210,30 +210,30 @@ class _Delighter:
         self.pace.plan(_costs(count, self.config, inside=bool(self.config.inside), shines=may_shine))
         self.pace.begin(_SIDES)
         near = neighbours_of(self.gaussians)
-        known = self.gaussians.normals
-        axes = _agreeing_axes(self.gaussians) if known is None else known.astype(np.float64)
-        normals, inside = self.rays.facing(axes, near, self.config.inside, known=known is not None)
+        given = self.gaussians.normals
+        axes = _agreeing_axes(self.gaussians) if given is None else given.astype(np.float64)
+        normals, inside = self.rays.facing(axes, near, self.config.inside, has_normals=given is not None)
         white = is_white(self.gaussians, normals)
         outgoing = self._checked_outgoing(normals, white)
         # What is white on an object reflects.
         emitters = emitters_of(self.gaussians, white) if inside else np.full(self.gaussians.count, -1)
         smoother = Smoother.of(near, normals, emitters)
-        cells = SkyCells.even(self.config.cells)
+        cells = EnvironmentCells.even(self.config.cells)
         # Where a lamp's light comes from is not kept apart: highlights of it are not known.
         shines = may_shine and emitters.max(initial=-1) < 0
         self.pace.plan(_costs(count, self.config, inside=inside, shines=shines))
         self.pace.begin(_RAYS)
-        incident = smoother.incident(self.rays.incident(normals, emitters, cells, keeps_ways=shines))
+        incident = smoother.incident(self.rays.incident(normals, emitters, cells, stores_directions=shines))
         if inside:  # what no wall stops in a room are gaps between Gaussians
-            cells, incident = cells.of(np.empty(0, int)), replace(incident, sky=incident.sky[:, :0])
+            cells, incident = cells.of(np.empty(0, int)), replace(incident, environment=incident.environment[:, :0])
         pairs = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
         self.pace.begin(_LIGHT)
-        light = AlikeAlbedos(outgoing, incident, pairs, cells).solved(first_light(outgoing, incident))
+        light = AlbedoPairFit(outgoing, incident, pairs, cells).solved(initial_light(outgoing, incident))
         for tracing, finding in () if inside else _BRIGHT:
             self.pace.begin(tracing)
             cells, incident, light = self._finer(normals, smoother, cells, incident, light)
             self.pace.begin(finding)
-            light = AlikeAlbedos(outgoing, incident, pairs, cells).solved(light)
+            light = AlbedoPairFit(outgoing, incident, pairs, cells).solved(light)
         if not inside:
             light = with_typical_albedos(light, outgoing, incident)
         rough, lobes = Roughness.unknown(self.gaussians.count), Lobes.of(self.gaussians.sh_degree)
@@ -241,26 +241,26 @@ class _Delighter:
             fit = RoughnessFit(self.gaussians, normals, near, lobes)
             self.pace.begin(_HIGHLIGHTS)
             arriving = arriving_light(normals, cells, incident, light)
-            rough = fit.found(arriving, lambda tried: self.pace.add(_HIGHLIGHT_COST * tried))
-        irradiance = incident.total(light.sky, light.emitters)
-        shown = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
+            rough = fit.fitted(arriving, lambda tried: self.pace.add(_HIGHLIGHT_COST * tried))
+        irradiance = incident.total(light.environment, light.emitters)
+        reflectance = outgoing / np.maximum(irradiance, RADIANCE_LEAST)
         matt, mirrored = self._parts(rough.value, lobes)
-        albedo = filled(np.maximum(shown - mirrored, MATT_LEAST * shown) / matt, irradiance, near)
-        explained = (albedo_in_range(albedo) * matt + np.minimum(mirrored, shown)) * irradiance
-        seen = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
+        albedo = filled(np.maximum(reflectance - mirrored, MATT_LEAST * reflectance) / matt, irradiance, near)
+        explained = (albedo_in_range(albedo) * matt + np.minimum(mirrored, reflectance)) * irradiance
+        observed = incident.observed.mean(axis=1) / np.maximum(irradiance.mean(axis=1), RADIANCE_LEAST)
         return MaterialEstimate(
             gaussians=self._with_materials(albedo, normals, rough.value),
             cells=cells,
-            sky=light.sky,
+            sky=light.environment,
             emitters=light.emitters,
             emitter_of=emitters,
             residual=_unexplained(outgoing, explained),
-            confidence=np.clip(seen, 0.0, 1.0).astype(np.float32),
-            sureness=rough.sureness,
+            confidence=np.clip(observed, 0.0, 1.0).astype(np.float32),
+            sureness=rough.confidence,
             is_inside=inside,
             out_of_range=(albedo > 1.0).any(axis=1) & (emitters < 0),
             is_white=white & (emitters < 0),
-            is_too_dark=np.asarray((shown < mirrored).any(axis=1)),
+            is_too_dark=np.asarray((reflectance < mirrored).any(axis=1)),
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:
@@ -280,21 +280,27 @@ class _Delighter:
         """Shares of light that Gaussians of albedo 1 scatter and mirror, as if it came evenly, shape (N, 1) both."""
         if self.config.matt:
             return np.ones((len(roughness), 1)), np.zeros((len(roughness), 1))
-        matt, mirrored = lobes.in_even_light(roughness)
+        matt, mirrored = lobes.in_constant_environment(roughness)
         return matt[:, None], mirrored[:, None]
 
     def _finer(
-        self, normals: Doubles, smoother: Smoother, cells: SkyCells, incident: Irradiance, light: Light
-    ) -> tuple[SkyCells, Irradiance, Light]:
+        self, normals: Doubles, smoother: Smoother, cells: EnvironmentCells, incident: Irradiance, light: Light
+    ) -> tuple[EnvironmentCells, Irradiance, Light]:
         """The cells of the sky that shine most in parts."""
-        power = light.sky.mean(axis=1) * cells.solid_angles
+        power = light.environment.mean(axis=1) * cells.solid_angles
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
         others = np.setdiff1d(np.arange(len(cells)), bright)
         parts = cells.of(bright).parts(BRIGHT_PARTS)
-        found = smoother.mean(self.rays.from_sky(normals, parts))
-        sky = np.concatenate([incident.sky[:, others], found], axis=1)
-        radiances = np.concatenate([light.sky[others], np.repeat(light.sky[bright], BRIGHT_PARTS**2, axis=0)])
-        return cells.of(others).joined(parts), replace(incident, sky=sky), replace(light, sky=radiances)
+        found = smoother.mean(self.rays.from_environment(normals, parts))
+        environment = np.concatenate([incident.environment[:, others], found], axis=1)
+        radiances = np.concatenate(
+            [light.environment[others], np.repeat(light.environment[bright], BRIGHT_PARTS**2, axis=0)]
+        )
+        return (
+            cells.of(others).joined(parts),
+            replace(incident, environment=environment),
+            replace(light, environment=radiances),
+        )
 
     def _with_materials(self, albedo: Doubles, normals: Doubles, roughness: FloatArray) -> Gaussians:
         """The capture with what was found."""
@@ -316,12 +322,12 @@ def _agreeing_axes(gaussians: Gaussians) -> Doubles:
 def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
     """Albedos; where hardly any light was found, those of neighbours, shape (N, 3)."""
     light = irradiance.mean(axis=1)
-    sure = np.clip(light / (LIGHT_SEEN * float(np.median(light)) + 1e-12) - 1.0, 0.0, 1.0)
-    weights = sure[near.second] + 1e-6
+    certainty = np.clip(light / (IRRADIANCE_KNOWN * float(np.median(light)) + 1e-12) - 1.0, 0.0, 1.0)
+    weights = certainty[near.second] + 1e-6
     total = np.bincount(near.first, weights, len(albedo))
     sums = [np.bincount(near.first, weights * channel[near.second], len(albedo)) for channel in albedo.T]
     around = np.stack(sums, axis=1) / total[:, None]
-    return sure[:, None] * albedo + (1.0 - sure)[:, None] * around
+    return certainty[:, None] * albedo + (1.0 - certainty)[:, None] * around
 
 
 def _unexplained(outgoing: Doubles, explained: Doubles) -> FloatArray:
@@ -357,7 +363,7 @@ class MaterialEstimate:
 
     gaussians: Gaussians
     """The capture, Gaussian by Gaussian, with ``albedo`` (linear), ``roughness`` and ``normals``."""
-    cells: SkyCells
+    cells: EnvironmentCells
     """Of the sky, K of them; none if the capture was taken from inside of it."""
     sky: Doubles
     """Radiance of each, linear, in units of display white, shape (K, 3)."""
@@ -390,7 +396,9 @@ class MaterialEstimate:
             rotation_wxyz: World from image, such as ``scene.upright_wxyz``; a `LightEnvironment` that is turned by it
                 shines as the sky did.
         """
-        directions = panorama_directions(SKY_IMAGE_ROWS, 2 * SKY_IMAGE_ROWS) @ rotation_matrix(rotation_wxyz).T
+        directions = (
+            panorama_directions(ENVIRONMENT_IMAGE_ROWS, 2 * ENVIRONMENT_IMAGE_ROWS) @ rotation_matrix(rotation_wxyz).T
+        )
         if not len(self.cells):
             return np.zeros(directions.shape, np.float32)
         cosines = directions @ self.cells.directions.T
@@ -414,18 +422,18 @@ class MaterialEstimate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """What to know about the result, a sentence each."""
-        shown = float(self.confidence.mean())
+        observed = float(self.confidence.mean())
         lines = [
             "a closed room, for much of it sees no sky (if not: --inside no, inside=False): light is what it shows"
             if self.is_inside
-            else f"open: {1.0 - shown:.0%} of the light comes from where the capture shows nothing, and is found as a "
-            "sky, whose brightness is a guess (a closed room: --inside yes, inside=True)"
+            else f"open: {1.0 - observed:.0%} of the light comes from where the capture shows nothing, and is found as "
+            "a sky, whose brightness is a guess (a closed room: --inside yes, inside=True)"
         ]
         if len(self.emitters):
             brightness = ", ".join(f"{emitter.mean():.3g}" for emitter in self.emitters)
             lines.append(f"lamps, times as bright as display white: {brightness}")
         if self.sureness.any():
-            share = float((self.sureness > SURE).mean())
+            share = float((self.sureness > CONFIDENT).mean())
             lines.append(
                 f"views from all sides tell the roughness of {share:.0%} of the Gaussians; else it is nearer to 0.8"
             )

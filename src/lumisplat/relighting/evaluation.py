@@ -67,17 +67,17 @@ class RelightableSet:
             FormatError: It lists no photographs held out, or has neither a layer nor relit pictures.
             MissingFileError: There is no such folder.
         """
-        place = Path(folder)
-        if place.is_dir() and not (place / "transforms_test.json").is_file():
-            raise FormatError(place, f"has no transforms_test.json, of whose cameras the truth is; {_MAKER}")
-        views = load_training_images(place).held_out
-        layers = tuple(name for name in LAYERS if (place / "truth" / name).is_dir())
-        unseen = tuple(sorted({path.stem for path in (place / "relit").glob("*") if path.suffix in LIGHTS}))
+        root = Path(folder)
+        if root.is_dir() and not (root / "transforms_test.json").is_file():
+            raise FormatError(root, f"has no transforms_test.json, of whose cameras the truth is; {_MAKER}")
+        views = load_training_images(root).held_out
+        layers = tuple(name for name in LAYERS if (root / "truth" / name).is_dir())
+        unseen = tuple(sorted({path.stem for path in (root / "relit").glob("*") if path.suffix in LIGHTS}))
         if not layers and not unseen:
             raise FormatError(
-                place, f"has neither truth/albedo, truth/normal and the like nor relit/*.exr or *.toml; {_MAKER}"
+                root, f"has neither truth/albedo, truth/normal and the like nor relit/*.exr or *.toml; {_MAKER}"
             )
-        return cls(place, views, layers, unseen, _specular(place / "set.json"))
+        return cls(root, views, layers, unseen, _specular(root / "set.json"))
 
     def region(self, view: TrainingImage) -> Flags:
         """Where the object covers at least half of a pixel, shape (H, W); everywhere without transparency.
@@ -117,9 +117,9 @@ class RelightableSet:
             FormatError: It is missing, damaged, or of another size.
         """
         path = self.folder / "relit" / name / f"{view.name}.png"
-        picture = read_display_image(_existing(path))
-        _check_size(path, picture, view)
-        return picture
+        image = read_display_image(_existing(path))
+        _check_size(path, image, view)
+        return image
 
     @property
     def has_lights(self) -> bool:
@@ -226,16 +226,16 @@ def evaluate_materials(
         check_kind("config", config, RenderConfig)
     if not isinstance(gaussians, Gaussians):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SceneError(f"gaussians is {type(gaussians).__name__}, expected Gaussians")
-    found_light = None if environment is None else _panorama(environment)
+    found_environment = None if environment is None else _panorama(environment)
     truth, report = RelightableSet.open(folder), progress or no_progress
     given = with_albedo(gaussians)
-    seen = list(_seen(truth, given, device, report))
+    seen = list(_compared_views(truth, given, device, report))
     scale = albedo_scale(seen)
     renderer = create_renderer(_relighting(config, samples, gaussians, has_lights=truth.has_lights), device)
     relit = _relit(truth, given, scale, renderer, report)
     seen = [replace(view, relit=pictures) for view, pictures in zip(seen, relit, strict=True)]
     views, problems = zip(*(measured(view, scale) for view in seen), strict=True)
-    light_psnr, unlike = _environment_figure(found_light, truth)
+    light_psnr, environment_remarks = _environment_figure(found_environment, truth)
     normal_mean, normal_median = normal_figures(seen)
     return MaterialEvaluation(
         albedo_scale=scale,
@@ -251,7 +251,11 @@ def evaluate_materials(
             for name in truth.unseen
         },
         views=tuple(views),
-        remarks=(*_remarks(gaussians, truth), *unlike, *dict.fromkeys(line for lines in problems for line in lines)),
+        remarks=(
+            *_remarks(gaussians, truth),
+            *environment_remarks,
+            *dict.fromkeys(remark for lines in problems for remark in lines),
+        ),
     )
 
 
@@ -290,14 +294,16 @@ def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tupl
     return environment_psnr(found, true), []
 
 
-def _seen(truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress) -> Iterator[SeenView]:
+def _compared_views(
+    truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress
+) -> Iterator[ComparedView]:
     """The views with the layers that both have."""
     layers = LayerRenderer.of(gaussians, device)
     for number, view in enumerate(truth.views):
         report("comparing layers", number / len(truth.views))
         region, found = truth.region(view), layers.draw(view.camera)
         pairs = {name: (found[name], truth.layer(name, view)) for name in truth.layers if name in found}
-        yield SeenView(view.name, region, pairs, {})
+        yield ComparedView(view.name, region, pairs, {})
     report("comparing layers", 1.0)
 
 
@@ -420,7 +426,7 @@ Pair = tuple[FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
-class SeenView:
+class ComparedView:
     """A view's layers and pictures, found and true, shape (H, W, C)."""
 
     name: str
@@ -439,27 +445,27 @@ class SeenView:
         return found[self.region].astype(np.float64), truth[self.region].astype(np.float64)
 
 
-def albedo_scale(views: Sequence[SeenView]) -> Channels:
+def albedo_scale(views: Sequence[ComparedView]) -> Channels:
     """The one scale a channel of all views; 1 if there is no albedo to compare."""
     pairs = [view.counted("albedo") for view in views]
     found, truth = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     return channel_scale(found, truth) if len(found) else (1.0, 1.0, 1.0)
 
 
-def normal_figures(views: Sequence[SeenView]) -> tuple[float, float]:
+def normal_figures(views: Sequence[ComparedView]) -> tuple[float, float]:
     """Mean and median angle between normals over all views' pixels, degrees."""
     errors = np.concatenate([normal_errors(*view.counted("normal")) for view in views])
     return (float(errors.mean()), float(np.median(errors))) if len(errors) else (math.nan, math.nan)
 
 
-def roughness_rmse(views: Sequence[SeenView]) -> float:
+def roughness_rmse(views: Sequence[ComparedView]) -> float:
     """Root mean square error of roughness over all views' pixels."""
     pairs = [view.counted("roughness") for view in views]
     errors = np.concatenate([(found - truth)[:, 0] for found, truth in pairs])
     return float(np.sqrt(np.mean(errors**2))) if len(errors) else math.nan
 
 
-def measured(view: SeenView, scale: Channels) -> tuple[MaterialView, list[str]]:
+def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[str]]:
     """The figures and pictures of a view, and why figures are missing.
 
     Args:
@@ -484,14 +490,14 @@ def measured(view: SeenView, scale: Channels) -> tuple[MaterialView, list[str]]:
     return result, problems
 
 
-def _albedo_psnr(view: SeenView, scale: Channels, *, linear: bool = False) -> float:
+def _albedo_psnr(view: ComparedView, scale: Channels, *, linear: bool = False) -> float:
     if "albedo" not in view.layers:
         return math.nan
     found, truth = _albedo_pictures(view, scale, linear=linear)
     return psnr(found, truth, region=view.region)
 
 
-def _albedo_pictures(view: SeenView, scale: Channels, *, linear: bool = False) -> Pair:
+def _albedo_pictures(view: ComparedView, scale: Channels, *, linear: bool = False) -> Pair:
     found, truth = view.layers["albedo"]
     pair = np.clip(found * np.array(scale, np.float32), 0.0, 1.0), np.clip(truth, 0.0, 1.0)
     return pair if linear else (_displayed(pair[0]), _displayed(pair[1]))
@@ -512,7 +518,7 @@ def _relit_figures(pair: Pair, region: Flags, problems: list[str]) -> RelitFigur
     return RelitFigures(*figures)
 
 
-def _pictures(view: SeenView, scale: Channels) -> dict[str, Pair]:
+def _pictures(view: ComparedView, scale: Channels) -> dict[str, Pair]:
     """Display pictures of layers and relit views, black where nothing counts."""
     shown: dict[str, Pair] = {}
     if "albedo" in view.layers:
@@ -548,7 +554,7 @@ class LayerRenderer:
     @classmethod
     def of(cls, gaussians: Gaussians, device: str) -> LayerRenderer:
         """Of Gaussians with an albedo."""
-        lit = RenderConfig(
+        lit_config = RenderConfig(
             background=None, lighting=True, shadows=Shadows.OFF, samples=1, aovs=("albedo",), pipeline=Pipeline.RASTER
         )
         with_base_colors = None
@@ -557,7 +563,7 @@ class LayerRenderer:
             values = np.repeat((gaussians.roughness[:, None, None] - 0.5) / SH_C0, 3, axis=2)
             with_base_colors = Scene(splats=(SplatInstance(replace(gaussians, sh=values)),))
         return cls(
-            create_renderer(lit, device),
+            create_renderer(lit_config, device),
             create_renderer(RenderConfig(background=None, lighting=False), device),
             Scene(splats=(SplatInstance(gaussians, material=MaterialPbr()),)),
             with_base_colors,

@@ -18,8 +18,8 @@ from lumisplat.constants import SHADOW_OFFSET
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.sh import even_directions
 from lumisplat.math.transforms import matrices_from_quaternions
-from lumisplat.relighting.albedo_fit import SkyCells
-from lumisplat.relighting.irradiance import Irradiance, radiance_met
+from lumisplat.relighting.albedo_fit import EnvironmentCells
+from lumisplat.relighting.irradiance import Irradiance, hit_radiance
 from lumisplat.renderer.rays import RayHits
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.scene.gaussians import Gaussians
@@ -82,7 +82,7 @@ class Smoother:
 
     def incident(self, incident: Irradiance) -> Irradiance:
         """Smooth light; what comes from each direction stays as it is."""
-        smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "sky", "emitters")}
+        smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "environment", "emitters")}
         return replace(incident, **smooth)
 
 
@@ -92,17 +92,17 @@ SIDE_DIRECTIONS = 26
 SIDE_ENCLOSED = 0.1
 """Share of Gaussians that see no sky on either side, from which on a capture was taken from inside of it."""
 
-SKY_SEEN = 0.1
+OPENNESS_MIN = 0.1
 """Share of the sky that a side sees at least, if it sees any: walls that were learnt from photographs let 2 to 6 %
 through. Of captured rooms, 36 to 63 % of the Gaussians see less on both sides, of captured objects at most 0.2 %."""
 
-SKY_ENOUGH = 0.2
+OPENNESS_ENOUGH = 0.2
 """Share of the sky from which on more of it does not make a side likelier to be the one that was seen."""
 
 SIDE_FAR = 0.02
 """Mean distance of what a side sees, in extents of the set, from which on it is open."""
 
-CONTENT_SURE = 0.003
+CONTENT_SCALE = 0.003
 """Difference between what two sides see of the set, as a mean distance in its extents, that makes half sure."""
 
 SIDE_STIFFNESS = 5.0
@@ -194,7 +194,7 @@ class IncidentRays:
         self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
         self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
 
-    def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, known: bool) -> tuple[Doubles, bool]:
+    def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, has_normals: bool) -> tuple[Doubles, bool]:
         """Normals along given axes that point to the side from which Gaussians are seen, and whether from inside.
 
         Of an object, that is the side of which the sky is seen; if it is seen from both, as from a floor, the one with
@@ -204,85 +204,91 @@ class IncidentRays:
             axes: Unit, of either sign, shape (N, 3).
             near: Pairs of neighbours, in both orders.
             inside: Whether the capture was taken from inside of it; None: if a good part of it sees no sky.
-            known: Whether axes are normals that came with the capture, and stay.
+            has_normals: Whether axes are normals that came with the capture, and stay.
         """
-        sky, distance, ways = np.zeros((2, len(axes))), np.zeros((2, len(axes))), np.zeros((2, len(axes)))
+        openness, distance, weights = np.zeros((2, len(axes))), np.zeros((2, len(axes))), np.zeros((2, len(axes)))
         rows = self._order
         for direction in even_directions(SIDE_DIRECTIONS):
             cosines = axes[rows] @ direction
             side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays miss what they should meet
-            hits = self._leave(
+            hits = self._trace(
                 rows, np.where(side == 0, 1.0, -1.0)[:, None] * axes[rows], np.tile(direction, (len(axes), 1))
             )
-            sky[side, rows] += cosines * hits.transmittance
+            openness[side, rows] += cosines * hits.transmittance
             distance[side, rows] += cosines * np.where(
                 np.isfinite(hits.depth), np.minimum(hits.depth, self._extent), 0.0
             )
-            ways[side, rows] += cosines
+            weights[side, rows] += cosines
             self._traced(len(axes))
-        sky, distance = sky / np.maximum(ways, 1e-6), distance / (np.maximum(ways, 1e-6) * self._extent)
+        openness, distance = openness / np.maximum(weights, 1e-6), distance / (np.maximum(weights, 1e-6) * self._extent)
         if inside is None:
-            hidden = (sky < SKY_SEEN).all(axis=0) & (distance > SIDE_FAR).any(axis=0)
+            hidden = (openness < OPENNESS_MIN).all(axis=0) & (distance > SIDE_FAR).any(axis=0)
             inside = bool(hidden.mean() > SIDE_ENCLOSED)
-        if known:
+        if has_normals:
             return axes, inside
-        content = distance * (1.0 - sky)
+        content = distance * (1.0 - openness)
         more = content[0] - content[1]
-        votes = more / (np.abs(more) + CONTENT_SURE)
+        votes = more / (np.abs(more) + CONTENT_SCALE)
         if not inside:
-            open_to = np.minimum(sky / SKY_ENOUGH, 1.0)
-            by_sky = open_to[0] - open_to[1]
-            votes = by_sky + (1.0 - np.abs(by_sky)) * votes
+            clipped = np.minimum(openness / OPENNESS_ENOUGH, 1.0)
+            by_openness = clipped[0] - clipped[1]
+            votes = by_openness + (1.0 - np.abs(by_openness)) * votes
         return agreed_sides(axes, votes, near)[:, None] * axes, inside
 
-    def incident(self, normals: Doubles, emitters: Rows, cells: SkyCells, *, keeps_ways: bool = False) -> Irradiance:
+    def incident(
+        self, normals: Doubles, emitters: Rows, cells: EnvironmentCells, *, stores_directions: bool = False
+    ) -> Irradiance:
         """What shines on Gaussians that face along their normals.
 
         Args:
             normals: Unit, shape (N, 3).
             emitters: The lamp that each is part of, shape (N,); -1: none.
             cells: Of all directions.
-            keeps_ways: Whether what the capture shows is also kept apart for each cell.
+            stores_directions: Whether what the capture shows is also kept apart for each cell.
         """
-        by_way = np.zeros((len(cells) if keeps_ways else 0, len(normals), 3), np.float16)
-        observed, sky = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
+        by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
+        observed, environment = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
         groups = range(int(emitters.max(initial=-1)) + 1)
-        met = np.zeros(len(groups))
+        hit_sums = np.zeros(len(groups))
         for cell in range(len(cells)):
-            rows, ways, shares = self._ways(normals, cells, cell)
-            hits = self._leave(rows, normals[rows], ways)
+            rows, directions, shares = self._sampled_directions(normals, cells, cell)
+            hits = self._trace(rows, normals[rows], directions)
             alpha = 1.0 - hits.transmittance.astype(np.float64)
             emitter = np.where(hits.gaussian_index >= 0, emitters[hits.gaussian_index], -1)
             is_emitter = emitter >= 0
-            met += np.bincount(emitter[is_emitter], (shares * alpha)[is_emitter], len(groups))
-            seen = (shares * alpha * ~is_emitter)[:, None] * radiance_met(hits, alpha)
-            observed[rows] += seen
-            if keeps_ways:
-                by_way[cell, rows] = seen
-            sky[rows, cell] = shares * hits.transmittance
+            hit_sums += np.bincount(emitter[is_emitter], (shares * alpha)[is_emitter], len(groups))
+            observed_radiance = (shares * alpha * ~is_emitter)[:, None] * hit_radiance(hits, alpha)
+            observed[rows] += observed_radiance
+            if stores_directions:
+                by_direction[cell, rows] = observed_radiance
+            environment[rows, cell] = shares * hits.transmittance
             self._traced(len(normals))
         from_emitters = [self._from_emitter(normals, np.flatnonzero(emitters == emitter)) for emitter in groups]
         shares = np.stack(from_emitters, axis=1) if from_emitters else np.zeros((len(normals), 0))
         brought = shares.sum(axis=0)
-        shares *= np.where((brought > 0.0) & (met > 0.0), met / np.maximum(brought, 1e-12), 1.0)
-        ways = cells.directions if keeps_ways else np.zeros((0, 3))
-        return Irradiance(observed, sky, shares.astype(np.float32), ways, by_way)
+        shares *= np.where((brought > 0.0) & (hit_sums > 0.0), hit_sums / np.maximum(brought, 1e-12), 1.0)
+        directions = cells.directions if stores_directions else np.zeros((0, 3))
+        return Irradiance(observed, environment, shares.astype(np.float32), directions, by_direction)
 
-    def from_sky(self, normals: Doubles, cells: SkyCells) -> FloatArray:
+    def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
         """Of each cell of the sky, as ``Irradiance.sky``, shape (N, K)."""
-        sky = np.zeros((len(normals), len(cells)), np.float32)
+        environment = np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
-            rows, ways, shares = self._ways(normals, cells, cell)
-            sky[rows, cell] = shares * self._arrived(rows, normals[rows], ways, np.full(len(rows), np.inf))
+            rows, directions, shares = self._sampled_directions(normals, cells, cell)
+            environment[rows, cell] = shares * self._transmittance(
+                rows, normals[rows], directions, np.full(len(rows), np.inf)
+            )
             self._traced(len(normals))
-        return sky
+        return environment
 
-    def _ways(self, normals: Doubles, cells: SkyCells, cell: int) -> tuple[Rows, Doubles, Doubles]:
+    def _sampled_directions(
+        self, normals: Doubles, cells: EnvironmentCells, cell: int
+    ) -> tuple[Rows, Doubles, Doubles]:
         """The Gaussians that a random direction of a cell shines on, the directions, and irradiances over pi."""
-        ways = cells.directions_within(cell, len(normals), self._rng)
-        cosines = np.einsum("ij,ij->i", normals, ways)
+        directions = cells.directions_within(cell, len(normals), self._rng)
+        cosines = np.einsum("ij,ij->i", normals, directions)
         rows = self._order[cosines[self._order] > 0.0]
-        return rows, ways[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
+        return rows, directions[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
         """Irradiance over pi of a lamp of radiance 1, shape (N,), but for one factor.
@@ -299,17 +305,17 @@ class IncidentRays:
             at_surface, at_emitter = np.einsum("ij,ij->i", normals, legs), -(legs @ normals[point])
             near = self._offsets[point]
             rows = np.flatnonzero((at_surface > 0.0) & (at_emitter > 0.0) & (distance > near))
-            arrived = self._arrived(rows, normals[rows], legs[rows], distance[rows] - near)
+            arrived = self._transmittance(rows, normals[rows], legs[rows], distance[rows] - near)
             found[rows] += arrived * at_surface[rows] * at_emitter[rows] / distance[rows] ** 2
         return found * (area.sum() / (np.pi * EMITTER_POINTS))
 
-    def _leave(self, rows: Rows, normals: Doubles, ways: Doubles) -> RayHits:
+    def _trace(self, rows: Rows, normals: Doubles, directions: Doubles) -> RayHits:
         """What rays see that leave Gaussians on a side."""
         points = self._points.at(rows, normals)
-        return self._renderer.leaving_hits(self._scene, points, ways.astype(np.float32), self._offsets[rows])
+        return self._renderer.leaving_hits(self._scene, points, directions.astype(np.float32), self._offsets[rows])
 
-    def _arrived(self, rows: Rows, normals: Doubles, ways: Doubles, distances: Doubles) -> FloatArray:
+    def _transmittance(self, rows: Rows, normals: Doubles, directions: Doubles, distances: Doubles) -> FloatArray:
         """How much light arrives at Gaussians from so far away."""
         points = self._points.at(rows, normals)
-        legs, lengths = ways.astype(np.float32), distances.astype(np.float32)
+        legs, lengths = directions.astype(np.float32), distances.astype(np.float32)
         return self._renderer.leaving_transmittance(self._scene, points, legs, lengths, self._offsets[rows])

@@ -30,10 +30,10 @@ VIEW_TILT = 0.5
 ALBEDO_HIGH = 0.8
 """Albedo of the lightest surfaces in their lightest channel, that fixes the scale where light comes from the sky."""
 
-LIT_LEAST = 0.05
+UNIT_IRRADIANCE_MIN = 0.05
 """Light of the sky and lamps at a Gaussian, in medians, from which on it tells how bright these may be."""
 
-SKY_LEAST = 0.05
+UNSEEN_RADIANCE_MIN = 0.05
 """Radiance of the sky and lamps that the fit begins with, at least."""
 
 LIGHTEST = 0.95
@@ -57,23 +57,23 @@ class Irradiance:
 
     observed: Doubles
     """Of what the capture shows, without its lamps, shape (N, 3)."""
-    sky: FloatArray
+    environment: FloatArray
     """Of each of K cells of a sky of radiance 1, shape (N, K)."""
     emitters: FloatArray
     """Of each of L lamps of radiance 1, shape (N, L)."""
-    ways: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
+    directions: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
     """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
-    by_way: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
+    by_direction: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
     """The share of ``observed`` that comes from each, shape (W, N, 3)."""
 
-    def total(self, sky: Doubles | FloatArray, emitters: Doubles) -> Doubles:
+    def total(self, environment: Doubles | FloatArray, emitters: Doubles) -> Doubles:
         """That of a sky and lamps, shape (N, 3).
 
         Args:
-            sky: Radiances, shape (K, 3); float32 are multiplied as such, in half the memory.
+            environment: Radiances, shape (K, 3); float32 are multiplied as such, in half the memory.
             emitters: Likewise, shape (L, 3).
         """
-        return self.observed + self.sky @ sky + self.emitters @ emitters
+        return self.observed + self.environment @ environment + self.emitters @ emitters
 
 
 BLOCK = 4096
@@ -90,7 +90,7 @@ def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
     found = np.empty((gaussians.count, 3))
     for first in range(0, gaussians.count, BLOCK):
         rows = np.arange(first, min(first + BLOCK, gaussians.count))
-        found[rows] = np.median(_before(gaussians.subset(rows), normals[rows]), axis=0)
+        found[rows] = np.median(_outgoing_colors(gaussians.subset(rows), normals[rows]), axis=0)
     return found
 
 
@@ -108,32 +108,32 @@ def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
         rows = slice(first, first + BLOCK)
         cosines = normals[rows] @ views.T
         weights = np.where(cosines > OUTGOING_COSINE, cosines, 0.0)
-        shown = np.clip(np.einsum("vk,nkc->nvc", basis, gaussians.sh[rows]) + 0.5, 0.0, 1.0)
-        found[rows] = np.einsum("nv,nvc->nc", weights, decode_srgb(shown)) / weights.sum(axis=1, keepdims=True)
+        colors = np.clip(np.einsum("vk,nkc->nvc", basis, gaussians.sh[rows]) + 0.5, 0.0, 1.0)
+        found[rows] = np.einsum("nv,nvc->nc", weights, decode_srgb(colors)) / weights.sum(axis=1, keepdims=True)
     return np.maximum(found, RADIANCE_LEAST)
 
 
-def radiance_met(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
+def hit_radiance(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
     """Radiance of what rays meet, without their share that passes it, shape (N, 3); ``alpha`` is the rest."""
     return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
 
 
-def _before(gaussians: Gaussians, normals: Doubles) -> Doubles:
+def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
     """Radiance into directions before Gaussians, which are bent towards their normals, shape (M, N, 3)."""
-    seen: list[FloatArray] = []
+    radiances: list[FloatArray] = []
     for direction in even_directions(VIEW_DIRECTIONS):
-        way = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        seen.append(decode_srgb(np.clip(colors_along(gaussians, -way), 0.0, 1.0)))
-    return np.array(seen, dtype=np.float64)
+        view = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
+        view /= np.linalg.norm(view, axis=1, keepdims=True)
+        radiances.append(decode_srgb(np.clip(colors_along(gaussians, -view), 0.0, 1.0)))
+    return np.array(radiances, dtype=np.float64)
 
 
-def lit_evenly(incident: Irradiance) -> Doubles:
+def unit_irradiance(incident: Irradiance) -> Doubles:
     """Irradiance over pi of the sky and lamps, each of radiance 1, shape (N,)."""
-    return incident.sky.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
+    return incident.environment.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
 
 
-def even_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
+def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
     """Of a sky and lamps that are grey and the same everywhere; 1 if hardly any of their light arrives anywhere.
 
     Args:
@@ -141,12 +141,12 @@ def even_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> 
         incident: What shines on them.
         weights: How much they count, at least 0, shape (N,).
     """
-    lit = lit_evenly(incident)
-    rows = (lit > max(LIT_LEAST * float(np.median(lit)), 1e-9)) & (weights > 0.0)
+    added = unit_irradiance(incident)
+    rows = (added > max(UNIT_IRRADIANCE_MIN * float(np.median(added)), 1e-9)) & (weights > 0.0)
     if not rows.any():
         return 1.0
-    wanted = (outgoing[rows] / ALBEDO_HIGH - incident.observed[rows]).max(axis=1) / lit[rows]
-    return max(weighted_quantile(wanted, weights[rows], LIGHTEST), SKY_LEAST)
+    wanted = (outgoing[rows] / ALBEDO_HIGH - incident.observed[rows]).max(axis=1) / added[rows]
+    return max(weighted_quantile(wanted, weights[rows], LIGHTEST), UNSEEN_RADIANCE_MIN)
 
 
 def chroma_similarity(differences: Doubles, width: float) -> Doubles:
@@ -160,7 +160,7 @@ def chroma_similarity(differences: Doubles, width: float) -> Doubles:
     return np.exp(-0.5 * np.square(np.abs(chroma).max(axis=1, keepdims=True) / width))
 
 
-def typical_albedo_factor(outgoing: Doubles, observed: Doubles, lit: Doubles, weights: Doubles) -> float:
+def typical_albedo_factor(outgoing: Doubles, observed: Doubles, added: Doubles, weights: Doubles) -> float:
     """By what a light is too dark; what Gaussians show each other stays as it was captured.
 
     In a few rounds, each of which comes nearer by the light's share: where Gaussians are lit mostly by each other, the
@@ -169,11 +169,11 @@ def typical_albedo_factor(outgoing: Doubles, observed: Doubles, lit: Doubles, we
     Args:
         outgoing: Radiance of Gaussians, shape (N, 3).
         observed: Irradiance over pi of what the capture shows, shape (N, 3).
-        lit: Of the light, shape (N, 3).
+        added: Of the light, shape (N, 3).
         weights: How much Gaussians count, at least 0, shape (N,).
     """
     factor = 1.0
     for _ in range(SCALE_STEPS):
-        irradiance = np.maximum(observed + factor * lit, RADIANCE_LEAST)
+        irradiance = np.maximum(observed + factor * added, RADIANCE_LEAST)
         factor *= weighted_quantile((outgoing / irradiance).max(axis=1), weights, LIGHTEST) / ALBEDO_HIGH
     return factor

@@ -134,7 +134,7 @@ class _Candidates:
 
     rows: Rows
     """Rows of the evidence, shape (R,)."""
-    surroundings: Doubles
+    surrounding_scores: Doubles
     """Score around each, shape (R,)."""
     weights: Doubles
     """Score times contrast, shape (R,)."""
@@ -194,7 +194,7 @@ def estimate_lights(
         chosen = _choose(evidence, candidates, count, settings.weakest, sizes.separation)
         shares = np.zeros(chosen.size)
     if chosen.size == 0:
-        raise SceneError(_nothing_found(middle, sizes.radius, bool(candidates.is_compact.any())))
+        raise SceneError(_nothing_found_message(middle, sizes.radius, bool(candidates.is_compact.any())))
     if chosen.size < count:
         lights = "light" if chosen.size == 1 else "lights"
         _log.warning("%d %s found of the %d asked for: nothing else stands out", chosen.size, lights, count)
@@ -202,7 +202,7 @@ def estimate_lights(
     return LightEstimate(
         lights=_lights(evidence, rows, settings.irradiance),
         scores=candidates.weights[chosen].astype(np.float32),
-        peakness=(evidence.scores[rows] / np.maximum(candidates.surroundings[chosen], 1e-12)).astype(np.float32),
+        peakness=(evidence.scores[rows] / np.maximum(candidates.surrounding_scores[chosen], 1e-12)).astype(np.float32),
         instances=evidence.instances[rows],
         indices=evidence.indices[rows],
         evidence=shares.astype(np.float32),
@@ -237,9 +237,9 @@ def _point_lights(
     return bright[lights.rows[order]], lights.shares[order]
 
 
-def _nothing_found(center: Doubles, radius: float, stands_out: bool) -> str:
-    place = ", ".join(f"{x:.3g}" for x in center)
-    where = f"within {radius:.3g} of ({place})"
+def _nothing_found_message(center: Doubles, radius: float, stands_out: bool) -> str:
+    position = ", ".join(f"{x:.3g}" for x in center)
+    where = f"within {radius:.3g} of ({position})"
     if stands_out:
         return (
             f"no lamp found {where}: bright things stand out, but none lights what is around it; give a sun or lights "
@@ -286,7 +286,7 @@ def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_siz
     """
     bright = (evidence.scores >= settings.weakest * evidence.scores.max()) & (evidence.scores > 0.0)
     rows = np.flatnonzero(bright & (evidence.distances > emitter_size))
-    around = surroundings(evidence.means, evidence.scores, rows, emitter_size)
+    around = surrounding_scores(evidence.means, evidence.scores, rows, emitter_size)
     contrast = 1.0 - around / evidence.scores[rows]
     weights = (evidence.scores[rows] * np.maximum(contrast, LIGHT_SEARCH_BROAD)).astype(np.float64)
     compact = contrast >= settings.compactness if settings.compactness > 0.0 else np.ones(rows.size, dtype=np.bool_)
@@ -346,7 +346,7 @@ class _Luminance(NamedTuple):
 
     mean: FloatArray
     maximum: FloatArray
-    steadiness: FloatArray
+    view_independence: FloatArray
     """How little it depends on the viewpoint, 0..1."""
 
 
@@ -384,11 +384,13 @@ def _gathered_evidence(
         colors, luminance = _colors_and_luminance(instance, gaussians, viewpoints)
         parts.append((np.full(near.size, number), near, world[near], distances[near], colors))
         luminances.append(luminance)
-        trusts.append(luminance.steadiness * _constant_share(gaussians, instance.sh_degree) * gaussians.opacities)
+        trusts.append(
+            luminance.view_independence * _constant_share(gaussians, instance.sh_degree) * gaussians.opacities
+        )
     if not parts:
-        place = ", ".join(f"{x:.3g}" for x in center)
+        position = ", ".join(f"{x:.3g}" for x in center)
         raise SceneError(
-            f"no Gaussians within {radius:.3g} of ({place}): the nearest is {nearest:.3g} away, give a larger radius"
+            f"no Gaussians within {radius:.3g} of ({position}): the nearest is {nearest:.3g} away, give a larger radius"
         )
     scores = np.concatenate(trusts) * _brightness(luminances)
     return Evidence(*(np.concatenate(column) for column in zip(*parts, strict=True)), scores=scores)
@@ -402,8 +404,8 @@ def _colors_and_luminance(
     others = (_colors_from(viewpoint, instance, gaussians) for viewpoint in viewpoints[1:])
     luminance = [colors @ np.array(LUMINANCE, dtype=np.float32) for colors in itertools.chain([first], others)]
     mean, maximum = np.mean(luminance, axis=0), np.max(luminance, axis=0)
-    steadiness = mean / np.maximum(mean + np.std(luminance, axis=0), 1e-12)
-    return first, _Luminance(mean, maximum, steadiness)
+    view_independence = mean / np.maximum(mean + np.std(luminance, axis=0), 1e-12)
+    return first, _Luminance(mean, maximum, view_independence)
 
 
 def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussians) -> FloatArray:
@@ -449,7 +451,7 @@ class FoundLights:
 
 
 def _lights_among(
-    places: Doubles,
+    positions: Doubles,
     is_compact: Flags,
     surfaces: CapturedSurfaces,
     *,
@@ -466,7 +468,7 @@ def _lights_among(
     does not stand out.
 
     Args:
-        places: Of the candidates, world space, shape (R, 3).
+        positions: Of the candidates, world space, shape (R, 3).
         is_compact: Whether each stands out from its surroundings, shape (R,).
         surfaces: Of the capture.
         center: Of the character, shape (3,).
@@ -476,13 +478,13 @@ def _lights_among(
         evidence: Least share of what nothing else explains.
     """
     directions = even_directions(TRACE_DIRECTIONS)
-    if not len(places) or surfaces.luminance.size < TRACE_SURFACES_MIN:
+    if not len(positions) or surfaces.luminance.size < TRACE_SURFACES_MIN:
         return FoundLights(np.zeros(0, np.int64), np.zeros(0))
     cosines = np.stack([surfaces.cosines(direction) for direction in directions], axis=1)
     shading = Shading.of(surfaces, directions, cosines)
-    lights = [_cosines_to(surfaces, place, emitter) for place in places]
-    doubt = np.where(_is_low(places, surfaces, center, emitter) | ~is_compact, LIGHT_DOUBT, 1.0)
-    left = np.ones(len(places), np.bool_)
+    lights = [_cosines_to(surfaces, position, emitter) for position in positions]
+    doubt = np.where(_is_low(positions, surfaces, center, emitter) | ~is_compact, LIGHT_DOUBT, 1.0)
+    left = np.ones(len(positions), np.bool_)
     found: list[tuple[int, float]] = []
     while len(found) < count and left.any():
         traces = {row: _trace(shading, *lights[row]) for row in np.flatnonzero(left).tolist()}
@@ -490,9 +492,11 @@ def _lights_among(
         if traces[best].share < evidence:
             break
         left[best] = False
-        if _is_light(traces[best], doubt[best], evidence) and _is_there(shading, places[best], traces[best], emitter):
+        if _is_light(traces[best], doubt[best], evidence) and _is_localised(
+            shading, positions[best], traces[best], emitter
+        ):
             found.append((best, traces[best].share))
-            left &= np.linalg.norm(places - places[best], axis=1) >= separation
+            left &= np.linalg.norm(positions - positions[best], axis=1) >= separation
             shading = shading.with_light(lights[best][0])
     return FoundLights(np.array([row for row, _ in found], np.int64), np.array([share for _, share in found]))
 
@@ -501,28 +505,28 @@ def _is_light(trace: Trace, doubt: float, evidence: float) -> bool:
     return trace.share >= doubt * evidence and trace.significance >= LIGHT_SIGNIFICANCE
 
 
-def _is_there(shading: Shading, place: Doubles, trace: Trace, emitter: float) -> bool:
+def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: float) -> bool:
     """Whether a lamp at this place explains the light about as well as one a few sizes beside it."""
     steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
-    beside = [_trace(shading, *_cosines_to(shading.surfaces, place + step, emitter)).share for step in steps]
+    beside = [_trace(shading, *_cosines_to(shading.surfaces, position + step, emitter)).share for step in steps]
     return trace.share >= LIGHT_ELSEWHERE * max(beside)
 
 
-def _is_low(places: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
+def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
     """Which places are on the character's level or below, shape (R,); none where the ground is not known."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     if length < TRACE_GROUND_MIN:
-        return np.zeros(len(places), np.bool_)
-    return (places - center) @ (down / length) > -emitter
+        return np.zeros(len(positions), np.bool_)
+    return (positions - center) @ (down / length) > -emitter
 
 
-def _cosines_to(surfaces: CapturedSurfaces, place: Doubles, emitter: float) -> tuple[Doubles, Flags]:
+def _cosines_to(surfaces: CapturedSurfaces, position: Doubles, emitter: float) -> tuple[Doubles, Flags]:
     """Irradiance of surfaces by a lamp of 1 at an emitter's distance, and which of them count, shape (M,) each.
 
     What is near may be the lamp itself, and is bright where a bright patch is taken for a lamp.
     """
-    away = place - surfaces.positions
+    away = position - surfaces.positions
     distances = np.linalg.norm(away, axis=1)
     unit = away / np.maximum(distances, 1e-12)[:, None]
     cosines = surfaces.cosines(unit, np.maximum(distances - TRACE_CASING * emitter, 0.0))
@@ -539,7 +543,7 @@ _RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(m
 _CELL_BITS = 21
 
 
-def surroundings(
+def surrounding_scores(
     means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
 ) -> npt.NDArray[np.float64]:
     """Root mean square score around some Gaussians, in the direction where it is highest.

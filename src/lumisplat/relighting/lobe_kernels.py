@@ -42,9 +42,9 @@ def tabulate_lobes(
     highlight = float(0.0)
     arriving = float(0.0)
     for k in range(samples.shape[1]):
-        way = samples[i % bins, k]
-        arriving += way[2]
-        matt += way[2] * diffuse_factor(view[2], way[2], alpha)
-        highlight += way[2] * highlight_factor(normal, view, way, wp.sqrt(alpha * alpha + spread))
+        direction = samples[i % bins, k]
+        arriving += direction[2]
+        matt += direction[2] * diffuse_factor(view[2], direction[2], alpha)
+        highlight += direction[2] * highlight_factor(normal, view, direction, wp.sqrt(alpha * alpha + spread))
     matt_out[i] = PI * matt / arriving
     highlight_out[i] = PI * highlight / arriving

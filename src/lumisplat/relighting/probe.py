@@ -126,14 +126,14 @@ class EnvironmentProbe:
         check_range("ridge", ridge, 0.0, 1e6)
         if renderer is not None and config is not None:
             raise ConfigError("a renderer has its own config: give one of the two")
-        place = three_numbers("position", position)
+        center = three_numbers("position", position)
         renderer = create_renderer(config, device) if renderer is None else renderer
         check_kind("scene", scene, Scene, "a Scene")
         bounces = bool(scene.splats) and renderer.config.pipeline.bounces_light
         if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights and not bounces:
             # What lights meshes where there are no lights is at the viewer, or was captured by a probe.
             renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
-        samples = render_cube(scene, place, renderer.render, int(face_px), float(near))
+        samples = render_cube(scene, center, renderer.render, int(face_px), float(near))
         return cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge))
 
     @classmethod
@@ -347,7 +347,7 @@ def _fit(
     return np.asarray(np.linalg.solve(gram, moments), np.float64)
 
 
-_PROBES_HELD = 64
+_PROBES_CACHED = 64
 """Probes that are kept, at most: more than there are actors."""
 
 
@@ -370,13 +370,13 @@ class ProbeCache:
         """Made for the first probe: scenes that need none load no kernels."""
         self._probes: dict[bytes, EnvironmentProbe] = {}
 
-    def at(self, place: npt.NDArray[np.float64]) -> EnvironmentProbe:
+    def at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
         """The probe of a place, world space, shape (3,)."""
-        key = place.tobytes()
+        key = center.tobytes()
         if key not in self._probes:
             if self._renderer is None:
                 self._renderer = create_renderer(self._config, self._device, progress=self._progress)
-            if len(self._probes) >= _PROBES_HELD:
+            if len(self._probes) >= _PROBES_CACHED:
                 self._probes.clear()
-            self._probes[key] = EnvironmentProbe.capture(self._scene, place, renderer=self._renderer)
+            self._probes[key] = EnvironmentProbe.capture(self._scene, center, renderer=self._renderer)
         return self._probes[key]

@@ -31,7 +31,7 @@ from lumisplat.scene.scene import Scene, SplatInstance
 
 # Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
 
-SUN_WAYS = 256
+SUN_RAYS = 256
 """Rays from an actor to a sun that are followed, at most."""
 
 _NORMALS_AT_ONCE = 1024
@@ -88,11 +88,11 @@ def relight(
     config = RelightConfig() if config is None else config
     check_kind("config", config, RelightConfig)
     if normals is None:
-        own = estimate_normals(gaussians, config.normals)
+        object_normals = estimate_normals(gaussians, config.normals)
     else:
-        own = float_array("normals", normals)
-        check_shapes(means=(gaussians.means, "N 3"), normals=(own, "N 3"))
-    return scale_light_of(subject, config.gamma * light_scales(probe, own @ world_from_object.T, config))
+        object_normals = float_array("normals", normals)
+        check_shapes(means=(gaussians.means, "N 3"), normals=(object_normals, "N 3"))
+    return scale_light_of(subject, config.gamma * light_scales(probe, object_normals @ world_from_object.T, config))
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
@@ -148,7 +148,7 @@ def _grid(rows: int) -> _Grid:
 
 _log = logging.getLogger("lumisplat")
 
-_BLOCKED = 1e-3
+_BLOCKED_BELOW = 1e-3
 """A sun of which less than this reaches an actor is told about."""
 
 
@@ -194,13 +194,13 @@ class SunOnActors:
             )
         means = actor.world_means
         # Evenly over the set: the same ones for an actor that only moves.
-        starts = means[np.linspace(0, len(means) - 1, min(SUN_WAYS, len(means))).astype(np.int64)]
-        ways = np.broadcast_to(-np.array(sun.direction), starts.shape)
-        return float(self._renderer.transmittance(self._scene, starts, ways, sun.shadow_distance).mean())
+        starts = means[np.linspace(0, len(means) - 1, min(SUN_RAYS, len(means))).astype(np.int64)]
+        directions = np.broadcast_to(-np.array(sun.direction), starts.shape)
+        return float(self._renderer.transmittance(self._scene, starts, directions, sun.shadow_distance).mean())
 
     def _warn_if_blocked(self, sun: LightDirectional, visibility: float) -> None:
         """Warns, once, of a sun that the scene keeps from an actor: a captured sky would be in its way."""
-        if visibility < _BLOCKED and not self._has_warned:
+        if visibility < _BLOCKED_BELOW and not self._has_warned:
             self._has_warned = True
             name = f"light '{sun.name}'" if sun.name else "the sun"
             text = "%s does not reach an actor: the scene is in its way; if that is a captured sky, set shadow_distance"
@@ -216,9 +216,9 @@ def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
     towards = -np.array([sun.direction])
     weights = np.array(LUMINANCE)
     facing = float(probe.irradiance(towards)[0] @ weights)
-    even = np.pi * float(SH_C0 * probe.coefficients[0] @ weights)
+    constant = np.pi * float(SH_C0 * probe.coefficients[0] @ weights)
     irradiance = sun.intensity * np.array(sun.color)
     arriving = float(irradiance @ weights)
     if arriving <= 0.0:
         return np.zeros(3)
-    return irradiance * max(0.0, 1.0 - max(0.0, facing - even) / arriving)
+    return irradiance * max(0.0, 1.0 - max(0.0, facing - constant) / arriving)

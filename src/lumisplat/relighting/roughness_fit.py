@@ -16,7 +16,7 @@ from lumisplat.math.arrays import Doubles, Flags, FloatArray, Rows, read_only_vi
 from lumisplat.math.color import decode_srgb, encode_srgb
 from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.relighting import lobe_kernels
-from lumisplat.relighting.albedo_fit import Light, SkyCells
+from lumisplat.relighting.albedo_fit import EnvironmentCells, Light
 from lumisplat.relighting.incident import normal_variances
 from lumisplat.relighting.irradiance import Irradiance
 from lumisplat.runtime.buffers import Buffers
@@ -56,10 +56,10 @@ ALBEDO_STEPS = 4
 HIGHLIGHT_NOISE = 0.008
 """Error of captured colours, display-referred, that is expected at least: 2 of 255."""
 
-LIKE_ALBEDO = 0.1
+SAME_ALBEDO = 0.1
 """Difference of albedo, natural logarithm, of neighbours that may be of one material."""
 
-LIKE_NORMALS = 4
+SAME_NORMALS = 4
 """Exponent of the cosine between their normals."""
 
 
@@ -69,7 +69,7 @@ class Roughness:
 
     value: FloatArray
     """0..1, shape (N,)."""
-    sureness: FloatArray
+    confidence: FloatArray
     """By how much highlights narrow down what it may be, 0..1: at 0, it is `ROUGHNESS_UNKNOWN`; shape (N,)."""
 
     @staticmethod
@@ -95,7 +95,7 @@ class RoughnessFit:
     """Neighbours, in both orders."""
     lobes: Lobes
 
-    def found(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
+    def fitted(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
         """Roughness of each Gaussian.
 
         Args:
@@ -108,13 +108,13 @@ class RoughnessFit:
             parts.append(self._misfits(rows, arriving[rows].astype(np.float64), widened(variances[rows])))
             tried(len(rows))
         misfit, albedo = (np.concatenate(values) for values in zip(*parts, strict=True))
-        likely = self._likely(self._pooled(misfit, np.median(albedo, axis=1)))
+        probabilities = self._probabilities(self._pooled(misfit, np.median(albedo, axis=1)))
         grid = np.array(ROUGHNESS_GRID)
-        mean = likely @ grid
-        variance = np.maximum(likely @ np.square(grid) - np.square(mean), 0.0)
-        sure = np.clip(1.0 - variance / grid.var(), 0.0, 1.0)
-        value = ROUGHNESS_UNKNOWN + sure * (mean - ROUGHNESS_UNKNOWN)
-        return Roughness(read_only_view(value.astype(np.float32)), read_only_view(sure.astype(np.float32)))
+        mean = probabilities @ grid
+        variance = np.maximum(probabilities @ np.square(grid) - np.square(mean), 0.0)
+        confidence = np.clip(1.0 - variance / grid.var(), 0.0, 1.0)
+        value = ROUGHNESS_UNKNOWN + confidence * (mean - ROUGHNESS_UNKNOWN)
+        return Roughness(read_only_view(value.astype(np.float32)), read_only_view(confidence.astype(np.float32)))
 
     def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles]:
         """Of each roughness: mean squared error and albedo, shapes (n, R), (n, R, 3)."""
@@ -130,8 +130,8 @@ class RoughnessFit:
             for _ in range(ALBEDO_STEPS):
                 error, slope = self._errors(albedo * matt + highlight, captured)
                 by_albedo = np.tensordot(lobes.projection, slope * matt, (1, 0))[compared]
-                move = (error * by_albedo).sum(axis=0) / np.maximum(np.square(by_albedo).sum(axis=0), 1e-9)
-                albedo = np.clip(albedo - move, 0.0, 1.0)
+                step = (error * by_albedo).sum(axis=0) / np.maximum(np.square(by_albedo).sum(axis=0), 1e-9)
+                albedo = np.clip(albedo - step, 0.0, 1.0)
             error, _ = self._errors(albedo * matt + highlight, captured)
             misfits.append(np.square(error).mean(axis=(0, 2)))
             albedos.append(albedo)
@@ -139,33 +139,36 @@ class RoughnessFit:
 
     def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
         """Of display values that harmonics keep, in the views that are compared; slopes of the encoding in all."""
-        shown, slope = _displayed(linear)
-        projection = np.tensordot(self.lobes.projection, shown - 0.5, (1, 0)) + 0.5
+        displayed, slope = _displayed(linear)
+        projection = np.tensordot(self.lobes.projection, displayed - 0.5, (1, 0)) + 0.5
         return (projection - captured)[self.lobes.compared], slope
 
     def _captured(self, rows: Rows) -> Doubles:
         """Colours in the views, display-referred, shape (M, n, 3)."""
         some = self.gaussians.subset(rows)
-        ways = np.einsum("nij,mj->mni", frames_of(self.normals[rows]), self.lobes.views)
-        return np.array([np.clip(colors_along(some, -way), 0.0, 1.0) for way in ways], dtype=np.float64)
+        directions = np.einsum("nij,mj->mni", frames_of(self.normals[rows]), self.lobes.views)
+        return np.array(
+            [np.clip(colors_along(some, -view_directions), 0.0, 1.0) for view_directions in directions],
+            dtype=np.float64,
+        )
 
     def _pooled(self, misfit: Doubles, albedo: Doubles) -> Doubles:
         """Means over neighbours that face the same way and have about the same albedo, shape (N, R)."""
         first, second = self.near.first, self.near.second
         logs = np.log(np.maximum(albedo, RADIANCE_LEAST))
-        apart = np.abs(logs[first] - logs[second]).max(axis=1) / LIKE_ALBEDO
+        apart = np.abs(logs[first] - logs[second]).max(axis=1) / SAME_ALBEDO
         facing = np.maximum(np.einsum("ij,ij->i", self.normals[first], self.normals[second]), 0.0)
-        weights = np.exp(-0.5 * np.square(apart)) * facing**LIKE_NORMALS
+        weights = np.exp(-0.5 * np.square(apart)) * facing**SAME_NORMALS
         total = np.bincount(first, weights, len(misfit))
         sums = [np.bincount(first, weights * column[second], len(misfit)) for column in misfit.T]
         return np.stack(sums, axis=1) / total[:, None]
 
-    def _likely(self, misfit: Doubles) -> Doubles:
+    def _probabilities(self, misfit: Doubles) -> Doubles:
         """Probability of each roughness, shape (N, R): the error of the best one is noise, of what harmonics hold."""
         least = misfit.min(axis=1, keepdims=True)
-        held = (self.gaussians.sh_degree + 1) ** 2 - 1
-        likely = np.exp(-0.5 * held * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
-        return likely / likely.sum(axis=1, keepdims=True)
+        coefficients = (self.gaussians.sh_degree + 1) ** 2 - 1
+        probabilities = np.exp(-0.5 * coefficients * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
+        return probabilities / probabilities.sum(axis=1, keepdims=True)
 
 
 def widened(variances: Doubles) -> Doubles:
@@ -181,14 +184,14 @@ def widened(variances: Doubles) -> Doubles:
     rougher = np.minimum((grid**4 + 2.0 * variances[:, None]) ** 0.25, grid[-1])
     first = np.clip(np.searchsorted(grid, rougher, side="right") - 2, 0, len(grid) - 4)
     shares = np.zeros((*rougher.shape, len(grid)))
-    for one in range(4):
-        others = [grid[first + other] for other in range(4) if other != one]
-        share = np.prod([(rougher - other) / (grid[first + one] - other) for other in others], axis=0)
-        np.put_along_axis(shares, (first + one)[..., None], share[..., None], axis=2)
+    for node in range(4):
+        others = [grid[first + other] for other in range(4) if other != node]
+        share = np.prod([(rougher - other) / (grid[first + node] - other) for other in others], axis=0)
+        np.put_along_axis(shares, (first + node)[..., None], share[..., None], axis=2)
     return shares
 
 
-def arriving_light(normals: Doubles, cells: SkyCells, incident: Irradiance, light: Light) -> FloatArray:
+def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradiance, light: Light) -> FloatArray:
     """Irradiance over pi from each bin of the hemispheres of Gaussians, shape (N, Q, 3).
 
     Args:
@@ -203,20 +206,20 @@ def arriving_light(normals: Doubles, cells: SkyCells, incident: Irradiance, ligh
     def add(directions: Doubles, irradiance: FloatArray | Doubles, k: int) -> None:
         arriving[rows, bins_of(np.einsum("nij,i->nj", frames, directions[k]))] += irradiance
 
-    for k in range(len(incident.by_way)):
-        add(incident.ways, incident.by_way[k], k)
+    for k in range(len(incident.by_direction)):
+        add(incident.directions, incident.by_direction[k], k)
     for k in range(len(cells)):
-        add(cells.directions, incident.sky[:, k, None] * light.sky[k], k)
+        add(cells.directions, incident.environment[:, k, None] * light.environment[k], k)
     return arriving
 
 
 def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
     """Display values, and their derivatives; what is above 1 is clipped."""
     inside = np.clip(linear, RADIANCE_LEAST, 1.0)
-    shown = np.asarray(encode_srgb(inside), np.float64)
+    displayed = np.asarray(encode_srgb(inside), np.float64)
     # Of the encoding's power: 1.055 / 2.4 x^(1 / 2.4 - 1) is (shown + 0.055) / (2.4 x).
-    slope = np.where(inside <= 0.0031308, 12.92, (shown + 0.055) / (2.4 * inside))
-    return shown, np.where(linear < 1.0, slope, 0.0)
+    slope = np.where(inside <= 0.0031308, 12.92, (displayed + 0.055) / (2.4 * inside))
+    return displayed, np.where(linear < 1.0, slope, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,7 +260,7 @@ class Lobes:
         """Views whose colours are compared: not the grazing ones, shape (M,)."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
 
-    def in_even_light(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
+    def in_constant_environment(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
         """What most views see in even light of radiance 1: of the matt part of a surface of albedo 1, and mirrored.
 
         Args:

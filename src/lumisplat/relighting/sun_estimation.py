@@ -42,7 +42,7 @@ SUN_SIGNIFICANCE_BEYOND = 4.0
 SUN_LIFT = 6.0
 """Distance from the ground, cells, of the place from which the sky is tested: objects stand beside and below it."""
 
-SUN_LIT = 0.05
+SUN_LIT_MIN = 0.05
 """Least share of surfaces that a sun reaches: through a gap of a closed room shines none."""
 
 SUN_APART = 0.7
@@ -90,7 +90,7 @@ def estimate_sun(
     Raises:
         SceneError: There are no Gaussians.
     """
-    begun = time.perf_counter()
+    started = time.perf_counter()
     splats = splats_of(scene)
     worlds = [instance.world_means for instance in splats]
     middle = np.median(np.concatenate(worlds), axis=0) if center is None else three_numbers("center", center)
@@ -98,10 +98,12 @@ def estimate_sun(
     if surfaces.luminance.size < TRACE_SURFACES_MIN:
         return None
     directions = even_directions(SUN_DIRECTIONS)
-    cosines = _cosines(surfaces, directions, begun, progress)
+    cosines = _cosines(surfaces, directions, started, progress)
     shading = Shading.of(surfaces, directions, cosines)
     traces = shading.traces(cosines)
-    allowed = _is_sky(directions, surfaces, _open_place(surfaces, middle)) & ((cosines > 0.0).mean(axis=0) > SUN_LIT)
+    allowed = _is_above_ground(directions, surfaces, _open_position(surfaces, middle)) & (
+        (cosines > 0.0).mean(axis=0) > SUN_LIT_MIN
+    )
     shares = np.array([trace.share for trace in traces])
     if not allowed.any():
         return None
@@ -119,12 +121,12 @@ def estimate_sun(
     return SunEstimate(light, confidence, trace.share, trace.significance)
 
 
-def _cosines(surfaces: CapturedSurfaces, directions: Doubles, begun: float, progress: Progress | None) -> Doubles:
+def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, progress: Progress | None) -> Doubles:
     """Cosines of all surfaces to each direction, shape (M, D): what takes the time of the search."""
     columns: list[Doubles] = []
     is_announced = False
     for done, direction in enumerate(directions):
-        if progress is not None and time.perf_counter() - begun >= SUN_ANNOUNCED_S:
+        if progress is not None and time.perf_counter() - started >= SUN_ANNOUNCED_S:
             is_announced = True
             progress("looking for the sun", done / len(directions))
         columns.append(surfaces.cosines(direction))
@@ -133,18 +135,18 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, begun: float, prog
     return np.stack(columns, axis=1)
 
 
-def _open_place(surfaces: CapturedSurfaces, place: Doubles) -> Doubles:
+def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
     """A place, or if it is within something, such as the ground, one above it: on the side where things stand."""
-    ways = even_directions(TRACE_DIRECTIONS)
-    if surfaces.cells.is_free(np.broadcast_to(place, ways.shape), ways).mean() >= SUN_LIT:
-        return place
-    offsets = surfaces.positions - place
+    directions = even_directions(TRACE_DIRECTIONS)
+    if surfaces.cells.is_free(np.broadcast_to(position, directions.shape), directions).mean() >= SUN_LIT_MIN:
+        return position
+    offsets = surfaces.positions - position
     flat = np.linalg.eigh(np.cov(offsets.T))[1][:, 0]
     upwards = flat * np.sign(np.mean((offsets @ flat) ** 3))
-    return place + SUN_LIFT * surfaces.cells.cell * upwards
+    return position + SUN_LIFT * surfaces.cells.cell * upwards
 
 
-def _is_sky(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
+def _is_above_ground(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
     """Which directions do not come from below the ground, shape (D,); all if the ground is not known."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
@@ -156,7 +158,9 @@ def _refined(shading: Shading, direction: Doubles, trace: Trace) -> tuple[Double
     for width in (np.sqrt(4.0 * np.pi / SUN_DIRECTIONS), 0.3 * np.sqrt(4.0 * np.pi / SUN_DIRECTIONS)):
         around = direction + width * even_directions(SUN_REFINED)
         around /= np.linalg.norm(around, axis=1, keepdims=True)
-        traces = shading.traces(np.stack([shading.surfaces.cosines(one) for one in around], axis=1))
+        traces = shading.traces(
+            np.stack([shading.surfaces.cosines(direction_around) for direction_around in around], axis=1)
+        )
         best = max(range(len(traces)), key=lambda row: (traces[row].share, -row))
         if traces[best].share > trace.share:
             direction, trace = around[best], traces[best]

@@ -12,7 +12,7 @@ from lumisplat.constants import SKY_CHUNK, SPREAD_SHARE, SURFACE_ALPHA
 from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.progress import Progress
-from lumisplat.relighting.irradiance import Irradiance, radiance_met
+from lumisplat.relighting.irradiance import Irradiance, hit_radiance
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer
 from lumisplat.runtime.buffers import Buffers, DeviceArray
@@ -148,7 +148,7 @@ class IncidentRadiance:
         shares = cosines * np.float32(self.solid_angle / np.pi)
         return Irradiance(
             observed=np.einsum("nk,nkc->nc", shares, self.seen).astype(np.float64),
-            sky=shares * self.open,
+            environment=shares * self.open,
             emitters=np.zeros((len(normals), 0), np.float32),
         )
 
@@ -182,7 +182,7 @@ def traced_incident(
         rows = order[normals[order] @ direction > 0.0]
         hits = renderer.trace_rays(scene, starts[rows], ray_directions[rows])
         alpha = 1.0 - hits.transmittance
-        color = radiance_met(hits, alpha)
+        color = hit_radiance(hits, alpha)
         open_[rows, k], seen[rows, k] = hits.transmittance, alpha[:, None] * color
     return IncidentRadiance(directions, open_, seen)
 

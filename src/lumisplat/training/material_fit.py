@@ -22,7 +22,7 @@ from lumisplat.math.adam import Adam
 from lumisplat.math.arrays import Doubles, FloatArray, Rows
 from lumisplat.math.directions import panorama_directions
 from lumisplat.progress import Progress
-from lumisplat.relighting.irradiance import Irradiance, chroma_similarity, even_radiance, typical_albedo_factor
+from lumisplat.relighting.irradiance import Irradiance, chroma_similarity, constant_radiance, typical_albedo_factor
 from lumisplat.runtime.buffers import Buffers, DeviceArray, device_array
 from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.camera import Camera
@@ -298,7 +298,7 @@ def white_radiance(white: Irradiance, environment: Doubles) -> Doubles:
 
 def sees_environment(white: Irradiance) -> bool:
     """Whether there is a sky to be found."""
-    return float(np.median(white.sky.sum(axis=1))) > ENVIRONMENT_VISIBLE_MIN
+    return float(np.median(white.environment.sum(axis=1))) > ENVIRONMENT_VISIBLE_MIN
 
 
 def fit_environment(
@@ -329,11 +329,14 @@ def fit_environment(
     """
     if not sees_environment(white):
         return np.ones((len(directions), 3))
-    start = np.full((len(directions), 3), np.log(even_radiance(outgoing, white, weights)))
+    start = np.full((len(directions), 3), np.log(constant_radiance(outgoing, white, weights)))
     chosen = rng.choice(len(outgoing), (2, ENVIRONMENT_PAIRS), p=weights / weights.sum())
     rows, compact = np.unique(chosen, return_inverse=True)
     first, second = compact.reshape(2, ENVIRONMENT_PAIRS)
-    pairs, part = SimilarPairs(first, second), Irradiance(white.observed[rows], white.sky[rows], white.emitters[rows])
+    pairs, part = (
+        SimilarPairs(first, second),
+        Irradiance(white.observed[rows], white.environment[rows], white.emitters[rows]),
+    )
     shown = np.log(np.maximum(outgoing[rows], RADIANCE_LEAST))
     neighbours = nearest_directions(directions)
     moved, adam = start.copy(), Adam.still(start.shape)
@@ -342,12 +345,14 @@ def fit_environment(
         environment = np.exp(moved)
         light = white_radiance(part, environment)
         _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
-        by_environment = -(part.sky.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * environment
+        by_environment = (
+            -(part.environment.T @ (by_log_albedo / light).astype(np.float32)).astype(np.float64) * environment
+        )
         by_environment += smoothness_gradient(moved, neighbours) + ENVIRONMENT_PRIOR / len(directions) * (moved - start)
         moved += adam.step(by_environment, ENVIRONMENT_RATE * (1.0 - step / steps))
         moved += start.mean(axis=0) - moved.mean(axis=0)
     environment = np.exp(moved)
-    lit = (white.sky @ environment.astype(np.float32)).astype(np.float64)
+    lit = (white.environment @ environment.astype(np.float32)).astype(np.float64)
     return typical_albedo_factor(outgoing, white.observed, lit, weights) * environment
 
 

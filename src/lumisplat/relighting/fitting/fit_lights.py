@@ -20,7 +20,7 @@ from lumisplat.relighting.fitting.light_layers import LightLayers, read_images
 from lumisplat.relighting.fitting.parameters import Exposure, FitOptions, FitTask
 from lumisplat.relighting.fitting.power_fit import PowerFitter, huber_cost
 from lumisplat.relighting.fitting.results import LightFit, certainty_of, result_of
-from lumisplat.relighting.fitting.search import elsewhere, search
+from lumisplat.relighting.fitting.search import lattice_search, search
 from lumisplat.renderer.checks import check_scene
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
@@ -34,7 +34,7 @@ COARSE_SIZE = 40
 COARSE_SAMPLES = 0.25
 """Of the samples, there."""
 
-PLACES_A_SIDE = (3, 4)
+LATTICE_SIDES = (3, 4)
 """Lamps are tried at so many places along each side of the box that holds the scene, cubed, one lattice after the
 other: from one alone, three lamps of one photograph ended in a wrong place."""
 
@@ -43,21 +43,21 @@ STEPS_EXPECTED = 8
 
 _log = logging.getLogger("lumisplat")
 
-Picture = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
+ImageLike = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
 
 _LABEL = "fitting lights"
-_LOOKING, _PICTURES, _STEPS, _ERRORS = "looking for lamps", "a picture of each", "step by step", "errors"
+_SEARCHING, _RENDERING, _REFINING, _ERRORS = "looking for lamps", "a picture of each", "step by step", "errors"
 """Stages, of which the pictures take the time."""
-_SURE = 0.9
+_COST_RATIO_MAX = 0.9
 """A lamp that was found elsewhere has to leave less than this share of the cost of one found near where it was."""
 
 
 def fit_lights(
     scene: Scene,
     cameras: Camera | Sequence[Camera],
-    photographs: Picture | Sequence[Picture],
+    images: ImageLike | Sequence[ImageLike],
     *,
-    masks: Picture | Sequence[Picture | None] | None = None,
+    masks: ImageLike | Sequence[ImageLike | None] | None = None,
     environment_degree: int | Literal["auto"] | None = "auto",
     intensities: bool = True,
     keep_hues: bool = False,
@@ -89,7 +89,7 @@ def fit_lights(
         scene: Meshes, and captures with materials; its lights, where they are thought to be. Those that are not enabled
             stay so.
         cameras: One, or one a photograph, of the same aspect ratio.
-        photographs: Files or arrays (H, W, 3), uint8 or 0..1: one, or several in a list. Display-referred sRGB; .exr
+        images: Files or arrays (H, W, 3), uint8 or 0..1: one, or several in a list. Display-referred sRGB; .exr
             and .hdr are linear.
         masks: One a photograph, files or arrays (H, W): what is at least half white counts. None, also in place of one:
             all does.
@@ -136,7 +136,7 @@ def fit_lights(
         exposure=exposure,
     )
     curve = enum_member("tone_map", tone_map, ToneMap)
-    views = read_images(cameras, photographs, masks, linear=linear, tone_map=curve)
+    views = read_images(cameras, images, masks, linear=linear, tone_map=curve)
     report = progress or no_progress
     for instance in scene.splats:
         if instance.material is not None and (remark := surface_remark(instance.gaussians, device=device)) is not None:
@@ -146,7 +146,7 @@ def fit_lights(
     layers = LightLayers(config, device, rendered=lambda: pace.add(1.0))
     small = [view.scaled(size) for view in views]
     exposures = [view.camera.exposure for view in views]
-    task = FitTask.of(scene, options, exposures, shines=lambda: bool(layers.picture(scene, (), small).any()))
+    task = FitTask.of(scene, options, exposures, shines=lambda: bool(layers.render(scene, (), small).any()))
     tiny = [view.scaled(min(size, COARSE_SIZE)) for view in views]
     tiny_cost = COARSE_SAMPLES * sum(one.light.size for one in tiny) / sum(one.light.size for one in small)
     pace.plan(_costs(task, tiny_cost))
@@ -157,16 +157,16 @@ def fit_lights(
             "without a material keep their look, whatever the light; give them one"
         )
     start, gains = task.scene, task.gains
-    if any(move.kind == "position" for move in task.light_parameters):
-        pace.begin(_LOOKING)
+    if any(parameter.kind == "position" for parameter in task.light_parameters):
+        pace.begin(_SEARCHING)
         quick = LightLayers(config, device, COARSE_SAMPLES, rendered=lambda: pace.add(tiny_cost))
         coarse = PowerFitter(task, tiny, quick)
         if not coarse.observed.counts.any():  # large pixels that are whole: what is clipped may lie everywhere
             coarse = fitter
-        start, gains = _looked_for(coarse)
-    pace.begin(_PICTURES)
+        start, gains = _coarse_search(coarse)
+    pace.begin(_RENDERING)
     first = fitter.begin(start, gains)
-    pace.begin(_STEPS)
+    pace.begin(_REFINING)
     found = fitter.settled(search(fitter, first))
     pace.begin(_ERRORS)
     result = result_of(scene, options, fitter, found, certainty_of(fitter, found))
@@ -181,23 +181,23 @@ def _costs(task: FitTask, tiny: float) -> dict[str, float]:
         task: What is unknown.
         tiny: What a picture costs in which lamps are looked for, of one of the fit's size.
     """
-    moved = {move.light for move in task.light_parameters}
-    placed = {move.light for move in task.light_parameters if move.kind == "position"}
+    moved = {parameter.light for parameter in task.light_parameters}
+    placed = {parameter.light for parameter in task.light_parameters if parameter.kind == "position"}
     every = 1 + len(task.lights) + (0 if task.degree is None else (task.degree + 1) ** 2)
     slopes = 2 * (len(task.light_parameters) + len(task.base_colors))
     steps = STEPS_EXPECTED * (slopes + (every if task.base_colors else len(moved))) if slopes else 0
-    searches = every + (1 + len(PLACES_A_SIDE)) * steps + sum(side**3 for side in PLACES_A_SIDE) * len(placed)
-    return {_LOOKING: tiny * searches if placed else 0.0, _PICTURES: every, _STEPS: steps, _ERRORS: slopes}
+    searches = every + (1 + len(LATTICE_SIDES)) * steps + sum(side**3 for side in LATTICE_SIDES) * len(placed)
+    return {_SEARCHING: tiny * searches if placed else 0.0, _RENDERING: every, _REFINING: steps, _ERRORS: slopes}
 
 
-def _looked_for(fitter: PowerFitter) -> tuple[Scene, Doubles]:
+def _coarse_search(fitter: PowerFitter) -> tuple[Scene, Doubles]:
     """Where lamps are about, by small pictures, and exposures: the best of searches from several places."""
     best = search(fitter, fitter.begin(fitter.task.scene, fitter.task.gains))
-    for side in PLACES_A_SIDE:
-        scene = elsewhere(fitter, best, side)
+    for side in LATTICE_SIDES:
+        scene = lattice_search(fitter, best, side)
         if scene is best.scene:
             continue
         other = search(fitter, fitter.moved(best, scene, best.gains))
         costs = [huber_cost(fitter.observed, one.solution.model, best.solution.deviation) for one in (best, other)]
-        best = other if costs[1] < _SURE * costs[0] else best
+        best = other if costs[1] < _COST_RATIO_MAX * costs[0] else best
     return best.scene, best.gains

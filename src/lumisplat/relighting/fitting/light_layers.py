@@ -92,8 +92,8 @@ def read_images(
         FormatError: A file cannot be read.
     """
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
-    given = [images] if _is_one(images) else list(images)
-    covers = [None] * len(given) if masks is None else [masks] if _is_one(masks) else list(masks)
+    given = [images] if _is_single_image(images) else list(images)
+    covers = [None] * len(given) if masks is None else [masks] if _is_single_image(masks) else list(masks)
     for view in views:
         check_instance(view, Camera, "cameras holds something else, expected a Camera")
     if not given or len(views) != len(given):
@@ -102,8 +102,8 @@ def read_images(
         raise SceneError(f"there are {len(given)} photographs and {len(covers)} masks, expected one for each, or None")
     rows = zip(range(len(given)), views, given, covers, strict=True)
     return [
-        _read(number if len(given) > 1 else None, view, one, cover, linear=linear, tone_map=tone_map)
-        for number, view, one, cover in rows
+        _read(number if len(given) > 1 else None, view, item, cover, linear=linear, tone_map=tone_map)
+        for number, view, item, cover in rows
     ]
 
 
@@ -112,7 +112,7 @@ def _path_of(given: Any) -> Path | None:
     return Path(cast("str", given)) if isinstance(given, str | os.PathLike) else None
 
 
-def _is_one(images: Any) -> bool:
+def _is_single_image(images: Any) -> bool:
     """Whether this is one picture: a path, or an array of three axes; else it is a sequence of them."""
     if _path_of(images) is not None:
         return True
@@ -131,7 +131,7 @@ def _read(
     else:
         is_linear, values = bool(linear), np.asarray(image)
     values = _checked(label, values)
-    camera = _fitting(label, camera, values.shape[1], values.shape[0])
+    camera = _camera_of_size(label, camera, values.shape[1], values.shape[0])
     counts: Flags = np.ones(values.shape, np.bool_)
     if not is_linear:
         bright = values >= CLIPPED_ABOVE
@@ -140,9 +140,9 @@ def _read(
     light = np.maximum(values, 0.0) if is_linear else remove_tone_map(values, tone_map)
     masked = 0
     if mask is not None:
-        shown = _mask(label, mask, values.shape[:2])
-        masked = int(np.count_nonzero(~shown))
-        counts = counts & shown[..., None]
+        lit_pixels = _mask(label, mask, values.shape[:2])
+        masked = int(np.count_nonzero(~lit_pixels))
+        counts = counts & lit_pixels[..., None]
     if not light.any():
         raise SceneError(f"{label} is black: there is no light in it to be explained")
     if not counts.any():
@@ -171,7 +171,7 @@ def _checked(label: str, values: npt.NDArray[Any]) -> FloatArray:
     return values.astype(np.float32)
 
 
-def _fitting(label: str, camera: Camera, width: int, height: int) -> Camera:
+def _camera_of_size(label: str, camera: Camera, width: int, height: int) -> Camera:
     """The camera at the size of its photograph.
 
     Raises:
@@ -222,11 +222,11 @@ SMOOTH_ALBEDO_MIN = 0.02
 
 Layer = Callable[[Scene, Frame], Doubles]
 """What is taken of a frame, shape (H, W, 3)."""
-_Things = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
+_Instances = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
-_NOTHING = LightPoint((0.0, 0.0, 0.0), enabled=False)
+_DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
 """Keeps the headlight away from scenes without lights."""
-_KEPT = 1e-3
+_UNLIT_WEIGHT_MAX = 1e-3
 """Share of captures that keep their look, and of nothing at all, up to which a pixel tells of lights."""
 
 
@@ -259,21 +259,21 @@ class LightLayers:
         self.config = replace(base, **settled, **without)
         self._device, self._rendered = device, rendered
         self._renderers: list[Renderer] = []
-        self._smooth: dict[tuple[object, ...], tuple[_Things, SmoothLight]] = {}
+        self._smooth: dict[tuple[object, ...], tuple[_Instances, SurfaceAverage]] = {}
         """By view: the things of the last scene, and which pixels are on one surface."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
-    def shown(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
+    def lit_pixels(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
         """Which pixels show what lights light, shape (N,)."""
         frames = self._frames(0, _with_lights(scene, ()), images)
         weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
-        return np.concatenate(weights) < _KEPT
+        return np.concatenate(weights) < _UNLIT_WEIGHT_MAX
 
-    def picture(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
+    def render(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
         """Linear light of a scene under these lights alone, what shines by itself included, shape (2, N, 3)."""
-        return self._both(_with_lights(scene, lights), images, self._whole)
+        return self._both(_with_lights(scene, lights), images, self._all_light)
 
-    def alone(self, scene: Scene, light: Light, images: Sequence[FitImage], fixed: Doubles) -> Doubles:
+    def render_light(self, scene: Scene, light: Light, images: Sequence[FitImage], fixed: Doubles) -> Doubles:
         """Linear light that one light adds.
 
         Args:
@@ -287,8 +287,8 @@ class LightLayers:
         """
         lit = _with_lights(scene, (light,))
         if self.is_path:  # its own layer: what else shines would only bring noise
-            return self._both(lit, images, self._own)
-        return self._both(lit, images, self._whole) - fixed
+            return self._both(lit, images, self._single_light)
+        return self._both(lit, images, self._all_light) - fixed
 
     def _both(self, scene: Scene, images: Sequence[FitImage], layer: Layer) -> Doubles:
         """A layer rendered with two seeds; a single time, if it is not random."""
@@ -303,13 +303,13 @@ class LightLayers:
     def _rows(self, scene: Scene, frames: Sequence[Frame], layer: Layer) -> Doubles:
         return np.concatenate([layer(scene, frame).reshape(-1, 3) for frame in frames])
 
-    def _frames(self, half: int, scene: Scene, images: Sequence[FitImage]) -> list[Frame]:
-        while len(self._renderers) <= half:
+    def _frames(self, seed_index: int, scene: Scene, images: Sequence[FitImage]) -> list[Frame]:
+        while len(self._renderers) <= seed_index:
             seed = (self.config.seed + 7919 * len(self._renderers)) % 2**32
             self._renderers.append(create_renderer(replace(self.config, seed=seed), self._device))
-        return [self._renderers[half].render(scene, replace(one.camera, exposure=0.0)) for one in images]
+        return [self._renderers[seed_index].render(scene, replace(item.camera, exposure=0.0)) for item in images]
 
-    def _whole(self, scene: Scene, frame: Frame) -> Doubles:
+    def _all_light(self, scene: Scene, frame: Frame) -> Doubles:
         """All light, what has bounced averaged."""
         light = np.asarray(frame.light, np.float64)
         if not self.is_path:
@@ -319,7 +319,7 @@ class LightLayers:
         )
         return first + self._averaged(scene, frame, light - first)
 
-    def _own(self, scene: Scene, frame: Frame) -> Doubles:
+    def _single_light(self, scene: Scene, frame: Frame) -> Doubles:
         """The light of the only light, what has bounced averaged."""
         assert frame.light_total is not None and frame.light_direct is not None and frame.light_shadow is not None
         first = np.asarray(frame.light_direct[0] * frame.light_shadow[0], np.float64)
@@ -327,11 +327,11 @@ class LightLayers:
 
     def _averaged(self, scene: Scene, frame: Frame, bounced: Doubles) -> Doubles:
         key = (frame.camera.width, frame.camera.height, frame.camera.camera_from_world.tobytes())
-        things = scene.splats, scene.meshes
-        held = self._smooth.get(key)
-        if held is None or held[0] != things:
-            held = self._smooth[key] = things, SmoothLight.of(scene, frame)
-        return held[1].averaged(bounced)
+        instances = scene.splats, scene.meshes
+        cached = self._smooth.get(key)
+        if cached is None or cached[0] != instances:
+            cached = self._smooth[key] = instances, SurfaceAverage.of(scene, frame)
+        return cached[1].averaged(bounced)
 
 
 def unit(light: Light) -> Light:
@@ -353,25 +353,25 @@ def with_power(light: Light, power: Doubles) -> Light:
 
 
 def _with_lights(scene: Scene, lights: Sequence[Light]) -> Scene:
-    return replace(scene, lights=tuple(lights) or (_NOTHING,))
+    return replace(scene, lights=tuple(lights) or (_DISABLED_LIGHT,))
 
 
 _Number = TypeVar("_Number", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SmoothLight:
+class SurfaceAverage:
     """Which pixels of a view are on one surface."""
 
     albedo: Doubles
     """By which light is divided before, (H, W, 3)."""
     offsets: tuple[tuple[int, int], ...]
     """Rows and columns to neighbours."""
-    together: Flags
+    same_surface: Flags
     """Whether each neighbour is on the pixel's surface, (offsets, H, W)."""
 
     @classmethod
-    def of(cls, scene: Scene, frame: Frame) -> SmoothLight:
+    def of(cls, scene: Scene, frame: Frame) -> SurfaceAverage:
         """Of a frame with albedo."""
         assert frame.albedo is not None
         radius = max(1, round(SMOOTH_REACH * max(frame.camera.width, frame.camera.height)))
@@ -379,32 +379,32 @@ class SmoothLight:
         offsets = tuple((down, across) for down in reach for across in reach)
         position, normal = np.asarray(frame.position, np.float64), np.asarray(frame.normal, np.float64)
         surface = _matt_surfaces(scene, np.asarray(frame.instance_index))
-        together = np.zeros((len(offsets), *surface.shape), np.bool_)
+        same_surface = np.zeros((len(offsets), *surface.shape), np.bool_)
         for row, offset in enumerate(offsets):
             away = _shifted(position, offset) - position
             apart = np.abs((away * normal).sum(axis=2))
             flat = apart <= SMOOTH_PLANE * np.linalg.norm(away, axis=2) + 1e-9
             alike = (_shifted(normal, offset) * normal).sum(axis=2) >= SMOOTH_COSINE_MIN
-            together[row] = (
-                (_shifted(surface, offset) == surface) & (surface >= 0) & flat & alike & _inside(surface, offset)
+            same_surface[row] = (
+                (_shifted(surface, offset) == surface) & (surface >= 0) & flat & alike & _inside_image(surface, offset)
             )
             if offset == (0, 0):
-                together[row] = True
+                same_surface[row] = True
         albedo = np.maximum(np.asarray(frame.albedo, np.float64), SMOOTH_ALBEDO_MIN)
-        return cls(albedo, offsets, together)
+        return cls(albedo, offsets, same_surface)
 
     def averaged(self, light: Doubles) -> Doubles:
         """Light of the view, (H, W, 3), averaged over each pixel's surface nearby."""
         arriving = light / self.albedo
         total = np.zeros_like(arriving)
-        for offset, together in zip(self.offsets, self.together, strict=True):
-            total += np.where(together[..., None], _shifted(arriving, offset), 0.0)
-        return total / self.together.sum(axis=0)[..., None] * self.albedo
+        for offset, same_surface in zip(self.offsets, self.same_surface, strict=True):
+            total += np.where(same_surface[..., None], _shifted(arriving, offset), 0.0)
+        return total / self.same_surface.sum(axis=0)[..., None] * self.albedo
 
 
 def _matt_surfaces(scene: Scene, instances: IntArray) -> IntArray:
     """The instance that each pixel shows; -1 where there is none, or what it reflects is sharp."""
-    materials = [instance.material for instance in scene.splats] + [one.mesh.material for one in scene.meshes]
+    materials = [instance.material for instance in scene.splats] + [item.mesh.material for item in scene.meshes]
     matt = np.array([*(_is_matt(material) for material in materials), False])
     return np.where(matt[instances], instances, -1).astype(np.int32)
 
@@ -418,7 +418,7 @@ def _shifted(image: npt.NDArray[_Number], offset: tuple[int, int]) -> npt.NDArra
     return np.roll(image, (-offset[0], -offset[1]), axis=(0, 1))
 
 
-def _inside(image: IntArray, offset: tuple[int, int]) -> Flags:
+def _inside_image(image: IntArray, offset: tuple[int, int]) -> Flags:
     """Whether an offset from each pixel leads to one of the image."""
     height, width = image.shape
     inside = np.zeros((height, width), np.bool_)

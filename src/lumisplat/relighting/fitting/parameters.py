@@ -21,7 +21,7 @@ from lumisplat.scene.scene import Scene
 FIT_DEGREE_MAX = 4
 """Of an environment's harmonics: matt surfaces take in hardly more than degree 2 (Ramamoorthi and Hanrahan 2001)."""
 
-PLACE_STEP = 0.004
+POSITION_STEP = 0.004
 """Of the room's size: half the way between two pictures of a derivative."""
 
 ANGLE_STEP = 0.02
@@ -83,12 +83,14 @@ def light_parameters_of(
     """
     light_parameters: list[LightParameter] = []
     if positions and isinstance(light, PlacedLight):
-        light_parameters += [LightParameter(number, "position", axis, PLACE_STEP * size) for axis in range(3)]
+        light_parameters += [LightParameter(number, "position", axis, POSITION_STEP * size) for axis in range(3)]
     if positions and isinstance(light, AimedLight):
         light_parameters += [LightParameter(number, "direction", axis, ANGLE_STEP) for axis in range(2)]
     if radii and isinstance(light, RoundLight) and light.radius > 0.0:
         least = _SMALLEST * size
-        light_parameters.append(LightParameter(number, "radius", 0, max(PLACE_STEP * size, 0.1 * light.radius), least))
+        light_parameters.append(
+            LightParameter(number, "radius", 0, max(POSITION_STEP * size, 0.1 * light.radius), least)
+        )
     if angles and isinstance(light, LightSpot):
         light_parameters += [LightParameter(number, kind, 0, ANGLE_STEP) for kind in ("inner", "outer")]
     return light_parameters
@@ -136,7 +138,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
     for number, instance in enumerate(scene.meshes):
         groups.setdefault(instance.mesh.material.name or id(instance.mesh.material), []).append(number)
     base_colors = [BaseColor(_name(scene, numbers[0]), tuple(numbers)) for numbers in groups.values()]
-    taken = {paint.name for paint in base_colors}
+    taken = {base_color.name for base_color in base_colors}
     for number, instance in enumerate(scene.splats):
         if is_relit(instance) and not any(material_of(instance).emissive):
             name = instance.name or f"capture {number}"
@@ -146,24 +148,24 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
         raise SceneError("base colours are those of meshes and of captures with a material, and the scene has neither")
     if isinstance(wanted, bool):
         return base_colors
-    known = {paint.name: paint for paint in base_colors}
+    by_name = {base_color.name: base_color for base_color in base_colors}
     for name in wanted:
-        if name not in known:
-            raise SceneError(f"base_colors names the material {name!r}, {suggestion(name, known)}")
-    return [known[name] for name in dict.fromkeys(wanted)]
+        if name not in by_name:
+            raise SceneError(f"base_colors names the material {name!r}, {suggestion(name, by_name)}")
+    return [by_name[name] for name in dict.fromkeys(wanted)]
 
 
-def share_at_white(scene: Scene, paint: BaseColor) -> float:
+def share_at_white(scene: Scene, base_color: BaseColor) -> float:
     """Of a capture's Gaussians, how many have become as bright as white in some channel."""
-    if paint.capture is None or paint.given is None:
+    if base_color.capture is None or base_color.given is None:
         return 0.0
-    white = [(base_colors(some) >= _WHITE) for some in (scene.splats[paint.capture].gaussians, paint.given)]
+    white = [(base_colors(some) >= _WHITE) for some in (scene.splats[base_color.capture].gaussians, base_color.given)]
     return float((white[0] & ~white[1]).any(axis=1).mean())
 
 
 def colors_of(scene: Scene, base_colors: Sequence[BaseColor]) -> Doubles:
     """The base colours, linear, shape (M, 3); of a capture, the mean over its Gaussians."""
-    return np.array([_color(scene, paint) for paint in base_colors], np.float64).reshape(-1, 3)
+    return np.array([_color(scene, base_color) for base_color in base_colors], np.float64).reshape(-1, 3)
 
 
 def with_base_colors(scene: Scene, colors: Mapping[BaseColor, Doubles]) -> Scene:
@@ -172,21 +174,23 @@ def with_base_colors(scene: Scene, colors: Mapping[BaseColor, Doubles]) -> Scene
     The Gaussians of a capture become brighter or darker by one factor a channel; none becomes brighter than 1 by it.
     """
     meshes, splats = list(scene.meshes), list(scene.splats)
-    for paint, color in colors.items():
+    for base_color, color in colors.items():
         held = np.clip(color, 0.0, 1.0)
-        for number in paint.meshes:
+        for number in base_color.meshes:
             mesh = meshes[number].mesh
             material = replace(mesh.material, base_color=tuple(held.tolist()))
             meshes[number] = replace(meshes[number], mesh=replace(mesh, material=material))
-        if paint.capture is not None and paint.given is not None:
-            splats[paint.capture] = replace(splats[paint.capture], gaussians=_with_mean(paint.given, held))
+        if base_color.capture is not None and base_color.given is not None:
+            splats[base_color.capture] = replace(
+                splats[base_color.capture], gaussians=_with_mean(base_color.given, held)
+            )
     return replace(scene, meshes=tuple(meshes), splats=tuple(splats))
 
 
-def _color(scene: Scene, paint: BaseColor) -> Doubles:
-    if paint.capture is None:
-        return np.array(scene.meshes[paint.meshes[0]].mesh.material.base_color, np.float64)
-    return base_colors(scene.splats[paint.capture].gaussians).mean(axis=0)
+def _color(scene: Scene, base_color: BaseColor) -> Doubles:
+    if base_color.capture is None:
+        return np.array(scene.meshes[base_color.meshes[0]].mesh.material.base_color, np.float64)
+    return base_colors(scene.splats[base_color.capture].gaussians).mean(axis=0)
 
 
 def _with_mean(gaussians: Gaussians, color: Doubles) -> Gaussians:
@@ -274,7 +278,7 @@ class FitTask:
             ConfigError: Nothing is asked for, or an exposure is none.
             SceneError: The scene has no lights to fit, is empty, or has no such material.
         """
-        start, degree = _with_harmonics(scene, options)
+        start, degree = _with_sh_environment(scene, options)
         lights = tuple(number for number, light in enumerate(start.lights) if light.enabled)
         if not lights and degree is None:
             raise SceneError(
@@ -284,9 +288,9 @@ class FitTask:
         low, high = start.bulk_bounds()
         size = float((high - low).max())
         light_parameters = [
-            move
+            parameter
             for number in lights
-            for move in light_parameters_of(
+            for parameter in light_parameters_of(
                 number,
                 start.lights[number],
                 size,
@@ -308,7 +312,7 @@ class FitTask:
         every = isinstance(options.base_colors, bool) or len(base_colors) == len(base_colors_of(start, True))
         fitted = [start.lights[number] for number in lights]
         placed = [light.position for light in fitted if isinstance(light, PlacedLight)]
-        places = np.array(placed, np.float64).reshape(-1, 3)
+        positions = np.array(placed, np.float64).reshape(-1, 3)
         return cls(
             scene=start,
             lights=lights,
@@ -321,12 +325,12 @@ class FitTask:
             exposed=tuple(unknown),
             gains=np.exp2(_stops(options.exposure, exposures)),
             size=size,
-            low=np.minimum(low, places.min(axis=0, initial=np.inf)),
-            high=np.maximum(high, places.max(axis=0, initial=-np.inf)),
+            low=np.minimum(low, positions.min(axis=0, initial=np.inf)),
+            high=np.maximum(high, positions.max(axis=0, initial=-np.inf)),
         )
 
 
-def _with_harmonics(scene: Scene, options: FitOptions) -> tuple[Scene, int | None]:
+def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int | None]:
     """The scene, without the environment that harmonics replace, and their degree."""
     own = [light for light in scene.lights if isinstance(light, LightEnvironment) and light.enabled]
     degree = options.environment_degree

@@ -64,7 +64,7 @@ class Observed:
 class Columns:
     """K pictures of which the photographs are a sum."""
 
-    pictures: Doubles
+    renders: Doubles
     """Each rendered twice, shape (2, K, N, 3)."""
     fixed: Doubles
     """What is there in any case, shape (2, N, 3)."""
@@ -90,7 +90,7 @@ class Columns:
     def model(self, unknowns: Doubles) -> Doubles:
         """What is explained, shape (N, 3)."""
         factors = self.channels(unknowns)
-        return self.fixed.mean(axis=0) + np.einsum("knc,kc->nc", self.pictures.mean(axis=0), factors)
+        return self.fixed.mean(axis=0) + np.einsum("knc,kc->nc", self.renders.mean(axis=0), factors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +131,7 @@ def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> 
     Where noise is more than `NOISE_SHARE_MAX` of what a sum of pictures is, no more than that is taken for noise.
     """
     spread = columns.spread
-    first, second = columns.pictures
+    first, second = columns.renders
     size = spread.shape[2]
     gram, noise, moments = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size)
     for channel in range(3):
@@ -165,11 +165,11 @@ def _without(gram: Doubles, noise: Doubles) -> Doubles:
     root = np.linalg.cholesky(gram)
     inverse = np.linalg.inv(root)
     shares, vectors = np.linalg.eigh(inverse @ noise @ inverse.T)
-    kept = root @ vectors
-    return np.asarray((kept * (1.0 - np.minimum(shares, NOISE_SHARE_MAX))) @ kept.T)
+    whitened = root @ vectors
+    return np.asarray((whitened * (1.0 - np.minimum(shares, NOISE_SHARE_MAX))) @ whitened.T)
 
 
-def explain(observed: Observed, columns: Columns, *, redescends: bool = False) -> Solution:
+def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = False) -> Solution:
     """The unknowns that explain the photographs best, by Huber's loss.
 
     Args:
@@ -252,18 +252,18 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
         held: What is added to the normal equations, (U, U).
     """
     gram, _ = normal_equations(observed, columns, solution.weights)
-    spread, pictures = columns.spread, columns.pictures.mean(axis=0)
+    spread, renders = columns.spread, columns.renders.mean(axis=0)
     count = int(observed.blocks.max()) + 1
-    pulls = np.zeros((count, spread.shape[2]))
+    scores = np.zeros((count, spread.shape[2]))
     weighted = solution.weights * (observed.target - solution.model)
     for channel in range(3):
-        rows = [np.bincount(observed.blocks, column * weighted[:, channel], count) for column in pictures[..., channel]]
-        pulls += np.array(rows).reshape(len(rows), count).T @ spread[channel]
+        rows = [np.bincount(observed.blocks, column * weighted[:, channel], count) for column in renders[..., channel]]
+        scores += np.array(rows).reshape(len(rows), count).T @ spread[channel]
     normal = gram + held
     # What is known up to a factor alone leaves a direction without curvature: its variance is huge, not infinite.
     least = np.finfo(np.float64).eps * float(np.trace(normal)) * np.eye(len(normal))
     inverse = np.linalg.inv(normal + least)
-    return np.asarray(inverse @ (pulls.T @ pulls) @ inverse)
+    return np.asarray(inverse @ (scores.T @ scores) @ inverse)
 
 
 RELATIVE_NOISE = 0.02
@@ -273,16 +273,16 @@ NOISE_BLUR = 2
 """Pixels to each side over which a photograph is averaged to say what error is expected: by noisy pixels
 themselves, those that noise has made dark would weigh more."""
 
-SKY_ROWS = 32
+ENVIRONMENT_ROWS = 32
 """Rows of the images of harmonics as environments, and of the environment that is found."""
 
-SKY_DIRECTIONS = 96
+ENVIRONMENT_DIRECTIONS = 96
 """Directions in which the radiance of harmonics must not be negative, spread evenly."""
 
 BLOCK_PX = 8
 """Side of the squares of pixels whose residuals are taken to go together, where errors are estimated."""
 
-_HARMONIC_RIDGE = 1e-7
+_SH_RIDGE = 1e-7
 """Of an environment's coefficients beyond the constant: directions that no surface faces stay even."""
 
 
@@ -296,7 +296,7 @@ class Candidate:
     """Factors of exposure, shape (V,)."""
     lights: Mapping[int, Doubles]
     """The picture of each fitted light alone, of power 1, (2, N, 3)."""
-    harmonics: Doubles
+    sh_renders: Doubles
     """Pictures under harmonics, (2, K, N, 3); K is 0 if there are none."""
     fixed: Doubles
     """The picture of what is not fitted, (2, N, 3)."""
@@ -315,17 +315,17 @@ class Candidate:
     @property
     def coefficients(self) -> Doubles:
         """Of the environment's harmonics, shape (K, 3)."""
-        count = self.harmonics.shape[1]
+        count = self.sh_renders.shape[1]
         factors = self.columns.channels(self.solution.unknowns)
         return factors[len(factors) - count :]
 
     @property
-    def lit(self) -> Scene:
+    def lit_scene(self) -> Scene:
         """The scene with the lights as strong as they were found, the harmonics as its last light."""
         lights = list(self.scene.lights)
         for number, power in self.powers.items():
             lights[number] = with_power(lights[number], power)
-        if self.harmonics.shape[1]:
+        if self.sh_renders.shape[1]:
             lights.append(environment_of(self.coefficients, self.scene))
         return replace(self.scene, lights=tuple(lights))
 
@@ -341,16 +341,16 @@ class PowerFitter:
 
     def __init__(self, task: FitTask, images: Sequence[FitImage], layers: LightLayers) -> None:
         self.task, self.images, self.layers = task, images, layers
-        sizes = [one.light.shape[0] * one.light.shape[1] for one in images]
+        sizes = [image.light.shape[0] * image.light.shape[1] for image in images]
         self.view: Rows = np.repeat(np.arange(len(sizes)), sizes)
         """Which photograph each pixel is of, shape (N,)."""
-        counts = np.concatenate([one.counts.reshape(-1, 3) for one in images])
+        counts = np.concatenate([image.counts.reshape(-1, 3) for image in images])
         self.observed = Observed(
-            target=np.concatenate([one.light.reshape(-1, 3) for one in images]),
-            counts=counts & layers.shown(task.scene, images)[:, None],
-            noise=np.concatenate([_expected_noise(one).reshape(-1, 3) for one in images]),
+            target=np.concatenate([image.light.reshape(-1, 3) for image in images]),
+            counts=counts & layers.lit_pixels(task.scene, images)[:, None],
+            noise=np.concatenate([_expected_noise(image).reshape(-1, 3) for image in images]),
             blocks=_blocks(images),
-            sizes=tuple((one.camera.height, one.camera.width) for one in images),
+            sizes=tuple((image.camera.height, image.camera.width) for image in images),
         )
 
     def begin(self, scene: Scene, gains: Doubles) -> Candidate:
@@ -363,59 +363,59 @@ class PowerFitter:
 
     def settled(self, candidate: Candidate) -> Candidate:
         """The candidate, with what does not fit at all left out."""
-        return replace(candidate, solution=explain(self.observed, candidate.columns, redescends=True))
+        return replace(candidate, solution=robust_solve(self.observed, candidate.columns, redescends=True))
 
-    def picture_of(self, candidate: Candidate, number: int, scene: Scene) -> Doubles:
+    def render_of(self, candidate: Candidate, number: int, scene: Scene) -> Doubles:
         """The picture of a light of a scene alone, of power 1, shape (2, N, 3)."""
-        return self.layers.alone(candidate.scene, unit(scene.lights[number]), self.images, candidate.fixed)
+        return self.layers.render_light(candidate.scene, unit(scene.lights[number]), self.images, candidate.fixed)
 
-    def exposed(self, pictures: Doubles, gains: Doubles) -> Doubles:
+    def exposed(self, renders: Doubles, gains: Doubles) -> Doubles:
         """Pictures (..., N, 3), as the photographs are exposed."""
-        return pictures * gains[self.view][:, None]
+        return renders * gains[self.view][:, None]
 
     def _guess(self, scene: Scene, gains: Doubles, before: Candidate | None) -> Candidate:
         task = self.task
-        held = before if before is not None and _look_alike(before.scene, scene) else None
-        fixed = self.layers.picture(scene, (), self.images) if held is None else held.fixed
+        held = before if before is not None and _differs_only_in_lights(before.scene, scene) else None
+        fixed = self.layers.render(scene, (), self.images) if held is None else held.fixed
         lights: dict[int, Doubles] = {}
         for number in task.lights:
             light = scene.lights[number]
             if held is not None and held.scene.lights[number] is light:
                 lights[number] = held.lights[number]
             else:
-                lights[number] = self.layers.alone(scene, unit(light), self.images, fixed)
+                lights[number] = self.layers.render_light(scene, unit(light), self.images, fixed)
         if held is not None:
-            harmonics = held.harmonics
+            sh_renders = held.sh_renders
         elif task.degree is None:
-            harmonics = np.zeros((2, 0, *fixed.shape[1:]))
+            sh_renders = np.zeros((2, 0, *fixed.shape[1:]))
         else:
-            harmonics = harmonic_pictures(
-                task.degree, lambda light: self.layers.alone(scene, light, self.images, fixed)
+            sh_renders = render_sh_lights(
+                task.degree, lambda light: self.layers.render_light(scene, light, self.images, fixed)
             )
-        columns = self._columns(scene, gains, lights, harmonics, fixed)
-        return Candidate(scene, gains, lights, harmonics, fixed, columns, explain(self.observed, columns))
+        columns = self._columns(scene, gains, lights, sh_renders, fixed)
+        return Candidate(scene, gains, lights, sh_renders, fixed, columns, robust_solve(self.observed, columns))
 
     def _columns(
-        self, scene: Scene, gains: Doubles, lights: Mapping[int, Doubles], harmonics: Doubles, fixed: Doubles
+        self, scene: Scene, gains: Doubles, lights: Mapping[int, Doubles], sh_renders: Doubles, fixed: Doubles
     ) -> Columns:
         """Of the lights, then of the harmonics; lights of a given power are a part of what is fixed."""
-        pictures, tints = list(lights.values()), [self._tint(scene, number) for number in lights]
+        renders, tints = list(lights.values()), [self._tint(scene, number) for number in lights]
         if not self.task.scales:
-            shining = (power_of(scene.lights[number]) * picture for number, picture in lights.items())
-            fixed, pictures, tints = fixed + sum(shining), [], []
+            shining = (power_of(scene.lights[number]) * render for number, render in lights.items())
+            fixed, renders, tints = fixed + sum(shining), [], []
         powers = sum(unknown_counts(tints))
-        count = harmonics.shape[1]
+        count = sh_renders.shape[1]
         total = powers + 3 * count
-        sky = radiance_rows(self.task.degree or 0) if count else np.zeros((0, 0))
-        bounded = np.zeros((powers + 3 * len(sky), total))
+        radiances = radiance_rows(self.task.degree or 0) if count else np.zeros((0, 0))
+        bounded = np.zeros((powers + 3 * len(radiances), total))
         bounded[:powers, :powers] = np.eye(powers)
         for channel in range(3 if count else 0):
-            bounded[powers + channel * len(sky) :][: len(sky), powers + channel :: 3] = sky
+            bounded[powers + channel * len(radiances) :][: len(radiances), powers + channel :: 3] = radiances
         ridge = np.zeros(total)
-        ridge[powers + 3 :] = _HARMONIC_RIDGE
-        stacked = np.stack(pictures, axis=1) if pictures else np.zeros((2, 0, *fixed.shape[1:]))
+        ridge[powers + 3 :] = _SH_RIDGE
+        stacked = np.stack(renders, axis=1) if renders else np.zeros((2, 0, *fixed.shape[1:]))
         return Columns(
-            pictures=self.exposed(np.concatenate([stacked, harmonics], axis=1), gains),
+            renders=self.exposed(np.concatenate([stacked, sh_renders], axis=1), gains),
             fixed=self.exposed(fixed, gains),
             tints=(*tints, *[None] * count),
             bounded=bounded,
@@ -431,7 +431,7 @@ class PowerFitter:
         return color / color.max() if color.any() else np.ones(3)
 
 
-def _look_alike(scene: Scene, other: Scene) -> bool:
+def _differs_only_in_lights(scene: Scene, other: Scene) -> bool:
     """Whether nothing but their lights is different."""
     return scene.meshes == other.meshes and scene.splats == other.splats
 
@@ -462,51 +462,51 @@ def _blocks(images: Sequence[FitImage]) -> Rows:
     """Numbers of the squares that pixels are in, shape (N,)."""
     blocks: list[Rows] = []
     first = 0
-    for one in images:
-        height, width = one.light.shape[:2]
+    for image in images:
+        height, width = image.light.shape[:2]
         across = -(-width // BLOCK_PX)
         down: Rows = np.arange(height, dtype=np.int64)[:, None] // BLOCK_PX
-        places: Rows = down * across + np.arange(width, dtype=np.int64) // BLOCK_PX
-        blocks.append(first + places.ravel())
+        cells: Rows = down * across + np.arange(width, dtype=np.int64) // BLOCK_PX
+        blocks.append(first + cells.ravel())
         first = int(blocks[-1].max()) + 1
     return np.concatenate(blocks)
 
 
-NAME = "environment"
+ENVIRONMENT_NAME = "environment"
 """Of the light that is found."""
 
 
-def harmonic_pictures(degree: int, alone: Callable[[Light], Doubles]) -> Doubles:
+def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> Doubles:
     """Pictures under each harmonic as an environment.
 
     Args:
         degree: Of the harmonics.
-        alone: The picture of a light alone, (2, N, 3).
+        render_light: The picture of a light alone, (2, N, 3).
 
     Returns:
         Shape (2, K, N, 3), K = (degree + 1)^2; all 0 if no light of an environment arrives anywhere.
     """
-    basis = sh_basis(panorama_directions(SKY_ROWS, 2 * SKY_ROWS), degree)
-    even = alone(LightEnvironment(visible=False))
-    pictures = np.zeros((len(even), basis.shape[-1], *even.shape[1:]))
-    if not even.any():
-        return pictures
-    pictures[:, 0] = basis[0, 0, 0] * even
+    basis = sh_basis(panorama_directions(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS), degree)
+    constant = render_light(LightEnvironment(visible=False))
+    renders = np.zeros((len(constant), basis.shape[-1], *constant.shape[1:]))
+    if not constant.any():
+        return renders
+    renders[:, 0] = basis[0, 0, 0] * constant
     for number in range(1, basis.shape[-1]):
         values = basis[..., number]
         largest = float(np.abs(values).max())
         image = np.repeat((1.0 + values / largest)[..., None], 3, axis=2).clip(0.0)
-        pictures[:, number] = largest * (alone(LightEnvironment(image, visible=False)) - even)
-    return pictures
+        renders[:, number] = largest * (render_light(LightEnvironment(image, visible=False)) - constant)
+    return renders
 
 
 @cache
 def radiance_rows(degree: int) -> Doubles:
     """Radiance in directions all around, of coefficients, shape (D, K): none of them may be negative."""
-    return np.asarray(sh_basis(even_directions(SKY_DIRECTIONS), degree), np.float64)
+    return np.asarray(sh_basis(even_directions(ENVIRONMENT_DIRECTIONS), degree), np.float64)
 
 
 def environment_of(coefficients: Doubles, scene: Scene) -> LightEnvironment:
     """The environment of coefficients, shape (K, 3): it stands upright in the scene, and is not seen directly."""
-    light = EnvironmentProbe(coefficients).light(SKY_ROWS, scene.upright_wxyz)
-    return LightEnvironment(light.image, rotation_wxyz=light.rotation_wxyz, visible=False, name=NAME)
+    light = EnvironmentProbe(coefficients).light(ENVIRONMENT_ROWS, scene.upright_wxyz)
+    return LightEnvironment(light.image, rotation_wxyz=light.rotation_wxyz, visible=False, name=ENVIRONMENT_NAME)

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lumisplat.constants import LUMINANCE, SH_C0, SKY_ERRORS_MIN, SKY_SHARE_MIN
+from lumisplat.constants import ENVIRONMENT_ERRORS_MIN, ENVIRONMENT_SHARE_MIN, LUMINANCE, SH_C0
 from lumisplat.math.arrays import Doubles
 from lumisplat.math.color import encode_srgb
 from lumisplat.relighting.fitting.parameters import FitOptions, FitTask, colors_of, share_at_white
 from lumisplat.relighting.fitting.power_fit import (
-    NAME,
+    ENVIRONMENT_NAME,
     Candidate,
     Columns,
     PowerFitter,
@@ -91,40 +91,40 @@ def result_of(
         candidate: The last candidate.
         certainty: What it knows.
     """
-    task, lit = fitter.task, candidate.lit
-    kept = list(lit.lights)
+    task, lit_scene = fitter.task, candidate.lit_scene
+    lights_found = list(lit_scene.lights)
     for number in certainty.dark:  # nothing is known of it
-        kept[number] = task.scene.lights[number]
+        lights_found[number] = task.scene.lights[number]
     shares = _shares(fitter, candidate)
-    has_sky = _has_sky(candidate, shares, certainty)
-    if candidate.harmonics.shape[1] and not has_sky:  # a scene with a black one would pass for lit by a sky
-        del kept[-1]
-    lights = tuple(kept[number] for number in task.lights) + ((kept[-1],) if has_sky else ())
+    has_environment = _has_environment(candidate, shares, certainty)
+    if candidate.sh_renders.shape[1] and not has_environment:  # a scene with a black one would pass for lit by a sky
+        del lights_found[-1]
+    lights = tuple(lights_found[number] for number in task.lights) + ((lights_found[-1],) if has_environment else ())
     colors = colors_of(candidate.scene, task.base_colors)
     views = _views(fitter, candidate)
     return LightFit(
-        scene=replace(lit, lights=tuple(kept)),
+        scene=replace(lit_scene, lights=tuple(lights_found)),
         lights=lights,
         shares=shares[: len(lights)],
         standard_errors=certainty.powers[: len(lights)],
         position_errors=certainty.positions[: len(lights)],
-        environment=EnvironmentProbe(candidate.coefficients) if has_sky else None,
+        environment=EnvironmentProbe(candidate.coefficients) if has_environment else None,
         base_colors={
-            paint.name: (float(color[0]), float(color[1]), float(color[2]))
-            for paint, color in zip(task.base_colors, colors, strict=True)
+            base_color.name: (float(color[0]), float(color[1]), float(color[2]))
+            for base_color, color in zip(task.base_colors, colors, strict=True)
         },
         exposures=np.log2(candidate.gains),
         views=views,
-        remarks=_remarks_of(given, options, fitter, candidate, certainty, has_sky=has_sky),
+        remarks=_remarks_of(given, options, fitter, candidate, certainty, has_environment=has_environment),
     )
 
 
-def _has_sky(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
+def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
     """Whether harmonics are more than what noise is taken for."""
-    if not candidate.harmonics.shape[1]:
+    if not candidate.sh_renders.shape[1]:
         return False
     mean = SH_C0 * np.abs(candidate.coefficients[0])
-    return bool(shares[-1] >= SKY_SHARE_MIN or (mean > SKY_ERRORS_MIN * certainty.powers[-1]).any())
+    return bool(shares[-1] >= ENVIRONMENT_SHARE_MIN or (mean > ENVIRONMENT_ERRORS_MIN * certainty.powers[-1]).any())
 
 
 def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
@@ -132,13 +132,15 @@ def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
     views: list[FittedView] = []
     solution, observed = candidate.solution, fitter.observed
     shares = solution.weights * observed.noise**2
-    for number, one in enumerate(fitter.images):
-        own = fitter.view == number
-        weights, fitted = (values[own].reshape(one.light.shape) for values in (shares, solution.model))
-        difference = encode_srgb(one.light) - encode_srgb(np.maximum(fitted, 0.0))
+    for number, image in enumerate(fitter.images):
+        pixels = fitter.view == number
+        weights, fitted = (values[pixels].reshape(image.light.shape) for values in (shares, solution.model))
+        difference = encode_srgb(image.light) - encode_srgb(np.maximum(fitted, 0.0))
         square = float((weights * difference**2).sum() / max(float(weights.sum()), 1e-12))
-        camera = replace(one.camera, exposure=float(np.log2(candidate.gains[number])))
-        views.append(FittedView(camera, one.light, fitted, weights, float(np.sqrt(square)), one.clipped, one.masked))
+        camera = replace(image.camera, exposure=float(np.log2(candidate.gains[number])))
+        views.append(
+            FittedView(camera, image.light, fitted, weights, float(np.sqrt(square)), image.clipped, image.masked)
+        )
     return tuple(views)
 
 
@@ -146,14 +148,12 @@ def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
     """Luminance that each light gives to what counts, of all that is explained there."""
     counts = fitter.observed.counts
 
-    def brightness(picture: Doubles) -> float:
-        return float(((fitter.exposed(picture, candidate.gains) * counts) @ np.array(LUMINANCE)).sum())
+    def brightness(render: Doubles) -> float:
+        return float(((fitter.exposed(render, candidate.gains) * counts) @ np.array(LUMINANCE)).sum())
 
-    parts = [
-        brightness(candidate.powers[number] * picture.mean(axis=0)) for number, picture in candidate.lights.items()
-    ]
-    if candidate.harmonics.shape[1]:
-        parts.append(brightness(np.einsum("knc,kc->nc", candidate.harmonics.mean(axis=0), candidate.coefficients)))
+    parts = [brightness(candidate.powers[number] * render.mean(axis=0)) for number, render in candidate.lights.items()]
+    if candidate.sh_renders.shape[1]:
+        parts.append(brightness(np.einsum("knc,kc->nc", candidate.sh_renders.mean(axis=0), candidate.coefficients)))
     whole = sum(parts) + brightness(candidate.fixed.mean(axis=0))
     return np.array(parts) / whole if whole > 0.0 else np.zeros(len(parts))
 
@@ -164,31 +164,37 @@ _UNEXPLAINED = 0.1
 """Share of what counts from which on it is said that nothing explains it."""
 _WHITE = 0.01
 """Share of a capture's Gaussians from which on it is said that they have become white."""
-_OFF = 1e-6
+_OFF_BELOW = 1e-6
 """Share of the light below which a light is off."""
 
 
 def _remarks_of(
-    given: Scene, options: FitOptions, fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_sky: bool
+    given: Scene,
+    options: FitOptions,
+    fitter: PowerFitter,
+    candidate: Candidate,
+    certainty: Certainty,
+    *,
+    has_environment: bool,
 ) -> tuple[str, ...]:
     """The lines; arguments as of ``result_of``, and whether light of harmonics was found."""
     return (
-        *_held(given, options, fitter, has_sky=has_sky),
-        *_colors(fitter, candidate),
-        *_lights(fitter, candidate, certainty, has_sky=has_sky),
+        *_fixed_remarks(given, options, fitter, has_environment=has_environment),
+        *_base_color_remarks(fitter, candidate),
+        *_light_remarks(fitter, candidate, certainty, has_environment=has_environment),
         *_image_remarks(fitter, candidate),
     )
 
 
-def _held(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_sky: bool) -> Iterator[str]:
+def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_environment: bool) -> Iterator[str]:
     """What was fixed, as only products are seen."""
     task = fitter.task
-    if task.degree is not None and any(isinstance(one, LightEnvironment) and one.enabled for one in given.lights):
-        instead = f"replaced by harmonics of degree {task.degree}" if has_sky else "taken out"
+    if task.degree is not None and any(isinstance(light, LightEnvironment) and light.enabled for light in given.lights):
+        instead = f"replaced by harmonics of degree {task.degree}" if has_environment else "taken out"
         yield f"the scene's environment was {instead}"
     sought = {"positions": ("position", "direction"), "radii": ("radius",), "angles": ("inner", "outer")}
     for name, kinds in sought.items():
-        if getattr(options, name) and not any(move.kind in kinds for move in task.light_parameters):
+        if getattr(options, name) and not any(parameter.kind in kinds for parameter in task.light_parameters):
             yield f"{name} were asked for, and no light has any: nothing was looked for"
     if isinstance(options.exposure, str) and not task.exposed[0]:
         others = "; those of the others follow from it" if len(task.exposed) > 1 else ""
@@ -203,28 +209,37 @@ def _held(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_sky: bo
         )
 
 
-def _colors(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
+def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
     """Captures that cannot be as bright as asked for."""
-    for paint in fitter.task.base_colors:
-        share = share_at_white(candidate.scene, paint)
+    for base_color in fitter.task.base_colors:
+        share = share_at_white(candidate.scene, base_color)
         if share > _WHITE:
-            yield f"{paint.name}: {share:.0%} of its Gaussians have become white, and can be no brighter"
+            yield f"{base_color.name}: {share:.0%} of its Gaussians have become white, and can be no brighter"
 
 
-def _lights(fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_sky: bool) -> Iterator[str]:
+def _light_remarks(
+    fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_environment: bool
+) -> Iterator[str]:
     """What cannot be told of lights."""
     for number in certainty.dark:
         yield f"{light_name(candidate, number)}: none of its light is in the photographs, it stays as it was"
     for number, power in candidate.powers.items():
-        if number not in certainty.dark and fitter.task.scales and not (power > _OFF * _brightest(candidate)).any():
+        if (
+            number not in certainty.dark
+            and fitter.task.scales
+            and not (power > _OFF_BELOW * _brightest(candidate)).any()
+        ):
             yield f"{light_name(candidate, number)}: it is off"
-    if candidate.harmonics.shape[1] and not has_sky:
-        yield f"{NAME}: none of its light was found in the photographs, and the scene has none"
-    for names in certainty.alike:
-        if NAME in names and not has_sky:
+    if candidate.sh_renders.shape[1] and not has_environment:
+        yield f"{ENVIRONMENT_NAME}: none of its light was found in the photographs, and the scene has none"
+    for names in certainty.confounded:
+        if ENVIRONMENT_NAME in names and not has_environment:
             continue
-        if names == (NAME,):
-            yield f"{NAME}: some of its harmonics cannot be told from the photographs, and follow from the others"
+        if names == (ENVIRONMENT_NAME,):
+            yield (
+                f"{ENVIRONMENT_NAME}: some of its harmonics cannot be told from the photographs, and follow from the "
+                "others"
+            )
         elif len(names) == 1:
             yield f"{names[0]}: its numbers cannot all be told from the photographs, as some changes look alike"
         else:
@@ -238,22 +253,22 @@ def _brightest(candidate: Candidate) -> float:
 def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
     """What was left out of photographs."""
     weights = candidate.solution.weights * fitter.observed.noise**2
-    for number, one in enumerate(fitter.images):
-        own = fitter.view == number
-        pixels = one.full_size
-        if one.clipped > _CLIPPED * pixels:
-            share = one.clipped / pixels
-            yield f"{one.label}: {share:.0%} of its pixels are clipped (a channel is black or white), and left out"
-        counts = fitter.observed.counts[own]
+    for number, image in enumerate(fitter.images):
+        in_image = fitter.view == number
+        pixels = image.full_size
+        if image.clipped > _CLIPPED * pixels:
+            share = image.clipped / pixels
+            yield f"{image.label}: {share:.0%} of its pixels are clipped (a channel is black or white), and left out"
+        counts = fitter.observed.counts[in_image]
         if not counts.any():
-            yield f"{one.label}: nothing of it counts"
+            yield f"{image.label}: nothing of it counts"
             continue
-        unexplained = float((weights[own][counts] < 0.05).mean())
+        unexplained = float((weights[in_image][counts] < 0.05).mean())
         if unexplained > _UNEXPLAINED:
-            yield f"{one.label}: nothing in the scene explains {unexplained:.0%} of it, which was left out"
+            yield f"{image.label}: nothing in the scene explains {unexplained:.0%} of it, which was left out"
 
 
-ALIKE_BELOW = 1e-3
+CONFOUNDED_BELOW = 1e-3
 """Eigenvalue of the columns' correlations below which those that its vector is made of cannot be told apart: two of
 them correlate to 0.999."""
 
@@ -275,7 +290,7 @@ class Certainty:
     """Standard errors of the positions, scene units, shape (L, 3); NaN where they were not fitted."""
     dark: tuple[int, ...]
     """Lights of which nothing is in the photographs."""
-    alike: tuple[tuple[str, ...], ...]
+    confounded: tuple[tuple[str, ...], ...]
     """Names of what cannot be told apart, a group each."""
 
 
@@ -291,32 +306,34 @@ def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
     lengths = np.sqrt(np.diag(gram).clip(0.0))
     lights = len(candidate.lights) if task.scales else 0
     counts = np.cumsum([0, *unknown_counts(joint.tints)])
-    powers = np.zeros((len(candidate.lights) + bool(candidate.harmonics.shape[1]), 3))
+    powers = np.zeros((len(candidate.lights) + bool(candidate.sh_renders.shape[1]), 3))
     channels = np.einsum("cku,u->kc", np.abs(joint.spread), errors)
     powers[:lights] = channels[:lights]
-    if candidate.harmonics.shape[1]:
+    if candidate.sh_renders.shape[1]:
         powers[-1] = channels[lights] * 0.5 / np.sqrt(np.pi)
     positions = np.full((len(powers), 3), np.nan)
     first = len(candidate.columns.tints)
-    for row, move in enumerate(task.light_parameters):
-        if move.kind == "position":
-            positions[list(candidate.lights).index(move.light), move.axis] = errors[counts[first + row]]
+    for row, parameter in enumerate(task.light_parameters):
+        if parameter.kind == "position":
+            positions[list(candidate.lights).index(parameter.light), parameter.axis] = errors[counts[first + row]]
     brightest = float(lengths[: counts[first]].max(initial=0.0))
     dark = tuple(
         number
         for row, number in enumerate(candidate.lights)
         if row < lights and lengths[counts[row] : counts[row + 1]].max() <= DARK_SHARE * brightest
     )
-    seen = np.flatnonzero(lengths > DARK_SHARE * brightest)
-    return Certainty(powers, positions, dark, _alike(gram[np.ix_(seen, seen)], [names[row] for row in seen]))
+    visible = np.flatnonzero(lengths > DARK_SHARE * brightest)
+    return Certainty(
+        powers, positions, dark, _confounded(gram[np.ix_(visible, visible)], [names[row] for row in visible])
+    )
 
 
-def _alike(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
     """Groups of names whose pictures depend on each other."""
     lengths = np.sqrt(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
     groups: dict[tuple[str, ...], None] = {}
-    for vector in vectors.T[values < ALIKE_BELOW]:
+    for vector in vectors.T[values < CONFOUNDED_BELOW]:
         rows: list[int] = np.flatnonzero(np.abs(vector) > _PART).tolist()
         groups[tuple(dict.fromkeys(names[row] for row in rows))] = None
     return tuple(groups)
@@ -325,9 +342,9 @@ def _alike(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
 def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
     """What the unknowns are of."""
     columns = [light_name(candidate, number) for number in candidate.lights if task.scales]
-    columns += [NAME] * candidate.harmonics.shape[1]
-    columns += [light_name(candidate, move.light) for move in task.light_parameters]
-    columns += ["exposure"] * sum(task.exposed) + [paint.name for paint in task.base_colors]
+    columns += [ENVIRONMENT_NAME] * candidate.sh_renders.shape[1]
+    columns += [light_name(candidate, parameter.light) for parameter in task.light_parameters]
+    columns += ["exposure"] * sum(task.exposed) + [base_color.name for base_color in task.base_colors]
     return [name for name, count in zip(columns, unknown_counts(joint.tints), strict=True) for _ in range(count)]
 
 

@@ -29,10 +29,10 @@ from lumisplat.scene.scene import Scene
 COLOR_STEP = 0.04
 """Step of a derivative by a base colour."""
 
-MOVE_MAX = 0.15
+STEP_LENGTH_MAX = 0.15
 """Of the room's size: the longest way of a lamp in one step."""
 
-MOVED_LEAST = 2e-4
+STEP_MIN = 2e-4
 """Of the room's size: steps shorter than this end the search."""
 
 SEARCH_STEPS = 25
@@ -42,7 +42,7 @@ _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
 """Largest steps of angles, radians, and of the logarithm of an exposure's factor."""
 _ANCHOR = 1e3
 """How much heavier the mean of base colours weighs than all that is seen."""
-_BETTER = 1e-3
+_GAIN_MIN = 1e-3
 """Share of the cost that a step has to save to be followed by another."""
 
 
@@ -50,7 +50,7 @@ _BETTER = 1e-3
 class Slopes:
     """How the photographs change with the numbers of a candidate."""
 
-    pictures: Doubles
+    renders: Doubles
     """Derivatives, exposed, (2, J, N, 3): of light parameters, of exposures, of base colours."""
     tints: tuple[Doubles | None, ...]
     """Light parameters and exposures are one number for all channels, base colours one a channel."""
@@ -75,7 +75,7 @@ def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
                 return candidate
         damping = max(damping / 6.0, 1e-7)
         candidate = other
-        if new_cost > (1.0 - _BETTER) * cost or _is_short(fitter, change):
+        if new_cost > (1.0 - _GAIN_MIN) * cost or _is_short(fitter, change):
             break
     return candidate
 
@@ -84,40 +84,48 @@ def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
     """By central differences of pictures."""
     task = fitter.task
     powers = candidate.powers
-    pictures = [powers[move.light] * _slope_of_move(fitter, candidate, move) for move in task.light_parameters]
-    columns = [fitter.exposed(picture, candidate.gains) for picture in pictures]
+    renders = [
+        powers[parameter.light] * _slope_of_parameter(fitter, candidate, parameter)
+        for parameter in task.light_parameters
+    ]
+    columns = [fitter.exposed(render, candidate.gains) for render in renders]
     tints: list[Doubles | None] = [np.ones(3)] * len(columns)
     for view, is_unknown in enumerate(task.exposed):
         if is_unknown:
-            own = (fitter.view == view)[:, None]
-            columns.append(np.stack([own * candidate.solution.model] * 2))
+            pixels = (fitter.view == view)[:, None]
+            columns.append(np.stack([pixels * candidate.solution.model] * 2))
             tints.append(np.ones(3))
     if task.base_colors:
-        lit = candidate.lit
-        columns += [fitter.exposed(_slope_of_paint(fitter, lit, paint), candidate.gains) for paint in task.base_colors]
+        lit_scene = candidate.lit_scene
+        columns += [
+            fitter.exposed(_slope_of_base_color(fitter, lit_scene, base_color), candidate.gains)
+            for base_color in task.base_colors
+        ]
         tints += [None] * len(task.base_colors)
     empty = np.zeros((2, 0, *candidate.solution.model.shape))
     return Slopes(np.stack(columns, axis=1) if columns else empty, tuple(tints))
 
 
-def _slope_of_move(fitter: PowerFitter, candidate: Candidate, move: LightParameter) -> Doubles:
+def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: LightParameter) -> Doubles:
     """Of a light of power 1."""
-    light = candidate.scene.lights[move.light]
-    ends = [move.applied(light, sign * move.step) for sign in (-1.0, 1.0)]
-    way = 2.0 * move.step
-    if move.kind not in ("position", "direction"):  # it may be at its bound
-        way = _value(move, ends[1]) - _value(move, ends[0])
-    scenes = [_with_light(candidate.scene, move.light, end) for end in ends]
-    before, after = (fitter.picture_of(candidate, move.light, scene) for scene in scenes)
-    return (after - before) / way if way > 0.0 else np.zeros_like(after)
+    light = candidate.scene.lights[parameter.light]
+    ends = [parameter.applied(light, sign * parameter.step) for sign in (-1.0, 1.0)]
+    span = 2.0 * parameter.step
+    if parameter.kind not in ("position", "direction"):  # it may be at its bound
+        span = _value(parameter, ends[1]) - _value(parameter, ends[0])
+    scenes = [_with_light(candidate.scene, parameter.light, end) for end in ends]
+    before, after = (fitter.render_of(candidate, parameter.light, scene) for scene in scenes)
+    return (after - before) / span if span > 0.0 else np.zeros_like(after)
 
 
-def _slope_of_paint(fitter: PowerFitter, lit: Scene, paint: BaseColor) -> Doubles:
+def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: BaseColor) -> Doubles:
     """Of all light."""
-    color = colors_of(lit, [paint])[0]
+    color = colors_of(lit_scene, [base_color])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
-    lights = [light for light in lit.lights if light.enabled]
-    before, after = (fitter.layers.picture(with_base_colors(lit, {paint: end}), lights, fitter.images) for end in ends)
+    lights = [light for light in lit_scene.lights if light.enabled]
+    before, after = (
+        fitter.layers.render(with_base_colors(lit_scene, {base_color: end}), lights, fitter.images) for end in ends
+    )
     return (after - before) / (ends[1] - ends[0])
 
 
@@ -126,7 +134,7 @@ def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
     columns = candidate.columns
     added = spread_of(slopes.tints).shape[2]
     return Columns(
-        pictures=np.concatenate([columns.pictures, slopes.pictures], axis=1),
+        renders=np.concatenate([columns.renders, slopes.renders], axis=1),
         fixed=columns.fixed,
         tints=(*columns.tints, *slopes.tints),
         bounded=np.pad(columns.bounded, ((0, 0), (0, added))),
@@ -173,10 +181,10 @@ def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tupl
     task, scene, gains = fitter.task, candidate.scene, candidate.gains.copy()
     light_parameters = _shortened(fitter, change[: len(task.light_parameters)])
     lights: dict[int, Light] = {number: scene.lights[number] for number in task.lights}
-    for move, amount in zip(task.light_parameters, light_parameters, strict=True):
-        lights[move.light] = move.applied(lights[move.light], float(amount))
-        if move.kind == "position":
-            lights[move.light] = _inside(lights[move.light], task.low, task.high)
+    for parameter, amount in zip(task.light_parameters, light_parameters, strict=True):
+        lights[parameter.light] = parameter.applied(lights[parameter.light], float(amount))
+        if parameter.kind == "position":
+            lights[parameter.light] = _inside(lights[parameter.light], task.low, task.high)
     for number, light in lights.items():
         scene = scene if light is scene.lights[number] else _with_light(scene, number, light)
     rest = change[len(task.light_parameters) :]
@@ -195,12 +203,14 @@ def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
     result = amounts.copy()
     for number in task.lights:
         rows = [
-            row for row, move in enumerate(task.light_parameters) if move.light == number and move.kind == "position"
+            row
+            for row, parameter in enumerate(task.light_parameters)
+            if parameter.light == number and parameter.kind == "position"
         ]
         length = float(np.linalg.norm(amounts[rows]))
-        result[rows] *= min(1.0, MOVE_MAX * task.size / length) if length > 0.0 else 1.0
-    for row, move in enumerate(task.light_parameters):
-        if move.kind in ("direction", "inner", "outer"):
+        result[rows] *= min(1.0, STEP_LENGTH_MAX * task.size / length) if length > 0.0 else 1.0
+    for row, parameter in enumerate(task.light_parameters):
+        if parameter.kind in ("direction", "inner", "outer"):
             result[row] = np.clip(result[row], -_ANGLE_MAX, _ANGLE_MAX)
     return result
 
@@ -208,17 +218,17 @@ def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
 def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
     """Whether a step hardly changed anything."""
     task = fitter.task
-    units = [task.size if move.kind in ("position", "radius") else 1.0 for move in task.light_parameters]
+    units = [task.size if parameter.kind in ("position", "radius") else 1.0 for parameter in task.light_parameters]
     scaled = np.abs(change) / np.concatenate([units, np.ones(len(change) - len(units))])
-    return bool(scaled.max(initial=0.0) < MOVED_LEAST)
+    return bool(scaled.max(initial=0.0) < STEP_MIN)
 
 
 def _inside(light: Light, low: Doubles, high: Doubles) -> Light:
     """The light in the box for lamps."""
     assert isinstance(light, PlacedLight)
-    place = np.array(light.position)
-    held = np.clip(place, low, high)
-    return light if (held == place).all() else replace(light, position=held)
+    position = np.array(light.position)
+    clipped = np.clip(position, low, high)
+    return light if (clipped == position).all() else replace(light, position=clipped)
 
 
 def _with_light(scene: Scene, number: int, light: Light) -> Scene:
@@ -227,16 +237,16 @@ def _with_light(scene: Scene, number: int, light: Light) -> Scene:
     return replace(scene, lights=tuple(lights))
 
 
-def _value(move: LightParameter, light: Light) -> float:
+def _value(parameter: LightParameter, light: Light) -> float:
     """The number that a move of a radius or a cone changes."""
-    return float(getattr(light, "radius" if move.kind == "radius" else f"{move.kind}_angle"))
+    return float(getattr(light, "radius" if parameter.kind == "radius" else f"{parameter.kind}_angle"))
 
 
 _SWEEPS = 3
 """How often each lamp chooses among all places, the others being where they have chosen to be."""
 
 
-def elsewhere(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
+def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
     """The scene with its lamps at those places, of a lattice and where they are, that explain the photographs best.
 
     It is the same object if they are best where they are.
@@ -250,29 +260,29 @@ def elsewhere(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
     movable = [
         number
         for number in task.lights
-        if any(each.light == number and each.kind == "position" for each in task.light_parameters)
+        if any(parameter.light == number and parameter.kind == "position" for parameter in task.light_parameters)
     ]
     choices = {
         number: [candidate.scene.lights[number], *_placed(candidate.scene.lights[number], _lattice(fitter, side))]
         for number in movable
     }
-    steady = [picture.mean(axis=0) for number, picture in candidate.lights.items() if number not in movable]
-    steady += list(candidate.harmonics.mean(axis=0)[:1])
-    pictures = list(steady)
+    fixed_lights = [render.mean(axis=0) for number, render in candidate.lights.items() if number not in movable]
+    fixed_lights += list(candidate.sh_renders.mean(axis=0)[:1])
+    renders = list(fixed_lights)
     first: dict[int, int] = {}
     for number, lights in choices.items():
-        first[number] = len(pictures)
+        first[number] = len(renders)
         for light in lights:
-            rows = fitter.layers.alone(candidate.scene, unit(light), fitter.images, candidate.fixed)
-            pictures.append(rows.mean(axis=0))
-    gram, moments = _products(fitter, candidate, np.array(pictures))
+            rows = fitter.layers.render_light(candidate.scene, unit(light), fitter.images, candidate.fixed)
+            renders.append(rows.mean(axis=0))
+    gram, moments = _products(fitter, candidate, np.array(renders))
     chosen = dict.fromkeys(movable, 0)
     for _ in range(_SWEEPS):
         before = dict(chosen)
         for number in movable:
             others = [first[other] + row for other, row in chosen.items() if other != number]
             gains = [
-                _explained(gram, moments, [*range(len(steady)), *others, first[number] + row])
+                _explained(gram, moments, [*range(len(fixed_lights)), *others, first[number] + row])
                 for row in range(len(choices[number]))
             ]
             chosen[number] = int(np.argmax(gains))
@@ -293,14 +303,14 @@ def _lattice(fitter: PowerFitter, side: int) -> Doubles:
     return np.asarray(fitter.task.low + grid * (fitter.task.high - fitter.task.low))
 
 
-def _placed(light: Light, places: Doubles) -> list[Light]:
-    return [replace(light, position=place) for place in places]  # pyright: ignore[reportCallIssue]
+def _placed(light: Light, positions: Doubles) -> list[Light]:
+    return [replace(light, position=position) for position in positions]  # pyright: ignore[reportCallIssue]
 
 
-def _products(fitter: PowerFitter, candidate: Candidate, pictures: Doubles) -> tuple[Doubles, Doubles]:
+def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tuple[Doubles, Doubles]:
     """Products of all pictures with each other and with the photographs, a matrix a channel."""
     observed = fitter.observed
-    exposed = fitter.exposed(pictures, candidate.gains)
+    exposed = fitter.exposed(renders, candidate.gains)
     weights = observed.counts / observed.noise**2
     left = observed.target - fitter.exposed(candidate.fixed.mean(axis=0), candidate.gains)
     gram = np.einsum("inc,nc,jnc->cij", exposed, weights, exposed, optimize=True)

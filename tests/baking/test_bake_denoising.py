@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from lumisplat.baking.bake_denoising import SeenWeights, denoised_by_rays
+from lumisplat.baking.bake_denoising import RayWeights, denoised_by_rays
 
 GAUSSIANS, RAYS = 30, 6000
 WEIGHTS = np.array([0.5, 0.3, 0.2])
 
 
-def neighbours(rng: np.random.Generator) -> SeenWeights:
+def neighbours(rng: np.random.Generator) -> RayWeights:
     """Rays that see three Gaussians each, next to each other."""
     first = rng.integers(0, GAUSSIANS - 2, RAYS)
-    return SeenWeights(
+    return RayWeights(
         ray=np.repeat(np.arange(RAYS), 3),
         gaussian=(first[:, None] + np.arange(3)).ravel(),
         weight=np.tile(WEIGHTS, RAYS),
@@ -34,7 +34,7 @@ def test_sums_are_those_of_a_matrix():
     np.testing.assert_allclose(seen.mean_of(of_rays), expected, atol=1e-12)
 
 
-def base_of(seen: SeenWeights, colors: np.ndarray) -> np.ndarray:
+def base_of(seen: RayWeights, colors: np.ndarray) -> np.ndarray:
     """What rays show of even light."""
     return seen.blended(colors) / seen.blended(np.ones((GAUSSIANS, 1)))
 
@@ -101,7 +101,7 @@ def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
     """
     rng = np.random.default_rng(3)
     seen = neighbours(rng)
-    seen = SeenWeights(seen.ray, seen.gaussian, 0.5 * seen.weight, seen.rays, seen.gaussians)
+    seen = RayWeights(seen.ray, seen.gaussian, 0.5 * seen.weight, seen.rays, seen.gaussians)
     colors = np.full((GAUSSIANS, 3), 0.6)
     found = rng.binomial(4, 0.5, (2, RAYS, 1)) / 4.0
     light = denoised_by_rays(found * 0.6 * np.array([0.5, 1.0, 2.0]), found, base_of(seen, colors), seen, 2.0)
@@ -122,7 +122,7 @@ def test_noise_of_what_is_met_by_chance_goes():
 
 def test_what_no_ray_sees_is_no_trouble():
     """Rays without sights are dark, and Gaussians without rays give nothing."""
-    seen = SeenWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
+    seen = RayWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
     light = denoised_by_rays(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), seen, 1.0)
     np.testing.assert_allclose(light[:, 0], 0.3)
     assert (light[:, 1] == 0.0).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.baking.joint_sh_fit import Blend, Pixels, changed_to_fit, hits_light
+from lumisplat.baking.joint_sh_fit import Blend, Pixels, hits_light, refitted_sh
 from lumisplat.constants import SH_C0
 from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.launcher import Launcher
@@ -39,7 +39,7 @@ def test_blends_are_those_of_numpy_and_errors_go_back_by_their_transpose() -> No
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
     colors = np.einsum("sk,skc->sc", sh_basis(some.direction.astype(np.float64), 3), sh[some.gaussian])
     expected = (some.weight[:, None] * np.maximum(colors + 0.5, 0.0)).reshape(RAYS, SIGHTS, 3).sum(axis=1)
-    np.testing.assert_allclose(blend.show(sh), expected, atol=1e-5)
+    np.testing.assert_allclose(blend.pixel_colors(sh), expected, atol=1e-5)
     forward, back = (blend.blend(sh) * errors).sum(), (sh * blend.gather(errors)).sum()
     np.testing.assert_allclose(forward, back, rtol=1e-4)
 
@@ -51,11 +51,12 @@ def test_harmonics_that_are_known_are_found_again() -> None:
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
     start = truth + rng.normal(0.0, 0.1, truth.shape)
-    known = Pixels(blend.show(truth), 0.0, some.ray, some.gaussian, some.weight, some.direction)
-    found = changed_to_fit(blend, known, start, np.zeros(GAUSSIANS))
+    known = Pixels(blend.pixel_colors(truth), 0.0, some.ray, some.gaussian, some.weight, some.direction)
+    found = refitted_sh(blend, known, start, np.zeros(GAUSSIANS))
     assert np.abs(found - truth).mean() < 0.5 * np.abs(start - truth).mean()
     assert (
-        np.square(blend.show(found) - known.colors).mean() < 0.01 * np.square(blend.show(start) - known.colors).mean()
+        np.square(blend.pixel_colors(found) - known.colors).mean()
+        < 0.01 * np.square(blend.pixel_colors(start) - known.colors).mean()
     )
 
 
@@ -69,7 +70,7 @@ def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend
         **{name: getattr(some, name)[:sights] for name in ("ray", "gaussian", "weight", "direction")},
     )
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
-    return blend, replace(some, colors=blend.show(truth) + rng.normal(0.0, 0.1, (rays, 3)))
+    return blend, replace(some, colors=blend.pixel_colors(truth) + rng.normal(0.0, 0.1, (rays, 3)))
 
 
 def test_a_few_rays_that_come_later_do_not_undo_what_many_have_shown() -> None:
@@ -77,9 +78,9 @@ def test_a_few_rays_that_come_later_do_not_undo_what_many_have_shown() -> None:
     rng = np.random.default_rng(3)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
     many, few = noisy(rng, truth, RAYS), noisy(rng, truth, RAYS // 20)
-    first = changed_to_fit(*many, np.zeros_like(truth), np.zeros(GAUSSIANS))
+    first = refitted_sh(*many, np.zeros_like(truth), np.zeros(GAUSSIANS))
     then, heedless = (
-        changed_to_fit(*few, first, known) for known in (many[1].information(GAUSSIANS), np.zeros(GAUSSIANS))
+        refitted_sh(*few, first, known) for known in (many[1].information(GAUSSIANS), np.zeros(GAUSSIANS))
     )
     off, off_then, off_heedless = (np.square(found - truth).mean() for found in (first, then, heedless))
     assert off_then < 1.05 * off

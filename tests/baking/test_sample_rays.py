@@ -12,7 +12,7 @@ import pytest
 import lumisplat as ls
 from lumisplat.baking import joint_sh_fit
 from lumisplat.baking.joint_sh_fit import JointShFit, Pixels
-from lumisplat.baking.sample_rays import Lines, SampleRays
+from lumisplat.baking.sample_rays import DrawnRays, SampleRays
 from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball, diffuse
 
@@ -24,9 +24,9 @@ def ways_of(instance: ls.SplatInstance) -> SampleRays:
     return SampleRays.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
 
 
-def lines_of(instance: ls.SplatInstance, count: int) -> Lines:
+def lines_of(instance: ls.SplatInstance, count: int) -> DrawnRays:
     """So many along these ways."""
-    return ways_of(instance).lines(0, count, seed=1)
+    return ways_of(instance).draw(0, count, seed=1)
 
 
 def small() -> ls.SplatInstance:
@@ -52,7 +52,7 @@ def test_ways_are_taken_by_their_shares() -> None:
     weights[:, 3] = 0.0
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
     ways = SampleRays.of_views(instance, directions, weights, distances, first=0)
-    lines = ways.lines(0, 1000, seed=1)
+    lines = ways.draw(0, 1000, seed=1)
     # From the eye to the middle of the Gaussian, whichever of its points the ray looks at.
     along = instance.gaussians.means[:, None] - lines.origins
     along /= np.linalg.norm(along, axis=2, keepdims=True)
@@ -66,13 +66,13 @@ def test_each_ray_is_drawn_anew_and_whichever_are_drawn_with_it() -> None:
     """Other draws for each Gaussian, seed and round, and the same for some of the Gaussians as for all."""
     ways = ways_of(small())
     ways = replace(ways, means=np.zeros_like(ways.means), axes=np.broadcast_to(np.eye(3, dtype=np.float32), (60, 3, 3)))
-    lines = [ways.lines(*numbers) for numbers in ((0, 16, 1), (1, 16, 1), (0, 16, 2))]
+    lines = [ways.draw(*numbers) for numbers in ((0, 16, 1), (1, 16, 1), (0, 16, 2))]
     origins = np.concatenate([one.origins.reshape(-1, 3) for one in lines])
     towards = np.concatenate([(one.directions / one.directions[..., :1]).reshape(-1, 3)[:, 1:] for one in lines])
     assert len(np.unique(origins.round(5), axis=0)) > 0.999 * len(origins)
     assert len(np.unique(towards.round(5), axis=0)) > 0.999 * len(towards)
     rows = np.array([7, 2, 41])
-    some = ways.of(rows).lines(1, 16, 1)
+    some = ways.of(rows).draw(1, 16, 1)
     np.testing.assert_array_equal(some.origins, lines[1].origins[rows])
     np.testing.assert_array_equal(some.directions, lines[1].directions[rows])
 
@@ -84,7 +84,7 @@ def test_ways_are_put_where_they_stay() -> None:
     names = SampleRays.__slots__
     size = sum(getattr(part, name).nbytes for name in names)
     tracemalloc.start()
-    ways = SampleRays.room(20 * count, 8)
+    ways = SampleRays.allocated(20 * count, 8)
     for number in range(20):
         ways.put(number * count, part)
     _, peak = tracemalloc.get_traced_memory()
@@ -104,15 +104,15 @@ def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.Mon
     scene = ls.Scene([inside], lights=[ls.LightPoint((0.0, 0.0, 0.0))])
     found: list[np.ndarray] = []
     origins: list[np.ndarray] = []
-    seen = JointShFit._seen
+    seen = JointShFit._choose_usable
 
-    def noted(self: JointShFit, lines: Lines, wanted: np.ndarray) -> Any:
+    def noted(self: JointShFit, lines: DrawnRays, wanted: np.ndarray) -> Any:
         rays, kept = seen(self, lines, wanted)
         found.append(wanted - kept)
         origins.append(rays.origins)
         return rays, kept
 
-    monkeypatch.setattr(JointShFit, "_seen", noted)
+    monkeypatch.setattr(JointShFit, "_choose_usable", noted)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     ls.bake(scene, config, degree=0, directions=8, device="cpu")
     first, last = found[0], found[-1]
@@ -135,11 +135,11 @@ def test_the_more_rays_the_fewer_gaussians_are_changed_together(monkeypatch: pyt
     scene = ls.Scene([small()], lights=[ls.LightDirectional((0.0, -1.0, 0.0))])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
     whole = ls.bake(scene, config, degree=0, directions=16, device="cpu").splats[0].gaussians.sh
-    monkeypatch.setattr(joint_sh_fit, "LINES_AT_ONCE", 300)
+    monkeypatch.setattr(joint_sh_fit, "RAYS_AT_ONCE", 300)
     parts = ls.bake(scene, config, degree=0, directions=16, device="cpu").splats[0].gaussians.sh
     np.testing.assert_array_equal(parts, whole)
     monkeypatch.setattr(JointShFit, "pixels", noted)
-    monkeypatch.setattr(joint_sh_fit, "TOGETHER_RAYS", 333)
+    monkeypatch.setattr(joint_sh_fit, "JOINT_RAYS", 333)
     for directions in (4, 16):
         counts.clear()
         ls.bake(scene, config, degree=0, directions=directions, device="cpu")

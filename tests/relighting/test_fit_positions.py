@@ -165,12 +165,12 @@ def test_slopes_are_those_of_finer_differences():
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)
     fitter = PowerFitter(task, photographs, LightLayers(DIRECT, "cpu"))
     candidate = fitter.begin(task.scene, task.gains)
-    coarse = slopes_of(fitter, candidate).pictures[0]
+    coarse = slopes_of(fitter, candidate).renders[0]
     fine_task = replace(
         task, light_parameters=tuple(replace(move, step=0.25 * move.step) for move in task.light_parameters)
     )
     fitter.task = fine_task
-    fine = slopes_of(fitter, candidate).pictures[0]
+    fine = slopes_of(fitter, candidate).renders[0]
     assert coarse.shape == (3, 96 * 72, 3)
     scale = np.abs(fine).mean(axis=(1, 2), keepdims=True)
     smooth = (np.abs(coarse) < 20.0 * scale) & (np.abs(fine) < 20.0 * scale)
