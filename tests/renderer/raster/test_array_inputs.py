@@ -42,7 +42,7 @@ class TensorOfNumPy(Tensor):
 )
 def test_what_cannot_be_read_is_one_line(given: Any, problem: str) -> None:
     """With what its package says, and what to do."""
-    remedy = "; expected numbers, and a tensor that has gradients detached"
+    remedy = "; expected an array of numbers; detach tensors with gradients"
     with pytest.raises(ls.SceneError, match=f"^dL_dcolor cannot be read as an array: {problem}{remedy}$") as found:
         given_array("dL_dcolor", given, (2, 2))
     assert "\n" not in str(found.value)

@@ -172,7 +172,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ls.ConfigError, match=r"^render_features: render a frame first$"):
         renderer.render_features(np.zeros((16, 1)))
     renderer.render(scene, camera)
-    with pytest.raises(ls.ConfigError, match="show features of this frame first"):
+    with pytest.raises(ls.ConfigError, match="call render_features for this frame"):
         renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 1)))
     for features in (np.zeros((3, 1)), np.zeros(16), np.zeros((16, 0))):
         with pytest.raises(ls.SceneError, match=r"^features has shape .*, expected \(16, 1\)$"):
@@ -181,7 +181,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ls.SceneError, match=r"^dL_dfeatures has shape \(30, 36, 1\), expected \(30, 36, 2\)$"):
         renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 1)))
     renderer.render(scene, camera)
-    with pytest.raises(ls.ConfigError, match="show features of this frame first"):
+    with pytest.raises(ls.ConfigError, match="call render_features for this frame"):
         renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 2)))
 
 

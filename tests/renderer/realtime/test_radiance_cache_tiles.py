@@ -62,7 +62,7 @@ def test_a_full_cache_forgets_the_oldest(caplog: pytest.LogCaptureFixture) -> No
             rig.insert(made_samples(tile_row(10 * frame, 10)), frame)
             rig.cache.evict(frame)
     assert [record.message for record in caplog.records] == [
-        "the radiance cache is full: 10 tiles had to go, 0 found no room; set realtime.cache.tiles above 64"
+        "the radiance cache is full: 10 tiles were evicted, 0 could not be added; set realtime.cache.tiles above 64"
     ]
     assert rig.statistics.evicted == 20
     left = rig.look_up(made_samples(tile_row(0, 64), radiance=0.0))[:, 0]

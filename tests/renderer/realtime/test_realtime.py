@@ -121,7 +121,7 @@ def test_another_size_begins_anew(caplog: pytest.LogCaptureFixture) -> None:
     again = frame_after(renderer, ROOM, 12, small)
     frame_after(renderer, ROOM, 1)
     told = [line for line in caplog.messages if "size" in line]
-    assert told == ["the camera's size has changed from 96 x 72 to 64 x 48: the sequence begins anew"]
+    assert told == ["the image size has changed from 96 x 72 to 64 x 48: the real-time history is discarded"]
     other, _ = sequence(ROOM, 1, max_bounces=0)
     other.reset()
     frame_after(other, ROOM, 1, small)

@@ -1,1 +1,1 @@
-"""From the radiance of samples to the images of a frame."""
+"""The film: accumulates the radiance of samples and turns it into the images of a frame."""

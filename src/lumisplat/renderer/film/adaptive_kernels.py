@@ -1,4 +1,4 @@
-"""Which pixels take part in a sample where their noise decides how often they do. One item is one ray, or one pixel.
+"""Kernels of adaptive sampling: which pixels take part in a sample, by their noise. One item is one ray or one pixel.
 
 The equations are in docs/method/samples.md#adaptive-sampling.
 """
@@ -10,11 +10,11 @@ from lumisplat.device.camera.pixels import pixel_of_ray
 from lumisplat.device.film.samples import relative_variance
 from lumisplat.device.structs.camera import FilmData, ListedRays
 
-# Products and sums are rounded one by one, as the host's are: samples lie where they do in frames of equal samples.
+# No fused multiply-add, as on the host: sample positions must equal those of non-adaptive frames.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NOISE_RADIUS_PX = 3
-"""Adaptive sampling knows a pixel by those up to so many rows and columns away."""
+"""Rows and columns to each side whose pixels estimate the noise of a pixel."""
 
 FIRST = wp.constant(NOISE_SAMPLES_MIN)
 RATES = wp.constant(SAMPLE_RATES)
@@ -25,7 +25,7 @@ STEP_Y = wp.constant(wp.float64(SUBPIXEL_STEPS[1]))
 
 @wp.func
 def samples_before(sample: int, rate: int) -> int:
-    """Samples that a pixel of a rate has before sample ``sample`` of those that have all."""
+    """Returns the number of samples that a pixel of rate ``rate`` has before sample ``sample`` of full-rate pixels."""
     if sample < FIRST:
         return sample
     return FIRST + (sample - FIRST) * rate // RATES
@@ -33,7 +33,7 @@ def samples_before(sample: int, rate: int) -> int:
 
 @wp.func
 def subpixel(sample: int) -> wp.vec2:
-    """Position of a sample in its pixel, 0..1, as the host's."""
+    """Returns the position of a sample in its pixel, 0..1; the same as on the host."""
     n = wp.float64(sample)
     half = wp.float64(0.5)
     one = wp.float64(1.0)
@@ -42,7 +42,7 @@ def subpixel(sample: int) -> wp.vec2:
 
 @wp.kernel
 def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
-    """Item = place of a ray among those of all pixels: whether its pixel takes part in a sample, 0 or 1."""
+    """Item = ray of the full frame: writes 1 if its pixel takes part in the sample, else 0."""
     ray = start + wp.tid()
     is_drawn_out[ray] = 0
     pixel = pixel_of_ray(width, ray)
@@ -62,7 +62,7 @@ def list_rays(
     ends: wp.array[int],
     listed_out: ListedRays,
 ):
-    """Item = place of a ray: lists it, if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
+    """Item = ray of the full frame: lists it if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
     ray = start + wp.tid()
     if is_drawn[ray] == 0:
         return
@@ -76,14 +76,14 @@ def list_rays(
 
 @wp.kernel
 def measure_noise(start: int, least: float, film: wp.array[FilmData], noise_out: wp.array[float]):
-    """Item = pixel: the relative variance of one sample."""
+    """Item = pixel: writes the relative variance of one sample."""
     pixel = start + wp.tid()
     noise_out[pixel] = relative_variance(pixel, least, film)
 
 
 @wp.kernel
 def average_neighbors(start: int, width: int, height: int, noise: wp.array[float], mean_out: wp.array[float]):
-    """Item = pixel: the mean over its neighbours, without itself; those whose noise is not known are left out."""
+    """Item = pixel: averages the noise of its neighbours, excluding itself and neighbours whose noise is not finite."""
     pixel = start + wp.tid()
     x = pixel % width
     y = pixel // width

@@ -1,4 +1,4 @@
-"""Noise of pixels, and the host pass that draws more samples of noisy ones than of others (docs/method/samples.md)."""
+"""Host pass: adaptive sampling, which draws more samples for noisy pixels (docs/method/samples.md)."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SAMPLE_RATE_MIN = 2
-"""Least rate of a pixel, of `SAMPLE_RATES`: an eighth of all samples reaches pixels that seemed quiet, where light that
-was missed may be."""
+"""Minimum rate of a pixel, in units of 1 / `SAMPLE_RATES`: an eighth of all samples reaches pixels that seem
+noise-free, where light may have been missed."""
 
 NOISE_LUMINANCE_MIN = 0.01
-"""Linear luminance, after exposure, below which errors are no longer relative: 2 % of it are a third of a step of 8
-bits in display space."""
+"""Linear luminance, after exposure, below which errors are absolute instead of relative. 2 % of it is a third of an
+8-bit step in display space."""
 
 
 class AdaptiveRays:
-    """Lists the rays of the pixels that take part in a sample.
+    """Chooses the sampling rates of pixels, and lists the rays of the pixels that take part in a sample.
 
     Args:
         launcher: Runs the kernels.
@@ -41,30 +41,30 @@ class AdaptiveRays:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def begin(self, size: tuple[int, int]) -> None:
-        """Starts a frame of that width and height: all of its pixels take part in all samples."""
+        """Starts a frame of that width and height; all pixels take part in all samples."""
         self._size = size
         self.rates.fill_(SAMPLE_RATES)
 
     @property
     def rates(self) -> DeviceArray:
-        """How often each pixel takes part, of `SAMPLE_RATES` samples."""
+        """Number of samples, of every `SAMPLE_RATES`, in which each pixel takes part."""
         return self._buffers.get("film.rates", wp.int32, self._pixel_count)
 
     @property
     def listed(self) -> ListedRays:
-        """Room for the rays of all pixels."""
+        """Arrays that can list the rays of all pixels."""
         return self._listed(grown_capacity(ray_count(*self._size)))
 
     def list(self, sample: int, *, jitters: bool) -> ListedRays:
-        """The rays of a sample, and room for some more.
+        """Returns the rays of a sample, in arrays with some spare capacity.
 
         Args:
-            sample: Number of the sample in pixels that take part in all.
-            jitters: Samples spread over their pixels.
+            sample: Number of the sample in full-rate pixels.
+            jitters: Whether samples are spread over their pixels.
         """
         count, (width, height) = ray_count(*self._size), self._size
         is_drawn = self._buffers.get("film.is_drawn", wp.int32, count)
@@ -79,11 +79,11 @@ class AdaptiveRays:
         return listed
 
     def choose_rates(self, film: DeviceArray, least: float) -> None:
-        """Chooses the rates of pixels, each by the noise of its neighbours.
+        """Chooses the sampling rate of each pixel by the noise of its neighbours.
 
         Args:
-            film: With the first `NOISE_SAMPLES_MIN` samples of all pixels.
-            least: Luminance that errors of darker pixels are relative to.
+            film: The film, with the first `NOISE_SAMPLES_MIN` samples of all pixels.
+            least: Luminance below which errors are absolute instead of relative.
         """
         count, get = self._pixel_count, self._buffers.get
         noise, means = get("film.noise", wp.float32, count), get("film.noise_around", wp.float32, count)
@@ -93,7 +93,7 @@ class AdaptiveRays:
             self.rates.assign(rates_of(means.numpy()))
 
     def total_before(self, sample: int) -> int:
-        """Samples of all pixels before sample ``sample``."""
+        """Returns the number of samples of all pixels before sample ``sample``."""
         first = min(sample, NOISE_SAMPLES_MIN)
         rates = self.rates.numpy().astype(np.int64)
         return first * len(rates) + int(((sample - first) * rates // SAMPLE_RATES).sum())
@@ -107,9 +107,9 @@ class AdaptiveRays:
 
 
 def rates_of(noise: FloatArray) -> IntArray:
-    """How often pixels take part: in proportion to the relative variance of one sample, (N,), so that errors are alike.
+    """Returns the sampling rates of pixels, in proportion to the relative variance of one sample, (N,).
 
-    The noisiest, beyond `NOISE_PIXELS` of all, always take part.
+    That makes their errors equal. The noisiest pixels, beyond the quantile `NOISE_PIXELS`, have the full rate.
     """
     reference = quantile(noise, NOISE_PIXELS)
     if not reference > 0.0:
@@ -119,14 +119,14 @@ def rates_of(noise: FloatArray) -> IntArray:
 
 
 def least_luminance(exposure: float, *, is_lit: bool) -> float:
-    """The luminance that errors of darker pixels are relative to, in the colours of a frame."""
+    """Returns the luminance below which errors are absolute instead of relative, in the colour space of the frame."""
     if is_lit:
         return NOISE_LUMINANCE_MIN / exposure_gain(exposure)
     return float(encode_srgb(np.float32(NOISE_LUMINANCE_MIN)))
 
 
 def quantile(values: FloatArray, share: float) -> float:
-    """The smallest value that a share of all values are not above; NaN: there are none."""
+    """Returns the ``share`` quantile: the smallest value that this fraction of all does not exceed; NaN if empty."""
     if not values.size:
         return math.nan
     index = math.ceil(share * values.size) - 1

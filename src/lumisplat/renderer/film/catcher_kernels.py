@@ -1,4 +1,4 @@
-"""Smooths the ratios of shadow catchers over the noise of their depths. One item is one pixel.
+"""Kernels that smooth the shadow ratios of catchers over the noise of their depths. One item is one pixel.
 
 The equations are in docs/method/lighting.md#captures-without-a-surface.
 """
@@ -15,36 +15,36 @@ from lumisplat.device.structs.shading import ShadingScene
 wp.set_module_options({"enable_backward": False})
 
 CATCHER_STEPS = 144
-"""The noise of depths is measured between pixels so many of which are the longer side of a picture: as far apart as
-Gaussians of short trainings are large. Between neighbours their depths are smooth."""
+"""Depth noise is measured between pixels a 144th of the full frame's longer side apart, about the size of Gaussians of
+short trainings. Depths of adjacent pixels are too smooth to show the noise."""
 
 CATCHER_BLUR = 2.0
-"""Standard deviation by which the ratio of a catcher is smoothed, over that of its height; a pixel's is taken off. With
-2, the shadow on a wall of 12,000 Gaussians has one edge; floors with a surface stay as they are to the bit."""
+"""Standard deviation of the blur of a ratio over that of the surface height; that of one pixel is subtracted. With 2,
+the shadow on a wall of 12,000 Gaussians has one edge, and floors with a surface keep their bits."""
 
 CATCHER_BLUR_STEPS = 2
-"""Standard deviation by which a ratio is smoothed at most, in the distances of which `CATCHER_STEPS` are a picture."""
+"""Maximum standard deviation of the blur of a ratio, in tap distances (a 144th of the longer side, `CATCHER_STEPS`)."""
 
 CATCHER_DEPTHS = 16.0
-"""Standard deviation of depths that are one layer for it, over that of the height."""
+"""Standard deviation of the depth weight of the blur over that of the surface height."""
 
 STEPS = wp.constant(CATCHER_STEPS)
 BLUR = wp.constant(wp.float32(CATCHER_BLUR))
 BLUR_STEPS = wp.constant(CATCHER_BLUR_STEPS)
 DEPTHS = wp.constant(wp.float32(CATCHER_DEPTHS))
 DEVIATION = wp.constant(wp.float32(math.sqrt(math.pi / 2.0) / 6.0))
-"""Standard deviation of a pixel's noise over the mean size of ``mixed_difference``."""
+"""Standard deviation of a pixel's noise over the mean absolute mixed second difference (Immerkær 1996)."""
 
 
 @wp.func
 def stride_of(camera: CameraData) -> int:
-    """Distance of the taps of differences, pixels: it grows with the whole picture, as Gaussians do."""
+    """Returns the distance between the taps of differences, pixels; it scales with the full frame, as Gaussians do."""
     return wp.max((wp.max(camera.picture_width, camera.picture_height) + STEPS // 2) // STEPS, 2)
 
 
 @wp.func
 def catches(pixel: int, scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Whether the surface of a pixel is that of a shadow catcher."""
+    """Returns whether the surface of a pixel is a shadow catcher."""
     instance = film[0].pixels.instance[pixel]
     if instance < 0 or instance >= scene[0].splats.shape[0] or film[0].pixels.depth[pixel] >= wp.inf:
         return False
@@ -60,10 +60,10 @@ def store_ratios(
     depth_out: wp.array[float],
     ratio_out: wp.array[wp.vec3],
 ):
-    """The ratio of a pixel's captured part with what was added to that without, and how deep its surface lies.
+    """Writes the ratio of a pixel's captured colour with and without added objects and lights, and the pixel's depth.
 
-    The latter is 1 over the depth, the depth itself in parallel projection: linear over the image on a plane. 0: the
-    pixel shows Gaussians too thin for a surface. -1: it shows something else.
+    ``depth_out`` is 1 / depth, or the depth itself in orthographic projection: linear in the image on a plane. 0: the
+    pixel shows Gaussians too thin for a surface. -1: the pixel shows no shadow catcher.
     """
     pixel = start + wp.tid()
     ratio_out[pixel] = captured_ratio(pixel, film)
@@ -77,7 +77,7 @@ def store_ratios(
 
 @wp.func
 def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> float:
-    """What ``store_ratios`` has of a pixel; -1 beyond the image."""
+    """Returns the depth that ``store_ratios`` wrote for a pixel; -1 beyond the image."""
     if x < 0 or y < 0 or x >= camera.width or y >= camera.height:
         return float(-1.0)
     return depths[y * camera.width + x]
@@ -85,7 +85,7 @@ def depth_at(x: int, y: int, camera: CameraData, depths: wp.array[float]) -> flo
 
 @wp.func
 def per_pixel(value: float, camera: CameraData) -> float:
-    """What differences of depths that are ``value`` there are multiplied with, to be in sizes of a pixel."""
+    """Returns the factor that converts differences of depths around ``value`` to pixel sizes."""
     focal = wp.sqrt(camera.focal[0] * camera.focal[1])
     return wp.where(camera.model == ORTHOGRAPHIC, focal, focal / value)
 
@@ -97,7 +97,7 @@ def measure_depths(
     depths: wp.array[float],
     measured_out: wp.array[wp.vec4],
 ):
-    """Noise of the depth around a pixel, its slope to the right and down, in sizes of a pixel, and 1; 0: unknown."""
+    """Writes noise and slopes (right, down) of the depth around a pixel, in pixel sizes, and 1; all 0 if unknown."""
     pixel = start + wp.tid()
     measured_out[pixel] = wp.vec4(0.0)
     x = pixel % camera[0].width
@@ -127,7 +127,7 @@ def measure_depths(
 def sum_depths(
     start: int, down: bool, camera: wp.array[CameraData], values: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]
 ):
-    """Sums of what was measured over the pixels to the left and right, or above and below, up to a stride away."""
+    """Sums the measurements over the pixels up to one stride away, along rows or, with ``down``, columns."""
     pixel = start + wp.tid()
     width = camera[0].width
     at = wp.where(down, pixel // width, pixel % width)
@@ -142,9 +142,9 @@ def sum_depths(
 
 @wp.kernel
 def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4], noise_out: wp.array[float]):
-    """Noise of the height of a surface, in sizes of a pixel: the least of what four sides of the pixel show.
+    """Writes the noise of the surface height, in pixel sizes: the least of four squares diagonal to the pixel.
 
-    Where one surface ends, another side shows it alone. 0 where too few pixels are known.
+    Where the surface ends, one of the squares shows it alone. 0 if too few pixels are known.
     """
     pixel = start + wp.tid()
     x = pixel % camera[0].width
@@ -166,7 +166,7 @@ def find_noise(start: int, camera: wp.array[CameraData], sums: wp.array[wp.vec4]
 
 @wp.func
 def blur_of(noise: float, stride: int) -> float:
-    """Standard deviation by which a ratio is smoothed, pixels; exactly 0 for noise that is no wider than a pixel."""
+    """Returns the standard deviation of the blur of a ratio, pixels; exactly 0 for noise below half a pixel."""
     wide = BLUR * noise
     return wp.min(wp.sqrt(wp.max(wide * wide - 1.0, 0.0)), float(BLUR_STEPS * stride))
 
@@ -182,9 +182,9 @@ def smooth_ratios(
     ratio: wp.array[wp.vec3],
     ratio_out: wp.array[wp.vec3],
 ):
-    """Means of the ratios to the left and right, or above and below, of surfaces as deep as their noise allows.
+    """Blurs the ratios along rows or, with ``down``, columns, over surfaces as deep as their noise allows.
 
-    Where Gaussians are too thin for a surface, what they cover has the mean ratio of the surfaces around.
+    A pixel of Gaussians too thin for a surface takes the mean ratio of the surfaces around, in proportion to its alpha.
     """
     pixel = start + wp.tid()
     ratio_out[pixel] = ratio[pixel]
@@ -194,7 +194,7 @@ def smooth_ratios(
     center = depths[pixel]
     if blur <= 0.0 or center < 0.0:
         return
-    unit = float(0.0)  # of depths: those around a hole are one layer
+    unit = float(0.0)  # pixel sizes per depth; 0 in a hole: all depths around count as one layer
     if center > 0.0:
         unit = per_pixel(center, camera[0])
     at = wp.where(down, pixel // width, pixel % width)
@@ -221,5 +221,5 @@ def smooth_ratios(
 
 @wp.kernel
 def develop_ratios(start: int, film_inout: wp.array[FilmData]):
-    """Makes the linear colour of a pixel of what was captured, its ratio, and light."""
+    """Writes the linear colour of a pixel from its captured colour, ratio and added light."""
     develop(start + wp.tid(), film_inout)

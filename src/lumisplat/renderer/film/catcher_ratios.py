@@ -1,4 +1,7 @@
-"""Host pass: how light that was added or blocked changes captured colours, smooth where captures have no surface."""
+"""Host pass: shadow ratios of catchers, smoothed where captures have no clear surface.
+
+The ratio is the captured colour with added light and shadows over that without.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class CatcherRatios:
-    """Finds the ratios of shadow catchers (docs/method/lighting.md#captures-without-a-surface).
+    """Computes the ratios of shadow catchers (docs/method/lighting.md#captures-without-a-surface).
 
     Args:
         launcher: Runs the kernels.
@@ -23,15 +26,15 @@ class CatcherRatios:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def ratios(self, count: int) -> DeviceArray:
-        """Returns the array of so many ratios, which ``FilmData.ratio`` is."""
+        """Returns the array of ``count`` ratios, for ``FilmData.ratio``."""
         return self._buffers.get("film.shadow_ratio", wp.vec3, count)
 
     def develop(self, scene: DeviceScene, film: DeviceArray, count: int) -> None:
-        """Writes the ratios of the means of samples, and the colours of pixels that follow."""
+        """Computes the ratios from the means of samples, and the pixel colours that follow from them."""
         get, run = self._buffers.get, self._launcher.run_banded
         ratio, across = self.ratios(count), get("film.ratio_across", wp.vec3, count)
         measured, rows = (get(f"film.{name}", wp.vec4, count) for name in ("depth_noise_sums", "depth_noise_rows"))

@@ -1,4 +1,4 @@
-"""Host pass: accumulates the samples of rays in the images of a frame."""
+"""Host pass: the film, which accumulates the samples of rays in the images of a frame."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ CATCHER_LAYERS = {
     "captured_ambient": "ambient",
     "captured_open": "open",
 }
-"""What shadow catchers receive: fields of the film, and fields of the radiance of rays that they are means of."""
+"""Light that shadow catchers receive: fields of the film, and the fields of ray radiance that they average."""
 
 
 class Film:
-    """Sums over what the rays of pixels see.
+    """Accumulates the radiance of rays per pixel, and produces the images of the frame.
 
     Args:
         launcher: Runs the kernels.
@@ -61,7 +61,7 @@ class Film:
         self._catchers = CatcherRatios(launcher, buffers)
 
     def modules(self, plan: FramePlan, *, encodes: bool) -> list[KernelModule]:
-        """The kernel modules of a frame; on CUDA its picture is always encoded."""
+        """Returns the kernel modules of a frame. On CUDA, a frame is always encoded to 8 bits."""
         modules: list[KernelModule] = []
         if encodes or self._launcher.is_cuda:
             modules += [picture_kernels.LIT if plan.is_lit else picture_kernels]
@@ -76,13 +76,13 @@ class Film:
         """Starts a frame, or resumes one to add more samples to it.
 
         Args:
-            scene: Whose samples are added.
-            plan: Of the frame.
-            resume: That frame.
-            part: The part of a frame that is made, from its first sample on; what it holds already is restored.
+            scene: The scene.
+            plan: Plan of the frame.
+            resume: The frame to resume.
+            part: The range of samples to render; samples that it holds already are restored.
 
         Raises:
-            ConfigError: That frame does not hold what samples are added to.
+            ConfigError: The frame to resume lacks accumulated images.
         """
         self._plan = plan
         self._size = scene.image_size
@@ -118,11 +118,11 @@ class Film:
             self._restore(part.count, part.accumulated, _images_of_part(part))
 
     def rays_of(self, sample: int, exposure: float) -> ListedRays | None:
-        """The rays of the pixels that take part in a sample; None: all do.
+        """Returns the rays of the pixels that take part in a sample; None: all pixels do.
 
         Args:
-            sample: Its number in pixels that take part in all.
-            exposure: Of the camera.
+            sample: Number of the sample in full-rate pixels.
+            exposure: Exposure of the camera.
         """
         self._samples += 1
         if not self._plan.adapts:
@@ -132,14 +132,14 @@ class Film:
         return self._adaptive.list(sample, jitters=self._plan.jitters)
 
     def add(self, scene: DeviceScene, wave: RayWave, lights: LightImages) -> None:
-        """Adds the scene's current sample: the first wave, with one ray a pixel; on CUDA by a captured graph."""
+        """Adds the current sample: the first wave, with one ray a pixel; on CUDA by a captured graph."""
         self._launcher.replay("store", (scene.graph_key, wave.count), lambda: self._store(scene, wave, lights))
 
     def noise(self, exposure: float) -> float:
-        """The relative error that `NOISE_PIXELS` of the pixels are estimated to be below.
+        """Estimates the relative error that a fraction `NOISE_PIXELS` of the pixels does not exceed.
 
         Args:
-            exposure: Of the camera: how dark a pixel is seen.
+            exposure: Exposure of the camera, which decides how dark a pixel appears.
         """
         errors = self._buffers.get("film.errors", wp.float32, self._pixel_count)
         with self._launcher.stage("noise"):
@@ -148,7 +148,7 @@ class Film:
             return quantile(errors.numpy(), NOISE_PIXELS)
 
     def finish(self, scene: DeviceScene) -> None:
-        """After the last sample: makes the images of the sums, and counts; on CUDA by a captured graph."""
+        """Computes the images from the sums and counts after the last sample; on CUDA by a captured graph."""
         self._launcher.replay("finish", (scene.graph_key, self._has_sums), lambda: self._finish(scene))
 
     def _finish(self, scene: DeviceScene) -> None:
@@ -166,7 +166,7 @@ class Film:
                 is_apart = self._plan.traces_paths
                 inputs = is_apart, self._data, self._image("emission"), self._image("emission_shown")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
-            if self._launcher.is_parallel:  # then the frame's count is one number to download
+            if self._launcher.is_parallel:  # so that only one number has to be downloaded
                 self._count_total.zero_()
                 self._launcher.run(film_kernels.sum_counts, COUNT_SUM_THREADS, self._count, self._count_total)
 
@@ -178,17 +178,17 @@ class Film:
             self._launcher.run_banded(film_kernels.add_samples, wave.count, scene.shading, wave.data, self._data)
 
     def unlit_images(self, pixels: PixelBuffers[PixelData], *, transparent: bool, encodes: bool) -> dict[str, Any]:
-        """As ``images``, of a frame whose ``pixels`` were drawn in one go."""
+        """Returns the images as ``images``, for an unlit frame whose ``pixels`` were rasterised without the film."""
         encode = partial(encoded_pixels, self._launcher, self._buffers, pixels, transparent=transparent)
         return self._copied(pixels, {}, encode, transparent=transparent, encodes=encodes)[1]
 
     def images(self, exposure: float, config: RenderConfig, *, encodes: bool) -> dict[str, Any]:
-        """The images of the frame, by the names of `Frame`'s fields; on CUDA functions that download them.
+        """Returns the images of the frame by field name of `Frame`; on CUDA as functions that download them.
 
         Args:
-            exposure: Of the camera, for the picture that is encoded.
-            config: Says how that is shown.
-            encodes: Whether there is one; on CUDA there always is.
+            exposure: Exposure of the camera, for the 8-bit image.
+            config: Settings of the 8-bit image: background and tone map.
+            encodes: Whether to encode an 8-bit image; on CUDA there always is one.
         """
         transparent = config.background is None
         arrays = self._accumulated()
@@ -210,12 +210,12 @@ class Film:
         return images | self._layer_images(copies) | {"accumulated": copies.give(partial(_words, copies, accumulated))}
 
     def picture(self, exposure: float, config: RenderConfig) -> ReadPicture:
-        """Encodes the picture once more, with another exposure or tone map; the images stay as they are."""
+        """Encodes the 8-bit image again with another exposure or tone map; all other images are unchanged."""
         copies = self._buffers.downloads.copies({"picture": self._encoded(exposure, config)})
         return picture_of(copies, "picture", self._pixels.size, transparent=config.background is None)
 
     def _encoded(self, exposure: float, config: RenderConfig) -> DeviceArray:
-        """The bytes of the picture."""
+        """Returns the encoded bytes of the frame."""
         transparent = config.background is None
         if not self._plan.is_lit:
             return encoded_pixels(self._launcher, self._buffers, self._pixels, transparent=transparent)
@@ -223,7 +223,7 @@ class Film:
         return encoded_lit_pixels(self._launcher, self._buffers, self._pixels, self._lit, display)
 
     def _layer_images(self, copies: Copies) -> dict[str, Any]:
-        """The layers that the frame asks for."""
+        """Returns the layers (AOVs) that the frame requests."""
         images: dict[str, Any] = {}
         size, light_count = self._size, self._light_count
         for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
@@ -253,7 +253,7 @@ class Film:
 
     @property
     def nonfinite_count(self) -> int:
-        """Samples of the frame that were left out as they were NaN or infinite."""
+        """Number of samples of the frame that were dropped because they were NaN or infinite."""
         drawn = self._samples * self._pixel_count
         if self._plan.adapts:
             drawn = self._adaptive.total_before(self._samples)
@@ -262,7 +262,7 @@ class Film:
         return drawn - int(self._count.numpy().sum(dtype=np.int64))
 
     def _sampled_images(self, wave: RayWave, lights: LightImages) -> dict[str, DeviceArray]:
-        """The layers of the sample, an array of wp.vec3 each."""
+        """Returns the layers of the current sample, an array of wp.vec3 each."""
         images: dict[str, DeviceArray] = {
             name: getattr(wave.row.radiance, name)
             for name in ("albedo", "emission", "reflection")
@@ -280,7 +280,7 @@ class Film:
         return images | {f"arrived{n}": image for n, image in enumerate(lights.arrived)} | lights.layers
 
     def _accumulated(self) -> dict[str, DeviceArray]:
-        """What samples are added to, by name."""
+        """Returns the arrays that samples are accumulated in, by name."""
         names = [
             name for name in ("albedo", "reflection", "hits", *PATH_PARTS, *REALTIME_AOVS) if name in self._plan.aovs
         ]
@@ -304,7 +304,7 @@ class Film:
         transparent: bool,
         encodes: bool,
     ) -> tuple[Copies, dict[str, Any]]:
-        """Copies of pixels and of other arrays, and the images of the pixels; on CUDA or if asked for, a picture."""
+        """Returns copies of pixels and other arrays, and the pixels' images; on CUDA or on request an 8-bit one."""
         arrays = {"pixels": pixels.block} | arrays
         encodes = encodes or self._buffers.downloads.is_lazy
         if encodes:
@@ -321,17 +321,17 @@ class Film:
 
     @classmethod
     def _channel(cls, size: tuple[int, int], copies: Copies, name: str) -> FloatArray:
-        """A layer of one number."""
+        """Returns the first channel of a layer."""
         return cls._layer(size, copies, name)[..., 0]
 
     @classmethod
     def _whole(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
-        """A layer of one whole number."""
+        """Returns the first channel of a layer as integers."""
         return cls._channel(size, copies, name).astype(np.int32)
 
     @classmethod
     def _known(cls, size: tuple[int, int], copies: Copies, name: str) -> IntArray:
-        """1 where a layer is a number, 0 where it is NaN."""
+        """Returns 1 where a layer is a number, 0 where it is NaN."""
         return (~np.isnan(cls._channel(size, copies, name))).astype(np.int32)
 
     @classmethod
@@ -341,17 +341,19 @@ class Film:
 
     @classmethod
     def _shadow_shares(cls, size: tuple[int, int], copies: Copies, count: int) -> FloatArray:
-        """What of the direct light of each light arrives."""
+        """Returns the fraction of the direct light of each light that is not shadowed."""
         direct, arrived = (cls._layers(size, copies, kind, count) for kind in ("direct", "arrived"))
         return np.clip(np.divide(arrived, direct, out=np.ones_like(arrived), where=direct > 0.0), 0.0, 1.0)
 
     def _restore(self, samples: int, held: Mapping[str, FloatArray], images: dict[str, npt.NDArray[Any]]) -> None:
-        """Uploads what so many samples were added to, and the images that more of them leave as they are."""
+        """Uploads the accumulated arrays of ``samples`` samples, and images that further samples leave unchanged."""
         arrays = self._accumulated()
-        implied = {"sums"} if samples == 1 else set[str]()  # its images are that sample
+        implied = {"sums"} if samples == 1 else set[str]()  # a frame of one sample holds that sample in its images
         if missing := arrays.keys() - held.keys() - implied:
             names = ", ".join(sorted(missing))
-            raise ConfigError(f"cannot resume a frame that does not hold what samples are added to: {names}")
+            raise ConfigError(
+                f"cannot resume a frame that lacks accumulated images: {names}; render it again with these settings"
+            )
         self._pixels.upload(images)
         if self._plan.is_lit:
             self._lit.upload(images | {"color": images["lit_color"]})
@@ -364,7 +366,7 @@ class Film:
 
     @property
     def _adds_captured(self) -> bool:
-        """Whether captures, which paths add up apart, or their changes are yet to be added to the emission."""
+        """True if the emission layer still lacks captured colours, which paths sum separately, or their changes."""
         return "emission" in self._plan.aovs and (self._plan.traces_paths or self._plan.has_shadow_catchers)
 
     def _image(self, name: str) -> DeviceArray:
@@ -404,19 +406,19 @@ class Film:
 
 
 def has_catchers(plan: FramePlan) -> bool:
-    """Whether a frame shows shadow catchers."""
+    """Returns whether a frame has shadow catchers."""
     return plan.has_shadow_catchers or plan.has_receivers
 
 
 def _images_of_pixels(pixels: PixelBuffers[PixelData], copies: Copies) -> dict[str, Any]:
-    """The images of a frame, by the names of `Frame`'s fields, in copies of its ``pixels``."""
+    """Returns the images of ``pixels`` from their copies, by field name of `Frame`."""
     images = pixels.images(copies, "pixels")
     images["gaussian_index"], images["instance_index"] = images.pop("gaussian"), images.pop("instance")
     return images
 
 
 def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
-    """Returns the images of a frame that is resumed, by the names of buffers."""
+    """Returns the images of a resumed frame, by buffer name."""
     images = {
         "color": frame.color if frame.captured is None else frame.captured,
         "alpha": frame.alpha,
@@ -431,7 +433,7 @@ def _images_of_frame(frame: Frame) -> dict[str, npt.NDArray[Any]]:
 
 
 def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
-    """Returns those of a part: the surfaces of its first sample; its sums make the others."""
+    """Returns the images of a part of a frame: surfaces of its first sample; its sums provide the others."""
     width, height = part.size
     empty = np.zeros((height, width), np.float32)
     dark = np.zeros((height, width, 3), np.float32)
@@ -440,12 +442,12 @@ def _images_of_part(part: SamplePart) -> dict[str, npt.NDArray[Any]]:
 
 
 def _elements(words: FloatArray, array: DeviceArray) -> npt.NDArray[Any]:
-    """32-bit words as the elements of an array."""
+    """Reinterprets 32-bit words as the elements of an array."""
     if array.dtype is wp.int32:
         return words.view(np.int32)
     return words.reshape(-1, 3) if array.dtype is wp.vec3 else words
 
 
 def _words(copies: Copies, names: list[str]) -> dict[str, FloatArray]:
-    """Copies of arrays, as their 32-bit words."""
+    """Returns copies of arrays as their 32-bit words."""
     return {name: copies.words(name) for name in names}

@@ -1,4 +1,4 @@
-"""Adds the samples of rays to the film, and makes its images of them. One item is one ray, or one pixel."""
+"""Kernels that add samples of rays to the film, and turn it into images. One item is one ray or one pixel."""
 
 import warp as wp
 
@@ -31,7 +31,7 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
-    """The pixel of a ray; -1: it has none, beyond the image or the list of rays."""
+    """Returns the pixel of a ray; -1 for rays beyond the image or the list of rays."""
     if film[0].in_blocks == 0:
         return ray
     frame_ray = ray
@@ -47,13 +47,13 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
 
 @wp.func
 def begins_frame(scene: wp.array[ShadingScene], film: wp.array[FilmData]) -> bool:
-    """Whether the current sample is the first of its frame, or of its part of a frame."""
+    """Returns whether the current sample is the first of its frame, or of its part of a frame."""
     return film[0].in_sequence == 1 or scene[0].sample[0].index == film[0].first_sample
 
 
 @wp.func
 def surface_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """The first surface on a ray; nothing where there is no ray."""
+    """Returns the first surface on a ray; an empty surface for inactive rays."""
     surface = FirstSurface()
     surface.depth = wp.inf
     surface.gaussian = -1
@@ -70,9 +70,9 @@ def add_samples(
     wave: wp.array[WaveData],
     film_inout: wp.array[FilmData],
 ):
-    """Adds a sample to the sums of pixels, and stores the surface that the first one hits.
+    """Adds a sample to the sums of its pixel; the first sample also stores the surface that its ray hits.
 
-    Samples that are not finite are left out, and not counted. Without sums, the sample makes the images.
+    Samples that are not finite are dropped and not counted. Without sums, the sample itself becomes the images.
     """
     i = start + wp.tid()
     pixel = pixel_index(i, film_inout)
@@ -94,7 +94,7 @@ def add_samples(
 
 @wp.kernel
 def restore_sums(start: int, film_inout: wp.array[FilmData]):
-    """Item = pixel: the sums of a frame of one sample, from its images."""
+    """Item = pixel: restores the sums of a frame of one sample from its images."""
     pixel = start + wp.tid()
     if film_inout[0].count[pixel] == 1:
         add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
@@ -102,7 +102,7 @@ def restore_sums(start: int, film_inout: wp.array[FilmData]):
 
 @wp.kernel
 def average_samples(start: int, film_inout: wp.array[FilmData]):
-    """Item = pixel: makes the images of the sums; colours of frames with shadow catchers follow with their ratios."""
+    """Item = pixel: turns the sums into images. With shadow catchers, ``develop_ratios`` writes the colours later."""
     pixel = start + wp.tid()
     store_sample(pixel, mean_sample(pixel, film_inout), film_inout)
     if film_inout[0].lit.light and not film_inout[0].ratio:
@@ -113,7 +113,7 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
 def add_captured(
     start: int, is_apart: bool, film: wp.array[FilmData], emission: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
 ):
-    """Item = pixel: what is seen that shines, with the captured part, where it ``is_apart``, and its changes."""
+    """Item = pixel: adds changes of the captured colour to the emission and, if ``is_apart``, that colour itself."""
     pixel = start + wp.tid()
     emission_out[pixel] = emission[pixel] + captured_change(pixel, film)
     if is_apart:
@@ -122,7 +122,7 @@ def add_captured(
 
 @wp.kernel
 def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.array[wp.vec3]):
-    """Item = pixel: the variance of the mean; inf where there are fewer than two samples."""
+    """Item = pixel: writes the variance of the mean; inf for fewer than two samples."""
     pixel = start + wp.tid()
     count = film[0].count[pixel]
     variance_out[pixel] = wp.vec3(wp.inf)
@@ -132,7 +132,7 @@ def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.arr
 
 @wp.kernel
 def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_out: wp.array[float]):
-    """Item = pixel: the standard error of the mean over its luminance, or over ``least`` where it is darker."""
+    """Item = pixel: writes the standard error of the mean over its luminance, or over ``least`` if that is larger."""
     pixel = start + wp.tid()
     errors_out[pixel] = wp.inf
     if film[0].count[pixel] >= 2:
@@ -141,7 +141,7 @@ def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_o
 
 @wp.kernel
 def sum_counts(counts: wp.array[int], total_inout: wp.array[wp.int64]):
-    """Adds up counts in 64 bits; one item adds every 4096th. Not to be banded: atomic."""
+    """Sums counts in 64 bits; each item adds every 4096th count. Must not be banded, as it uses atomics."""
     total = wp.int64(0)
     i = wp.tid()
     while i < counts.shape[0]:
@@ -159,7 +159,7 @@ def add_image(
     values: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
 ):
-    """Adds a sample of any colour to the means of an image, before ``add_samples`` counts the sample."""
+    """Adds a sample of any colour to the means of an image. Must run before ``add_samples`` counts the sample."""
     i = start + wp.tid()
     pixel = pixel_index(i, film)
     if pixel < 0:
@@ -172,7 +172,7 @@ def add_image(
 
 @wp.kernel
 def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3]):
-    """Number of Gaussians that each ray blended, the same in all channels."""
+    """Writes the number of Gaussians that each ray blended, the same in all channels."""
     i = start + wp.tid()
     count_out[i] = wp.vec3(0.0)
     if wave[0].rays.is_active[i]:
@@ -181,7 +181,7 @@ def count_hits(start: int, wave: wp.array[WaveData], count_out: wp.array[wp.vec3
 
 @wp.kernel
 def merge_captured(start: int, wave_inout: wp.array[WaveData]):
-    """Makes ``captured`` the whole linear radiance of lit rays, for queries that do not ask for its parts."""
+    """Sets ``captured`` to the total linear radiance of lit rays, for queries that do not ask for its parts."""
     i = start + wp.tid()
     captured = captured_color(wave_inout[0].radiance.captured[i], wave_inout[0].radiance.captured_weight[i])
     wave_inout[0].radiance.captured[i] = captured + wave_inout[0].radiance.light[i]

@@ -1,4 +1,4 @@
-"""Host pass: the picture of a frame as bytes, so that who only shows or saves it downloads 4 bytes a pixel."""
+"""Host pass: encodes frames to 8-bit images, so that display and saving download only 4 bytes a pixel."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TONE_MAPS = {ToneMap.NONE: TONE_NONE, ToneMap.NEUTRAL: TONE_NEUTRAL, ToneMap.AG
 def encoded_pixels(
     launcher: Launcher, buffers: Buffers, pixels: PixelBuffers[PixelData], *, transparent: bool
 ) -> DeviceArray:
-    """The bytes of all pixels of an unlit frame, one word each, and a word more, see the kernel."""
+    """Encodes an unlit frame to one RGBA word a pixel, plus a word for non-finite pixels (see the kernel)."""
     picture = _empty_picture(buffers, pixels)
     launcher.run_banded(picture_kernels.encode_pixels, len(picture) - 1, transparent, pixels.data, picture)
     return picture
@@ -35,7 +35,7 @@ def encoded_lit_pixels(
     lit: PixelBuffers[LitPixels],
     display: PictureData,
 ) -> DeviceArray:
-    """The same of a lit frame. Its bytes are the host's but for some that are next to one another's edge."""
+    """Encodes a lit frame as ``encoded_pixels``. Bytes equal the host's, except for rounding between two values."""
     picture = _empty_picture(buffers, pixels)
     inputs = display, pixels.data, lit.data, picture
     launcher.run_banded(picture_kernels.encode_lit_pixels, len(picture) - 1, *inputs)
@@ -43,7 +43,7 @@ def encoded_lit_pixels(
 
 
 def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> PictureData:
-    """How a lit frame becomes a picture."""
+    """Returns the display transform of a lit frame: exposure, tone map and alpha mode."""
     data = PictureData()
     data.straight, data.tone_map, data.gain = int(transparent), _TONE_MAPS[tone_map], exposure_gain(exposure)
     data.agx_from_rec709 = wp.mat33(*AGX_FROM_REC709.ravel())
@@ -53,7 +53,7 @@ def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> Pi
 
 
 def _empty_picture(buffers: Buffers, pixels: PixelBuffers[PixelData]) -> DeviceArray:
-    """A word a pixel, and a zero."""
+    """Returns an array of one word a pixel, plus a last word of 0."""
     count = pixels.size[0] * pixels.size[1]
     picture = buffers.get("film.picture", wp.uint32, count + 1)
     picture[count:].zero_()
@@ -61,7 +61,7 @@ def _empty_picture(buffers: Buffers, pixels: PixelBuffers[PixelData]) -> DeviceA
 
 
 def picture_of(copies: Copies, name: str, size: tuple[int, int], *, transparent: bool) -> ReadPicture:
-    """What fetches a picture from copies of its bytes: (H, W, 3), or (H, W, 4) if it is ``transparent``."""
+    """Returns a function that fetches the 8-bit image from copies: (H, W, 3), or (H, W, 4) if ``transparent``."""
 
     def read() -> npt.NDArray[np.uint8] | None:
         words = copies.words(name).view(np.uint32)

@@ -1,6 +1,6 @@
-"""Pictures of unlit and of lit frames, as bytes, and the pixels of rays through Gaussians alone.
+"""Kernels that encode unlit and lit frames to 8 bits, and the pixels of rays through Gaussians.
 
-Each is a Warp module of its own, as a module is compiled whole: a frame compiles the one that it runs.
+Each is in a Warp module of its own, as modules compile whole: a frame compiles only the one that it runs.
 """
 
 import warp as wp
@@ -11,7 +11,7 @@ from lumisplat.device.math.color import over
 from lumisplat.device.structs.camera import LitPixels, PictureData, PixelData
 from lumisplat.device.structs.rays import GaussianHits
 
-# Products and sums are rounded one by one, as the host's are: so are the bytes.
+# No fused multiply-add, as on the host, so that the bytes are equal.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LIT = wp.get_module(f"{__name__}.lit")
@@ -22,15 +22,15 @@ wp.set_module_options({"enable_backward": False}, RAYS)
 
 @wp.kernel
 def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp.array[wp.uint32]):
-    """Item = pixel: red, green, blue and alpha in one word; in the last word 1 if some pixel is not finite.
+    """Item = pixel: packs red, green, blue and alpha into one word; sets the last word to 1 if a pixel is not finite.
 
-    Colours are divided by alpha if they are to be ``straight``.
+    With ``straight``, colours are divided by alpha.
     """
     i = start + wp.tid()
     color = pixels.color[i]
     alpha = pixels.alpha[i]
     if not (channels_finite(color) and wp.isfinite(alpha)):
-        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # the same from every thread
+        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # all threads write the same value
         return
     if straight:
         color = straightened(color, alpha)
@@ -41,7 +41,7 @@ def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp
 def encode_lit_pixels(
     start: int, picture: PictureData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
 ):
-    """Item = pixel: as ``encode_pixels``, of a lit frame, which is exposed and tone-mapped."""
+    """Item = pixel: exposes and tone-maps a pixel of a lit frame, and packs it as ``encode_pixels``."""
     i = start + wp.tid()
     captured = pixels.color[i]
     alpha = pixels.alpha[i]
@@ -49,7 +49,7 @@ def encode_lit_pixels(
     light = lit.light[i]
     finite = channels_finite(captured) and channels_finite(light) and channels_finite(lit.color[i])
     if not (finite and wp.isfinite(alpha) and wp.isfinite(weight)):
-        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # the same from every thread
+        picture_out[picture_out.shape[0] - 1] = wp.uint32(1)  # all threads write the same value
         return
     if picture.straight != 0:
         captured = straightened(captured, alpha)
@@ -62,7 +62,7 @@ def encode_lit_pixels(
 def store_ray_colors(
     start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData
 ):
-    """Item = ray of a pixel: its colour over the background, and alpha; the other images stay as they are."""
+    """Item = ray: writes the colour of its pixel over the background, and alpha; the other images are unchanged."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     if at[0] < width and at[1] < height:

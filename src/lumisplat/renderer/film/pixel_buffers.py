@@ -1,4 +1,4 @@
-"""The pixels of a frame on the device."""
+"""Device buffers of the pixels of a frame."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ FIELDS = (
     ("gaussian", wp.int32, 1),
     ("instance", wp.int32, 1),
 )
-"""Arrays of ``PixelData``: name, element, 32-bit words an element."""
+"""Arrays of ``PixelData``: name, element type, 32-bit words an element."""
 
 LIT_FIELDS = (("captured_weight", wp.float32, 1), ("light", wp.vec3, 3), ("color", wp.vec3, 3))
-"""The same of ``LitPixels``."""
+"""Arrays of ``LitPixels``, in the format of ``FIELDS``."""
 
 SUM_FIELDS = (("color", wp.vec3d, 6), ("alpha", wp.float64, 2), ("radiance", wp.vec3d, 6), ("squares", wp.vec3d, 6))
-"""The same of ``PixelSums``."""
+"""Arrays of ``PixelSums``, in the format of ``FIELDS``."""
 
 LIT_SUM_FIELDS = (("captured_weight", wp.float64, 2), ("light", wp.vec3d, 6))
 """Further arrays of ``PixelSums`` in lit frames."""
@@ -39,31 +39,31 @@ LIT_SUM_FIELDS = (("captured_weight", wp.float64, 2), ("light", wp.vec3d, 6))
 
 @dataclass(frozen=True, slots=True)
 class PixelBuffers(Generic[Pixels]):
-    """Arrays of a frame's pixels, one after another in one block of device memory."""
+    """Arrays of a frame's pixels, consecutive in one block of device memory."""
 
     data: Pixels
-    """The struct of these arrays, for kernels."""
+    """Struct of the arrays, for kernels."""
     block: DeviceArray
-    """The memory, as float32."""
+    """The memory block, as float32."""
     size: tuple[int, int]
     """Width and height of the image."""
     fields: tuple[tuple[str, type[object], int], ...]
-    """The arrays of the block, as in ``FIELDS``."""
+    """Arrays of the block, in the format of ``FIELDS``."""
     downloads: Downloads
-    """Copies the block to the host."""
+    """Downloads the block to the host."""
 
     @staticmethod
     def of(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[PixelData]:
-        """The buffers of an image of that width and height; the same memory for every image of that size."""
+        """Returns the buffers of an image of that width and height; images of one size share their memory."""
         return _split_block(buffers, "pixels", PixelData(), FIELDS, size)
 
     @staticmethod
     def of_light(buffers: Buffers, size: tuple[int, int]) -> PixelBuffers[LitPixels]:
-        """The buffers of the further arrays of a lit image."""
+        """Returns the buffers of the further arrays of a lit image."""
         return _split_block(buffers, "lit_pixels", LitPixels(), LIT_FIELDS, size)
 
     def upload(self, images: dict[str, npt.NDArray[Any]]) -> None:
-        """Uploads images, by the names of the fields."""
+        """Uploads images, by field name."""
         self.block.assign(np.concatenate([images[name].reshape(-1).view(np.float32) for name, _, _ in self.fields]))
 
     def download(self) -> dict[str, npt.NDArray[Any]]:
@@ -72,11 +72,11 @@ class PixelBuffers(Generic[Pixels]):
         return {name: read() for name, read in self._reads(copies, "pixels").items()}
 
     def images(self, copies: Copies, name: str) -> dict[str, Any]:
-        """The images in copies of these arrays, or functions that download them; shapes (H, W) or (H, W, 3).
+        """Returns the images in copies of the block, or functions that download them; shapes (H, W) or (H, W, 3).
 
         Args:
-            copies: Of ``block`` and others.
-            name: Of ``block`` among them.
+            copies: Copies of ``block`` and of other arrays.
+            name: Name of ``block`` among the copies.
         """
         return {field: copies.give(read) for field, read in self._reads(copies, name).items()}
 
@@ -94,7 +94,7 @@ class PixelBuffers(Generic[Pixels]):
 
 
 def pixel_sums(buffers: Buffers, count: int, *, is_lit: bool) -> tuple[PixelSums, DeviceArray]:
-    """The sums of ``count`` pixels, and the memory that holds them, as float32."""
+    """Returns the sums of ``count`` pixels, and the memory block that holds them, as float32."""
     fields = SUM_FIELDS + (LIT_SUM_FIELDS if is_lit else ())
     block, arrays = buffers.split("pixel_sums", fields, count)
     sums = PixelSums()
@@ -106,7 +106,7 @@ def pixel_sums(buffers: Buffers, count: int, *, is_lit: bool) -> tuple[PixelSums
 def _image(
     copies: Copies, words: tuple[str, int, int], shape: tuple[int, ...], number: type[np.generic]
 ) -> npt.NDArray[Any]:
-    """An image among the words of copies: name, first word and count."""
+    """Returns an image from copies; ``words`` is the name of the copy, its first word and the number of words."""
     return copies.words(*words).view(number).reshape(shape)
 
 
@@ -117,7 +117,7 @@ def _split_block(
     fields: tuple[tuple[str, type[object], int], ...],
     size: tuple[int, int],
 ) -> PixelBuffers[Pixels]:
-    """Buffers whose arrays share one block, set as the fields of ``data``."""
+    """Returns buffers whose arrays share one block, and sets them as the fields of ``data``."""
     block, arrays = buffers.split(name, fields, size[0] * size[1])
     for field, array in arrays.items():
         setattr(data, field, array)

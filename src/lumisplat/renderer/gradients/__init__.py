@@ -1,1 +1,1 @@
-"""Derivatives of frames and rays by splats, Gaussians and the camera (docs/method/gradients.md)."""
+"""Gradients of frames and rays with respect to Gaussians and the camera (docs/method/gradients.md)."""

@@ -1,4 +1,4 @@
-"""Arrays of derivatives: those that callers give, those on the device, and those that callers get."""
+"""Gradient arrays: upstream gradients from callers, gradients on the device, and the results that callers get."""
 
 from __future__ import annotations
 
@@ -15,71 +15,75 @@ from lumisplat.renderer.scene.assets import SplatAsset
 from lumisplat.runtime.buffers import Buffers, device_array
 
 DLPACK_CUDA = 2
-"""kDLCUDA of dlpack.h."""
+"""Device type of CUDA memory, kDLCUDA of dlpack.h."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SetGradient:
-    """Derivatives by the Gaussians of one set, as that stores them; 0 for those that the camera does not see."""
+    """Gradients of the loss with respect to the stored parameters of one Gaussian set; 0 for Gaussians out of view."""
 
     means: FloatArray
-    """Shape (N, 3)."""
+    """Gradients with respect to the means, shape (N, 3)."""
     rotations_wxyz: FloatArray
-    """By quaternions that are normalised after they have changed, so at right angles to them; shape (N, 4)."""
+    """Gradients with respect to the quaternions, shape (N, 4). Quaternions are taken to be normalised after each
+    update, so each gradient is perpendicular to its quaternion."""
     scales: FloatArray
-    """By standard deviations, not by their logarithms; shape (N, 3)."""
+    """Gradients with respect to the standard deviations, not to their logarithms; shape (N, 3)."""
     opacities: FloatArray
-    """By 0..1, not by logits; shape (N,)."""
+    """Gradients with respect to the opacities in 0..1, not to their logits; shape (N,)."""
     sh: FloatArray
-    """Shape (N, K, 3); 0 for degrees above those of the frame."""
+    """Gradients with respect to the SH coefficients, shape (N, K, 3); 0 for degrees above the SH degree of the frame.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplatGradients:
-    """Derivatives of a number by what a frame was drawn from."""
+    """Gradients of the loss with respect to the inputs of a frame: Gaussians, background, camera pose and features."""
 
     sets: tuple[SetGradient, ...]
-    """By the distinct Gaussian sets of the scene, in the order of their first instances; over all instances of each."""
+    """Gradients of the distinct Gaussian sets, in the order of their first instances; each is summed over all
+    instances of the set."""
     background: Doubles
-    """By the colour of the background, shape (3,)."""
+    """Gradient with respect to the background colour, shape (3,)."""
     camera_from_world: Doubles | None
-    """By the elements of the camera's pose, shape (4, 4), whose last row is 0; None: it was not asked for. Small turns
-    and shifts of the camera follow from it by the chain rule; of a frame of rays, nothing else is in it, and both poses
-    of a rolling shutter move together."""
+    """Gradient with respect to the elements of the camera pose, shape (4, 4), with a last row of 0; None if not
+    requested. The chain rule turns it into gradients of small rotations and translations of the camera. With
+    ``Pipeline.TRACE`` and ``Projection.UNSCENTED`` it holds rigid motions of the camera only, and both poses of a
+    rolling shutter move together."""
     centers: FloatArray
-    """By where splats are in the image, pixels; of all Gaussians of the scene, instance by instance, shape (N, 2). No
-    rows, like what follows, of a frame of rays: these know no splats."""
+    """Gradients with respect to the splat centres in the image, pixels, shape (N, 2), for all Gaussians of the scene,
+    instance by instance. Shape (0, 2) with ``Pipeline.TRACE`` and ``Projection.UNSCENTED``, which have no 2D splats."""
     centers_absolute: FloatArray
-    """The same with the magnitudes of what pixels add by way of colour and alpha (AbsGS, Ye et al. 2024), shape
-    (N, 2)."""
+    """Sums of the absolute per-pixel gradients with respect to the splat centres, by way of colour and alpha, shape
+    (N, 2) (AbsGS, Ye et al. 2024). Shape (0, 2) where ``centers`` is."""
     weights: FloatArray
-    """Sum of the weights with which each is blended in the frame, shape (N,)."""
+    """Sum over the pixels of each Gaussian's blending weight (alpha times transmittance), shape (N,)."""
     features: FloatArray | None = None
-    """By the features that were shown, shape (N, C); None: they were not asked for."""
+    """Gradients with respect to the rendered features, shape (N, C); None if not requested."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayGradients:
-    """Derivatives of a number by the Gaussians that rays have hit."""
+    """Gradients of the loss with respect to the Gaussians that given rays hit."""
 
     sets: tuple[SetGradient, ...]
-    """As of `SplatGradients`."""
+    """Gradients of the distinct Gaussian sets, ordered as in `SplatGradients`."""
     weights: FloatArray
-    """As of `SplatGradients`."""
+    """Sum over the rays of each Gaussian's blending weight (alpha times transmittance), shape (N,)."""
 
 
 def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-    """A caller's array as C-contiguous float32, without a copy where that is possible; those of GPUs are downloaded.
+    """Converts a caller's array to C-contiguous float32, without a copy if possible; GPU arrays are downloaded.
 
     Raises:
-        SceneError: It cannot be read, has another shape, or values that are not finite.
+        SceneError: The array cannot be read, has another shape than ``shape``, or has values that are not finite.
     """
     try:
         array = _read(values)
     except (BufferError, RuntimeError, TypeError, ValueError) as error:
         problem = str(error).partition("\n")[0].rstrip(".")
         raise SceneError(
-            f"{name} cannot be read as an array: {problem}; expected numbers, and a tensor that has gradients detached"
+            f"{name} cannot be read as an array: {problem}; expected an array of numbers; detach tensors with gradients"
         ) from None
     if array.shape != shape:
         raise SceneError(f"{name} has shape {array.shape}, expected {shape}")
@@ -90,10 +94,10 @@ def given_array(name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
 
 
 def _read(values: Any) -> FloatArray:
-    """As ``given_array``, of any shape.
+    """Converts a caller's array of any shape to C-contiguous float32.
 
     Raises:
-        BufferError, RuntimeError, TypeError, ValueError: Its package refuses, or it is no array.
+        BufferError, RuntimeError, TypeError, ValueError: The array's package refuses, or the value is no array.
     """
     if _is_on_gpu(values):
         there = cast(Any, wp).from_dlpack(values)
@@ -102,18 +106,18 @@ def _read(values: Any) -> FloatArray:
 
 
 def _is_on_gpu(values: Any) -> bool:
-    """Whether an array says, by DLPack, that NumPy cannot read its memory."""
+    """Returns whether DLPack reports that the array is in CUDA memory, which NumPy cannot read."""
     device = getattr(values, "__dlpack_device__", None)
     return device is not None and int(device()[0]) == DLPACK_CUDA
 
 
 def gradient_of_asset(buffers: Buffers, asset: SplatAsset, number: int) -> GaussianGradient:
-    """Arrays with undefined contents.
+    """Returns uninitialised gradient arrays for one Gaussian asset.
 
     Args:
-        buffers: Hold them.
+        buffers: Hold the arrays.
         asset: The Gaussians.
-        number: The asset's, in the scene.
+        number: Index of the asset in the scene.
     """
     get, count = buffers.get, asset.gaussians.count
     out = GaussianGradient()
@@ -127,7 +131,7 @@ def gradient_of_asset(buffers: Buffers, asset: SplatAsset, number: int) -> Gauss
 
 
 def set_gradient(gradient: GaussianGradient) -> SetGradient:
-    """Derivatives by a Gaussian set, of those on the device."""
+    """Downloads the gradients of a Gaussian set from the device."""
     rotations = host_values(gradient.rotations)
     return SetGradient(
         means=host_values(gradient.means),
@@ -139,10 +143,10 @@ def set_gradient(gradient: GaussianGradient) -> SetGradient:
 
 
 def host_values(array: wp.array[Any]) -> FloatArray:
-    """A copy on the host."""
+    """Copies a device array to the host as float32."""
     return np.array(device_array(array).numpy(), np.float32)
 
 
 def by_background(by_color: FloatArray, transmittance: FloatArray) -> Doubles:
-    """Derivatives by the colour of the background, seen through pixels."""
+    """Returns the gradient with respect to the background colour, given pixel gradients and pixel transmittances."""
     return np.asarray(transmittance.reshape(-1).astype(np.float64) @ by_color.reshape(-1, 3), np.float64)

@@ -1,4 +1,4 @@
-"""Derivatives of a number, such as a loss, by everything that an unlit frame or rays show."""
+"""Gradients of a loss with respect to the inputs of an unlit frame or of unlit rays."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ from lumisplat.scene.scene import Scene
 
 
 class DifferentiableRenderer(Renderer):
-    """A renderer of unlit, sorted frames that can be differentiated. Not safe to share between threads.
+    """Renders unlit, sorted frames and computes gradients of a loss from them. Not safe to share between threads.
 
-    ``render`` draws what every renderer with the same pipeline draws, to the bit; ``gradients`` then goes back from
-    the pixels of the last frame, front to back once more (docs/method/gradients.md). There are no atomics in it: for
-    any number of threads, the result has the same bits.
+    ``render`` draws the same frame, to the bit, as any renderer with the same pipeline. ``gradients`` then traverses
+    the Gaussians of each pixel of the last frame once more, front to back (docs/method/gradients.md). The backward pass
+    uses no atomics: its result has the same bits for any number of threads.
 
-    Frames of ``Pipeline.TRACE`` are those of one ray a pixel, of any camera: fisheyes, lenses that distort and rolling
-    shutters as well, and of kernels of any degree. They have no further features. Frames of ``Projection.UNSCENTED``
-    have none, either, and kernels of degree 2.
+    With ``Pipeline.TRACE``, frames have one ray a pixel and any camera: fisheye, distorted lens or rolling shutter, and
+    Gaussian kernels of any degree. ``Projection.UNSCENTED`` needs kernels of degree 2. Neither supports
+    ``render_features``.
 
     Args:
         config: Settings; None: the defaults. Its pipeline is ``RASTER`` or ``TRACE``.
@@ -61,7 +61,7 @@ class DifferentiableRenderer(Renderer):
         progress: As of `lumisplat.create_renderer`.
 
     Raises:
-        ConfigError: Another pipeline or strategy, more samples or lights are asked for.
+        ConfigError: The config asks for another pipeline or strategy, for more samples, or for lights.
         DeviceError: There is no such device.
     """
 
@@ -77,16 +77,16 @@ class DifferentiableRenderer(Renderer):
         self._prepare()
 
     def reconfigure(self, config: RenderConfig) -> None:
-        """As `lumisplat.Renderer.reconfigure`; a frame must be rendered before its gradients.
+        """Changes the settings, as `lumisplat.Renderer.reconfigure`; gradients then need a new frame.
 
         Raises:
-            ConfigError: As of the class; the renderer is as before.
+            ConfigError: As of the class; the renderer is unchanged.
         """
         super().reconfigure(_checked(checked_config(config)))
         self._prepare()
 
     def _prepare(self) -> None:
-        """Sets up the backward passes of the settings."""
+        """Sets up the backward passes for the current settings."""
         self._traces = not self.config.pipeline.rasterises
         self._is_unscented = not self._traces and self.config.raster.projection is Projection.UNSCENTED
         self._splat_backward = SplatBackward(self._launcher, self._buffers)
@@ -100,7 +100,7 @@ class DifferentiableRenderer(Renderer):
         self._unscented_frame: UnscentedFrame | None = None
 
     def _modules(self, plan: FramePlan, **options: bool) -> list[KernelModule]:
-        """The kernel modules of frames and of their backward pass."""
+        """Returns the kernel modules of a frame and of its backward pass."""
         backward = (
             self._ray_backward
             if self._traces
@@ -111,17 +111,18 @@ class DifferentiableRenderer(Renderer):
         return [*backward.modules(), *super()._modules(plan, **options)]
 
     def render(self, scene: Scene, camera: Camera, **options: Any) -> Frame:
-        """As `lumisplat.Renderer.render`.
+        """Renders a frame, as `lumisplat.Renderer.render`, and keeps what its gradients need.
 
         Raises:
-            ConfigError: The camera's lens distorts: raster frames are resampled. Or meshes send rays on.
+            ConfigError: The lens distorts and the projection is not ``UNSCENTED``: such raster frames are resampled. Or
+                a mesh reflects, refracts or blends.
         """
         self._forget()
         check_camera(camera)
         refuse_window(camera, "gradients")
         along_rays = self._traces or self._is_unscented
         if along_rays and options.get("resume") is not None:
-            raise ConfigError("a frame that is resumed has more than one sample a pixel, and no gradients")
+            raise ConfigError("a resumed frame has more than one sample per pixel and no gradients: omit resume")
         if self._traces:
             check_traced(scene)
             frame = super().render(scene, camera, **options)
@@ -135,7 +136,7 @@ class DifferentiableRenderer(Renderer):
             return frame
         if camera.is_distorted:
             raise ConfigError(
-                "frames of a lens that distorts are resampled, and have no gradients: take a pinhole, or "
+                "frames of a distorted lens are resampled and have no gradients: use a pinhole camera or "
                 "Projection.UNSCENTED"
             )
         frame = super().render(scene, camera, **options)
@@ -144,25 +145,25 @@ class DifferentiableRenderer(Renderer):
         return frame
 
     def render_features(self, features: npt.ArrayLike) -> FloatArray:
-        """Sums of any numbers of Gaussians over the splats of each pixel of the last frame, as colours are blended.
+        """Blends arbitrary per-Gaussian features over the pixels of the last frame, with the weights of its colours.
 
-        Divided by the same sums of ones, ``frame.alpha`` where there is no mesh, they are means. Nothing is behind
-        them: neither a mesh nor the background. ``gradients`` takes derivatives by them.
+        Divide by the same sums of ones to get means; without meshes these sums are ``frame.alpha``. Neither meshes nor
+        the background contribute. ``gradients`` accepts gradients with respect to the result.
 
         Args:
-            features: Of all Gaussians of the scene, instance by instance, of any sign, shape (N, C). Of view depths
-                and normals: ``lumisplat.gradients.SurfaceFeatures``.
+            features: Features of all Gaussians of the scene, instance by instance, of any sign, shape (N, C). For view
+                depths and normals see ``lumisplat.gradients.SurfaceFeatures``.
 
         Returns:
             Premultiplied sums, float32, shape (H, W, C).
 
         Raises:
-            ConfigError: Nothing was rendered yet.
+            ConfigError: No frame was rendered yet.
             SceneError: The shape does not fit, or a value is not finite.
         """
         if self._traces or self._is_unscented:
-            pipeline = "TRACE" if self._traces else "Projection.UNSCENTED"
-            raise ConfigError(f"render_features: further features are those of Pipeline.RASTER, not of {pipeline}")
+            mode = "Pipeline.TRACE" if self._traces else "Projection.UNSCENTED"
+            raise ConfigError(f"render_features: needs Pipeline.RASTER without Projection.UNSCENTED, not {mode}")
         _, camera, drawn = self._last_frame("render_features")
         columns = np.shape(features)[1] if np.ndim(features) == 2 else 1
         values = given_array("features", features, (drawn.splats.count, max(columns, 1)))
@@ -178,24 +179,25 @@ class DifferentiableRenderer(Renderer):
         dL_dfeatures: npt.ArrayLike | None = None,
         pose: bool = False,
     ) -> SplatGradients:
-        """Derivatives of a number by what the last frame was drawn from.
+        """Computes the gradients of a loss with respect to the inputs of the last frame.
 
         Args:
-            dL_dcolor: Its derivatives by ``frame.color`` over ``config.background``, display-referred sRGB, shape
-                (H, W, 3). Arrays of other packages are taken by ``__array_interface__``, ``__array__`` or DLPack.
-            dL_dalpha: Its derivatives by ``frame.alpha``, shape (H, W); None: 0.
-            dL_dfeatures: Its derivatives by what ``render_features`` has returned last, shape (H, W, C); None: 0.
-                All derivatives count them, for features that are constants: where these depend on Gaussians or on the
-                camera, the chain rule goes on from ``SplatGradients.features``.
-            pose: Whether to differentiate by the camera's pose, too.
+            dL_dcolor: Gradient of the loss with respect to ``frame.color`` over ``config.background``, display-referred
+                sRGB, shape (H, W, 3). Arrays of other packages are read by ``__array_interface__``, ``__array__`` or
+                DLPack.
+            dL_dalpha: Gradient of the loss with respect to ``frame.alpha``, shape (H, W); None: 0.
+            dL_dfeatures: Gradient of the loss with respect to the last result of ``render_features``, shape (H, W, C);
+                None: 0. It contributes to all results, with the features held constant. Where features depend on
+                Gaussians or on the camera, continue the chain rule from ``SplatGradients.features``.
+            pose: Whether to differentiate with respect to the camera pose, too.
 
         Raises:
-            ConfigError: Nothing was rendered yet, or no features of this frame.
+            ConfigError: No frame was rendered yet, or no features of this frame.
             SceneError: A shape does not fit, a value is not finite, or the scene is lit.
         """
         if (self._traces or self._is_unscented) and dL_dfeatures is not None:
-            pipeline = "TRACE" if self._traces else "Projection.UNSCENTED"
-            raise ConfigError(f"gradients: those by features are of Pipeline.RASTER, not of {pipeline}")
+            mode = "Pipeline.TRACE" if self._traces else "Projection.UNSCENTED"
+            raise ConfigError(f"gradients: dL_dfeatures needs Pipeline.RASTER without UNSCENTED, not {mode}")
         if self._unscented_frame is not None:
             camera = self._unscented_frame.camera
             by_color, gradient = self._given((camera.height, camera.width), dL_dcolor, dL_dalpha)
@@ -233,9 +235,9 @@ class DifferentiableRenderer(Renderer):
         dL_dradiance: npt.ArrayLike,
         dL_dtransmittance: npt.ArrayLike | None = None,
     ) -> RayGradients:
-        """As the function ``ray_gradients``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
+        """Computes gradients as the function `ray_gradients`, and reuses the BVHs. Needs ``Pipeline.TRACE``."""
         if not self._traces:
-            raise ConfigError("ray_gradients: rays are traced by a renderer with Pipeline.TRACE: this one rasterises")
+            raise ConfigError("ray_gradients: needs a renderer with Pipeline.TRACE; this one rasterises")
         start, along = checked_rays(origins, directions)
         given = UpstreamGradient.of(len(start), dL_dradiance, dL_dtransmittance)
         check_traced(scene)
@@ -243,12 +245,12 @@ class DifferentiableRenderer(Renderer):
         return self._ray_backward.of_rays(self._scene, self._tracer, (self._local(start), along), shown, given)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """The hits of a frame's one sample, kept for the way back."""
+        """Finds the hits of the frame's only sample, and keeps them for the backward pass."""
         self._hits = super()._find_hits(plan, listed)
         return self._hits
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
-        """Given rays take the place of the last frame."""
+        """Prepares given rays; they replace the last frame, which has no gradients afterwards."""
         self._forget()
         return super()._sync_rays(scene, camera)
 
@@ -258,7 +260,7 @@ class DifferentiableRenderer(Renderer):
     def _given(
         self, shape: tuple[int, int], dL_dcolor: npt.ArrayLike, dL_dalpha: npt.ArrayLike | None
     ) -> tuple[FloatArray, PixelGradient]:
-        """Derivatives by pixels, on the host and on the device."""
+        """Returns the upstream gradients of the pixels, on the host (colour only) and on the device."""
         by_color = given_array("dL_dcolor", dL_dcolor, (*shape, 3))
         by_alpha = np.zeros(shape, np.float32) if dL_dalpha is None else given_array("dL_dalpha", dL_dalpha, shape)
         gradient = PixelGradient()
@@ -267,10 +269,10 @@ class DifferentiableRenderer(Renderer):
         return by_color, gradient
 
     def _last_frame(self, asked: str) -> tuple[Scene, Camera, DrawnSplats]:
-        """The scene, the camera, and what was drawn.
+        """Returns the scene, the camera and the splats of the last rasterised frame.
 
         Raises:
-            ConfigError: Nothing was.
+            ConfigError: No frame was rendered yet.
         """
         if self._last_drawn is None:
             raise ConfigError(f"{asked}: render a frame first")
@@ -279,9 +281,9 @@ class DifferentiableRenderer(Renderer):
     def _by_features(
         self, drawn: DrawnSplats, dL_dfeatures: npt.ArrayLike, shape: tuple[int, int], by_splat: DeviceArray
     ) -> FloatArray:
-        """Derivatives by features; adds those by splats."""
+        """Returns the gradients with respect to the features, and adds their share to the splat gradients."""
         if self._rendered_features is None:
-            raise ConfigError("gradients: show features of this frame first, by render_features")
+            raise ConfigError("gradients: call render_features for this frame before passing dL_dfeatures")
         count = self._rendered_features.count
         by_pixels = given_array("dL_dfeatures", dL_dfeatures, (*shape, count)).reshape(-1, count)
         return host_values(self._features.backward(self._scene, drawn, self._rendered_features, by_pixels, by_splat))
@@ -304,28 +306,28 @@ def splat_gradients(
     pose: bool = False,
     device: str = "auto",
 ) -> SplatGradients:
-    """Derivatives of a number by the Gaussians of a scene, given those by the pixels of an unlit frame.
+    """Computes gradients of a loss with respect to the Gaussians of a scene, given its gradients at an unlit frame.
 
-    For more than one frame, a `lumisplat.DifferentiableRenderer` keeps what they share::
+    For more than one frame, reuse a `lumisplat.DifferentiableRenderer`::
 
         frame = ls.render(scene, camera)
-        gradients = ls.splat_gradients(scene, camera, 2.0 * (frame.color - photograph))
+        gradients = ls.splat_gradients(scene, camera, 2.0 * (frame.color - image))
         gradients.sets[0].means  # of the first Gaussian set, shape (N, 3)
 
-    Where a Gaussian's alpha falls below 1/255 it is not drawn: that edge has no derivative here, as in gsplat, but
-    finite differences see it move with opacities and scales, some percent of their derivatives.
+    A Gaussian is cut off where its alpha falls below 1/255. As in gsplat, the gradients ignore that this edge moves
+    with opacities and scales; finite differences include it, some percent of the derivative.
 
     Args:
-        scene: What was drawn.
-        camera: From where.
+        scene: The scene.
+        camera: The camera.
         dL_dcolor: As of `lumisplat.DifferentiableRenderer.gradients`.
         dL_dalpha: As of `lumisplat.DifferentiableRenderer.gradients`.
         config: Settings; None: the defaults.
-        pose: Whether to differentiate by the camera's pose, too.
+        pose: Whether to differentiate with respect to the camera pose, too.
         device: As of `lumisplat.create_renderer`.
 
     Raises:
-        ConfigError: Another pipeline or strategy, or lights are asked for.
+        ConfigError: The config asks for another pipeline or strategy, or for lights.
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As of `lumisplat.Renderer.render`; or a shape does not fit, or a value is not finite.
     """
@@ -344,26 +346,26 @@ def ray_gradients(
     config: RenderConfig | None = None,
     device: str = "auto",
 ) -> RayGradients:
-    """Derivatives of a number by the Gaussians of a scene, given those by what any rays show of it, unlit.
+    """Computes the gradients of a loss with respect to the Gaussians of a scene, given its gradients at unlit rays.
 
-    Rays are those of `lumisplat.trace_rays`; for more than one call, a `lumisplat.DifferentiableRenderer` keeps what
-    they share::
+    The rays are those of `lumisplat.trace_rays`. For more than one call, reuse a `lumisplat.DifferentiableRenderer`::
 
-        shown = ls.trace_rays(scene, origins, directions, ls.RenderConfig(lighting=False))
-        gradients = ls.gradients.ray_gradients(scene, origins, directions, 2.0 * (shown.radiance - photographs))
+        hits = ls.trace_rays(scene, origins, directions, ls.RenderConfig(lighting=False))
+        gradients = ls.gradients.ray_gradients(scene, origins, directions, 2.0 * (hits.radiance - colors))
 
     Args:
-        scene: What they hit.
-        origins: World space, shape (N, 3), or (3,) for all rays.
-        directions: World space, of any length, shape (N, 3).
-        dL_dradiance: Its derivatives by ``RayHits.radiance``, display-referred sRGB, shape (N, 3); arrays as of
-            `lumisplat.DifferentiableRenderer.gradients`.
-        dL_dtransmittance: Its derivatives by ``RayHits.transmittance``, shape (N,); None: 0.
+        scene: The scene.
+        origins: Ray origins, world space, shape (N, 3), or (3,) for all rays.
+        directions: Ray directions, world space, of any length, shape (N, 3).
+        dL_dradiance: Gradient of the loss with respect to ``RayHits.radiance``, display-referred sRGB, shape (N, 3);
+            arrays as of `lumisplat.DifferentiableRenderer.gradients`.
+        dL_dtransmittance: Gradient of the loss with respect to ``RayHits.transmittance``, shape (N,); None: 0.
         config: Settings; None: the defaults. The pipeline is always ``TRACE``.
         device: As of `lumisplat.create_renderer`.
 
     Raises:
-        ConfigError: Another strategy, more samples or lights are asked for, or meshes send rays on.
+        ConfigError: The config asks for another strategy, more samples or lights; or a mesh reflects, refracts or
+            blends.
         DeviceError: There is no such device, or it is out of memory.
         SceneError: As of `lumisplat.trace_rays`; or a shape does not fit, or a value is not finite.
     """
@@ -372,29 +374,27 @@ def ray_gradients(
 
 
 def _checked(config: RenderConfig) -> RenderConfig:
-    """The settings, without light, if frames with them can be differentiated.
+    """Returns the settings without lighting, if frames rendered with them have gradients.
 
     Raises:
-        ConfigError: They cannot.
+        ConfigError: They have none.
     """
     if not config.pipeline.is_differentiable:
-        raise ConfigError(f"gradients are those of frames of Pipeline.RASTER or TRACE, not of {config.pipeline.name}")
+        raise ConfigError(f"gradients need Pipeline.RASTER or Pipeline.TRACE, not Pipeline.{config.pipeline.name}")
     traces = not config.pipeline.rasterises
     strategy = config.trace.strategy if traces else config.raster.strategy
     if strategy not in (TraceStrategy.SORTED, RasterStrategy.SORTED):
-        raise ConfigError(f"gradients are those of sorted frames, not of the strategy {strategy.name}")
+        raise ConfigError(f"gradients need the strategy SORTED, not {strategy.name}")
     along_rays = traces or config.raster.projection is Projection.UNSCENTED
     if along_rays and (config.samples not in (None, 1) or config.time_limit is not None or config.noise is not None):
-        raise ConfigError(
-            "gradients of rays are those of one sample a pixel: leave samples, time_limit and noise alone"
-        )
+        raise ConfigError("gradients along rays need one sample per pixel: do not set samples, time_limit or noise")
     if config.lighting or config.aovs:
-        raise ConfigError("gradients are those of unlit frames without further images: leave lighting and aovs alone")
+        raise ConfigError("gradients need unlit frames without AOVs: do not set lighting or aovs")
     return replace(config, lighting=False)
 
 
 def _visible(splats: npt.NDArray[np.void], drawn: DrawnSplats) -> npt.NDArray[np.void]:
-    """Derivatives by splats, 0 for those that are in no tile."""
+    """Returns the splat gradients, set to 0 for splats that cover no tile."""
     rects = drawn.splats.rects.numpy()
     splats = splats.copy()
     splats[rects["x0"] >= rects["x1"]] = np.zeros(1, splats.dtype)

@@ -1,4 +1,4 @@
-"""Features of splats, three or six in place of their colours and normals, and what is summed of them.
+"""Kernels of feature rendering: features take the place of splat colours and normals, and are summed per pixel.
 
 The equations are in docs/method/gradients.md#features.
 """
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.func
 def three_of(values: wp.array2d[float], row: int, first: int) -> wp.vec3:
-    """Three numbers of a row from column ``first`` on; 0 beyond the last."""
+    """Returns three numbers of a row from column ``first`` on; 0 beyond the last column."""
     three = wp.vec3(0.0)
     for k in range(3):
         if first + k < values.shape[1]:
@@ -26,7 +26,7 @@ def three_of(values: wp.array2d[float], row: int, first: int) -> wp.vec3:
 
 @wp.func
 def store_three(values_out: wp.array2d[float], row: int, first: int, three: wp.vec3):
-    """Writes them."""
+    """Writes three numbers to a row from column ``first`` on, up to the last column."""
     for k in range(3):
         if first + k < values_out.shape[1]:
             values_out[row, first + k] = three[k]
@@ -41,7 +41,7 @@ def replace_colors(
     splats: wp.array[Splat],
     splats_out: wp.array[Splat],
 ):
-    """Item = splat: itself with three features, from column ``first`` on, for its colour, and three for its normal."""
+    """Item = splat: copies it with three features, from column ``first`` on, as its colour and three as its normal."""
     i = start + wp.tid()
     if not is_listed(rects[i]):
         return
@@ -55,7 +55,7 @@ def replace_colors(
 def store_sums(
     start: int, camera: wp.array[CameraData], sums: GaussianHits, first: int, features_out: wp.array2d[float]
 ):
-    """Item = pixel: what its ray has summed of six features."""
+    """Item = pixel: writes its blended sums of six features to columns ``first`` to ``first + 5``."""
     i = start + wp.tid()
     width = camera[0].width
     ray = ray_of_pixel(width, i % width, i // width)
@@ -65,7 +65,7 @@ def store_sums(
 
 @wp.kernel
 def take_three(start: int, values: wp.array2d[float], first: int, three_out: wp.array[wp.vec3]):
-    """Item = row: three of its numbers."""
+    """Item = row: copies three of its columns to a vector."""
     i = start + wp.tid()
     three_out[i] = three_of(values, i, first)
 
@@ -78,9 +78,9 @@ def add_gradients(
     splats_inout: wp.array[SplatGradient],
     features_out: wp.array2d[float],
 ):
-    """Item = splat: adds derivatives by its shape where three of its features were shown, and stores those by these.
+    """Item = splat: adds the shape gradients of a pass over three features, and stores the features' gradients.
 
-    Weights, and the magnitudes of what moves its centre, stay those of its colour.
+    The pass's blending weights and absolute centre gradients are dropped: they count for the colour alone.
     """
     i = start + wp.tid()
     part = shown[i]

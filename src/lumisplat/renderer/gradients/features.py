@@ -1,7 +1,7 @@
-"""Numbers of Gaussians, such as depths and normals, as further channels of an unlit raster frame, and derivatives.
+"""Rendering of arbitrary per-Gaussian features, such as depths and normals, in raster frames, and its gradients.
 
-Splats show six at a time in place of their colours and normals, and are differentiated three at a time in place of
-their colours, by the kernels of frames.
+The kernels of frames are reused. Rendering replaces the colour and normal of splats by six features at a time; the
+backward pass replaces their colour by three at a time.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ from lumisplat.scene.scene import Scene, SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class RenderedFeatures:
-    """Features that a frame's splats have shown."""
+    """Features that were blended over the pixels of a frame."""
 
     of_splats: DeviceArray
-    """Shape (N, C)."""
+    """Features of the splats, shape (N, C)."""
     of_pixels: DeviceArray
-    """Weighted sums, shape (H * W, C)."""
+    """Blended sums of the pixels, shape (H * W, C)."""
 
     @property
     def count(self) -> int:
-        """C."""
+        """Number of features C."""
         return self.of_splats.shape[1]
 
 
 class FeatureChannels:
-    """Shows features of the splats of a frame, and differentiates what they have shown.
+    """Renders features of the splats of a frame, and computes the gradients of the result.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        raster: Has drawn the frame.
-        backward: Goes back from pixels to splats.
+        raster: The rasteriser that has drawn the frame.
+        backward: Computes splat gradients from pixel gradients.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, raster: UnlitRaster, backward: SplatBackward) -> None:
@@ -61,16 +61,16 @@ class FeatureChannels:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def render(self, scene: DeviceScene, drawn: DrawnSplats, features: FloatArray | DeviceArray) -> RenderedFeatures:
-        """Sums of features over the splats of each pixel, with the weights of their colours.
+        """Blends features over the splats of each pixel, with the weights of their colours.
 
         Args:
             scene: The scene on the device, as it was drawn.
-            drawn: What was drawn.
-            features: Of all Gaussians of the scene, shape (N, C).
+            drawn: The splats of the frame.
+            features: Features of all Gaussians of the scene, shape (N, C).
         """
         pixels, columns = math.prod(scene.image_size), features.shape[1]
         shown = RenderedFeatures(
@@ -91,14 +91,14 @@ class FeatureChannels:
         by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
-        """Derivatives by the features, shape (N, C); adds those by the shapes of splats to ``by_splat``.
+        """Returns the gradients with respect to the features, shape (N, C), and adds shape gradients to ``by_splat``.
 
         Args:
-            scene: As of ``show``.
-            drawn: As of ``show``.
-            shown: The features.
-            by_pixels: Derivatives by what was shown, shape (H * W, C).
-            by_splat: Receives derivatives by splats.
+            scene: As of ``render``.
+            drawn: As of ``render``.
+            shown: The rendered features.
+            by_pixels: Gradients of the loss with respect to the blended sums of the pixels, shape (H * W, C).
+            by_splat: Receives the gradients with respect to the shapes of the splats.
         """
         count, get, run = by_pixels.shape[0], self._buffers.get, self._launcher.run_banded
         given = self._upload("features.by_pixels", by_pixels)
@@ -116,7 +116,7 @@ class FeatureChannels:
         return by_features[: drawn.splats.count]
 
     def _with_features(self, drawn: DrawnSplats, shown: RenderedFeatures, first: int) -> DrawnSplats:
-        """What was drawn, with features from column ``first`` on in place of colours and normals."""
+        """Returns the drawn splats with six features, from column ``first`` on, as colours and normals."""
         splats = self._buffers.get("features.shown_splats", Splat, drawn.splats.count)
         inputs = (shown.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
         self._launcher.run_banded(kernels.replace_colors, drawn.splats.count, *inputs)
@@ -133,48 +133,48 @@ class FeatureChannels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceFeatures:
-    """Depths and normals of the Gaussians of a scene, which ``DifferentiableRenderer.render_features`` can show.
+    """Depths and normals of the Gaussians of a scene, as features for ``DifferentiableRenderer.render_features``.
 
-    A normal is the shortest axis of its Gaussian: once Gaussians are flat, that is the normal of their surface, and
-    unlike the max-density plane's it does not depend on their scales, so that a loss on normals turns them and nothing
-    else::
+    The normal is the shortest axis of the Gaussian. For flat Gaussians that is the surface normal. It does not depend
+    on the scales, unlike the normal of the max-density plane, so a loss on normals rotates Gaussians and changes
+    nothing else::
 
         renderer.render(scene, camera)
         surface = ls.gradients.SurfaceFeatures.of(scene, camera)
-        shown = renderer.render_features(surface.values)  # weighted sums of depth, and of normals
-        gradients = renderer.gradients(by_color, dL_dfeatures=by_shown)
-        gradients = surface.backward(gradients)  # of means and rotations also by way of depths and normals
+        sums = renderer.render_features(surface.values)  # weighted sums of depth, and of normals
+        gradients = renderer.gradients(by_color, dL_dfeatures=by_sums)
+        gradients = surface.backward(gradients)  # adds the chain rule through depths and normals
     """
 
     scene: Scene
     camera: Camera
     values: FloatArray
-    """View depth of the mean, scene units, and unit normal, world space, on the side of the eye; of all Gaussians,
+    """View depth of the mean, scene units, and unit normal, world space, on the eye's side; for all Gaussians,
     instance by instance, shape (N, 4)."""
 
     @classmethod
     def of(cls, scene: Scene, camera: Camera) -> SurfaceFeatures:
-        """Those of a scene as a camera sees it.
+        """Computes the depths and normals of a scene for a camera.
 
         Args:
             scene: The scene.
-            camera: A pinhole.
+            camera: A pinhole camera.
         """
         parts = [np.column_stack([_depths(s, camera), _normals(s, camera) @ _rotation(s).T]) for s in scene.splats]
         values = np.concatenate(parts) if parts else np.zeros((0, 4))
         return cls(scene, camera, values.astype(np.float32))
 
     def backward(self, gradients: SplatGradients, first: int = 0) -> SplatGradients:
-        """Derivatives to which those by way of depths and normals are added.
+        """Adds the gradients that flow through depths and normals to means, rotations and the camera pose.
 
-        Depths move means and the camera's pose, normals turn Gaussians; where one flips, or another axis becomes the
-        shortest, it jumps, without a derivative.
+        Depths depend on means and pose, normals on rotations. Where a normal flips or another axis becomes the
+        shortest, the normal jumps, and the jump has no gradient.
 
         Args:
-            gradients: Of ``DifferentiableRenderer.gradients`` with ``dL_dfeatures``.
+            gradients: Result of ``DifferentiableRenderer.gradients`` with ``dL_dfeatures``.
             first: Column of the features that has the depths; the normals are in the next three.
         """
-        assert gradients.features is not None, "they were asked for without dL_dfeatures"
+        assert gradients.features is not None, "call gradients with dL_dfeatures first"
         by_values = gradients.features[:, first : first + 4].astype(np.float64)
         numbers: dict[int, int] = {}
         sets, pose, begin = list(gradients.sets), np.zeros((4, 4)), 0
@@ -190,17 +190,17 @@ class SurfaceFeatures:
 
 
 def _depths(instance: SplatInstance, camera: Camera) -> Doubles:
-    """View depths of the means, shape (N,)."""
+    """Returns the view depths of the means, shape (N,)."""
     return instance.world_means @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
 
 
 def _rotation(instance: SplatInstance) -> Doubles:
-    """The rotation from object to world."""
+    """Returns the rotation from object to world space, shape (3, 3)."""
     return instance.transform[:3, :3] / instance.scale
 
 
 def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
-    """The shortest axes on the side of the eye, in object space, shape (N, 3)."""
+    """Returns the shortest axes, flipped to the eye's side, in object space, shape (N, 3)."""
     gaussians = instance.gaussians
     axes = matrices_from_quaternions(gaussians.rotations_wxyz)
     shortest = np.argmin(gaussians.scales, axis=1)
@@ -212,7 +212,7 @@ def _normals(instance: SplatInstance, camera: Camera) -> Doubles:
 def _added(
     gradient: SetGradient, instance: SplatInstance, camera: Camera, by_depth: Doubles, by_normal: Doubles
 ) -> SetGradient:
-    """Derivatives by a set, and those by way of depths, (N, 1), and world normals, (N, 3), of one of its instances."""
+    """Adds the gradients through depths, (N, 1), and world normals, (N, 3), of one instance to those of its set."""
     by_mean = by_depth * (camera.camera_from_world[2, :3] @ instance.transform[:3, :3])
     by_rotation_vector = np.cross(_normals(instance, camera), by_normal @ _rotation(instance))
     by_rotation = _by_quaternion(instance.gaussians, by_rotation_vector)
@@ -224,9 +224,9 @@ def _added(
 
 
 def _by_quaternion(gaussians: Gaussians, by_rotation_vector: Doubles) -> Doubles:
-    """Derivatives by unit quaternions ``q`` of what has derivatives ``t`` by small turns in object space, (N, 4).
+    """Converts gradients ``t`` of small object-space rotations to gradients of unit quaternions ``q``, shape (N, 4).
 
-    A turn by ``w`` moves ``q`` by half of ``(0, w) q``, so that they are ``2 (0, t) q``.
+    A small rotation ``w`` moves ``q`` by half of ``(0, w) q``, so the gradient is ``2 (0, t) q``.
     """
     w, v = np.split(gaussians.rotations_wxyz.astype(np.float64), [1], axis=1)
     scalar = -np.sum(by_rotation_vector * v, axis=1, keepdims=True)

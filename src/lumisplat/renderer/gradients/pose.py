@@ -1,4 +1,4 @@
-"""Derivatives by the pose of a camera: from sums over splats, or from shifts and turns of its rays.
+"""Gradients with respect to the camera pose, from sums over splats or from rigid motions of rays.
 
 The equations are in docs/method/gradients.md.
 """
@@ -19,20 +19,21 @@ from lumisplat.scene.scene import SplatInstance
 
 @dataclass(frozen=True, slots=True)
 class PoseSums:
-    """Derivatives by where the camera is, of one instance; float64."""
+    """Gradients with respect to the camera pose that one instance contributes; float64."""
 
     camera_from_object: Doubles
-    """Shape (3, 3)."""
+    """Gradient with respect to the linear part of camera-from-object, shape (3, 3)."""
     camera_from_object_offset: Doubles
-    """Shape (3,)."""
+    """Gradient with respect to the translation of camera-from-object, shape (3,)."""
     eye: Doubles
-    """In object space, shape (3,)."""
+    """Gradient with respect to the eye in object space, through view-dependent colour; shape (3,)."""
 
 
 def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Doubles:
-    """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4), of what one instance shows.
+    """Converts the sums of one instance to the gradient of the upper rows of ``camera_from_world``, shape (3, 4).
 
-    Its own matrix is ``camera_from_world @ world_from_object``; the eye is where that of the camera is 0.
+    The instance's camera-from-object matrix is ``camera_from_world @ world_from_object``. The eye is the point that
+    ``camera_from_world`` maps to 0.
     """
     world_from_object = np.asarray(instance.transform, np.float64)
     by_object = np.column_stack([sums.camera_from_object, sums.camera_from_object_offset])
@@ -45,14 +46,14 @@ def pose_gradient(sums: PoseSums, instance: SplatInstance, camera: Camera) -> Do
 
 
 def pose_of_rays_gradient(motions: DeviceArray, instances: Sequence[SplatInstance], camera: Camera) -> Doubles:
-    """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4): those of turns and shifts alone.
+    """Returns the gradient of the upper rows of ``camera_from_world``, shape (3, 4), restricted to rigid motions.
 
-    Rays move with their camera as a rigid body (docs/method/gradients.md#pose-of-rays).
+    The rays move with their camera as a rigid body (docs/method/gradients.md#pose-of-rays).
 
     Args:
-        motions: By where rays are, of each Gaussian of the scene, ``RayMotion``.
-        instances: Those of the scene.
-        camera: Whose rays they are.
+        motions: Gradients with respect to rigid motions of the rays, one ``RayMotion`` a Gaussian of the scene.
+        instances: Splat instances of the scene.
+        camera: Camera of the rays.
     """
     table = motions.numpy()
     shift, turn, first = np.zeros(3), np.zeros(3), 0

@@ -1,4 +1,4 @@
-"""Host pass: derivatives of a loss by the Gaussians that rays hit, given those by what the rays show."""
+"""Host pass: backward pass of ray tracing, from gradients at rays to gradients of the Gaussians that they hit."""
 
 from __future__ import annotations
 
@@ -42,42 +42,42 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 BACKWARD_HITS = 2**22
-"""Hits of rays whose derivatives are on the device at once: 44 bytes each, some 180 MiB, unless a packet has more."""
+"""Hits whose gradients are on the device at once: 44 bytes each, some 180 MiB, unless a single ray packet has more."""
 
 Struct = TypeVar("Struct")
 
 
 @dataclass(frozen=True, slots=True)
 class RaySums:
-    """Derivatives by what rays have hit, on the device."""
+    """Gradients with respect to the Gaussians that rays have hit, accumulated on the device."""
 
     gaussians: list[GaussianGradient]
-    """By each asset of the scene."""
+    """Gradients of each asset of the scene."""
     weights: DeviceArray
-    """Sum of the weights with which each Gaussian of the scene is blended, instance by instance."""
+    """Sum of the blending weights of each Gaussian of the scene, instance by instance."""
     largest: DeviceArray
-    """The largest of these weights."""
+    """Largest blending weight of each Gaussian."""
     motions: DeviceArray
-    """By where the rays are that hit each of these, ``RayMotion``."""
+    """Gradient with respect to rigid motions of the rays that hit each Gaussian, ``RayMotion``."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rays:
-    """Some rays, whole packets."""
+    """A batch of rays, whole packets."""
 
     rays: RayData
     limits: DeviceArray
-    """Where each ends."""
+    """Distance at which each ray ends."""
     gradient: RayGradient
     counts: DeviceArray
-    """Gaussians that each has hit."""
+    """Number of Gaussians that each ray has hit."""
     found: int
-    """Their sum."""
+    """Sum of ``counts``."""
 
 
 @dataclass(frozen=True, slots=True)
 class TracedFrame:
-    """What a frame of one ray a pixel was drawn from."""
+    """Inputs and hits of a frame of one ray a pixel, as its backward pass needs them."""
 
     scene: Scene
     camera: Camera
@@ -91,7 +91,7 @@ class TracedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UpstreamGradient:
-    """Derivatives by what given rays show."""
+    """Gradients of the loss with respect to the radiance and transmittance of given rays."""
 
     radiance: FloatArray
     """Shape (N, 3)."""
@@ -100,7 +100,7 @@ class UpstreamGradient:
 
     @classmethod
     def of(cls, count: int, radiance: npt.ArrayLike, transmittance: npt.ArrayLike | None) -> UpstreamGradient:
-        """Those that a caller gives; transmittance None: 0.
+        """Checks and converts a caller's arrays; a transmittance of None is 0.
 
         Raises:
             SceneError: A shape does not fit, or a value is not finite.
@@ -112,7 +112,7 @@ class UpstreamGradient:
 
 
 class RayBackward:
-    """Goes back from rays to Gaussians.
+    """Computes gradients of Gaussians from gradients at rays.
 
     Args:
         launcher: Runs the kernels.
@@ -129,20 +129,20 @@ class RayBackward:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def of_frame(
         self, scene: DeviceScene, frame: TracedFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
     ) -> SplatGradients:
-        """Derivatives by what a frame was drawn from.
+        """Returns the gradients with respect to the inputs of a frame.
 
         Args:
-            scene: As it was drawn.
+            scene: The scene on the device, as it was drawn.
             frame: The frame.
-            by_color: Derivatives by its colour, shape (H, W, 3).
-            gradient: The same on the device, and those by its alpha.
-            pose: Whether to differentiate by the camera's pose, too.
+            by_color: Gradients with respect to the colour of the frame, shape (H, W, 3).
+            gradient: The same on the device, and gradients with respect to its alpha.
+            pose: Whether to differentiate with respect to the camera pose, too.
         """
         pixels = PixelBuffers.of(self._buffers, scene.image_size).data
         sums = self.begin(scene)
@@ -168,14 +168,14 @@ class RayBackward:
         shown: RayHits,
         given: UpstreamGradient,
     ) -> RayGradients:
-        """Derivatives by what given rays have hit.
+        """Returns the gradients with respect to the Gaussians that given rays hit.
 
         Args:
-            scene: As they have met it.
-            tracer: Finds their hits once more.
-            rays: Their origins and unit directions, world space, shape (N, 3) each.
-            shown: What they show.
-            given: Derivatives by that.
+            scene: The scene on the device, as it was traced.
+            tracer: Finds the hits of the rays once more.
+            rays: Origins and unit directions, world space, shape (N, 3) each.
+            shown: Radiance and transmittance of the rays.
+            given: Gradients with respect to that radiance and transmittance.
         """
         behind = (given.radiance * shown.radiance).sum(axis=1) + given.transmittance * shown.transmittance
         sums = self.begin(scene)
@@ -193,25 +193,25 @@ class RayBackward:
     def start_pixels(
         self, size: tuple[int, int], count: int, pixels: PixelData, gradient: PixelGradient
     ) -> RayGradient:
-        """Derivatives by the rays of a camera.
+        """Converts gradients at pixels to gradients at the rays of a camera.
 
         Args:
             size: Width and height of the image, pixels.
-            count: Rays.
-            pixels: What came of them.
-            gradient: Derivatives by these.
+            count: Number of rays.
+            pixels: Colours and alphas of the pixels.
+            gradient: Gradients with respect to these.
         """
         out = self._buffers.struct("backward.rays", RayGradient, count)
         self._launcher.run_banded(kernels.start_pixels, count, *size, pixels, gradient, out)
         return out
 
     def start_rays(self, count: int, color: FloatArray, behind: FloatArray) -> RayGradient:
-        """Derivatives by given rays.
+        """Uploads gradients at given rays.
 
         Args:
-            count: Rays; those beyond what is given show nothing.
-            color: By their colours, shape (N, 3).
-            behind: What of the loss each shows at all, shape (N,).
+            count: Number of rays; rays beyond the given ones get gradients of 0.
+            color: Gradients with respect to the colours of the rays, shape (N, 3).
+            behind: Gradients dotted with radiance and transmittance of each ray, summed, shape (N,).
         """
         out = self._buffers.struct("backward.rays", RayGradient, count)
         missing = count - len(color)
@@ -220,7 +220,7 @@ class RayBackward:
         return out
 
     def begin(self, scene: DeviceScene) -> RaySums:
-        """Derivatives by all Gaussians of a scene, 0 so far."""
+        """Returns gradients of all Gaussians of a scene, set to 0."""
         get, count = self._buffers.get, scene.gaussian_count
         sums = RaySums(
             [gradient_of_asset(self._buffers, asset, number) for number, asset in enumerate(scene.assets)],
@@ -236,13 +236,13 @@ class RayBackward:
         return sums
 
     def add(self, scene: DeviceScene, hits: PrimaryHits, gradient: RayGradient, sums: RaySums) -> None:
-        """Adds the derivatives by the Gaussians that rays hit, so many rays at a time that the device has room.
+        """Adds the gradients of the Gaussians that rays hit, in batches that fit into device memory.
 
         Args:
-            scene: The scene on the device, as the rays have met it.
-            hits: The rays, and what they hit.
-            gradient: Derivatives by what they show.
-            sums: Receives them.
+            scene: The scene on the device, as it was traced.
+            hits: The rays and their hits.
+            gradient: Gradients at the rays.
+            sums: Receives the gradients.
         """
         counts = device_array(hits.gaussians.hits)
         for begin, end, found in packet_ranges(counts.numpy(), BACKWARD_HITS):
@@ -257,7 +257,7 @@ class RayBackward:
             self._add(scene, part, sums)
 
     def _add(self, scene: DeviceScene, part: _Rays, sums: RaySums) -> None:
-        """Adds what some rays have hit."""
+        """Adds the gradients of the Gaussians that one batch of rays hit."""
         run, stage, found = self._launcher.run_banded, self._launcher.stage, part.found
         bands = RAY_BANDS_PER_THREAD * self._launcher.threads
         with stage("backward: hits"):
@@ -300,7 +300,7 @@ class RayBackward:
                 )
 
     def _profiles(self, scene: DeviceScene, part: _Rays) -> HitProfiles:
-        """The hits of rays one by one: the rays are followed once more."""
+        """Traces the rays once more and lists their hits one by one."""
         profiles = self._buffers.struct("backward.profiles", HitProfiles, grown_capacity(part.found), ("first",))
         first = self._buffers.get("backward.first", wp.int32, len(part.counts) + 1)
         first[:1].zero_()
@@ -312,7 +312,7 @@ class RayBackward:
 
 
 def _rows_of(struct_type: type[Struct], arrays: Struct, rows: slice) -> Struct:
-    """A struct of arrays with some elements of each."""
+    """Returns a struct of arrays with a slice of each array."""
     struct: Any = struct_type
     view = struct_type()
     for name, _ in struct.vars.items():
@@ -321,14 +321,13 @@ def _rows_of(struct_type: type[Struct], arrays: Struct, rows: slice) -> Struct:
 
 
 def check_traced(scene: Scene) -> None:
-    """Refuses frames of rays that have more in them than what follows from rays through Gaussians.
+    """Refuses scenes whose meshes reflect, refract or blend: the backward pass follows rays through Gaussians only.
 
     Raises:
-        ConfigError: A mesh sends rays on.
+        ConfigError: A mesh's material sends rays on.
     """
     for instance in scene.meshes:
         if instance.mesh.material.sends_rays_on:
             raise ConfigError(
-                "what mirrors, glass and meshes that blend show has no gradients: take materials that are rough and "
-                "opaque"
+                "mirrors, glass and blended meshes have no gradients: use rough, opaque materials for all meshes"
             )

@@ -1,8 +1,8 @@
-"""Derivatives of what rays show by the Gaussians that they hit.
+"""Kernels of the backward pass of ray tracing: gradients of Gaussians from gradients at rays.
 
-Rays are followed once more, by the kernel of the frame, which writes their hits one by one. Each ray then blends them
-again, front to back, with one number for what is still to come (``replay_rays``); the hits are sorted by Gaussian, a
-stable sort, and each Gaussian adds up its own, in the order of the rays (``gather_gaussians``). No element has two
+The frame's kernel traces the rays once more and writes their hits one by one. ``replay_rays`` blends each ray's hits
+again, front to back; one number a ray holds the loss terms of the hits still to come. The hits are then sorted by
+Gaussian with a stable sort, and ``gather_gaussians`` sums the hits of each Gaussian in ray order. No element has two
 writers. The equations are in docs/method/gradients.md.
 """
 
@@ -34,7 +34,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 def start_pixels(
     start: int, width: int, height: int, pixels: PixelData, gradient: PixelGradient, rays_out: RayGradient
 ):
-    """Item = ray of a camera: what its pixel shows; nothing beyond the image. A pixel with a mesh has an alpha of 1."""
+    """Item = camera ray: takes the gradients of its pixel; 0 beyond the image. Pixels that show a mesh have alpha 1."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     rays_out.color[ray] = wp.vec3(0.0)
@@ -61,7 +61,7 @@ def replay_rays(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Item = ray: blends its hits once more; the key of each is its Gaussian."""
+    """Item = ray: blends its hits once more and writes their gradients, each with its Gaussian as sort key."""
     i = start + wp.tid()
     if counts[i] == 0:
         return
@@ -90,13 +90,13 @@ def replay_rays(
 
 @wp.kernel
 def find_runs(start: int, count: int, keys: wp.array[int], begins_out: wp.array[int], ends_out: wp.array[int]):
-    """Item = hit, sorted by Gaussian: where the hits of each begin and end."""
-    place = start + wp.tid()
-    key = keys[place]
-    if place == 0 or keys[wp.max(place - 1, 0)] != key:
-        begins_out[key] = place
-    if place == count - 1 or keys[wp.min(place + 1, count - 1)] != key:
-        ends_out[key] = place + 1
+    """Item = hit, sorted by Gaussian: writes where the hits of each Gaussian begin and end."""
+    entry = start + wp.tid()
+    key = keys[entry]
+    if entry == 0 or keys[wp.max(entry - 1, 0)] != key:
+        begins_out[key] = entry
+    if entry == count - 1 or keys[wp.min(entry + 1, count - 1)] != key:
+        ends_out[key] = entry + 1
 
 
 @wp.kernel
@@ -117,9 +117,9 @@ def gather_gaussians(
     motions_inout: wp.array[RayMotion],
     gaussians_inout: GaussianGradient,
 ):
-    """Item = Gaussian of the asset: adds up its hits, over its instances.
+    """Item = Gaussian of the asset: sums the gradients of its hits over its instances.
 
-    Rays of a camera have one eye, to which it shows one colour; where eyes differ, each has its own.
+    Consecutive hits from one eye show one colour, so their colour gradients are summed before the SH backward pass.
     """
     i = start + wp.tid()
     view = settings[0]
@@ -137,13 +137,13 @@ def gather_gaussians(
         motion = motions_inout[index]
         weights = float(weights_inout[index])
         largest = float(largest_inout[index])
-        for place in range(begins[index], ends[index]):
-            row = order[place]
+        for entry in range(begins[index], ends[index]):
+            row = order[entry]
             number_of_ray = hits.ray[row]
             ray = ray_in_object(instance, ray_of(rays, number_of_ray))
             moments = add_hit(moments, instance, mean, axes, scale, ray, hits.log_alpha[row])
             from_eye = ray.origin - ray.path_length * ray.direction
-            if place > begins[index] and wp.length_sq(from_eye - eye) > 0.0:
+            if entry > begins[index] and wp.length_sq(from_eye - eye) > 0.0:
                 motion = add_color(view, instance, gaussians, i, eye, by_color, motion, gaussians_inout)
                 by_color = wp.vec3(0.0)
             eye = from_eye

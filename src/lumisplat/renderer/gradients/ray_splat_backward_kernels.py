@@ -1,6 +1,7 @@
-"""Derivatives of what rays of pixels show by Gaussians, as those of ``splat_backward_kernels`` by ellipses.
+"""Kernels of the backward pass of ``Projection.UNSCENTED``, which rasterises 3D Gaussians along pixel rays.
 
-The equations are in docs/method/gradients.md#rasterisation-along-rays.
+``splat_backward_kernels`` does the same for 2D ellipses. The equations are in
+docs/method/gradients.md#rasterisation-along-rays.
 """
 
 import warp as wp
@@ -30,7 +31,7 @@ wp.set_module_options(TILE_OPTIONS)
 
 Arrays = backward_arrays(ALONG_RAYS)
 
-# Records on CPUs: one item is one tile.
+# Gradient records on CPUs: one item is one tile.
 
 TILES = wp.get_module(f"{__name__}.tiles")
 wp.set_module_options(TILE_OPTIONS, TILES)
@@ -54,7 +55,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Writes a record for each Gaussian of a tile."""
+    """Item = tile: writes a gradient record for each Gaussian of the tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -67,7 +68,7 @@ def backward_tiles(
     add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, arrays)
 
 
-# Records on CUDA: one block is one tile.
+# Gradient records on CUDA: one thread block is one tile.
 
 BLOCKS = wp.get_module(f"{__name__}.blocks")
 wp.set_module_options(WARP_OPTIONS, BLOCKS)
@@ -90,7 +91,7 @@ def backward_blocks(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Writes what ``backward_tiles`` does; all threads of a block run all batches, as they wait for each other."""
+    """Writes the records of ``backward_tiles``. All threads of a thread block run all batches, as they synchronise."""
     tile, thread = wp.tid()
     around = PixelRays()
     around.rays = rays
@@ -104,7 +105,7 @@ def backward_blocks(
     add_block_records(tile, thread, camera[0], settings[0], splats, tile_starts, tile_splats, around, arrays)
 
 
-# What follows from them.
+# Gradients of Gaussians and of rays from the records.
 
 
 @wp.kernel
@@ -114,7 +115,7 @@ def add_records(
     pairs: wp.array[RaySplatGradient],
     splats_out: wp.array[RaySplatGradient],
 ):
-    """Item = Gaussian of the scene: the sum of its records, in the order of its tiles."""
+    """Item = Gaussian of the scene: sums its records in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_records(pairs, pair_starts[i], pair_starts[i + 1])
 
@@ -133,7 +134,7 @@ def backward_ray_gaussians(
     motions_out: wp.array[RayMotion],
     gaussians_out: GaussianGradient,
 ):
-    """Item = Gaussian of the asset: the sum over its instances; and derivatives by the rays that meet each of these."""
+    """Item = Gaussian of the asset: sums its gradients over its instances, and writes each instance's ray gradients."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]
@@ -160,7 +161,7 @@ def backward_ray_gaussians(
         by_instance_rotation = turn_gradient(seen, sums)
         by_mean += by_instance_mean
         by_rotation_vector += by_instance_rotation
-        # Rays that are moved see what they would if the Gaussian were moved back.
+        # Moving the rays is the same as moving the Gaussian back.
         motion.shift = -by_instance_mean
         motion.turn = -wp.quat_rotate(gaussians.rotations[i], by_instance_rotation) - wp.cross(
             gaussians.means[i], by_instance_mean

@@ -1,4 +1,4 @@
-"""Host pass: derivatives of a loss by what an unlit raster frame was drawn from, given those by its pixels."""
+"""Host pass: backward pass of the EWA rasteriser, from gradients at pixels to those of splats, Gaussians and pose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class SplatBackward:
-    """Goes back from pixels to splats, and from these to Gaussians and to the camera.
+    """Computes gradients of splats from those at pixels, and of Gaussians and the camera pose from those of splats.
 
     Args:
         launcher: Runs the kernels.
@@ -31,7 +31,7 @@ class SplatBackward:
         self._launcher, self._buffers = launcher, buffers
 
     def modules(self) -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels.BLOCKS if self._launcher.is_parallel else kernels.TILES, kernels]
 
     def splats(
@@ -42,14 +42,14 @@ class SplatBackward:
         gradient: PixelGradient,
         name: str = "backward.splats",
     ) -> DeviceArray:
-        """Derivatives by all splats of a frame, an element of ``SplatGradient`` each; undefined where none was drawn.
+        """Returns the gradients of all splats of a frame, ``SplatGradient``; undefined for splats that were not drawn.
 
         Args:
             scene: The scene on the device, as it was drawn.
-            drawn: What was drawn.
-            pixels: What came of it.
-            gradient: Derivatives by these.
-            name: Of the array.
+            drawn: The splats of the frame.
+            pixels: Colours and alphas of the pixels.
+            gradient: Gradients with respect to these.
+            name: Name of the array.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count = drawn.splats.count
@@ -69,13 +69,13 @@ class SplatBackward:
         return sums
 
     def gaussians(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> GaussianGradient:
-        """Derivatives by the Gaussians of an asset, 0 for those that were not drawn.
+        """Returns the gradients of the Gaussians of an asset; 0 for Gaussians that were not drawn.
 
         Args:
             scene: As of ``splats``.
             drawn: As of ``splats``.
-            by_splat: Derivatives by splats.
-            number: The asset's, in the scene.
+            by_splat: Gradients of the splats.
+            number: Index of the asset in the scene.
         """
         asset = scene.assets[number]
         out = gradient_of_asset(self._buffers, asset, number)
@@ -86,13 +86,13 @@ class SplatBackward:
         return out
 
     def pose(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray, number: int) -> PoseSums:
-        """Derivatives by where the camera is from one instance.
+        """Returns the gradients with respect to the camera pose that one instance contributes.
 
         Args:
             scene: As of ``splats``.
             drawn: As of ``splats``.
-            by_splat: Derivatives by splats.
-            number: The instance's, in the scene.
+            by_splat: Gradients of the splats.
+            number: Index of the instance in the scene.
         """
         asset = next(asset for asset in scene.assets if number in asset.instances)
         chunks = -(-asset.gaussians.count // POSE_CHUNK)

@@ -1,8 +1,8 @@
-"""Derivatives of composited pixels by splats, by the Gaussians of an asset, and by the camera's pose.
+"""Kernels of the rasteriser's backward pass: gradients of splats, the Gaussians of an asset, and the camera pose.
 
-Each pixel is blended once more, front to back: what is still to come behind a splat is one number a pixel. No splat is
-written to by two tiles: each has a record for each of its tiles, and they are added up afterwards. The equations are in
-docs/method/gradients.md.
+Each pixel is blended once more, front to back; one number a pixel holds the loss terms of the splats still to come.
+Each splat has one gradient record a tile, so no two tiles write to one element, and the records are summed
+afterwards. The equations are in docs/method/gradients.md.
 """
 
 import warp as wp
@@ -24,7 +24,7 @@ CHUNK = wp.constant(POSE_CHUNK)
 SH_COEFFICIENTS = wp.constant(SH_COEFFICIENTS_MAX)
 Arrays = backward_arrays(ELLIPSE)
 
-# Records on CPUs: one item is one tile.
+# Gradient records on CPUs: one item is one tile.
 
 TILES = wp.get_module(f"{__name__}.tiles")
 wp.set_module_options(TILE_OPTIONS, TILES)
@@ -47,7 +47,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Writes a record for each splat of a tile."""
+    """Item = tile: writes a gradient record for each splat of the tile."""
     arrays = Arrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -57,7 +57,7 @@ def backward_tiles(
     add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
 
 
-# Records on CUDA: one block is one tile.
+# Gradient records on CUDA: one thread block is one tile.
 
 BLOCKS = wp.get_module(f"{__name__}.blocks")
 wp.set_module_options(WARP_OPTIONS, BLOCKS)
@@ -79,7 +79,7 @@ def backward_blocks(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Writes what ``backward_tiles`` does; all threads of a block run all batches, as they wait for each other."""
+    """Writes the records of ``backward_tiles``. All threads of a thread block run all batches, as they synchronise."""
     tile, thread = wp.tid()
     arrays = Arrays()
     arrays.rects = rects
@@ -90,21 +90,21 @@ def backward_blocks(
     add_block_records(tile, thread, camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
 
 
-# What follows from them.
+# Gradients of splats, Gaussians and the camera pose from the records.
 
 
 @wp.kernel
 def add_pairs(
     start: int, pair_starts: wp.array[int], pairs: wp.array[SplatGradient], splats_out: wp.array[SplatGradient]
 ):
-    """Item = splat: the sum of its records, in the order of its tiles."""
+    """Item = splat: sums its records in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_pairs(pairs, pair_starts[i], pair_starts[i + 1])
 
 
 @wp.func
 def evaluated_degree(settings: RasterData, instance: SplatInstanceData, sh_count: int) -> int:
-    """Degree of the SH of an instance in the frame."""
+    """Returns the SH degree at which the frame evaluates an instance."""
     stored = int(wp.sqrt(float(sh_count))) - 1
     return wp.min(wp.min(settings.sh_degree, instance.sh_degree), stored)
 
@@ -119,7 +119,7 @@ def write_sh(
     is_added: bool,
     gaussians_out: GaussianGradient,
 ):
-    """Derivatives by the coefficients of one Gaussian, each written once, added to what is there only if asked."""
+    """Writes the gradients of one Gaussian's SH coefficients, or adds them if ``is_added``."""
     used = (degree + 1) * (degree + 1)
     for k in range(SH_COEFFICIENTS):  # unrolled, so that the basis stays in registers
         if k < sh_count:
@@ -142,7 +142,7 @@ def backward_gaussians(
     gradients: wp.array[SplatGradient],
     gaussians_out: GaussianGradient,
 ):
-    """Item = Gaussian of the asset: the sum over its instances."""
+    """Item = Gaussian of the asset: sums its gradients over its instances."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]
@@ -191,7 +191,7 @@ def backward_pose(
     gradients: wp.array[SplatGradient],
     chunks_out: wp.array[PoseGradient],
 ):
-    """Item = chunk of the Gaussians of one instance: the sum of their derivatives by where the camera is."""
+    """Item = chunk of the Gaussians of one instance: sums their gradients with respect to the camera pose."""
     chunk = start + wp.tid()
     view = camera[0]
     raster = settings[0]

@@ -1,4 +1,4 @@
-"""Host pass: derivatives by what a frame that is rasterised along rays was drawn from, given those by its pixels."""
+"""Host pass: backward pass of ``Projection.UNSCENTED``, from gradients at pixels to those of Gaussians and pose."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from lumisplat.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class UnscentedFrame:
-    """What a frame that is rasterised along rays was drawn from."""
+    """Inputs of a frame of ``Projection.UNSCENTED``, and the Gaussians on its pixel rays."""
 
     scene: Scene
     camera: Camera
@@ -41,7 +41,7 @@ class UnscentedFrame:
 
 
 class UnscentedBackward:
-    """Goes back from pixels to the Gaussians that their rays have met.
+    """Computes gradients of the Gaussians that pixel rays hit from gradients at the pixels.
 
     Args:
         launcher: Runs the kernels.
@@ -52,20 +52,20 @@ class UnscentedBackward:
         self._launcher, self._buffers = launcher, buffers
 
     def modules(self) -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels.BLOCKS if self._launcher.is_parallel else kernels.TILES, kernels]
 
     def of_frame(
         self, scene: DeviceScene, frame: UnscentedFrame, by_color: FloatArray, gradient: PixelGradient, *, pose: bool
     ) -> SplatGradients:
-        """Derivatives by what a frame was drawn from.
+        """Returns the gradients with respect to the inputs of a frame.
 
         Args:
-            scene: As it was drawn.
+            scene: The scene on the device, as it was drawn.
             frame: The frame.
-            by_color: Derivatives by its colour, shape (H, W, 3).
-            gradient: The same on the device, and those by its alpha.
-            pose: Whether to differentiate by the camera's pose, too.
+            by_color: Gradients with respect to the colour of the frame, shape (H, W, 3).
+            gradient: The same on the device, and gradients with respect to its alpha.
+            pose: Whether to differentiate with respect to the camera pose, too.
         """
         drawn = frame.drawn
         pixels = PixelBuffers.of(self._buffers, scene.image_size).data
@@ -89,13 +89,13 @@ class UnscentedBackward:
     def splats(
         self, scene: DeviceScene, drawn: DrawnRaySplats, pixels: PixelData, gradient: PixelGradient
     ) -> DeviceArray:
-        """Derivatives by all Gaussians of a frame, an element of ``RaySplatGradient`` each.
+        """Returns the gradients of all Gaussians of a frame, ``RaySplatGradient``.
 
         Args:
             scene: The scene on the device, as it was drawn.
-            drawn: What the rays have met.
-            pixels: What came of it.
-            gradient: Derivatives by these.
+            drawn: The Gaussians on the pixel rays.
+            pixels: Colours and alphas of the pixels.
+            gradient: Gradients with respect to these.
         """
         run, get, tiles = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         count, starts = drawn.splats.count, pair_starts(self._launcher, self._buffers, drawn.splats.rects)
@@ -116,13 +116,13 @@ class UnscentedBackward:
     def gaussians(
         self, scene: DeviceScene, drawn: DrawnRaySplats, by_splat: DeviceArray, number: int
     ) -> GaussianGradient:
-        """Derivatives by the Gaussians of an asset, 0 for those that were not met.
+        """Returns the gradients of the Gaussians of an asset; 0 for Gaussians that no ray hit.
 
         Args:
             scene: As of ``splats``.
             drawn: As of ``splats``.
-            by_splat: Derivatives that ``splats`` has found.
-            number: The asset's, in the scene.
+            by_splat: Result of ``splats``.
+            number: Index of the asset in the scene.
         """
         asset = scene.assets[number]
         out = gradient_of_asset(self._buffers, asset, number)
@@ -134,7 +134,9 @@ class UnscentedBackward:
         return out
 
     def motions(self, drawn: DrawnRaySplats) -> DeviceArray:
-        """Derivatives by where the rays are that meet each Gaussian, ``RayMotion``; after ``gaussians`` of all assets.
+        """Returns gradients with respect to rigid motions of the rays that hit each Gaussian, ``RayMotion``.
+
+        Valid after ``gaussians`` of all assets.
 
         Args:
             drawn: As of ``splats``.

@@ -1,1 +1,1 @@
-"""Sequences of frames in which light bounces: one host pass for each stage, with its kernels beside it."""
+"""Real-time global illumination over sequences of frames: one host pass a stage, with its kernels beside it."""

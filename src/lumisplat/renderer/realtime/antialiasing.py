@@ -1,4 +1,4 @@
-"""Host pass: temporal antialiasing of frames whose samples are jittered (docs/method/realtime.md#antialiasing)."""
+"""Host pass: temporal antialiasing of frames with jittered samples (docs/method/realtime.md#antialiasing)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Antialiasing:
-    """Averages the colours and layers of pixels over frames, along their motion."""
+    """Averages the colours and layers of pixels over frames, reprojected along their motion."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
@@ -23,7 +23,7 @@ class Antialiasing:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def reset(self) -> None:
@@ -33,9 +33,9 @@ class Antialiasing:
     def average(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, layers: dict[str, DeviceArray], frame: int
     ) -> None:
-        """Replaces the radiance of a first wave, and the layers that the plan asks for, by means over frames.
+        """Replaces the radiance of the first wave, and the layers that the plan requests, by means over frames.
 
-        All have the same weights.
+        All of them use the same history weights.
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance

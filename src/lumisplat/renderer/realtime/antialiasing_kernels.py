@@ -1,4 +1,4 @@
-"""Temporal antialiasing: means of pixels over frames (Karis 2014; docs/method/realtime.md#antialiasing)."""
+"""Kernels of temporal antialiasing (Karis 2014; docs/method/realtime.md#antialiasing)."""
 
 import warp as wp
 
@@ -24,19 +24,19 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 wp.set_module_options({"enable_backward": False})
 
 ANTIALIASING_FRAMES = 32.0
-"""Frames that a pixel is the mean of at most, each with a sample elsewhere in it."""
+"""Maximum number of frames that a still pixel averages, each with another subpixel sample."""
 
 ANTIALIASING_MOVING = 3.0
-"""The same where its history lies between pixels: each interpolation blurs it."""
+"""Maximum number of frames where the history is interpolated between pixels, as each interpolation blurs it."""
 
 ANTIALIASING_SIGMAS = 3.0
-"""Standard deviations by which the samples of a pixel that stands still may differ from their mean."""
+"""Standard deviations by which the samples of a still pixel may differ from their mean and still count as noise."""
 
 ANTIALIASING_LEAST = 0.05
-"""Share of the light around a pixel by which its history may be outside what its neighbours show."""
+"""Distance by which the history may lie outside the colours of the 3 x 3 pixels, as a fraction of their luminance."""
 
 FAR_AWAY = 1e6
-"""Distance at which the background is for its motion, scene units."""
+"""Distance at which the background is placed to compute its motion, scene units."""
 
 FRAMES = wp.constant(wp.float32(ANTIALIASING_FRAMES))
 MOVING = wp.constant(wp.float32(ANTIALIASING_MOVING))
@@ -59,7 +59,7 @@ def store_pixels(
     shown_out: ShownPixels,
     shares_out: wp.array[wp.vec3],
 ):
-    """Item = ray: colour, surface and motion of its pixel; captured share and alpha in ``shares_out``.
+    """Item = ray: writes colour, surface and motion of its pixel, and captured weight and alpha to ``shares_out``.
 
     The third component of the motion is the distance of the surface.
     """
@@ -104,13 +104,13 @@ def store_pixels(
 
 @wp.func
 def is_still(motion: wp.vec3) -> bool:
-    """Whether a pixel's surface stands still on the image; not where its motion is unknown."""
+    """Returns whether a pixel's surface stands still in the image; False if its motion is unknown (NaN)."""
     return wp.abs(motion[0]) < STILL and wp.abs(motion[1]) < STILL
 
 
 @wp.func
 def cubic(share: float) -> wp.vec4:
-    """Weights of four neighbours of a point between the middle two (Catmull and Rom 1974)."""
+    """Returns the weights of four neighbours for a point between the middle two (Catmull and Rom 1974)."""
     s = share
     r = 1.0 - share
     return wp.vec4(-0.5 * s * r * r, 1.0 + s * s * (1.5 * s - 2.5), 1.0 + r * r * (1.5 * r - 2.5), -0.5 * r * s * s)
@@ -118,7 +118,7 @@ def cubic(share: float) -> wp.vec4:
 
 @wp.func
 def image_at(image: wp.array[wp.vec3], size: wp.vec2i, position: wp.vec2) -> wp.vec3:
-    """Interpolates an image at a position, in pixels from the centre of the first, by Catmull-Rom's cubics."""
+    """Interpolates an image by Catmull-Rom cubics; ``position`` is in pixels from the centre of the first pixel."""
     left = int(wp.floor(position[0]))
     top = int(wp.floor(position[1]))
     across = position[0] - float(left)
@@ -138,7 +138,7 @@ def image_at(image: wp.array[wp.vec3], size: wp.vec2i, position: wp.vec2) -> wp.
 
 @wp.func
 def nearest_around(x: int, y: int, size: wp.vec2i, motions: wp.array[wp.vec3]) -> int:
-    """The pixel of the nearest of the surfaces around a pixel; itself where its motion is unknown."""
+    """Returns the pixel with the nearest surface among the 3 x 3 around; the pixel itself if its motion is unknown."""
     nearest = y * size[0] + x
     if wp.isnan(motions[nearest][0]):
         return nearest
@@ -159,7 +159,7 @@ def is_noise(
     motions: wp.array[wp.vec3],
     history: ShownHistory,
 ) -> bool:
-    """Whether all pixels around stand still, and their samples differ from their means by no more than noise."""
+    """Returns whether the 3 x 3 pixels around stand still and their samples differ from their means only by noise."""
     means = history.color
     frames = history.frames
     changes = history.change
@@ -178,7 +178,10 @@ def is_noise(
 
 @wp.func
 def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], mean: wp.vec3) -> float:
-    """Share that a mean retains: all within the colours of the 3 x 3 pixels around, less farther outside (clamping)."""
+    """Returns the fraction of its history that a pixel retains: 1 if ``mean`` is in the colour range of 3 x 3 pixels.
+
+    Farther outside than a tolerance, it is the fourth power of tolerance over distance (soft colour clamping).
+    """
     low = colors[y * size[0] + x]
     high = low
     total = float(0.0)
@@ -191,7 +194,7 @@ def retained_share(x: int, y: int, size: wp.vec2i, colors: wp.array[wp.vec3], me
             total += luminance(color)
             count += 1.0
     outside = wp.max(wp.max(low - mean, mean - high))
-    # The brighter of the two: else darkening would be followed faster, and noise would darken images.
+    # Relative to the brighter of the two: otherwise darkening would be followed faster, and noise would darken images.
     tolerated = LEAST * wp.max(total / count, luminance(mean))
     if outside <= tolerated:
         return 1.0
@@ -209,14 +212,14 @@ def weight_history(
     shown_inout: ShownPixels,
     history_out: ShownHistory,
 ):
-    """Item = pixel: its position in the frame before, and the weight of its history.
+    """Item = pixel: computes its position in the previous frame and the weight of the new sample against its history.
 
     Args:
         start: First item.
         size: Width and height of the images.
-        history_weight: Share of its frames for which a history counts, 1 unless something has changed.
-        moved_to: Numbers of the instances of the frame before, as of ``has_left``.
-        history: History of the frame before.
+        history_weight: Factor on the length of every history; 1 unless lights or objects have changed.
+        moved_to: Current numbers of the previous frame's instances, as of ``has_left``.
+        history: History of the previous frame.
         shown_inout: The pixels; receive position and weight.
         history_out: History of this frame.
     """
@@ -226,7 +229,7 @@ def weight_history(
     color = shown_inout.color[pixel]
     motions = shown_inout.motion
     colors = shown_inout.color
-    nearest = nearest_around(x, y, size, motions)  # edges move with what is before
+    nearest = nearest_around(x, y, size, motions)  # edges move with the nearer surface
     motion = motions[nearest]
     instance = shown_inout.instance[nearest]
     frames = float(0.0)
@@ -255,9 +258,11 @@ def weight_history(
                 frames *= retained
                 if stands:
                     difference = bright - history.sample[tap]
-                    step = retained * difference * difference  # a change that ends the history is not noise
+                    step = (
+                        retained * difference * difference
+                    )  # a change of light that ends the history does not count as noise
                     change = history.change[tap] + (step - history.change[tap]) / (frames + 1.0)
-    if not (frames > 0.0 and is_finite(mean)):  # NaN, too, ends a history
+    if not (frames > 0.0 and is_finite(mean)):  # a mean with NaN ends the history, too
         frames = 0.0
         change = 0.0
         position = wp.vec2(float(x), float(y))
@@ -282,7 +287,7 @@ def blend(
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
 ):
-    """Item = ray: replaces its element of an image by the mean over frames, which ``after_out`` stores for the next."""
+    """Item = ray: replaces its image value by the mean over frames, stored in ``after_out`` for the next frame."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -298,7 +303,7 @@ def blend(
 
 @wp.kernel
 def store_shares(start: int, camera: wp.array[CameraData], shares: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Item = ray: writes captured share and alpha."""
+    """Item = ray: writes the averaged captured weight and alpha back to the wave."""
     i = start + wp.tid()
     if pixel_number(i, camera) < 0:
         return

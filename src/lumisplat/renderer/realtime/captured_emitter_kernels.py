@@ -1,4 +1,4 @@
-"""Direct light of captures that are sampled as lights, at the surfaces that pixels show. One item is one ray.
+"""Kernels that sample captures as area lights for the surfaces of pixels. One item is one ray.
 
 The method is in docs/method/realtime.md#captured-emitters.
 """
@@ -21,11 +21,11 @@ from lumisplat.device.structs.shading import LightSample, ShadingScene, WaveData
 wp.set_module_options(SHADE_OPTIONS)
 
 POINT_BRANCH = wp.constant(9)
-"""Branch of a ray's key: the point in a box."""
+"""Branch of a ray's random key for the point in a box."""
 BOX_BRANCH = wp.constant(10)
-"""Branch of the choice of a box, and of the depth in it."""
+"""Branch of a ray's random key for the choice of a box and the depth in the box."""
 RAY_BRANCH = wp.constant(11)
-"""Branch of the hits of the ray."""
+"""Branch of a ray's random key for the hits of the ray towards the captures."""
 OPAQUE = wp.constant(wp.float32(EMITTER_OPAQUE))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 
@@ -41,16 +41,16 @@ def start_captured_rays(
     light_out: PixelLight,
     rays_out: RayData,
 ):
-    """Starts a ray from one surface of a pixel towards captures.
+    """Starts a ray from one surface of a pixel towards the captures.
 
     Args:
         start: First item.
-        follows_lobes: Whether rays within highlights show captures, so that only the rest of the highlight counts here.
+        follows_lobes: Whether highlight rays hit captures, too; then only the rest of the highlight is sampled here.
         boxes: Boxes around the captures.
         scene: The scene.
-        wave: The first wave, its samples numbered.
-        slots: Which surface of each ray has a light sample; -1: none.
-        light_out: Reflected radiance for radiance 1 from there, over the pdf of the direction.
+        wave: The first wave, with numbered samples.
+        slots: Surface slot of each ray that has a light sample; -1: no sample.
+        light_out: Reflected radiance for incoming radiance 1, over the pdf of the direction.
         rays_out: The rays; they end behind the boxes.
     """
     i = start + wp.tid()
@@ -99,7 +99,7 @@ def end_behind_glass(
     ends_out: wp.array[float],
     is_glass_out: wp.array[int],
 ):
-    """Ends a ray at the mesh that it hits; glass does not end it."""
+    """Ends a ray at the mesh that it hits, unless that is glass."""
     i = start + wp.tid()
     is_glass_out[i] = 0
     ends_out[i] = 0.0
@@ -115,7 +115,7 @@ def end_behind_glass(
 
 @wp.kernel
 def start_through_glass(start: int, is_glass: wp.array[int], emitted: GaussianHits, rays_inout: RayData):
-    """Deactivates all rays but those that hit glass, which end at the captures behind it."""
+    """Keeps only the rays that hit glass active, and ends them at the captures behind the glass."""
     i = start + wp.tid()
     if is_glass[i] == 0:
         rays_inout.is_active[i] = False
@@ -134,18 +134,18 @@ def add_captured_light(
     light_inout: PixelLight,
     rays_inout: RayData,
 ):
-    """Adds the light of captures to a light sample, whose own shadow ray is applied here.
+    """Adds the light of captures to a light sample, and multiplies the sample by its own shadow ray.
 
     Args:
         start: First item.
         scene: The scene.
-        emitted: Radiance of captures on rays towards them, apart from other radiance.
-        reflected: Reflected radiance for radiance 1, as ``start_captured_rays`` writes it.
+        emitted: Captured radiance on the rays towards captures, apart from other radiance.
+        reflected: Reflected radiance for incoming radiance 1, written by ``start_captured_rays``.
         is_glass: 1: the ray hits glass first.
         passed: Transmittance of the glass.
-        visibility: Visibility by the sample's shadow ray, where it is active.
-        light_inout: The samples.
-        rays_inout: Their shadow rays; none is active afterwards.
+        visibility: Visibility along the sample's shadow ray, if that is active.
+        light_inout: The light samples.
+        rays_inout: Shadow rays of the samples; none is active afterwards.
     """
     i = start + wp.tid()
     if rays_inout.is_active[i]:

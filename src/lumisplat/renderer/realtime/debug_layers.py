@@ -1,6 +1,6 @@
-"""Host pass: debug layers, which draw the motion of surfaces and the state that real time carries from frame to frame.
+"""Host pass: debug layers, which draw the motion of surfaces and the state that real time carries between frames.
 
-Each is an image of one vec3 a ray of the camera (docs/guide/outputs.md).
+Each layer is an image of one vec3 a camera ray (docs/guide/outputs.md).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 _EMPTY = {"motion": math.nan, "history": 0.0, "cache": 0.0}
-"""Value of pixels without data; -1 in the other layers."""
+"""Value of pixels without data; -1 in layers not listed."""
 
 
 class DebugLayers:
@@ -31,17 +31,17 @@ class DebugLayers:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def empty(self, name: str, count: int) -> DeviceArray:
-        """An image without data: 0, NaN for motion, -1 for numbers of things."""
+        """Returns a layer without data: NaN for motion, 0 for history and cache, -1 for counts and cell numbers."""
         image = self._image(name, count)
         image.fill_(_EMPTY.get(name, -1.0))
         return image
 
     def motion(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Motion of each pixel's larger surface since the last frame, pixels; NaN where it is unknown."""
+        """Draws the motion of each pixel's larger surface since the previous frame, pixels; NaN if unknown."""
         image = self.empty("motion", count)
         inputs = scene.camera, scene.motion.camera, *_kinds(surfaces), image
         self._launcher.run_banded(kernels.draw_motion, count, *inputs)
@@ -50,20 +50,20 @@ class DebugLayers:
     def history(
         self, scene: DeviceScene, surfaces: list[PixelSurfaces], frames: dict[int, DeviceArray], count: int
     ) -> DeviceArray:
-        """Frames in the history of direct light of each pixel's larger surface; ``frames`` are those of each kind."""
+        """Draws the history length of direct light at each pixel's larger surface, from ``frames`` of each kind."""
         image = self.empty("history", count)
         inputs = scene.camera, *_kinds(surfaces), frames.get(SPLATS), frames.get(MESHES), image
         self._launcher.run_banded(kernels.draw_history, count, *inputs)
         return image
 
     def probes(self, scene: DeviceScene, probes: ScreenProbes, count: int) -> DeviceArray:
-        """How often the probe at a pixel has been refreshed; -1 where there is none."""
+        """Draws the number of refreshes of the probe at a pixel; -1 where there is no probe."""
         image = self.empty("probes", count)
         self._launcher.run_banded(kernels.draw_probes, probes.count, scene.camera, probes.probes, image)
         return image
 
     def cache(self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int) -> DeviceArray:
-        """Radiance of the cache at each pixel's larger surface."""
+        """Draws the cached radiance at each pixel's larger surface."""
         image = self._image("cache", count)
         image.assign(cache.look_up(self._samples(scene, surfaces, count)))
         return image
@@ -71,13 +71,13 @@ class DebugLayers:
     def cache_cells(
         self, scene: DeviceScene, cache: RadianceCache, surfaces: list[PixelSurfaces], count: int
     ) -> DeviceArray:
-        """Numbers of the cache's cells at these surfaces."""
+        """Draws the number of the cache cell at each pixel's larger surface."""
         image, numbers = self._image("cache_cells", count), cache.cell_numbers(self._samples(scene, surfaces, count))
         self._launcher.run_banded(kernels.draw_cells, count, numbers, image)
         return image
 
     def _samples(self, scene: DeviceScene, surfaces: list[PixelSurfaces], count: int) -> CacheSamples:
-        """Each pixel's larger surface as a query of the cache."""
+        """Returns each pixel's larger surface as a query of the radiance cache."""
         samples = self._buffers.struct("debug.samples", CacheSamples, count)
         self._launcher.run_banded(kernels.list_surfaces, count, scene.camera, *_kinds(surfaces), samples)
         return samples
@@ -87,6 +87,6 @@ class DebugLayers:
 
 
 def _kinds(surfaces: list[PixelSurfaces]) -> tuple[SurfacePixels, SurfacePixels]:
-    """Surfaces of Gaussians and of meshes; without elements if the scene has none."""
+    """Returns the splat and the mesh surfaces; empty arrays for a kind that the scene lacks."""
     of_kind = {each.kind: each.now for each in surfaces}
     return of_kind.get(SPLATS, SurfacePixels()), of_kind.get(MESHES, SurfacePixels())

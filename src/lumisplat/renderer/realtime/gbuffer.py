@@ -1,4 +1,4 @@
-"""Host pass: the surfaces that the pixels of a frame show, and those of the frame before."""
+"""Host pass: the G-buffer, surfaces of the pixels of this frame and of the previous one."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from lumisplat.runtime.buffers import Buffers, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 SPLATS, MESHES = 0, 1
-"""The two kinds of surfaces that a pixel may show: slots of its ray's interactions."""
+"""Kinds of surfaces that a pixel may show, which are also the slots of its ray's interactions."""
 
 
 @dataclass(frozen=True, slots=True)
 class PixelSurfaces:
-    """The surfaces of one kind that the pixels of two frames show."""
+    """Surfaces of one kind at the pixels of this frame and of the previous one."""
 
     kind: int
     """SPLATS or MESHES."""
     now: SurfacePixels
     before: SurfacePixels
-    """Those of the frame before."""
+    """Surfaces of the previous frame."""
 
 
 class GBuffer:
@@ -35,7 +35,7 @@ class GBuffer:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def reset(self) -> None:
@@ -43,7 +43,7 @@ class GBuffer:
         self._kinds_before = ()
 
     def store(self, scene: DeviceScene, wave: RayWave, frame: int) -> list[PixelSurfaces]:
-        """Stores the surfaces that a first wave of one ray a pixel hits; one element for each kind in the scene."""
+        """Stores the surfaces that the first wave hits, one ray a pixel; returns one element a kind in the scene."""
         kinds = (SPLATS,) * (scene.gaussian_count > 0) + (MESHES,) * (scene.triangle_count > 0)
         with self._launcher.stage("gbuffer"):
             surfaces = [self._store(scene, wave, frame, kind) for kind in kinds]

@@ -1,4 +1,7 @@
-"""The surfaces that pixels show: what filters and probes read of the first wave (docs/method/realtime.md#surfaces)."""
+"""Kernels that write the G-buffer: the surfaces of the first wave for filters and probes.
+
+The fields are described in docs/method/realtime.md#surfaces.
+"""
 
 import warp as wp
 
@@ -23,7 +26,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def store_surface(j: int, pixel: int, camera: wp.array[CameraData], wave: wp.array[WaveData], out: SurfacePixels):
-    """Writes the fields that both kinds of surfaces have in common, of interaction ``j``."""
+    """Writes the fields that splat and mesh surfaces share, from interaction ``j``."""
     position = wave[0].interactions.position[j]
     out.share[pixel] = wave[0].interactions.weight[j]
     out.position[pixel] = position
@@ -46,7 +49,7 @@ def store_splat_surfaces(
     wave: wp.array[WaveData],
     surfaces_out: SurfacePixels,
 ):
-    """Item = ray: the surface of the Gaussians in its pixel."""
+    """Item = ray: writes the surface of the Gaussians at its pixel."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -73,7 +76,7 @@ def store_mesh_surfaces(
     wave: wp.array[WaveData],
     surfaces_out: SurfacePixels,
 ):
-    """Item = ray: the surface of the mesh in its pixel."""
+    """Item = ray: writes the surface of the mesh at its pixel."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

@@ -1,6 +1,6 @@
-"""Host pass: indirect light of the surfaces that pixels show, by screen probes and the radiance cache.
+"""Host pass: indirect light at the surfaces of pixels, from screen probes and the radiance cache.
 
-Secondary rays leave probes, cells of the cache and highlights (docs/method/realtime.md#rays).
+Secondary rays leave probes, cache cells and highlights (docs/method/realtime.md#rays).
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SPECULAR_WAVES = 8
-"""Smooth surfaces after one another that reflect a secondary ray or let it pass: two panes are four."""
+"""Maximum number of smooth surfaces that reflect or transmit a secondary ray in a row; two panes are four surfaces."""
 
 
 class IndirectLight:
-    """Finds the light that surfaces receive from others.
+    """Computes the indirect light of the surfaces of pixels.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         tracer: Finds the hits of rays.
-        shadows: Follows shadow rays; its sample has begun.
+        shadows: Traces shadow rays; its sample has begun.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class IndirectLight:
         self.probes = ScreenProbes(launcher, buffers, config.realtime.probes, config.seed, self._offset)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         return [*self._rays.modules(plan), kernels, *self.probes.modules(), *self.cache.modules()]
 
     def reset(self) -> None:
@@ -66,10 +66,10 @@ class IndirectLight:
         self.probes.reset()
 
     def start_lobes(self, scene: DeviceScene, wave: RayWave, frame: int) -> tuple[LobeRays, RayData | None]:
-        """Starts rays within the highlights of a first wave, before later waves overwrite its surfaces.
+        """Starts rays within the highlights of the first wave, before later waves overwrite its surfaces.
 
         Returns:
-            Which pixels have a ray, and the rays; None if there are none.
+            Which pixels have a ray, and the rays; None if there are no rays.
         """
         width, height = scene.image_size
         squares = -(-width // 2) * -(-height // 2)
@@ -97,13 +97,13 @@ class IndirectLight:
         lobes: tuple[LobeRays, RayData | None],
         frame: int,
     ) -> list[SurfaceLight]:
-        """Finds the indirect light of a frame, for the surfaces of each kind.
+        """Computes the indirect light of a frame, for the surfaces of each kind.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
-            surfaces: Those that its pixels show.
-            lobes: Rays within their highlights, by `start_lobes`.
+            surfaces: Surfaces of the pixels.
+            lobes: Rays within the highlights of these surfaces, from `start_lobes`.
             frame: Number of the frame.
         """
         with self._launcher.stage("probes"):
@@ -130,7 +130,8 @@ class IndirectLight:
     ) -> LobeRays:
         """Finds the radiance of rays within highlights.
 
-        Direct light at their hits is sampled: narrow highlights would show the cells of the cache.
+        Direct light at their hits is sampled instead of read from the cache, whose cells would show in narrow
+        highlights.
         """
         if rays is not None:
             hits = self._rays.trace(scene, plan, rays, "lobe_rays")
@@ -141,7 +142,7 @@ class IndirectLight:
         return lobes
 
     def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
-        """Lets light bounce from cell to cell of the cache."""
+        """Traces rays between cells of the cache, so that light bounces from cell to cell."""
         points = self.cache.bounce_points(frame)
         count = len(device_array(points.is_active))
         rays = self._buffers.struct("cache.rays", RayData, -(-count // PACKET_RAYS) * PACKET_RAYS)
@@ -154,7 +155,7 @@ class IndirectLight:
         )
 
     def _larger(self, surfaces: list[PixelSurfaces]) -> SurfacePixels:
-        """The surface of each pixel that covers more of it."""
+        """Returns for each pixel the surface that covers more of it."""
         if len(surfaces) == 1:
             return surfaces[0].now
         count = len(device_array(surfaces[0].now.share))
@@ -163,7 +164,7 @@ class IndirectLight:
         return larger
 
     def _gathered(self, scene: DeviceScene, kind: PixelSurfaces, lobes: LobeRays) -> SurfaceLight:
-        """Light that surfaces of one kind reflect of probes and of rays within their highlights."""
+        """Returns the light that surfaces of one kind reflect, from probes and from rays within their highlights."""
         probes = self.probes
         irradiance = probes.irradiance(kind.now)
         light = self._buffers.struct(f"indirect_light.{kind.kind}", SurfaceLight, len(irradiance))
@@ -179,7 +180,7 @@ class SecondaryHits:
 
     rays: BouncedRays
     samples: CacheSamples
-    """The surfaces, and the radiance that they reflect of lights and the environment."""
+    """Surfaces at the hits, and the radiance that they reflect of lights and the environment."""
 
 
 class SecondaryRays:
@@ -191,7 +192,7 @@ class SecondaryRays:
         self._grids = LightGrids(launcher, buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         modules: list[KernelModule] = [ray_kernels, *self._surfaces.modules(), *self._grids.modules()]
         modules += self._tracer.modules(plan, bounced=True)
         if plan.casts_shadows:
@@ -201,13 +202,13 @@ class SecondaryRays:
     def trace(
         self, scene: DeviceScene, plan: FramePlan, rays: RayData, name: str, *, hits_emitters: bool = True
     ) -> SecondaryHits:
-        """Finds the surfaces that rays hit, with direct light there; at smooth surfaces rays continue.
+        """Finds the surfaces that rays hit and samples direct light there; at smooth surfaces, rays continue.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
-            rays: A multiple of ``PACKET_RAYS``.
-            name: Of the buffers that hold the result.
+            rays: The rays, a multiple of ``PACKET_RAYS``.
+            name: Name of the buffers that hold the result.
             hits_emitters: Whether the rays hit captures that are sampled as lights. False for rays from surfaces that
                 receive the light of these captures by other samples.
         """
@@ -243,12 +244,12 @@ class SecondaryRays:
         return SecondaryHits(bounced, samples)
 
     def radiance(self, hits: SecondaryHits, reflected: DeviceArray, name: str) -> tuple[DeviceArray, DeviceArray]:
-        """Radiance of the rays, linear, and the distances of their hits; inf: none.
+        """Returns the radiance of the rays, linear, and the distances of their hits; inf without a hit.
 
         Args:
-            hits: Their hits.
-            reflected: Radiance that the surfaces there reflect of all light, linear.
-            name: Of the buffers that hold the result.
+            hits: Hits of the rays.
+            reflected: Radiance that the surfaces at the hits reflect in total, linear.
+            name: Name of the buffers that hold the result.
         """
         count = len(reflected)
         radiance = self._buffers.get(f"{name}.radiance", wp.vec3, count)
@@ -258,7 +259,7 @@ class SecondaryRays:
         return radiance, distance
 
     def _onward(self, plan: FramePlan, count: int) -> OnwardRays:
-        """State of rays that may continue at smooth surfaces, at their start."""
+        """Returns the initial state of rays that may continue at smooth surfaces."""
         onward, get = OnwardRays(), self._buffers.get
         onward.rays = self._buffers.struct("bounced.onward", RayData, count)
         onward.goes_on = get("bounced.goes_on", wp.int32, count)
@@ -270,7 +271,7 @@ class SecondaryRays:
         return onward
 
     def _any_continues(self, onward: OnwardRays) -> bool:
-        """Returns whether some rays continue. The host waits for that: most scenes need few of the waves."""
+        """Returns whether any ray continues. The host waits for the answer, as most scenes need few of the waves."""
         goes_on = device_array(onward.goes_on)
         ends = self._buffers.get("bounced.ends", wp.int32, len(goes_on))
         prefix_sum(goes_on, ends, inclusive=True)

@@ -1,4 +1,4 @@
-"""Indirect light of surfaces by screen probes and the radiance cache (docs/method/realtime.md)."""
+"""Kernels of indirect light from screen probes and the radiance cache (docs/method/realtime.md)."""
 
 import warp as wp
 
@@ -19,17 +19,17 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 RAY_LIFT = 1e-4
-"""Share of the largest coordinate by which rays start above a mesh whose triangle is not known any more: rounding must
-not put them below."""
+"""Distance by which rays start above a mesh whose triangle is no longer known, as a fraction of the largest
+coordinate: rounding must not put the origin below the surface."""
 
 LIFT = wp.constant(wp.float32(RAY_LIFT))
 GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
-"""Mixed into the seed, so that random numbers differ from those of other look-ups."""
+"""Mixed into the seed, so that random numbers differ from other look-ups."""
 
 
 @wp.kernel
 def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, shown_out: SurfacePixels):
-    """Item = pixel: the surface that covers more of it."""
+    """Item = pixel: copies the surface that covers more of it."""
     pixel = start + wp.tid()
     chosen = splats
     if meshes.share[pixel] > splats.share[pixel]:
@@ -44,9 +44,9 @@ def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, sh
 
 @wp.kernel
 def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
-    """Item = ray: leaves a point of the cache, by the cosine of its normal; rays without a point are not active.
+    """Item = ray: leaves a cache point in a cosine-weighted direction; rays without a point are inactive.
 
-    Gaussians within ``offset`` times the scale of the point's Gaussian do not block it.
+    Gaussians within ``offset`` times the scale of the point's Gaussian do not block the ray.
     """
     i = start + wp.tid()
     rays_out.is_active[i] = False
@@ -84,7 +84,7 @@ def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.v
 
 @wp.func
 def reflected_direction(pixel: int, key: wp.uint32, frame: int, view: wp.vec3, surfaces: SurfacePixels) -> wp.vec3:
-    """A random direction within the highlight of a pixel's surface, unit."""
+    """Samples a unit direction within the highlight of a pixel's surface."""
     normal = surfaces.normal[pixel]
     alpha = wp.max(surfaces.alpha[pixel], ALPHA_GGX_MIN)
     facet = facet_mirrored(normal, view, alpha, sobol_2d(key, frame))
@@ -104,7 +104,7 @@ def radiance_of_probes(
     adaptive_of: wp.array[int],
     probe_light: ProbeLight,
 ) -> wp.vec3:
-    """Radiance of probes along a random direction within a pixel's highlight."""
+    """Returns the radiance of the probes along a random direction within a pixel's highlight."""
     view = wp.normalize(camera[0].eye - surfaces.position[pixel])
     key = pixel_key_of(pixel, wp.bit_xor(grids[0].seed, GLOSSY_SEED))
     direction = reflected_direction(pixel, key, grids[0].frame, view, surfaces)
@@ -129,7 +129,7 @@ def gather_light(
     interval: int,
     light_out: SurfaceLight,
 ):
-    """Item = pixel: light that its surface reflects of probes and of rays within highlights.
+    """Item = pixel: computes the light that its surface reflects, from probes and rays within highlights.
 
     Args:
         start: First item.
@@ -138,12 +138,12 @@ def gather_light(
         camera: Camera of the frame.
         surfaces: Surfaces of the pixels.
         probes: The probes.
-        adaptive_of: Adaptive probes of tiles.
+        adaptive_of: Adaptive probe of each tile.
         probe_light: Radiance of the probes.
-        irradiance: Irradiance of the surfaces, by the probes.
+        irradiance: Irradiance of the surfaces, from the probes.
         lobes: Rays within highlights.
-        interval: Frames in which each pixel has its turn, 1 or 2.
-        light_out: Diffuse over the albedo, and glossy.
+        interval: Every how many frames a pixel gets samples, 1 or 2.
+        light_out: Diffuse light over the albedo, and glossy light.
     """
     pixel = start + wp.tid()
     width = grids[0].width

@@ -1,4 +1,4 @@
-"""Host pass: removes noise from the light of surfaces, by means over frames and neighbours (Schied et al. 2017)."""
+"""Host pass: spatiotemporal denoiser of the light of surfaces (SVGF, Schied et al. 2017)."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class LightFilter:
-    """Filters the noisy light of the surfaces of one kind, frame by frame.
+    """Denoises the light of the surfaces of one kind, frame by frame.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         name: Name of the buffers that hold the history.
-        shared: Pixels that share each sample of the light, and so its noise.
+        shared: Number of pixels that share each light sample and hence its noise.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: FilterConfig, name: str, shared: int) -> None:
@@ -32,7 +32,7 @@ class LightFilter:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def reset(self) -> None:
@@ -40,18 +40,18 @@ class LightFilter:
         self._has_history = False
 
     def filter(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> FilteredLight:
-        """Filters the light samples of a frame, for the surfaces of the kind that they are of."""
+        """Denoises the light samples of a frame for the surfaces of their kind."""
         with self._launcher.stage("accumulate"):
             history = self._accumulate(scene, surfaces, light, frame)
         with self._launcher.stage("filter"):
             return self._smooth(scene, surfaces, history)
 
     def frames(self, scene: DeviceScene, frame: int) -> DeviceArray:
-        """Length of each pixel's history in a frame, as float."""
+        """Returns the history length of each pixel in a frame, as float."""
         return device_array(self._history(scene, frame).frames)
 
     def _accumulate(self, scene: DeviceScene, surfaces: PixelSurfaces, light: SurfaceLight, frame: int) -> LightHistory:
-        """Adds samples to the means over frames."""
+        """Reprojects the history and adds the samples of the frame."""
         before, now = self._history(scene, frame - 1), self._history(scene, frame)
         if not self._has_history:
             device_array(before.frames).zero_()
@@ -65,7 +65,7 @@ class LightFilter:
         return now
 
     def _smooth(self, scene: DeviceScene, surfaces: PixelSurfaces, history: LightHistory) -> FilteredLight:
-        """Averages over neighbours, whose distance doubles from pass to pass."""
+        """Averages over neighbours in passes whose step doubles each time."""
         light = FilteredLight()
         light.diffuse, light.glossy = history.diffuse, history.glossy
         light.variance = self._buffers.get("filter.variance", wp.vec2, len(history.frames))

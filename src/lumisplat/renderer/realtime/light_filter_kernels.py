@@ -1,7 +1,7 @@
-"""Removes noise from the light of surfaces: means over frames, then over neighbouring pixels.
+"""Kernels of the light denoiser: means over frames, then over neighbouring pixels.
 
-Histories follow Schied et al. 2017. The passes over neighbours are edge-avoiding wavelets (Dammertz et al. 2010) with
-weights that are 0 from some distance on (docs/method/realtime.md#filters).
+Histories follow Schied et al. 2017. The spatial passes are edge-avoiding wavelets (Dammertz et al. 2010) with weights
+of compact support (docs/method/realtime.md#filters).
 """
 
 import warp as wp
@@ -27,29 +27,29 @@ wp.set_module_options({"enable_backward": False})
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_PIXEL_PX = 2.0
-"""A pixel of the frame before shows a point if neither is farther from the other's plane than so many pixels are wide
-there: contact shadows are not taken from what stood on a surface."""
+"""Maximum distance between a point and the plane of a previous pixel's surface, and vice versa, for reprojection; in
+pixel widths at that distance. It keeps contact shadows from taking the history of the object on the surface."""
 
 CHANGE_SIGMAS = 3.0
-"""Standard deviations by which samples around a pixel differ from their histories where light has changed: by chance
-they do in one of some hundred pixels and frames."""
+"""Standard deviations beyond which samples around a pixel count as a change of light. Noise alone exceeds them in one
+of some hundred pixels and frames."""
 
 CHANGE_LEAST = 0.02
-"""Share of the light below which no difference counts as a change."""
+"""Fraction of the light below which no difference counts as a change."""
 
 MOMENT_FRAMES = 8
-"""Frames over which the moments of luminance are averaged at least, from which its variance follows."""
+"""Minimum number of frames over which the moments of luminance, and hence its variance, are averaged."""
 
 LUMINANCE_SIGMAS = 4.0
-"""Neighbours count less the more standard deviations of noise lie between them and the pixel. SVGF's."""
+"""Standard deviations of noise that scale a neighbour's weight by its luminance difference, as in SVGF."""
 
 YOUNG_FRAMES = 3.5
-"""With fewer frames of history than this, the variance is that of the neighbourhood. SVGF's 4: means of equal histories
-are whole numbers but for rounding."""
+"""History length below which the variance comes from the neighbourhood. SVGF uses 4; means of equal histories are
+whole numbers up to rounding, so 3.5 is safe."""
 
 WEIGHT_LEAST = 1e-8
-"""Least weight by position and normal with which a neighbour counts: those at an angle give a pixel without samples
-nothing."""
+"""Minimum weight by position and normal with which a neighbour counts, so that surfaces at an angle give no light to
+pixels without samples."""
 
 PIXEL_PX = wp.constant(wp.float32(SAME_PIXEL_PX))
 CHANGED_SIGMAS = wp.constant(wp.float32(CHANGE_SIGMAS))
@@ -73,22 +73,22 @@ class PixelHistory:
 
 @struct
 class LightChange:
-    """How the light of a few neighbouring pixels differs from their histories."""
+    """Statistics of how the light samples of neighbouring pixels differ from their histories."""
 
     sampled: float
     """Sum of the luminances of the samples."""
     expected: float
-    """Sum of those of the histories."""
+    """Sum of the luminances of the histories."""
     variance: float
-    """Of the first sum."""
+    """Variance of ``sampled``."""
     brighter: float
-    """Pixels whose sample is brighter than their history."""
+    """Number of pixels whose sample is brighter than their history."""
     count: float
-    """Pixels."""
+    """Number of pixels."""
     lowest: float
-    """Luminance of the darkest sample, of pixels with short histories, too; inf: there is none."""
+    """Luminance of the darkest sample, including pixels with short histories; inf without samples."""
     highest: float
-    """That of the brightest one."""
+    """Luminance of the brightest sample, including pixels with short histories."""
 
 
 @wp.func
@@ -130,9 +130,10 @@ def history_of(
     camera_before: wp.array[CameraData],
     image: LightHistory,
 ) -> PixelHistory:
-    """Interpolates the history of a pixel's surface among the four pixels around where it was that showed it, too.
+    """Interpolates a surface's history among the four previous pixels around its reprojection that show that surface.
 
-    If none did, and the surface stands still, it is the mean over the 3 x 3 pixels: jittered samples see past edges.
+    If none of them does and the surface stands still, the history is the mean over 3 x 3 pixels: jittered samples may
+    see past edges.
     """
     history = PixelHistory()
     position = surfaces.previous[pixel]
@@ -141,7 +142,7 @@ def history_of(
     at = pixel_before(position, camera_before)
     if at[2] <= 0.0:
         return history
-    # Histories are of whole pixels, the point is the sample's.
+    # Histories belong to pixel centres, but the point is that of the jittered sample.
     x = snapped(at[0] - camera[0].offset[0])
     y = snapped(at[1] - camera[0].offset[1])
     left = int(wp.floor(x))
@@ -197,7 +198,7 @@ def reproject(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Item = pixel: moves the history of its surface here from where it was in the frame before."""
+    """Item = pixel: fetches the history of its surface from the surface's position in the previous frame."""
     pixel = start + wp.tid()
     own = PixelHistory()
     if surfaces.share[pixel] > 0.0:
@@ -209,7 +210,7 @@ def reproject(
 def with_pixel(
     change: LightChange, is_old: bool, sampled: float, expected: float, mean: float, square: float
 ) -> LightChange:
-    """Adds one more pixel to a change, by luminances and their moments; short histories only widen the range."""
+    """Adds one more pixel to the statistics; a pixel with a short history only widens the luminance range."""
     change.lowest = wp.min(change.lowest, sampled)
     change.highest = wp.max(change.highest, sampled)
     if not is_old:
@@ -224,10 +225,11 @@ def with_pixel(
 
 @wp.func
 def retained_share(change: LightChange, shared: float) -> float:
-    """Share of its history that a pixel retains: all of it unless the light around it has changed.
+    """Returns the fraction of its history that a pixel retains: 1 unless the light around it has changed.
 
-    Light has become darker if the sum of the samples is too low for noise; brighter, if that sum is too high and most
-    samples are brighter, as a few may be far brighter by noise. ``shared`` pixels have the same noise.
+    Light has become darker if the sum of the samples is too low for noise. It has become brighter if that sum is too
+    high and most samples are brighter, as noise alone may make a few far brighter. ``shared`` pixels have the same
+    noise.
     """
     difference = change.sampled - change.expected
     if difference > 0.0 and change.brighter < 0.5 * change.count:
@@ -242,7 +244,7 @@ def retained_share(change: LightChange, shared: float) -> float:
 
 @wp.func
 def share_inside(change: LightChange, held: float) -> float:
-    """Share that a history retains when things move: all if it is within the range of the samples around (clamping)."""
+    """Returns the fraction of its history that a pixel retains when objects move: 1 in the range of nearby samples."""
     outside = wp.max(change.lowest - held, held - change.highest)
     tolerated = CHANGED_LEAST * held
     if outside <= tolerated:
@@ -253,7 +255,7 @@ def share_inside(change: LightChange, held: float) -> float:
 
 @wp.func
 def no_change() -> LightChange:
-    """The change of no pixels."""
+    """Returns the statistics of no pixels."""
     change = LightChange()
     change.lowest = wp.inf
     return change
@@ -272,17 +274,17 @@ def accumulate(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Item = pixel: adds its sample of this frame to its history, which is cut the more the light has changed.
+    """Item = pixel: adds its sample to its history, which is shortened the more the light has changed.
 
-    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Short histories are only cut
-    when things move, if they are outside the range of the samples there.
+    The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Short histories are shortened
+    only when objects move, if they are outside the range of the samples there.
 
     Args:
         start: First item.
         size: Width and height of the images.
         frames_max: Frames after which old samples fade.
-        history_weight: Share of its frames for which a short history counts, 1 unless something has changed.
-        shared: Pixels that share each sample, and so its noise.
+        history_weight: Factor on the length of a short history; 1 unless lights or objects have changed.
+        shared: Number of pixels that share each sample and hence its noise.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
         light: Samples of the frame.
@@ -305,7 +307,7 @@ def accumulate(
             normal = surfaces.normal[pixel]
             diffuse = no_change()
             glossy = no_change()
-            # By name: through the structs, the compiler copies their descriptors for each neighbour.
+            # Local names, as the compiler would otherwise copy the array descriptors of the structs for each neighbour.
             shares = surfaces.share
             positions = surfaces.position
             normals = surfaces.normal
@@ -340,7 +342,7 @@ def accumulate(
 
 @wp.func
 def variance_of(moments: wp.vec4) -> wp.vec2:
-    """Variances of the diffuse and the glossy luminance."""
+    """Returns the variances of the diffuse and the glossy luminance."""
     diffuse = moments[1] - moments[0] * moments[0]
     glossy = moments[3] - moments[2] * moments[2]
     return wp.vec2(wp.max(diffuse, 0.0), wp.max(glossy, 0.0))
@@ -355,10 +357,10 @@ def estimate_variance(
     history: LightHistory,
     variance_out: wp.array[wp.vec2],
 ):
-    """Item = pixel: variance of the mean over its frames.
+    """Item = pixel: estimates the variance of its mean over frames.
 
-    Long histories take the mean of the variances over frames of the 3x3 pixels, as a single pixel may have missed rare
-    samples; short ones the variance over pixels and frames in 7x7.
+    Long histories average the temporal variances of the 3 x 3 pixels, as a single pixel may have missed rare samples.
+    Short ones use the variance over pixels and frames in 7 x 7.
     """
     pixel = start + wp.tid()
     variance_out[pixel] = wp.vec2(0.0)
@@ -377,7 +379,7 @@ def estimate_variance(
     variance = wp.vec2(0.0)
     moments = wp.vec4(0.0)
     count = float(0.0)
-    # By name: through the structs, the compiler copies their descriptors for each neighbour.
+    # Local names, as the compiler would otherwise copy the array descriptors of the structs for each neighbour.
     shares = surfaces.share
     positions = surfaces.position
     normals = surfaces.normal
@@ -399,20 +401,20 @@ def estimate_variance(
 
 @wp.func
 def falloff(x: float) -> float:
-    """About exp(-x^2 / 3), but 0 from 3 on."""
+    """Returns about exp(-x^2 / 3), but 0 from 3 on."""
     rest = wp.max(1.0 - x * x / 9.0, 0.0)
     return rest * rest * rest
 
 
 @wp.func
 def luminance_weight(apart: float, variance: float, other: float) -> float:
-    """Weight of a neighbour by a difference of luminances, over the geometric mean of both standard deviations."""
+    """Returns a neighbour's weight by luminance difference over the geometric mean of both standard deviations."""
     return falloff(apart / (SIGMAS * wp.sqrt(wp.sqrt(variance * other)) + TINY))
 
 
 @wp.func
 def normal_weight(cosine: float, extent: float) -> float:
-    """Weight of a neighbour by the cosine between the normals: to the power of 8 among Gaussians, else of 64."""
+    """Returns a neighbour's weight: the cosine between the normals to the power of 8 (Gaussians) or 64 (meshes)."""
     power = wp.max(cosine, 0.0)
     power *= power
     power *= power
@@ -436,7 +438,7 @@ def filter_pass(
     light: FilteredLight,
     light_out: FilteredLight,
 ):
-    """Item = pixel: weighted mean of its light and that of neighbours that show the same surface.
+    """Item = pixel: averages its light with that of neighbours on the same surface.
 
     Args:
         start: First item.
@@ -445,7 +447,7 @@ def filter_pass(
         step: Distance between them, pixels.
         surfaces: Surfaces of the pixels.
         camera: Camera of the frame.
-        frames: Length of each pixel's history; a pixel without one takes the light of its neighbours.
+        frames: History length of each pixel; a pixel without history takes the light of its neighbours.
         light: Light with its variances.
         light_out: Filtered light.
     """
@@ -465,7 +467,7 @@ def filter_pass(
     extent = surfaces.extent[pixel]
     per_distance = 1.0 / tolerance(surfaces.distance[pixel], extent, camera)
     bright = wp.vec2(luminance(diffuse), luminance(glossy))
-    # By name, as in `accumulate`.
+    # Local names, as in `accumulate`.
     normals = surfaces.normal
     positions = surfaces.position
     of_diffuses = light.diffuse

@@ -1,4 +1,4 @@
-"""Host pass: the few of many lights among which the surfaces of a cell choose (docs/method/realtime.md#light-grid)."""
+"""Host pass: for scenes with many lights, chooses a few lights for each cell (docs/method/realtime.md#light-grid)."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from lumisplat.runtime.primitives import prefix_sum, sort_pairs
 
 
 class LightGrids:
-    """Chooses lights for the cells that contain surfaces."""
+    """Chooses lights for the grid cells that contain surfaces."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def is_needed(self, scene: DeviceScene) -> bool:
-        """Whether there are more lights than each surface chooses among; if not, grids are without elements."""
+        """Returns whether there are more lights than each surface chooses among; if not, grids have empty arrays."""
         return scene.lights.choice_count > GRID_LIGHTS
 
     def of_wave(self, scene: DeviceScene, wave: RayWave) -> LightGrid:
-        """Chooses lights for the cells of a wave's surfaces; the next wave overwrites them."""
+        """Chooses lights for the cells of a wave's surfaces; the next wave overwrites the result."""
         grid = LightGrid()
         if not self.is_needed(scene):
             return grid
@@ -48,7 +48,7 @@ class LightGrids:
         return grid
 
     def _sorted(self, scene: DeviceScene, wave: RayWave) -> tuple[DeviceArray, DeviceArray]:
-        """Keys of the surfaces' cells, ascending, and the number of cells up to each."""
+        """Returns the keys of the surfaces' cells, ascending, and the running count of distinct cells."""
         count, run = wave.count, self._launcher.run_banded
         keys, order = self._get("keys", wp.int64, 2 * count), self._order(count)
         run(kernels.find_cells, count, scene.camera, wave.data, keys, order)
@@ -59,7 +59,7 @@ class LightGrids:
         return keys, device_array(ends)
 
     def _order(self, count: int) -> DeviceArray:
-        """The ray of each key."""
+        """Returns the array with the ray of each key."""
         return self._get("order", wp.int32, 2 * count)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:

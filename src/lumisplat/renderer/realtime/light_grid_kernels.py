@@ -1,6 +1,6 @@
-"""Kernels of the light grid: the cells of surfaces, and the lights of cells (docs/method/realtime.md#light-grid).
+"""Kernels of the light grid: cells of surfaces, and lights of cells (docs/method/realtime.md#light-grid).
 
-Write-once, and a function of the cell alone: the same for any schedule.
+Each element is written once and depends on its cell alone, so the result is the same for any schedule.
 """
 
 import warp as wp
@@ -38,7 +38,7 @@ def find_cells(
     keys_out: wp.array[wp.int64],
     order_out: wp.array[int],
 ):
-    """Item = ray: the cell of that of its surfaces which is lit."""
+    """Item = ray: writes the cell key of the surface that receives its light sample."""
     i = start + wp.tid()
     order_out[i] = i
     keys_out[i] = NO_CELL
@@ -57,7 +57,7 @@ def find_cells(
 
 @wp.kernel
 def mark_cells(start: int, keys: wp.array[wp.int64], is_first_out: wp.array[int]):
-    """Item = ray in the order of keys: whether it is the first of its cell."""
+    """Item = ray in key order: marks the first ray of each cell."""
     i = start + wp.tid()
     is_first = keys[i] != NO_CELL
     if i > 0 and is_first:
@@ -75,7 +75,7 @@ def list_cells(
     cell_of_out: wp.array[int],
     cells_out: wp.array[wp.int64],
 ):
-    """Item = ray in the order of keys: the number of its cell; the first of a cell writes the cell's key.
+    """Item = ray in key order: writes the number of its cell; the first ray of a cell also writes the cell's key.
 
     Surfaces beyond ``cells_max`` cells choose among all lights.
     """
@@ -92,7 +92,7 @@ def list_cells(
 
 @wp.func
 def weight_of(number: int, cell: GridCell, scene: wp.array[ShadingScene]) -> float:
-    """Weight of a light in a cell, by its number."""
+    """Returns the sampling weight of light ``number`` in a cell; the emissive meshes count as the last light."""
     if number == scene[0].settings[0].light_count:
         return bounded(emitter_weight(scene[0].emitters, cell))
     return bounded(light_weight(scene[0].lights[number], scene[0].environment.mean, cell))
@@ -100,7 +100,7 @@ def weight_of(number: int, cell: GridCell, scene: wp.array[ShadingScene]) -> flo
 
 @wp.func
 def largest_rank(ranks: wp.array[float], first: int) -> int:
-    """Which of the lights of a cell has the largest rank."""
+    """Returns the index of the light with the largest rank in a cell."""
     largest = first
     for slot in range(1, SLOTS):
         if ranks[first + slot] > ranks[largest]:
@@ -112,9 +112,9 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 def choose_lights(
     start: int, cells: wp.array[wp.int64], ends: wp.array[int], scene: wp.array[ShadingScene], grid_out: LightGrid
 ):
-    """Item = cell: the lights with the smallest ranks, an exponential draw over the weight each.
+    """Item = cell: chooses the lights with the smallest ranks; a rank is an exponential draw over the light's weight.
 
-    From the next rank follows the probability of each to be among them.
+    The largest of the stored ranks yields the probability with which each of the other lights is chosen.
     """
     c = start + wp.tid()
     if c >= ends[ends.shape[0] - 1]:

@@ -1,4 +1,4 @@
-"""Light at the hits of reflected and refracted rays in real time (docs/method/realtime.md#mirrors)."""
+"""Kernels that light the hits of reflected and refracted rays in real time (docs/method/realtime.md#mirrors)."""
 
 import warp as wp
 
@@ -19,7 +19,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def jittered_point(j: int, ray: int, width: float, interaction: Interaction, wave: wp.array[WaveData]) -> wp.vec3:
-    """A random point of an interaction's plane, within ``width``: averaged over frames, it hides edges of cells."""
+    """Returns a random point within ``width`` in an interaction's plane; averaged over frames, it hides cell edges."""
     key = branch_key(wave[0].rays.sample_key[ray], CELL_BRANCH + j // wave[0].rays.is_active.shape[0])
     u = sobol_2d(key, 0)
     return interaction.position + (width * wp.sqrt(u[0])) * around(interaction.normal, 0.0, 1.0, u[1])
@@ -34,9 +34,9 @@ def list_surfaces(
     samples_out: CacheSamples,
     points_out: wp.array[wp.vec3],
 ):
-    """Item = interaction: its surface as a query of the cache, and a point in its plane to look up.
+    """Item = interaction: writes its surface as a query of the radiance cache, and a point in its plane to look up.
 
-    The point is random within ``cell_size``, the width of cells as a share of their distance; 0: it is the hit itself.
+    The point is random within ``cell_size``, the width of cells as a fraction of their distance; 0: the hit itself.
     """
     j = start + wp.tid()
     ray = j % wave[0].rays.is_active.shape[0]
@@ -81,7 +81,7 @@ def sample_surface(
     wave: wp.array[WaveData],
     rays_out: RayData,
 ) -> wp.vec3:
-    """Unshadowed light ``number``, chosen by a ``chance``, at a surface of ray ``i``; starts its shadow ray."""
+    """Samples light ``number``, chosen with probability ``chance``, at a surface of ray ``i``; starts a shadow ray."""
     choice = LightChoice()
     choice.number = number
     choice.probability = surface.probability * chance
@@ -99,7 +99,7 @@ def sample_emitters(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: unshadowed light of a point of the emissive triangles, at one of its surfaces, and its shadow ray."""
+    """Item = ray: samples a point of the emissive triangles for one of its surfaces, and starts the shadow ray."""
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
@@ -122,7 +122,7 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: unshadowed light of the one in ``slot`` of its cell of the grid, over its probability; shadow ray.
+    """Item = ray: samples the light in ``slot`` of its grid cell, over its probability, and starts the shadow ray.
 
     Surfaces that choose among all lights have one sample, in slot 0.
     """
@@ -161,6 +161,6 @@ def add_samples(
 
 @wp.kernel
 def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
-    """Item = ray: its radiance minus that of ``before``."""
+    """Item = ray: writes its radiance minus ``before``."""
     i = start + wp.tid()
     difference_out[i] = wave[0].radiance.light[i] - before[i]

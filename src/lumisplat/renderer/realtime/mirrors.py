@@ -26,14 +26,14 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 
 
 class Mirrors:
-    """Follows reflected and refracted rays as in hybrid frames, and adds indirect light at their hits.
+    """Traces reflected and refracted rays as in hybrid frames, and adds indirect light at their hits.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         tracer: Finds the hits of rays.
-        shadows: Follows shadow rays; its sample has begun.
+        shadows: Traces shadow rays; its sample has begun.
         cache: Provides indirect light.
     """
 
@@ -57,7 +57,7 @@ class Mirrors:
         self._jitter_width = realtime.cache.cell_size if realtime.antialiasing else 0.0
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         modules: list[KernelModule] = [
             kernels,
             *self._tracer.modules(plan),
@@ -85,7 +85,7 @@ class Mirrors:
         return added
 
     def _waves(self, scene: DeviceScene, plan: FramePlan, first: RayWave) -> list[RayWave]:
-        """The first wave, and the waves that branch off it."""
+        """Returns the first wave and the waves that branch off it."""
         waves = [first]
         for number in range(1, plan.max_bounces + 1):
             self._specular.number(waves[-1])
@@ -104,7 +104,7 @@ class Mirrors:
         return waves
 
     def _add_lights(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds direct light of all lights one by one, or, of many lights, of those that the light grid chooses."""
+        """Adds direct light: of all lights one by one or, with many lights, of those that the light grid chooses."""
         if self._grids.is_needed(scene) and not plan.has_shadow_catchers:
             grid = self._grids.of_wave(scene, wave)
             for slot in range(GRID_LIGHTS + 1):
@@ -115,7 +115,7 @@ class Mirrors:
             self._add_samples(scene, plan, wave, kernels.sample_emitters)
 
     def _add_samples(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: Kernel, *inputs: object) -> None:
-        """Adds one light sample a ray, by a kernel that takes these inputs."""
+        """Adds one light sample a ray, by kernel ``sample`` with ``inputs``."""
         count, get, run = wave.count, self._buffers.get, self._launcher.run_banded
         sampled = get("mirrors.sampled", wp.vec3, count)
         rays = self._buffers.struct("mirrors.shadow_rays", RayData, count)
@@ -128,7 +128,7 @@ class Mirrors:
         run(kernels.add_samples, count, sampled, rays, visibility, wave.data)
 
     def _add_cached(self, scene: DeviceScene, wave: RayWave) -> None:
-        """Adds the indirect light of the surfaces that a wave hits."""
+        """Adds the indirect light of the surfaces that a wave hits, from the radiance cache."""
         samples = self._buffers.struct("mirrors.samples", CacheSamples, 2 * wave.count)
         points = self._buffers.get("mirrors.points", wp.vec3, 2 * wave.count)
         inputs = self._jitter_width, scene.camera, wave.data, samples, points

@@ -1,4 +1,4 @@
-"""Host pass: direct light of the surfaces that pixels show, by one shadow ray a pixel.
+"""Host pass: direct light at the surfaces of pixels, with one shadow ray a pixel.
 
 The method is in docs/method/realtime.md#direct and #captured-emitters.
 """
@@ -27,14 +27,14 @@ _OF_MESHES = SplatShadows(on_reflecting=False, on_shadow_catchers=False)
 
 
 class PixelLights:
-    """Samples direct light of lights, of emissive meshes, and of captures that are sampled as lights.
+    """Samples direct light from lights, emissive meshes, and captures that are sampled as lights.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        shadows: Follows shadow rays; its sample has begun.
-        tracer: Finds what rays towards captures hit.
+        shadows: Traces shadow rays; its sample has begun.
+        tracer: Finds the hits of rays towards captures.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class PixelLights:
         self._direct_light = DirectLight(launcher, buffers, config)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         modules: list[KernelModule] = [pixel_light_kernels, *self._grids.modules()]
         if plan.has_emissive_captures:
             modules += [captured_emitter_kernels, *self._shadows.modules(_OF_MESHES, has_meshes=plan.has_meshes)]
@@ -60,19 +60,19 @@ class PixelLights:
     def sample(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, surfaces: list[PixelSurfaces], frame: int
     ) -> list[SurfaceLight]:
-        """Samples a light for one surface of each pixel that has its turn; the samples of each kind of surface.
+        """Samples a light for one surface of each pixel that has a sample in this frame; returns the samples by kind.
 
         Args:
             scene: The scene on the device.
             plan: Plan of the frame.
             wave: The first wave.
-            surfaces: Those that its pixels show.
+            surfaces: Surfaces of the pixels.
             frame: Number of the frame.
         """
         count = wave.count
         interval = self._interval
         if scene.captured_emitters.boxes is not None and self._is_smoothed:
-            interval = 2  # a sample has two rays then
+            interval = 2  # then each sample has two rays
         light = self._buffers.struct("pixel_light", PixelLight, count)
         rays = self._buffers.struct("pixel_light.rays", RayData, count)
         inputs = interval, frame, scene.camera, wave.data
@@ -88,7 +88,7 @@ class PixelLights:
             return [self._store(scene, kind, light, rays, visibility) for kind in surfaces]
 
     def darken(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sample: int) -> None:
-        """Darkens shadow catchers; only their interactions exist in the wave afterwards."""
+        """Darkens shadow catchers; afterwards, only their interactions exist in the wave."""
         self._launcher.run_banded(pixel_light_kernels.select_shadow_catchers, 2 * wave.count, wave.data)
         self._direct_light.begin_sample(sample)
         self._direct_light.add(scene, plan, wave)
@@ -101,7 +101,7 @@ class PixelLights:
         light: FilteredLight,
         layers: tuple[DeviceArray, DeviceArray],
     ) -> None:
-        """Adds filtered light of one kind of surfaces to the rays of a first wave, and to two layers.
+        """Adds the filtered light of one kind of surfaces to the rays of the first wave, and to two layers.
 
         Args:
             scene: The scene on the device.
@@ -129,9 +129,9 @@ class PixelLights:
         *,
         visibility: DeviceArray,
     ) -> None:
-        """Adds light of captures that are sampled as lights, by one ray each.
+        """Adds the light of captures that are sampled as lights, with one ray a sample.
 
-        The samples then include their shadow rays' ``visibility``, and none of these rays is active.
+        Afterwards, the samples include the ``visibility`` of their shadow rays, and no shadow ray is active.
         """
         kernels, count, get = captured_emitter_kernels, wave.count, self._buffers.get
         boxes, marked = scene.captured_emitters.boxes, scene.captured_emitters.marked
@@ -148,7 +148,7 @@ class PixelLights:
         run(kernels.end_behind_glass, count, scene.shading, sent, meshes, ends, is_glass)
         emitted = self._tracer.find_emitted(scene, sent, ends, marked, "captured_light.seen")
         passed = get("captured_light.passed", wp.vec3, count)
-        if plan.max_bounces > 0:  # there may be glass
+        if plan.max_bounces > 0:  # glass may tint the light
             run(kernels.start_through_glass, count, is_glass, emitted, sent)
             passed = self._shadows.trace(scene, sent, None, "captured_light.passed", splat_shadows=_OF_MESHES)
         inputs = scene.shading, emitted, reflected, is_glass, passed, visibility

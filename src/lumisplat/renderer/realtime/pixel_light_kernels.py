@@ -1,4 +1,4 @@
-"""Direct light of the surfaces that pixels show: one light sample a pixel (docs/method/realtime.md#direct)."""
+"""Kernels of direct light at the surfaces of pixels, one light sample a pixel (docs/method/realtime.md#direct)."""
 
 import warp as wp
 
@@ -13,7 +13,8 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 ALBEDO_MIN = 1e-3
-"""Least diffuse albedo that reflected light is divided by to find irradiance: below it, a surface shows none."""
+"""Minimum diffuse albedo by which reflected light is divided to get irradiance; darker surfaces show no diffuse light.
+"""
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -22,7 +23,7 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 @wp.kernel
 def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
-    """Item = ray: numbers its light sample, if its pixel has its turn: without gaps, for low-discrepancy sequences."""
+    """Item = ray: numbers its light sample if its pixel has one, without gaps, as low-discrepancy sequences need."""
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)
     if wave_inout[0].rays.is_active[i] and has_turn(at[0], at[1], interval, frame):
@@ -47,12 +48,12 @@ def sample_lights(
     Args:
         start: First item.
         no_shadows: Whether nothing blocks light.
-        interval: Frames in which each pixel has its turn, 1 or 2.
+        interval: Every how many frames a pixel gets a sample, 1 or 2.
         frame: Number of the frame.
         grid: Light grid of the wave.
         camera: Camera of the frame.
         scene: The scene.
-        wave: The first wave, its samples numbered.
+        wave: The first wave, with numbered samples.
         light_out: Unshadowed samples.
         rays_out: Shadow rays.
     """
@@ -90,7 +91,7 @@ def store_light(
     albedo: wp.array[wp.vec3],
     light_out: SurfaceLight,
 ):
-    """Item = ray: writes the shadowed sample of its pixel, for surfaces of one kind (``slot``), over their albedo."""
+    """Item = ray: writes the shadowed sample of its pixel over the albedo, if it is for surfaces of kind ``slot``."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -127,7 +128,7 @@ def add_surface_light(
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: adds light of its pixel's surface of one kind to its radiance, and to two layers."""
+    """Item = ray: adds the light of its pixel's surface of one kind to its radiance, and to two layers."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

@@ -1,7 +1,7 @@
-"""Host pass: the radiance cache, reflected radiance in cells of the world (docs/method/realtime.md#radiance-cache).
+"""Host pass: world-space radiance cache of reflected radiance (docs/method/realtime.md#radiance-cache).
 
-A frame: `RadianceCache.insert` the hits of rays, `look_up` the radiance there; trace a ray from each of
-`bounce_points`, insert its hit, and `add_bounces`; `evict`.
+A frame calls `RadianceCache.insert` with the hits of rays and `look_up` for the radiance there. It traces a ray from
+each of `bounce_points`, inserts its hit and calls `add_bounces`. Finally, it calls `evict`.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from lumisplat.runtime.launcher import Kernel, KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 BOUNCES_PER_RAY = 4
-"""Times a frame that each cell takes in what its rays see: what they have met has taken in more light each time. A
-look-up costs much less than a ray."""
+"""Number of times a frame that each cell gathers along its rays. Each time, the cells that they hit have gathered one
+more bounce; a look-up costs much less than a ray."""
 
 _log = logging.getLogger("lumisplat")
 
 HISTORY_CUDA, HISTORY_CPU = 16, 32
-"""Frames that a mean is taken over, unless settings say so."""
+"""Default number of frames that a mean covers."""
 
 _STAGE = "cache"
 
 
 class RadianceCache:
-    """Means of the radiance that surfaces reflect, in cells of the world.
+    """World-space cells with means of the radiance that surfaces reflect.
 
-    Frames are numbers that never fall. Arrays have the sizes of the settings and of the samples of a frame: nothing
-    grows with the number of frames.
+    Frame numbers never decrease. Array sizes depend on the settings and the samples of a frame; nothing grows with the
+    number of frames.
 
     Args:
         launcher: Runs the kernels.
@@ -65,28 +65,28 @@ class RadianceCache:
         self._grid.history, self._grid.samples_min = float(history), float(min(config.samples_min, history))
         self._grid.bounce_history = float(config.bounce_history)
         self.tiles = _allocated_tiles(buffers, config.tiles)
-        """Live tiles, and room for as many as the settings say."""
+        """Live tiles, in arrays with room for as many as the settings allow."""
         self._has_warned = False
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def reset(self) -> None:
-        """Empties the cache; also needed before its first frame."""
+        """Empties the cache; required before its first frame."""
         self._launcher.run_banded(kernels.clear_tiles, self._config.tiles, self.tiles)
         self._has_warned = False
 
     def outdate(self, share: float) -> None:
-        """Lowers the weight of all means to a share, as the light has changed."""
+        """Multiplies the weight of all means by ``share``, because the light has changed."""
         with self._launcher.stage(_STAGE):
             self._launcher.run_banded(kernels.outdate_means, self._config.tiles * TILE_MEANS, share, self.tiles)
 
     def insert(self, samples: CacheSamples, frame: int) -> None:
         """Adds the direct radiance of a frame's samples to the means of their cells.
 
-        Several calls with one frame count as one. Samples that are not finite are left out.
+        Several calls with one frame number count as one frame. Samples that are not finite are dropped.
         """
         count = len(device_array(samples.is_active))
         if count:
@@ -98,19 +98,19 @@ class RadianceCache:
                 run(kernels.update_tiles, count, sorted_samples, tiles)
 
     def look_up(self, samples: CacheSamples) -> DeviceArray:
-        """Linear radiance that each sample's surface reflects, of light of all bounces; vec3, 0 for inactive samples.
+        """Returns the radiance that each sample's surface reflects, all bounces included; linear vec3, 0 if inactive.
 
-        The next look-up of as many samples overwrites it.
+        The next look-up of the same number of samples overwrites the result.
         """
         return self._look_up("radiance", samples)
 
     def look_up_indirect(self, samples: CacheSamples, points: DeviceArray | None = None) -> DeviceArray:
-        """As ``look_up``, of light from other surfaces alone.
+        """Returns the radiance of ``look_up`` that comes from other surfaces.
 
         Args:
             samples: The surfaces.
-            points: Points in their planes that are looked up instead, random to hide the edges of cells; the sample's
-                own position if nothing is known there, and with None.
+            points: Points in the surfaces' planes that are looked up instead, random to hide the edges of cells. The
+                sample's own position is used if the point's cell is empty, or with None.
         """
         count = len(device_array(samples.is_active))
         radiance = self._get("indirect", wp.vec3, count)
@@ -120,7 +120,7 @@ class RadianceCache:
         return radiance
 
     def cell_numbers(self, samples: CacheSamples) -> DeviceArray:
-        """A hash of the cell that each sample is in, 0..2^24 - 1; -1: there is none."""
+        """Returns a hash of each sample's cell, 0..2^24 - 1; -1 without a cell."""
         count = len(device_array(samples.is_active))
         numbers = self._get("cell_numbers", wp.int32, count)
         with self._launcher.stage(_STAGE):
@@ -128,11 +128,11 @@ class RadianceCache:
         return numbers
 
     def bounce_points(self, frame: int) -> CachePoints:
-        """Points of a share of the cells, of those that wait longest, for a ray each; for several where cells are few.
+        """Returns points of the cells whose last ray is longest ago, one ray each, or several rays if cells are few.
 
-        The caller traces a ray from each, by the cosine of its normal, inserts what they hit, and gives that to
-        `add_bounces`. As many as the settings say, half of them for cells of long rays if these are so many; behind
-        the last tiles of either kind that fit whole they are not active.
+        The caller traces a cosine-weighted ray from each point, inserts the hits, and passes them to `add_bounces`.
+        There are as many points as the settings allow; half of them go to cells of long rays if there are enough of
+        those. Only whole tiles of either kind are listed; the remaining points are inactive.
         """
         run, buffers, tiles = self._launcher.run_banded, self._buffers, self.tiles
         points = buffers.struct("radiance_cache.points", CachePoints, self._config.bounces)
@@ -148,12 +148,13 @@ class RadianceCache:
     def add_bounces(
         self, points: CachePoints, hits: CacheSamples, radiance_of: Callable[[DeviceArray], DeviceArray] | None = None
     ) -> None:
-        """Adds radiance that cells receive of others, several times, so that light bounces more often along each ray.
+        """Adds the radiance that cells receive from others, repeatedly, so that each ray carries several bounces.
 
         Args:
-            points: Those of the last `bounce_points`; points of evicted tiles do not count.
-            hits: The hit of the ray from each, already inserted; not active: no light comes from there.
-            radiance_of: From the radiance that the hits reflect to that of the rays, linear, vec3; None: the same.
+            points: Result of the last `bounce_points`; points of evicted tiles are ignored.
+            hits: Hit of the ray from each point, already inserted; inactive: no light arrives.
+            radiance_of: Maps the radiance that the hits reflect to the radiance of the rays, linear, vec3; None:
+                identity.
         """
         run, count, tiles = self._launcher.run_banded, self._config.bounces, self.tiles
         means = self._get("means_before", wp.vec4, count)
@@ -167,7 +168,7 @@ class RadianceCache:
                 run(kernels.update_bounced_tiles, count, points, tiles)
 
     def evict(self, frame: int) -> None:
-        """Evicts the tiles that no ray has hit for as many frames as the settings say; the end of a frame."""
+        """Ends a frame: evicts tiles that no ray has hit for the number of frames in the settings."""
         oldest = frame - self._config.unused_frames + 1
         with self._launcher.stage(_STAGE):
             stays = self._per_tile("stays")
@@ -176,7 +177,7 @@ class RadianceCache:
         self._warn_of_overflow()
 
     def _sorted(self, samples: CacheSamples, count: int) -> SortedSamples:
-        """Samples by tile, cell and index: stable sorts by cell, then by tile."""
+        """Sorts samples by tile, cell and index, with stable sorts by cell, then by tile."""
         run, get = self._launcher.run_banded, self._get
         keys, cells = get("keys", wp.int64, count), get("cells", wp.int32, count)
         sort_cells = get("sort_cells", wp.int32, 2 * count)
@@ -190,7 +191,7 @@ class RadianceCache:
         return result
 
     def _make_tiles(self, samples: SortedSamples, count: int, frame: int) -> None:
-        """Makes the tiles that samples need; when all are in use, for those that were unused longest."""
+        """Creates the tiles that samples need; if the cache is full, they replace the tiles unused for longest."""
         run, tiles, capacity = self._launcher.run_banded, self.tiles, self._config.tiles
         is_new, ends = self._get("is_new", wp.int32, count), self._get("new_ends", wp.int32, count)
         run(kernels.find_new_tiles, count, frame, samples, tiles, is_new)
@@ -210,7 +211,7 @@ class RadianceCache:
             self._launcher.run(kernels.count_merged_tiles, 1, tiles)
 
     def _compact(self, stays: DeviceArray, *, is_early: bool) -> None:
-        """Frees the slots of tiles that are not marked."""
+        """Frees the slots of tiles that are not marked in ``stays``."""
         ends = self._per_tile("ends")
         prefix_sum(stays, ends, inclusive=True)
         keys, slots = self._spare_lists()
@@ -219,7 +220,7 @@ class RadianceCache:
         self._launcher.run(kernels.count_remaining_tiles, 1, is_early, self._grid, ends, self.tiles)
 
     def _look_up(self, name: str, samples: CacheSamples) -> DeviceArray:
-        """As ``look_up``, into the array of a name."""
+        """Looks samples up as ``look_up``, into the array called ``name``."""
         count = len(device_array(samples.is_active))
         radiance = self._get(name, wp.vec3, count)
         with self._launcher.stage(_STAGE):
@@ -227,7 +228,7 @@ class RadianceCache:
         return radiance
 
     def _ranks(self, key_tiles: Kernel) -> DeviceArray:
-        """Ranks of the tiles by what a kernel writes for each, ties by key."""
+        """Ranks the tiles by the number that kernel ``key_tiles`` writes for each, ties by key."""
         count = self._config.tiles
         ages, ranks = (self._get(name, wp.int32, 2 * count) for name in ("ages", "ranks"))
         self._launcher.run_banded(key_tiles, count, self.tiles, ages, ranks)
@@ -235,7 +236,7 @@ class RadianceCache:
         return ranks
 
     def _spare_lists(self) -> tuple[DeviceArray, DeviceArray]:
-        """Room for the keys and slots that follow the present ones."""
+        """Returns the spare arrays for the next lists of keys and slots."""
         return self._get("other_keys", wp.int64, self._config.tiles), self._per_tile("other_slots")
 
     def _replace_lists(self, keys: DeviceArray, slots: DeviceArray) -> None:
@@ -244,7 +245,7 @@ class RadianceCache:
         copy_elements(slots, device_array(self.tiles.slots), self._config.tiles)
 
     def _may_count(self, index: int) -> bool:
-        """Whether a count is above 0. On a GPU, passes without work are cheaper than waiting for the count."""
+        """Returns whether a count is above 0; always True on a GPU, where empty passes cost less than the download."""
         return self._launcher.is_parallel or bool(device_array(self.tiles.counts).numpy()[index] > 0)
 
     def _warn_of_overflow(self) -> None:
@@ -254,13 +255,13 @@ class RadianceCache:
             if np.any(counts[[COUNT_EVICTED, COUNT_DROPPED]] > 0):
                 self._has_warned = True
                 _log.warning(
-                    "the radiance cache is full: %s tiles had to go, %s found no room; "
+                    "the radiance cache is full: %s tiles were evicted, %s could not be added; "
                     "set realtime.cache.tiles above %s",
                     *(f"{number:,}" for number in (*counts[[COUNT_EVICTED, COUNT_DROPPED]], self._config.tiles)),
                 )
 
     def _per_tile(self, name: str) -> DeviceArray:
-        """An array of integers, one a tile."""
+        """Returns an array of integers, one a tile."""
         return self._get(name, wp.int32, self._config.tiles)
 
     def _get(self, name: str, dtype: type[object], count: int) -> DeviceArray:
@@ -268,14 +269,14 @@ class RadianceCache:
 
 
 _CELL_FIELDS = ("frames", "updated", "position", "normal", "extent")
-"""Arrays of tiles with an element a cell."""
+"""Names of the tile arrays with one element a cell."""
 
 _LENGTHS = {"direct": TILE_MEANS, "indirect": TILE_MEANS} | dict.fromkeys(_CELL_FIELDS, TILE_CELLS)
-"""Elements a tile in an array; one in those not named."""
+"""Number of elements a tile in each array; 1 if not listed."""
 
 
 def _allocated_tiles(buffers: Buffers, capacity: int) -> CacheTiles:
-    """Arrays for as many tiles; the system provides memory of the CPU when it is written."""
+    """Allocates arrays for ``capacity`` tiles. On CPUs, the system commits the memory on first write."""
     struct_type: Any = CacheTiles
     tiles = CacheTiles()
     for field, variable in struct_type.vars.items():

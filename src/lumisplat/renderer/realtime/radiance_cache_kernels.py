@@ -1,7 +1,7 @@
-"""Kernels of the radiance cache: samples sorted into cells, light between cells, and tiles that come and go.
+"""Kernels of the radiance cache: samples sorted into cells, light between cells, and insertion and eviction of tiles.
 
-All are write-once: of the sorted samples of a cell, or of a tile, the first one does the work of all. Tiles are sorted
-keys into which new ones are merged, and out of which old ones are removed (docs/method/realtime.md#radiance-cache).
+Each element has one writer: of the sorted samples of a cell or tile, the first one does the work of all. Tiles are
+sorted keys; new keys are merged into them and old ones removed (docs/method/realtime.md#radiance-cache).
 """
 
 import warp as wp
@@ -43,7 +43,7 @@ from lumisplat.device.math.sorting import first_not_below
 wp.set_module_options({"enable_backward": False})
 
 CELL_RAYS_MAX = 16
-"""Rays that a cell of long rays sends in a frame at most, where few cells share those of a frame."""
+"""Maximum number of rays a frame from a cell of long rays, where few cells share the rays of a frame."""
 
 RAYS_MAX = wp.constant(CELL_RAYS_MAX)
 
@@ -58,7 +58,7 @@ def find_cells(
     sort_cells_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Item = sample: its tile and cell; none if it is not finite."""
+    """Item = sample: writes its tile and cell; no tile if the sample is not finite."""
     i = start + wp.tid()
     keys_out[i] = NO_TILE
     cells_out[i] = 0
@@ -74,14 +74,14 @@ def find_cells(
 
 @wp.kernel
 def gather_keys(start: int, keys: wp.array[wp.int64], order: wp.array[int], keys_out: wp.array[wp.int64]):
-    """Keys of samples in an order."""
+    """Writes the keys of samples in sorted order."""
     i = start + wp.tid()
     keys_out[i] = keys[order[i]]
 
 
 @wp.func
 def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.vec4:
-    """A mean that counts for ``weight`` samples, with a further ``count`` of them that sum to ``total``."""
+    """Adds ``count`` samples with sum ``total`` to a mean that counts for ``weight`` samples."""
     before = wp.float64(weight)
     all = before + wp.float64(count)
     color = (wp.vec3d(color_of(mean)) * before + total) / all
@@ -92,7 +92,7 @@ def mean_with(mean: wp.vec4, weight: float, total: wp.vec3d, count: int) -> wp.v
 def add_samples(
     start: int, frame: int, grid: CacheGrid, samples: CacheSamples, sorted_samples: SortedSamples, tiles: CacheTiles
 ):
-    """Adds the samples of each cell to its mean, and stores one of them, at random, as the origin of its bounce."""
+    """Adds the samples of each cell to its mean, and stores a random one of them as the origin of its bounce ray."""
     i = start + wp.tid()
     if not is_first_of_cell(sorted_samples, i):
         return
@@ -127,7 +127,7 @@ def add_samples(
 
 @wp.func
 def average_mips(means: wp.array[wp.vec4], slot: int):
-    """Means of a tile over squares of cells, each from the four of half its width, by their samples."""
+    """Writes the mip levels of a tile: each is the sample-weighted mean of 2 x 2 elements of the finer level."""
     for mip in range(1, TILE_MIPS):
         side = 8 >> mip
         for square in range(side * side):
@@ -147,7 +147,7 @@ def average_mips(means: wp.array[wp.vec4], slot: int):
 
 @wp.kernel
 def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
-    """Means over squares of the tiles that samples have gone into, and how many of their cells have some."""
+    """Updates the mip levels of the tiles that received samples, and their numbers of filled cells."""
     i = start + wp.tid()
     if is_first_of_tile(samples, i):
         slot = slot_of(tiles, samples.keys[i])
@@ -161,7 +161,7 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
 
 @wp.kernel
 def outdate_means(start: int, share: float, tiles: CacheTiles):
-    """Item = mean of a tile: lowers its weight to a share, in samples and in frames."""
+    """Item = mean of a tile: multiplies its weight by ``share``, in samples and in frames."""
     i = start + wp.tid()
     tile = i // TILE_MEANS
     if tile >= tiles.counts[COUNT_LIVE]:
@@ -180,7 +180,7 @@ def outdate_means(start: int, share: float, tiles: CacheTiles):
 def look_up_samples(
     start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, radiance_out: wp.array[wp.vec3]
 ):
-    """Radiance of each sample's surface, linear; 0 where there is none."""
+    """Writes the radiance of each sample's surface, linear; 0 if the cache has none."""
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
     if samples.is_active[i]:
@@ -196,9 +196,9 @@ def look_up_indirect(
     tiles: CacheTiles,
     radiance_out: wp.array[wp.vec3],
 ):
-    """Radiance that each sample's surface reflects of light from other surfaces, linear; 0 where there is none.
+    """Writes the radiance that each sample's surface reflects of light from other surfaces, linear; 0 if unknown.
 
-    It is looked up at its point, if something is known there; else, and without points, at its position.
+    The look-up is at the sample's point if its cell has data, otherwise, and without points, at its position.
     """
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
@@ -214,7 +214,7 @@ def look_up_indirect(
 
 @wp.kernel
 def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, numbers_out: wp.array[int]):
-    """Item = sample: a hash of its cell, of 24 bits; -1: it is in none."""
+    """Item = sample: writes a 24-bit hash of its cell; -1 without a cell."""
     i = start + wp.tid()
     numbers_out[i] = -1
     if samples.is_active[i]:
@@ -225,7 +225,7 @@ def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: Cach
 
 @wp.kernel
 def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
-    """When rays last left from each tile; sorted by it, those come first that wait longest."""
+    """Writes the frame of the last bounce rays of each tile, the sort key that puts the longest wait first."""
     rank = start + wp.tid()
     ranks_out[rank] = rank
     ages_out[rank] = AGE_LAST
@@ -235,7 +235,7 @@ def key_tiles_by_bounce(start: int, tiles: CacheTiles, ages_out: wp.array[int], 
 
 @wp.kernel
 def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: wp.array[int], far_out: wp.array[int]):
-    """Cells with samples of each tile, in an order: of short rays, or of long ones."""
+    """Writes the number of filled cells of each tile, in rank order, separately for tiles of short and of long rays."""
     i = start + wp.tid()
     near_out[i] = 0
     far_out[i] = 0
@@ -249,13 +249,13 @@ def count_cells(start: int, tiles: CacheTiles, ranks: wp.array[int], near_out: w
 
 @wp.func
 def near_rays(budget: int, near: int, far: int) -> int:
-    """Rays for cells of short rays: one each, but no more than half of all if cells of long rays can use the others."""
+    """Returns the number of rays for cells of short rays: one each, at most half if long-ray cells need the rest."""
     return wp.min(near, wp.max(budget - RAYS_MAX * far, budget // 2))
 
 
 @wp.func
 def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
-    """The tile in an order whose cells, with so many rays each, send a ray; -1: none that fits whole."""
+    """Returns the rank of the tile whose cells, with ``rays`` rays each, send ``ray``; -1 if no whole tile fits."""
     tile = first_not_below(ends, ends.shape[0], ray // rays + 1)
     if tile < ends.shape[0]:
         if ends[tile] * rays <= budget:
@@ -265,7 +265,7 @@ def tile_of_ray(ends: wp.array[int], ray: int, budget: int, rays: int) -> int:
 
 @wp.func
 def filled_cell(tiles: CacheTiles, slot: int, number: int) -> int:
-    """The cell with this number among those of a tile that have samples."""
+    """Returns the cell with index ``number`` among the filled cells of a tile."""
     cell = int(-1)
     while number >= 0:
         cell += 1
@@ -284,16 +284,16 @@ def list_points(
     far_ends: wp.array[int],
     points: CachePoints,
 ):
-    """Item = ray: the point of its cell, of the tiles that wait longest; as many whole tiles as fit.
+    """Item = ray: writes the point of its cell, from the tiles that wait longest; as many whole tiles as fit.
 
     Args:
         start: First item.
         frame: Number of the frame.
         tiles: Tiles of the cache.
-        ranks: Ranks of the tiles, those that wait longest first.
-        near_ends: Cells of short rays in the tiles up to each rank.
-        far_ends: Cells of long rays, likewise.
-        points: Points of the rays, first those of cells of short rays.
+        ranks: Ranks of the tiles, longest wait first.
+        near_ends: Running sum of the cells of short rays over the ranks.
+        far_ends: Running sum of the cells of long rays over the ranks.
+        points: Points of the rays; those of short-ray cells come first.
     """
     i = start + wp.tid()
     points.is_active[i] = False
@@ -334,7 +334,7 @@ def list_points(
 
 @wp.kernel
 def copy_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
-    """Item = ray: the mean of its cell before the bounces of the frame."""
+    """Item = ray: copies the mean of its cell before the bounces of the frame."""
     i = start + wp.tid()
     if points.is_active[i]:
         means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]
@@ -349,10 +349,10 @@ def add_bounces(
     radiance: wp.array[wp.vec3],
     tiles: CacheTiles,
 ):
-    """Adds the radiance of the rays of a cell to its mean of before; the first ray does it for all.
+    """Adds the radiance of the rays of a cell to its previous mean; the first ray does the work of all.
 
-    The mean over rays that follow the cosine of the normal is the irradiance over pi. A slot that has gone to another
-    tile since is skipped: it has not bounced.
+    The mean over cosine-weighted rays is the irradiance over pi. A slot that another tile has taken since is skipped:
+    it has sent no rays.
     """
     i = start + wp.tid()
     if points.is_active[i] and points.ray[i] == 0 and tiles.bounced[points.slot[i]] > 0:
@@ -371,7 +371,7 @@ def add_bounces(
 
 @wp.kernel
 def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
-    """Means over squares of the tiles that rays have left from; the first point of each does it."""
+    """Updates the mip levels of the tiles that sent rays; the first point of each tile does the work."""
     i = start + wp.tid()
     if points.is_active[i]:
         if i == 0 or points.slot[wp.max(i - 1, 0)] != points.slot[i]:
@@ -380,7 +380,7 @@ def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
 
 @wp.kernel
 def clear_tiles(start: int, tiles: CacheTiles):
-    """Item = tile: its slot is free."""
+    """Item = tile: frees its slot."""
     rank = start + wp.tid()
     tiles.keys[rank] = NO_TILE
     tiles.slots[rank] = rank
@@ -390,7 +390,7 @@ def clear_tiles(start: int, tiles: CacheTiles):
 
 @wp.kernel
 def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheTiles, is_new_out: wp.array[int]):
-    """Marks the first sample of each tile that there is not yet; the others' tiles are used in this frame."""
+    """Marks the first sample of each tile that does not exist yet, and existing tiles as used in this frame."""
     i = start + wp.tid()
     is_new_out[i] = 0
     if is_first_of_tile(samples, i):
@@ -405,7 +405,7 @@ def find_new_tiles(start: int, frame: int, samples: SortedSamples, tiles: CacheT
 def list_new_tiles(
     start: int, samples: SortedSamples, is_new: wp.array[int], ends: wp.array[int], keys_out: wp.array[wp.int64]
 ):
-    """Keys of the new tiles, ascending."""
+    """Writes the keys of the new tiles, ascending."""
     i = start + wp.tid()
     if is_new[i] == 1:
         keys_out[ends[i] - 1] = samples.keys[i]
@@ -413,14 +413,14 @@ def list_new_tiles(
 
 @wp.kernel
 def count_new_tiles(count: int, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
-    """How many tiles are new, and how many of them are too many. One item."""
+    """Counts the new tiles, and how many of them exceed the capacity. One item."""
     tiles.counts[COUNT_NEW] = ends[count - 1]
     tiles.counts[COUNT_EXCESS] = wp.max(tiles.counts[COUNT_LIVE] + ends[count - 1] - grid.tiles, 0)
 
 
 @wp.kernel
 def key_tiles_by_use(start: int, tiles: CacheTiles, ages_out: wp.array[int], ranks_out: wp.array[int]):
-    """The last frame that used each tile; sorted by it, those come first that were unused longest."""
+    """Writes the last frame that used each tile, the sort key that puts the tiles unused for longest first."""
     rank = start + wp.tid()
     ranks_out[rank] = rank
     ages_out[rank] = AGE_LAST
@@ -430,7 +430,7 @@ def key_tiles_by_use(start: int, tiles: CacheTiles, ages_out: wp.array[int], ran
 
 @wp.kernel
 def mark_all_but_excess(start: int, frame: int, tiles: CacheTiles, ranks: wp.array[int], stays_out: wp.array[int]):
-    """Marks the tiles that stay when new ones need room; tiles of this frame always do."""
+    """Marks the tiles that stay when new ones need space; tiles of this frame always stay."""
     i = start + wp.tid()
     rank = ranks[i]
     stays = int(rank < tiles.counts[COUNT_LIVE])
@@ -457,7 +457,7 @@ def compact_tiles(
     keys_out: wp.array[wp.int64],
     slots_out: wp.array[int],
 ):
-    """Moves the tiles that stay to the front, in order; the slots of the others are free."""
+    """Moves the marked tiles to the front, in order; the slots of the others become free."""
     rank = start + wp.tid()
     target = ends[ends.shape[0] - 1] + rank - ends[rank]
     key = NO_TILE
@@ -470,7 +470,7 @@ def compact_tiles(
 
 @wp.kernel
 def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
-    """How many tiles have stayed, and how many new ones find room then. One item."""
+    """Counts the tiles that stayed, and the new tiles that fit beside them. One item."""
     remaining = ends[ends.shape[0] - 1]
     if is_early:
         room = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
@@ -482,7 +482,7 @@ def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], 
 
 @wp.func
 def clear_slot(tiles: CacheTiles, slot: int):
-    """Makes a slot that of a tile without samples."""
+    """Resets a slot to that of a tile without samples."""
     tiles.bounced[slot] = 0
     tiles.filled[slot] = 0
     for i in range(slot * TILE_MEANS, (slot + 1) * TILE_MEANS):
@@ -501,7 +501,7 @@ def merge_tiles(
     keys_out: wp.array[wp.int64],
     slots_out: wp.array[int],
 ):
-    """Merges the new keys into the sorted ones: each moves by the keys of the other list that are below it."""
+    """Merges the new keys into the sorted ones: each key moves by the number of smaller keys in the other list."""
     rank = start + wp.tid()
     live = tiles.counts[COUNT_LIVE]
     new = tiles.counts[COUNT_NEW]
@@ -522,6 +522,6 @@ def merge_tiles(
 
 @wp.kernel
 def count_merged_tiles(tiles: CacheTiles):
-    """How many tiles there are now. One item."""
+    """Updates the number of live tiles after a merge. One item."""
     tiles.counts[COUNT_LIVE] += tiles.counts[COUNT_NEW]
     tiles.counts[COUNT_NEW] = 0

@@ -1,4 +1,4 @@
-"""Host pass: radiance of primary hits in a sequence of frames, in which light bounces (docs/method/realtime.md)."""
+"""Host pass: real-time integrator, which shades frame sequences with global illumination (docs/method/realtime.md)."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from lumisplat.runtime.buffers import Buffers, DeviceArray
 from lumisplat.runtime.launcher import KernelModule, Launcher
 
 INDIRECT_SHARED = 4
-"""Pixels that share a sample of indirect light, of which its noise is the same: 2 x 2 share a ray of a highlight."""
+"""Number of pixels that share a sample of indirect light and hence its noise: 2 x 2 pixels share a highlight ray."""
 
 _log = logging.getLogger("lumisplat")
 
 
 class RealtimeIntegrator:
-    """Computes the radiance of a camera's rays, frame after frame.
+    """Computes the radiance of a camera's rays, frame after frame, with reused histories.
 
     Args:
         launcher: Runs the kernels.
@@ -69,7 +69,7 @@ class RealtimeIntegrator:
         self._layers: dict[str, DeviceArray] = {}
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame, but for primary hits."""
+        """Returns the kernel modules of a frame, except those of primary hits."""
         modules = [*self._indirect.modules(plan), *self._surfaces.modules(), *self._gbuffer.modules()]
         modules += [*self._lights.modules(plan), *LightFilter.modules()]
         modules += self._mirrors.modules(plan) if plan.max_bounces > 0 else []
@@ -77,11 +77,11 @@ class RealtimeIntegrator:
         return [*modules, *self._debug_layers.modules()] if plan.aovs & {*REALTIME_AOVS} else modules
 
     def forget(self) -> None:
-        """Begins a new sequence with the next frame: all histories are dropped."""
+        """Drops all histories: the next frame begins a new sequence."""
         self._size = None
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """The first wave, with the radiance of its rays.
+        """Returns the first wave, with the radiance of its rays.
 
         Args:
             scene: The scene on the device, synced.
@@ -127,16 +127,16 @@ class RealtimeIntegrator:
         return wave
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """The layers of these hits that the frame asks for."""
+        """Returns the layers of light that the frame requests."""
         return LightImages(layers={name: image for name, image in self._layers.items() if name in plan.aovs})
 
     def _begin(self, size: tuple[int, int]) -> None:
-        """Begins a frame; a frame of another size begins a new sequence, which is logged once."""
+        """Begins a frame. A new image size begins a new sequence, which is logged once."""
         if self._size == size:
             return
         if self._size is not None and not self._has_warned_of_size:
             before, now = ("{} x {}".format(*pixels) for pixels in (self._size, size))
-            _log.warning("the camera's size has changed from %s to %s: the sequence begins anew", before, now)
+            _log.warning("the image size has changed from %s to %s: the real-time history is discarded", before, now)
             self._has_warned_of_size = True
         for part in (self._gbuffer, self._indirect, self._antialiasing, *self._filters.values()):
             part.reset()
@@ -145,7 +145,7 @@ class RealtimeIntegrator:
     def _debug_images(
         self, names: list[str], scene: DeviceScene, surfaces: list[PixelSurfaces], count: int, frame: int
     ) -> dict[str, DeviceArray]:
-        """Draws debug layers, by their names."""
+        """Draws the debug layers in ``names``."""
         debug, images, indirect = self._debug_layers, dict[str, DeviceArray](), self._indirect
         for name in names:
             if name == "motion":
@@ -164,7 +164,7 @@ class RealtimeIntegrator:
         return images
 
     def _begin_layers(self, wave: RayWave) -> None:
-        """Clears the layers of light, but for the emission of surfaces."""
+        """Clears the layers of light; the emission layer starts with the emission of surfaces."""
         self._layers = {name: self._buffers.get(f"realtime.{name}", wp.vec3, wave.count) for name in PATH_PARTS}
         for image in self._layers.values():
             image.zero_()

@@ -1,6 +1,6 @@
-"""Screen probes: their placement, one a tile and more where those miss surfaces, and the light that they gather.
+"""Kernels of screen probes: their placement, one a tile plus adaptive ones, and the light that they gather.
 
-The method is in docs/method/realtime.md#screen-probes. Every kernel writes each element from one item only.
+The method is in docs/method/realtime.md#screen-probes. Each element has one writer.
 """
 
 import warp as wp
@@ -37,14 +37,14 @@ from lumisplat.device.structs.rays import RayData
 wp.set_module_options({"enable_backward": False})
 
 PROBE_STAYS_PX = 2.0
-"""A probe stays where it was if a pixel of its tile shows its surface within so many pixels."""
+"""A probe keeps its position if a pixel of its tile shows the probe's surface within this many pixels."""
 
 STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
 
 @wp.kernel
 def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
-    """Item = probe: copies what the next frame reads."""
+    """Item = probe: copies the fields that the next frame reads."""
     i = start + wp.tid()
     probes_out.is_placed[i] = probes.is_placed[i]
     probes_out.position[i] = probes.position[i]
@@ -67,11 +67,11 @@ def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
 def is_as_before(
     pixel: int, source: int, grid: ProbeGrid, camera: CameraData, surfaces: SurfacePixels, before: ProbeData
 ) -> bool:
-    """Whether probe ``source`` of the frame before may stay where it was: the surface stands still, and is this one.
+    """Returns whether probe ``source`` of the previous frame may keep its position, as its surface is still there.
 
     A probe that followed the jitter of samples would lose its radiance of near surfaces.
     """
-    if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: it is new
+    if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: the surface is new
         return False
     center = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
     return wp.length(seen_at(camera, before.position[source]) - center) < STAYS_PX
@@ -88,7 +88,7 @@ def set_probe(
     before: ProbeData,
     probes_out: ProbeData,
 ):
-    """Puts probe ``i`` on the surface of a pixel, or leaves it near there where it was; none if that is -1."""
+    """Places probe ``i`` on the surface of ``pixel``, or keeps its position near there; ``pixel`` -1: no probe."""
     probes_out.is_placed[i] = 0
     probes_out.source[i] = -1
     probes_out.rounds[i] = 0
@@ -142,7 +142,7 @@ def find_needs(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Item = tile: pixels that no probe covers, and a key by which tiles with more of them come first."""
+    """Item = tile: counts the pixels that no probe covers, and writes a sort key that puts the largest count first."""
     tile = start + wp.tid()
     place = place_among(
         LOOKED_AT, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before
@@ -166,7 +166,7 @@ def place_adaptive(
     adaptive_of_out: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Item = tile in their order: places an adaptive probe if it needs one and there are any left."""
+    """Item = tile in sorted order: places an adaptive probe if it needs one and one is left."""
     rank = start + wp.tid()
     tile = order[rank]
     adaptive_of_out[tile] = -1
@@ -187,7 +187,7 @@ def carry_cells(
     cells_before: ProbeCells,
     cells_out: ProbeCells,
 ):
-    """Item = probe: moves the cells of the probe that it continues to their directions from the new position.
+    """Item = probe: reprojects the cells of the probe that it continues to their directions from the new position.
 
     A cell whose hit is nearer than the probe has moved keeps its direction.
     """
@@ -218,7 +218,7 @@ def carry_cells(
                     nearness /= stretch
                     direction = moved / stretch
                     to_cell = i * count + cell_of_direction(direction, side)
-            # Below the horizon of a mesh no ray renews a cell.
+            # Cells below the horizon of a mesh get no rays and would never be renewed.
             if probes.extent[i] == 0.0 and wp.dot(direction, probes.normal[i]) < -cell_width(side):
                 samples = 0.0
             cells_out.radiance[to_cell] = cells_out.radiance[to_cell] + samples * cells_before.radiance[from_cell]
@@ -236,9 +236,9 @@ def carry_cells(
 NORMALS = wp.constant(PROBE_NORMALS)
 CHUNK = wp.constant(MEANS_CHUNK)
 AROUND = wp.constant(2)
-"""Pixels to each side that fill one without probes."""
+"""Pixels to each side from which pixels without probe light are filled."""
 JITTER_X = wp.constant(wp.uint32(0))
-"""Dimensions of a pixel's random look-up of probes."""
+"""Random dimensions of a pixel's jittered look-up of probes."""
 JITTER_Y = wp.constant(wp.uint32(1))
 LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
 """Mixed into the seed, so that random numbers differ from those of rays."""
@@ -248,7 +248,7 @@ LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
 def rank_probes(
     start: int, grids: wp.array[ProbeGrid], probes: ProbeData, keys_out: wp.array[int], order_out: wp.array[int]
 ):
-    """Item = probe: a key by which probes that need a refresh more come first."""
+    """Item = probe: writes a sort key that puts the probes that most need a refresh first."""
     i = start + wp.tid()
     keys_out[i] = refresh_key(i, grids[0], probes)
     order_out[i] = i
@@ -258,7 +258,7 @@ def rank_probes(
 def start_probe_rays(
     start: int, grids: wp.array[ProbeGrid], order: wp.array[int], probes: ProbeData, rays_out: RayData
 ):
-    """Item = ray: starts it, one for each cell of the first probes in the order."""
+    """Item = ray: starts it; there is one ray for each cell of the first probes in sorted order."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     i = order[ray // count]
@@ -302,7 +302,7 @@ def add_samples(
 
 @wp.kernel
 def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
-    """Item = cell: lowers the weight of its means to a share."""
+    """Item = cell: multiplies the weight of its means by ``share``."""
     k = start + wp.tid()
     cells_inout.samples[k] = share * cells_inout.samples[k]
 
@@ -319,7 +319,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Item = cell: its mean over its probe, the other probe of its tile, and those of the four tiles beside it."""
+    """Item = cell: averages it over its probe, the other probe of its tile, and those of the four adjacent tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells
@@ -368,16 +368,16 @@ def project_probes(
     weights: wp.array[float],
     light_inout: ProbeLight,
 ):
-    """Item = probe: fills its empty cells with the mean of the others, and projects all to SH.
+    """Item = probe: fills its empty cells with the mean of the others, and projects all cells to SH.
 
     Args:
         start: First item.
         grids: Layout of the probes.
         probes: The probes.
-        fit: SH coefficients of each cell.
-        beyond: Irradiance by each cell beyond these, by the normal of the surface.
+        fit: Contribution of each cell to the SH coefficients.
+        beyond: Contribution of each cell to the irradiance above the SH degree, by the normal of the surface.
         weights: Weights of the cells; 0: empty.
-        light_inout: Radiance of the cells; receives the SH.
+        light_inout: Radiance of the cells; receives the SH coefficients.
     """
     i = start + wp.tid()
     count = grids[0].cells * grids[0].cells
@@ -419,7 +419,7 @@ def find_irradiance(
     irradiance_out: wp.array[wp.vec3],
     is_known_out: wp.array[int],
 ):
-    """Item = pixel: irradiance of its surface by the probes around it, where any has light."""
+    """Item = pixel: computes the irradiance of its surface from the probes around it, if any of them has light."""
     pixel = start + wp.tid()
     grid = grids[0]
     irradiance_out[pixel] = wp.vec3(0.0)
@@ -444,7 +444,7 @@ def tile_means(
     is_known: wp.array[int],
     means_out: wp.array[wp.vec4],
 ):
-    """Item = tile: sum of the irradiance over its pixels for which it is known, and their number."""
+    """Item = tile: sums the irradiance over its pixels with known irradiance, and counts them."""
     tile = start + wp.tid()
     grid = grids[0]
     total = wp.vec4(0.0)
@@ -461,7 +461,7 @@ def tile_means(
 
 @wp.kernel
 def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]):
-    """Item = chunk: sum over some of these."""
+    """Item = chunk: sums a chunk of tile sums."""
     chunk = start + wp.tid()
     total = wp.vec4(0.0)
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, means.shape[0])):
@@ -471,7 +471,7 @@ def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4])
 
 @wp.func
 def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3], is_known: wp.array[int]) -> wp.vec4:
-    """Sum over the pixels around one for which irradiance is known, and their number."""
+    """Sums the irradiance over the nearby pixels with known irradiance, and counts them."""
     total = wp.vec4(0.0)
     for v in range(wp.max(y - AROUND, 0), wp.min(y + AROUND + 1, grid.height)):
         for u in range(wp.max(x - AROUND, 0), wp.min(x + AROUND + 1, grid.width)):
@@ -484,7 +484,7 @@ def known_around(x: int, y: int, grid: ProbeGrid, irradiance: wp.array[wp.vec3],
 
 @wp.func
 def tiles_around(x: int, y: int, grid: ProbeGrid, means: wp.array[wp.vec4]) -> wp.vec4:
-    """Sum of ``means`` over the tile of a pixel and the eight around it."""
+    """Sums ``means`` over the tile of a pixel and the eight adjacent tiles."""
     total = wp.vec4(0.0)
     for k in range(9):
         tile = tile_of(grid, x // grid.tile + k % 3 - 1, y // grid.tile + k // 3 - 1)
@@ -504,7 +504,7 @@ def fill_pixels(
     mean: wp.array[wp.vec4],
     irradiance_out: wp.array[wp.vec3],
 ):
-    """Item = pixel: its irradiance; where no probe has light, the mean around it, the nearest first."""
+    """Item = pixel: writes its irradiance or, if no probe has light, the mean of the nearest neighbourhood that has."""
     pixel = start + wp.tid()
     irradiance_out[pixel] = irradiance[pixel]
     if is_known[pixel] != 0 or not surfaces.share[pixel] > 0.0:

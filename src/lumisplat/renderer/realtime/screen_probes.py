@@ -20,21 +20,21 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, sort_pairs
 
 _DEGREE = 2
-"""Degree of the SH, sufficient for irradiance (Ramamoorthi and Hanrahan 2001)."""
+"""SH degree of the probes, sufficient for irradiance (Ramamoorthi and Hanrahan 2001)."""
 
 
 class ScreenProbes:
-    """Probes on the surfaces that a frame shows, and the radiance that they have gathered over frames.
+    """Probes on the surfaces of a frame, with the radiance that they have gathered over frames.
 
-    A frame is ``place``, ``rays``, their tracing by the caller, ``update``, then ``irradiance``. No element of a kernel
-    is written by two items, so that the bits are the same for any number of threads.
+    A frame calls ``place`` and ``rays``, traces the rays, and calls ``update``, then ``irradiance``. Each element of a
+    kernel has one writer, so the bits are the same for any number of threads.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
         seed: Seed of random numbers.
-        offset: Scales of a Gaussian within which Gaussians do not block rays of a probe on it.
+        offset: Gaussians within this many scales of a probe's Gaussian do not block the probe's rays.
     """
 
     def __init__(
@@ -51,11 +51,11 @@ class ScreenProbes:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def reset(self) -> None:
-        """Drops all radiance: the next frame is the first of a sequence."""
+        """Drops all radiance: the next frame begins a new sequence."""
         self._has_history = False
 
     def place(
@@ -70,9 +70,9 @@ class ScreenProbes:
 
         Args:
             surfaces: Surfaces of its pixels.
-            camera: Its camera, shape (1,).
-            camera_before: Camera of the frame before, shape (1,).
-            size: Width and height, pixels; a new size is a new sequence.
+            camera: Camera of the frame, shape (1,).
+            camera_before: Camera of the previous frame, shape (1,).
+            size: Width and height, pixels; a new size begins a new sequence.
             frame: Number of the frame in its sequence.
         """
         self._camera = camera
@@ -97,13 +97,14 @@ class ScreenProbes:
         self._has_history = True
 
     def outdate(self, share: float) -> None:
-        """Lowers the weight of all radiance to a share, as the light has changed; after ``place``."""
+        """Multiplies the weight of all radiance by ``share`` when the light has changed; call it after ``place``."""
         self._launcher.run_banded(kernels.outdate_cells, self.count * self._cell_count, share, self.cells)
 
     def rays(self, frame: int) -> RayData:
-        """One ray for each cell of the probes that this frame refreshes; those of a mesh into itself are none.
+        """Returns one ray for each cell of the probes that this frame refreshes; rays into their mesh are inactive.
 
-        Those never refreshed come first, then those whose refresh is longest ago: always as many as ``refreshed`` says.
+        Probes that were never refreshed come first, then those whose last refresh is longest ago. ``refreshed`` of the
+        settings fixes their number.
         """
         self._write_grid(frame)
         run, order = self._launcher.run_banded, self._refresh_order
@@ -114,11 +115,11 @@ class ScreenProbes:
         return self._rays
 
     def update(self, radiance: wp.array[wp.vec3], hit_distance: wp.array[float]) -> None:
-        """Adds the radiance of rays to their cells, and filters all cells for look-ups by pixels.
+        """Adds the radiance of the rays to their cells, and filters all cells for look-ups by pixels.
 
         Args:
-            radiance: Linear, one element a ray; a value that is not finite does not count.
-            hit_distance: Distance of the hits, scene units; inf: nothing was hit.
+            radiance: Linear, one element a ray; values that are not finite are dropped.
+            hit_distance: Distance of the hits, scene units; inf: no hit.
         """
         run, cells = self._launcher.run_banded, self.cells
         inputs = self._refresh_order, self._rays, radiance, hit_distance, self.probes, cells
@@ -130,9 +131,9 @@ class ScreenProbes:
         run(kernels.project_probes, self.count, self._grids, self.probes, *tables, weights, self.light)
 
     def irradiance(self, surfaces: SurfacePixels) -> DeviceArray:
-        """Irradiance of surfaces of the frame by the probes, linear, one vec3 a pixel; 0 without a surface."""
+        """Returns the irradiance of surfaces from the probes, linear, one vec3 a pixel; 0 without a surface."""
         run, get, grids = self._launcher.run_banded, self._buffers.get, self._grids
-        assert self._size is not None, "place before irradiance"
+        assert self._size is not None, "call place before irradiance"
         pixels, tiles = self._size[0] * self._size[1], self._tiles
         found, known = get("probes.found", wp.vec3, pixels), get("probes.is_known", wp.int32, pixels)
         inputs = self._camera, surfaces, self.probes, self.adaptive_of, self.light
@@ -154,11 +155,11 @@ class ScreenProbes:
 
     @property
     def ray_count(self) -> int:
-        """Rays a frame."""
+        """Number of rays a frame."""
         return self._refreshed * self._cell_count
 
     def _allocate(self, size: tuple[int, int]) -> None:
-        """Makes the arrays of a size; a new size has no history."""
+        """Allocates the arrays for an image size; a new size has no history."""
         if size == self._size:
             return
         self._size, self._has_history = size, False
@@ -185,12 +186,12 @@ class ScreenProbes:
         self.light.harmonics = buffers.get("probes.light.harmonics", wp.vec3, self.count * (_DEGREE + 1) ** 2)
 
     def _list(self, name: str, count: int) -> DeviceArray:
-        """An array of integers with the scratch space that sorts need."""
+        """Returns an array of integers with the scratch space that sorts need."""
         return self._buffers.get(name, wp.int32, 2 * count)
 
     def _write_grid(self, frame: int) -> None:
-        """Writes the table of the grid."""
-        assert self._size is not None, "place before rays"
+        """Writes the layout of the probes to the device."""
+        assert self._size is not None, "call place before rays"
         grid = ProbeGrid()
         grid.width, grid.height = self._size
         grid.tile, grid.cells = self._config.tile, self._config.cells
@@ -202,7 +203,7 @@ class ScreenProbes:
         self._grids = self._buffers.table("probes.grid", ProbeGrid, [grid])
 
     def _store_history(self) -> None:
-        """Makes the probes of the last frame those of the frame before."""
+        """Copies the probes of the last frame, as history of the new one."""
         if not self._has_history:
             return
         run = self._launcher.run_banded

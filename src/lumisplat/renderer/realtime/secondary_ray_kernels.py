@@ -1,4 +1,4 @@
-"""Secondary rays in real time: they start within highlights, continue at smooth surfaces and end at other ones.
+"""Kernels of secondary rays in real time: rays start within highlights, pass smooth surfaces and end at rough ones.
 
 The method is in docs/method/realtime.md#rays and #glossy.
 """
@@ -34,7 +34,7 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Linear radiance that ray ``i`` sees of emitters, but for the meshes that are sampled as lights."""
+    """Returns the linear emitted radiance on ray ``i``, without the meshes that are sampled as lights."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     radiance *= scene[0].settings[0].capture_gain
     radiance += wave[0].radiance.light[i]
@@ -46,7 +46,7 @@ def unsampled_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def matte(interaction: Interaction) -> Interaction:
-    """Replaces the BSDF of an interaction by a diffuse one that reflects as much, and what it transmits, too."""
+    """Replaces the BSDF of an interaction by a diffuse one whose albedo includes all that it reflects and transmits."""
     albedo = matte_albedo(interaction.bsdf, wp.max(wp.dot(interaction.normal, interaction.wo), 0.0))
     interaction.bsdf = Bsdf()
     interaction.bsdf.model = BSDF_SIMPLE
@@ -57,7 +57,7 @@ def matte(interaction: Interaction) -> Interaction:
 
 @wp.kernel
 def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, rays_out: RayData):
-    """Item = ray: black, and without a hit."""
+    """Item = ray: sets its radiance to black, without a hit."""
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False
@@ -68,7 +68,7 @@ def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, 
 
 @wp.kernel
 def begin_onward(start: int, onward_out: OnwardRays):
-    """Item = ray: at its start, in air, and not continued."""
+    """Item = ray: sets its initial state: in air, not continued, weight 1."""
     i = start + wp.tid()
     onward_out.rays.is_active[i] = False
     onward_out.way[i] = 0.0
@@ -91,7 +91,7 @@ def shade_hits(
     rays_out: RayData,
     onward_inout: OnwardRays,
 ):
-    """Item = ray: its radiance, the surface that it hits, and one light there with its shadow ray; or it continues.
+    """Item = ray: writes its radiance, its surface, and one light sample with a shadow ray; or the ray continues.
 
     Args:
         start: First item.
@@ -101,7 +101,7 @@ def shade_hits(
         scene: The scene.
         wave: Wave of the rays.
         samples_out: The surfaces, without reflected radiance.
-        bounced_out: Radiance of the rays, but for what the surfaces reflect.
+        bounced_out: Radiance of the rays, without what the surfaces reflect.
         rays_out: Shadow rays.
         onward_inout: Rays that continue at smooth surfaces; from the second wave on, these are the wave's rays.
     """
@@ -162,7 +162,7 @@ def shade_hits(
 def apply_visibility(
     start: int, bounced: BouncedRays, rays: RayData, visibility: wp.array[wp.vec3], samples_inout: CacheSamples
 ):
-    """Item = ray: radiance that the surface at its hit reflects of the sampled light."""
+    """Item = ray: writes the sampled light that the surface at its hit reflects, times the shadow ray's visibility."""
     i = start + wp.tid()
     radiance = bounced.sampled[i]
     if rays.is_active[i]:
@@ -179,7 +179,7 @@ def add_reflected(
     radiance_out: wp.array[wp.vec3],
     distance_out: wp.array[float],
 ):
-    """Item = ray: its radiance, given what the surface at its hit reflects, and the distance of the hit; inf: none."""
+    """Item = ray: adds the radiance that the surface at its hit reflects, and writes the hit distance; inf: no hit."""
     i = start + wp.tid()
     radiance_out[i] = bounced.seen[i]
     distance_out[i] = wp.inf
@@ -189,12 +189,12 @@ def add_reflected(
 
 
 CHOICE_BRANCH = wp.constant((1 << 20) + 3)
-"""Branch of a ray's key: which of its surfaces sends a ray within its highlight."""
+"""Branch of a ray's random key for the choice of the surface that sends a ray within its highlight."""
 
 
 @wp.func
 def traced_share(j: int, wave: wp.array[WaveData]) -> float:
-    """Share of a ray that the highlight of interaction ``j`` reflects; 0 if it is too wide for rays."""
+    """Returns the fraction of light that the highlight of interaction ``j`` reflects; 0 if it is too wide for rays."""
     interaction = interaction_of(j, wave)
     if highlight_width(interaction.bsdf) >= ALPHA_TO:
         return 0.0
@@ -210,7 +210,7 @@ def choose_lobes(
     lobes_out: LobeRays,
     follows_out: wp.array[int],
 ):
-    """Item = square of pixels: chooses the surface that sends a ray, by what the highlights of a pixel's two reflect.
+    """Item = square of pixels: chooses the surface that sends a ray, by how much the pixel's two highlights reflect.
 
     ``follows_out`` is 1 for each square with a ray.
     """
@@ -243,9 +243,9 @@ def start_lobes(
     lobes_inout: LobeRays,
     rays_out: RayData,
 ):
-    """Item = square of pixels: starts its ray, whose number follows from ``ends``, the rays up to each square.
+    """Item = square of pixels: starts its ray, whose number follows from ``ends``, the running count of rays.
 
-    None of the rays is active before.
+    All rays are inactive before.
     """
     square = start + wp.tid()
     slot = lobes_inout.slot[square]
@@ -265,7 +265,7 @@ def start_lobes(
     rays_out.t_min[ray] = lobe.t_min
     rays_out.normal[ray] = lobe.normal
     rays_out.t_max[ray] = wp.inf
-    rays_out.path_length[ray] = 0.0  # scattered radiance does not depend on the distance of the eye
+    rays_out.path_length[ray] = 0.0  # scattered radiance does not depend on the eye's distance
     rays_out.spread[ray] = 0.0
     rays_out.sample_key[ray] = branch_key(wave[0].rays.sample_key[i], LOBE_BRANCH)
     rays_out.pixel_key[ray] = branch_key(wave[0].rays.pixel_key[i], LOBE_BRANCH)

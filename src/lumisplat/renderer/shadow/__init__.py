@@ -1,1 +1,1 @@
-"""Shadow rays: how much light passes Gaussians and meshes."""
+"""Shadow rays: transmittance through Gaussians and meshes."""

@@ -1,10 +1,10 @@
-"""Transmittance of shadow rays through Gaussians (docs/method/shadows.md).
+"""Kernels of shadow rays through Gaussians: their transmittance (docs/method/shadows.md).
 
-Transmittances multiply, so the trees are traversed once, in any order. ``shadow_by_all`` and ``shadow_by_first_hits``
-take packets of consecutive rays that start and point alike, as in ``gaussian_trace_kernels``: the first visits the
-farthest children first, as Gaussians at the far end of rays end them sooner than those around the points, many of which
-hardly absorb; the second visits the nearest ones first, and stores the nearest hits in lists. ``shadow_ray_by_ray``
-takes incoherent rays, each alone; its result is that of ``shadow_by_all`` but for rounding.
+Transmittances multiply in any order, so the BVHs are traversed once. ``shadow_by_all`` and ``shadow_by_first_hits``
+trace packets of consecutive rays with similar origins and directions, as ``gaussian_trace_kernels``. The first visits
+the farthest children first: Gaussians at the far end absorb more than those around the origins, so rays end sooner. The
+second visits the nearest children first and keeps lists of the nearest hits. ``shadow_ray_by_ray`` traces incoherent
+rays one by one; its result equals that of ``shadow_by_all`` up to rounding.
 """
 
 import functools
@@ -70,19 +70,19 @@ wp.set_module_options(PACKET_OPTIONS)
 
 @struct
 class RayAbsorption:
-    """What a shadow ray has passed so far."""
+    """Absorption along a shadow ray so far."""
 
     transmittance: float
-    """0: it is blocked."""
+    """Product of 1 - alpha; 0: the ray is blocked."""
     floor: float
-    """It is blocked as soon as its transmittance falls to this."""
+    """The ray counts as blocked once its transmittance falls to this value."""
     tint: wp.vec3
     """Sum of linear colours, weighted by alpha."""
 
 
 @functools.cache
 def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """The kernel of shadows by all Gaussians, for items of ``lanes`` rays; up to ``entries`` nodes wait."""
+    """Returns the kernel of shadows by all Gaussians, for packets of ``lanes`` rays and ``entries`` stack nodes."""
     LANES = lanes
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
@@ -152,7 +152,7 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
 
 @functools.cache
 def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """The kernel of shadows by the nearest Gaussians, for items of ``lanes`` rays; up to ``entries`` nodes wait."""
+    """Returns the kernel of shadows by the nearest Gaussians; arguments as of `shadow_kernel`."""
     LANES = lanes
     stacks = node_stack_of(entries)
     NodeStackStorage, node_stack = stacks.storage, stacks.node_stack
@@ -222,7 +222,7 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
 
 @wp.func
 def absorbed_share(alpha: float, index: int, config: ShadowData, key: wp.uint32) -> float:
-    """Share of a ray that a Gaussian of some alpha absorbs, by the random draws of the settings."""
+    """Returns the fraction of a ray that a Gaussian with ``alpha`` absorbs, by the random draws of the settings."""
     if config.draws == DRAWS_SHARED:
         return wp.where(config.acceptance_scale * draw_stratified(key, config.sample, index) < alpha, 1.0, 0.0)
     if config.draws == DRAWS_PER_RAY:
@@ -242,7 +242,7 @@ def absorb_in_instance(
     rays: RayData,
     light: wp.ref[RayAbsorption],
 ):
-    """Takes ray ``i`` through the Gaussians of instance ``number``, on the stack above ``top``."""
+    """Traces ray ``i`` through the Gaussians of instance ``number``, with the stack above ``top``."""
     instance = scene.instances[number]
     ray = ray_in_instance(i, instance, HIT_PEAK, rays)
     key = shadow_key(config)
@@ -288,7 +288,7 @@ def shadow_ray_by_ray(
     skips: wp.array[wp.bool],
     light_inout: wp.array[wp.vec3],
 ):
-    """Multiplies the light of a ray by the transmittance of the Gaussians up to its limit, in ``order`` of the rays."""
+    """Item = ray in ``order``: multiplies its light by the transmittance of the Gaussians up to its limit."""
     i = order[start + wp.tid()]
     if not rays.is_active[i] or not limits[i] > 0.0:
         return

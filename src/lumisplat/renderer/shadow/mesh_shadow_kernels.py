@@ -1,4 +1,4 @@
-"""Transmittance of shadow rays through meshes. One item is one ray."""
+"""Kernel of shadow rays through meshes: their transmittance. One item is one ray."""
 
 import warp as wp
 
@@ -27,38 +27,38 @@ from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLin
 from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
-# As for all that intersects triangles: fused products would let rays through shared edges.
+# No fused multiply-add: it would let rays through shared edges of triangles.
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 4})
 
 EDGE_WEIGHT_MAX = 1e-5
-"""Barycentric weight above which a ray through glass is certainly not on a triangle's edge: above all rounding."""
+"""Barycentric weight above which a ray through glass is certainly not on a triangle's edge; it exceeds all rounding."""
 
 EDGE = wp.constant(wp.float32(EDGE_WEIGHT_MAX))
 
 
 @struct
 class MeshShadowRay:
-    """A shadow ray past meshes, world space."""
+    """A shadow ray through meshes, world space."""
 
     origin: wp.vec3
     direction: wp.vec3
     t_max: float
     is_opaque: bool
-    """Glass blocks it."""
+    """True if glass blocks the ray."""
     media: wp.vec4i
-    """Those at its origin, as ``Boundary``."""
+    """Participating media around the origin, as ``Boundary``."""
 
 
 @struct
 class MeshPassage:
-    """What a shadow ray has passed of an instance so far."""
+    """State of a shadow ray on its path through one instance."""
 
     light: wp.vec3
-    """What is left, linear."""
+    """Transmittance so far, linear."""
     inside: float
-    """Length of its way inside, but for what ``entries`` adds."""
+    """Signed sum of the crossing distances: exits minus entries. ``length_inside`` completes it."""
     entries: int
-    """How often it has entered more than left: so often its end is to be added to the way."""
+    """Entries minus exits so far. Each open entry adds the ray's ``t_max`` to the length inside."""
 
 
 @wp.func
@@ -70,7 +70,7 @@ def pass_triangle(
     scene: MeshBvh,
     passage: wp.ref[MeshPassage],
 ):
-    """Takes light through a triangle of instance ``number``; ``ray`` is the shadow ray in the space of the mesh."""
+    """Multiplies the transmittance by that of a triangle of instance ``number``; ``ray`` is the ray in mesh space."""
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if not (t > 0.0 and t < shadow.t_max):
@@ -100,7 +100,7 @@ def pass_triangle(
 
 @wp.func
 def length_inside(passage: MeshPassage, shadow: MeshShadowRay, number: int) -> float:
-    """Length inside instance ``number`` of a shadow ray that has passed all of its triangles."""
+    """Returns the length of a shadow ray inside instance ``number``, after all triangles of the instance."""
     entries = passage.entries
     if is_in(shadow.media, number):
         entries += 1
@@ -119,7 +119,7 @@ def pass_instance(
     scene: MeshBvh,
     light: wp.ref[wp.vec3],
 ):
-    """Takes light through the triangles of instance ``number``, on the stack above ``top``."""
+    """Multiplies the light by the transmittance of instance ``number``, with the stack above ``top``."""
     outer = inverse_or_large(shadow.direction)
     span = box_span(shadow.origin, outer, scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > 0.0 and span[0] < shadow.t_max):
@@ -149,7 +149,7 @@ def pass_instance(
 
 @wp.func
 def light_past_meshes(shadow: MeshShadowRay, scene: MeshBvh) -> wp.vec3:
-    """Transmittance of all meshes on a shadow ray."""
+    """Returns the transmittance of all meshes on a shadow ray."""
     light = wp.vec3(1.0)
     inverse = inverse_or_large(shadow.direction)
     storage = LinkStackStorage()
@@ -180,11 +180,11 @@ def shadow_by_meshes(
     light_out: wp.array[wp.vec3],
     limit_out: wp.array[float],
 ):
-    """Transmittance of all meshes between the origin and ``t_max``.
+    """Writes the transmittance of all meshes between the ray's origin and ``t_max``.
 
-    Glass blocks rays that are ``opaque``, none without elements. Origins are in ``media``, in air without elements.
-    ``limit_out`` is how far along the ray Gaussians may block the rest: 0 where nothing is left, and for rays that skip
-    shadow catchers if ``meshes_only`` block these.
+    Glass blocks rays that are ``opaque``; with an empty array, it blocks none. Origins are in ``media``; with an empty
+    array, in air. ``limit_out`` is the distance up to which Gaussians may block the remaining light. It is 0 if no
+    light remains, and for rays that skip shadow catchers if only meshes block these (``meshes_only``).
     """
     i = start + wp.tid()
     t_max = rays.t_max[i]

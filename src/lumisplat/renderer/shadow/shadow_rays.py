@@ -1,4 +1,4 @@
-"""Host pass: transmittance of shadow rays through Gaussians and meshes (docs/method/shadows.md)."""
+"""Host pass: shadow rays, their transmittance through Gaussians and meshes (docs/method/shadows.md)."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.struct_tables import table_dtype
 
 SHRINK_RAYS_PER_GAUSSIAN = 2.0
-"""Shadow rays of a stochastic sample, active or not, per Gaussian, from which on its hierarchies are shrunk. That costs
-what one ray per Gaussian saves in a capture that is all surface, and pays off far earlier if rays cross much of it."""
+"""Shadow rays of a stochastic sample per Gaussian, inactive rays included, above which the BVHs are shrunk. Shrinking
+costs what one ray per Gaussian saves in a capture that is all surface; it pays off far earlier if rays cross much of
+it."""
 
 SHRINK_INSTANCES_MAX = 8
-"""Largest number of instances of an asset whose hierarchy is shrunk: it has to be valid for all of them."""
+"""Maximum number of instances of an asset whose BVH is shrunk, as the BVH has to be valid for all of them."""
 
 
 class ShadowRays:
-    """Follows rays from points to lights.
+    """Traces shadow rays from points to lights.
 
     Args:
         launcher: Runs the kernels.
@@ -57,7 +58,7 @@ class ShadowRays:
         assign_table(self._settings, self._table)
 
     def modules(self, splat_shadows: SplatShadows, *, has_meshes: bool, incoherent: bool = False) -> list[KernelModule]:
-        """The kernel modules of rays; arguments as of `trace`."""
+        """Returns the kernel modules of shadow rays; arguments as of `trace`."""
         modules: list[KernelModule] = [mesh_shadow_kernels] if has_meshes else []
         if not splat_shadows.exist:
             return modules
@@ -68,7 +69,7 @@ class ShadowRays:
         return [shadow_kernel_of(self._launcher, self._config).module, *modules]
 
     def begin_sample(self, sample: int) -> None:
-        """Begins a sample: stochastic shadows have new random numbers in each."""
+        """Begins a sample: stochastic shadows draw new random numbers for each sample."""
         if self._draws != DRAWS_NONE:
             self._table["sample"] = sample
             assign_table(self._settings, self._table)
@@ -86,19 +87,19 @@ class ShadowRays:
         splat_shadows: SplatShadows = ON_ALL,
         incoherent: bool = False,
     ) -> DeviceArray:
-        """Transmittance of each ray up to ``t_max``: linear, per channel, 0..1, as wp.vec3.
+        """Returns the transmittance of each ray up to ``t_max``: linear, per channel, 0..1, as wp.vec3.
 
         Args:
-            scene: Up to date for rays.
-            rays: From the point to the light, a multiple of ``PACKET_RAYS``. Meshes count from the origin on, Gaussians
-                from ``t_min``; ``t_max`` is the light's distance, inf for one infinitely far. The result of inactive
-                rays is undefined.
-            skips: Whether each ray passes through shadow catchers. None: none does.
-            name: Of the buffer that holds the result.
-            opaque: Whether glass blocks each ray. None: it blocks none.
-            media: Media at the origins, wp.vec4i as of ``Boundary``. None: all are in air.
-            incoherent: Whether rays are incoherent, so that each goes through Gaussians alone.
-            splat_shadows: Shadows that Gaussians may cast; without any, the scene needs no hierarchies of them.
+            scene: The scene, prepared for rays.
+            rays: Rays from the points to the lights, a multiple of ``PACKET_RAYS``. Meshes block from the origin on,
+                Gaussians from ``t_min`` on. ``t_max`` is the light's distance, inf for a light at infinity. The result
+                of inactive rays is undefined.
+            skips: Whether each ray passes through shadow catchers. None: no ray does.
+            name: Name of the buffer that holds the result.
+            opaque: Whether glass blocks each ray. None: it blocks no ray.
+            media: Media at the origins, wp.vec4i as of ``Boundary``. None: all origins are in air.
+            incoherent: Whether rays are incoherent and hence traced one by one through Gaussians.
+            splat_shadows: Which surfaces Gaussians may cast shadows on. If none, the scene needs no BVHs of Gaussians.
         """
         count, run = len(rays.t_max), self._launcher.run_banded
         light = self._buffers.get(name, wp.vec3, count)
@@ -124,7 +125,7 @@ class ShadowRays:
         return light
 
     def _traces_one_by_one(self, *, incoherent: bool) -> bool:
-        """Whether each ray goes through Gaussians alone."""
+        """Returns whether rays are traced one by one through Gaussians."""
         return incoherent and self._config.shadow_rays.method is not ShadowMethod.FIRST_HITS
 
     def _past_meshes(
@@ -138,7 +139,7 @@ class ShadowRays:
         media: wp.array[wp.vec4i] | None,
         splat_shadows: SplatShadows,
     ) -> wp.array[Any]:
-        """Writes the transmittance of meshes; returns how far along each ray Gaussians may block the rest."""
+        """Writes the transmittance of meshes to ``light``; returns the distance up to which Gaussians may block."""
         count = len(rays.t_max)
         if scene.mesh_instances.shape[0] == 0:
             light.fill_(1.0)
@@ -155,7 +156,7 @@ class ShadowRays:
 
 
 def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
-    """The kernel of coherent shadow rays through Gaussians on a device, with a stack of at least so many nodes."""
+    """Returns a device's kernel of coherent shadow rays through Gaussians, with at least ``stack`` stack nodes."""
     kernel_of = gaussian_shadow_kernels.shadow_kernel
     if config.shadow_rays.method is ShadowMethod.FIRST_HITS:
         kernel_of = gaussian_shadow_kernels.first_hits_shadow_kernel
@@ -163,14 +164,14 @@ def shadow_kernel_of(launcher: Launcher, config: RenderConfig, *, stack: int = T
 
 
 def draws_of(config: RenderConfig) -> int:
-    """Which random numbers shadows take: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
+    """Returns which random numbers shadows use: DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
     if config.shadow_rays.method is not ShadowMethod.STOCHASTIC:
         return DRAWS_NONE
     return DRAWS_SHARED if config.shadow_rays.shared_draws else DRAWS_PER_RAY
 
 
 def shadow_table(config: RenderConfig) -> np.ndarray:
-    """Settings of shadow rays as a table of 1 element, which kernels read."""
+    """Returns the settings of shadow rays as a table of 1 element, for kernels."""
     row = table = np.zeros(1, dtype=table_dtype(ShadowData))
     row["draws"] = draws_of(config)
     row["acceptance_scale"] = config.shadow_rays.acceptance_scale
@@ -187,28 +188,28 @@ def shadow_table(config: RenderConfig) -> np.ndarray:
 
 
 class StochasticBvh:
-    """Shrinks bounding volume hierarchies for one stochastic sample of shadows, whose rays share their random numbers.
+    """BVHs shrunk for one stochastic sample of shadows, whose rays share one random number per Gaussian.
 
-    In such a sample, a Gaussian is an opaque ellipsoid, which ends where its alpha is below its random number, mostly
-    far inside its hull, or it does not exist at all. A fraction of the rays hit boxes around that. They only save time:
-    hits in them are decided by the numbers themselves.
+    In such a sample, each Gaussian either does not exist or is an opaque ellipsoid. The ellipsoid ends where alpha
+    falls below the Gaussian's random number, mostly far inside its hull, so only a fraction of the rays hit its shrunk
+    box. The boxes only save time: hits are decided by the random numbers.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, name: str) -> None:
         self._launcher, self._buffers, self._name = launcher, buffers, name
         self._whole: DeviceArray | None = None
-        """The assets whose hierarchies were shrunk."""
+        """Assets whose BVHs were shrunk."""
         self._assets: DeviceArray | None = None
         self._is_fresh = False
         self._rays = 0
-        """Rays of the sample so far."""
+        """Number of rays of the sample so far."""
 
     def begin_sample(self) -> None:
         """Begins another sample."""
         self._is_fresh, self._rays = False, 0
 
     def assets(self, scene: DeviceScene, settings: DeviceArray, *, ray_count: int) -> DeviceArray | None:
-        """The scene's assets for the sample in ``settings``: whole as long as shrinking costs more than it saves."""
+        """Returns the assets for the sample in ``settings``, shrunk once that saves more than it costs."""
         whole = scene.bvh.assets
         if whole is self._whole and self._is_fresh:
             return self._assets

@@ -1,4 +1,4 @@
-"""Trees for one stochastic sample of shadows. One item is one node of a level."""
+"""Kernel that shrinks BVHs for one stochastic sample of shadows. One item is one node of a level."""
 
 import warp as wp
 
@@ -27,10 +27,10 @@ def shrink_nodes(
     nodes: wp.array[Node],
     nodes_out: wp.array[Node],
 ):
-    """Boxes of a level's nodes around those parts of their Gaussians that block light in a stochastic sample.
+    """Shrinks the boxes of a level's nodes to the parts of their Gaussians that block light in a stochastic sample.
 
-    Gaussians block as far as their alpha is above the number drawn for them, in the instance (of the ``owners``) in
-    which that is farthest.
+    A Gaussian blocks light where its alpha exceeds its random number. With several instances (``owners``), the smallest
+    of their numbers counts, which gives the largest box.
     """
     n = node_first + start + wp.tid()
     view = settings[0]

@@ -1,1 +1,1 @@
-"""Bounding volume hierarchies over boxes, Gaussians, triangles and instances, and the order in which rays walk them."""
+"""Bounding volume hierarchies over boxes, Gaussians, triangles and instances, and the sort order of incoherent rays."""

@@ -1,11 +1,10 @@
-"""Host pass: bounding volume hierarchies over boxes, and their refit when the boxes change.
+"""Host pass: bounding volume hierarchies (BVHs) over boxes, and their refit when the boxes change.
 
-Nodes have eight children, leaves one item. A hierarchy is built level by level from the root, so that children come
-after their parents and a refit runs backwards through the levels. Several are built at once: their roots are the first
-level.
+Nodes have eight children, leaves one item. A BVH is built level by level from the root, so children come after their
+parents, and a refit runs backwards through the levels. Several BVHs are built at once; their roots are the first level.
 """
 
-# Warp's vector types are made by calls, so that type checkers know neither them nor the kernels that take them.
+# Warp creates its vector types at run time, so type checkers know neither them nor the kernels that take them.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
@@ -29,7 +28,8 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.ops.neighbours import morton_codes
 
 TREE_SURFACE_LEVELS = 10
-"""Levels of a hierarchy that are split by surface area; below, in the middle, which bounds the depth of any input."""
+"""Levels of a BVH that are split by the surface area heuristic. Deeper levels are split in the middle, which bounds
+the depth for any input."""
 
 SPLIT_BANDS = 64  # nodes of a level differ in cost
 _BUILDS = itertools.count()
@@ -37,19 +37,19 @@ _BUILDS = itertools.count()
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A level of the hierarchy whose nodes are split."""
+    """A level of the BVH whose nodes are being split."""
 
     depth: int
-    """0: the root."""
+    """Depth of the level; 0: the root."""
     first: int
-    """Number of its first node."""
+    """Number of the level's first node."""
     nodes: int
     begins: DeviceArray
-    """First item of each node of the hierarchy."""
+    """First item of each node of the BVH."""
     ends: DeviceArray
-    """The item after the last one of each node of the hierarchy."""
+    """One past the last item of each node of the BVH."""
     edges: DeviceArray
-    """Where the children of each node of the level begin, and the last one ends; written by the split."""
+    """First items of the children of each node of the level, and the end of the last child; written by the split."""
     inner: DeviceArray
     """Number of inner children of each node of the level; written by the split."""
 
@@ -58,17 +58,17 @@ Split = Callable[[Level], None]
 
 
 class BoxTree:
-    """Bounding volume hierarchies over boxes; it is built by a subclass, which knows what is in them.
+    """BVHs over boxes. A subclass builds them and defines their items.
 
     Args:
         launcher: Runs the kernels.
     """
 
     nodes: DeviceArray
-    """The roots first."""
+    """Nodes of the BVHs, roots first."""
 
     MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels,)
-    """The kernel modules."""
+    """Kernel modules of the build and refit."""
 
     def __init__(self, launcher: Launcher) -> None:
         self._launcher = launcher
@@ -76,30 +76,31 @@ class BoxTree:
         self.levels: list[tuple[int, int]] = []
         """First node and number of nodes of each level, from the roots on."""
         self.stack_size = 1
-        """How many nodes may wait at a time while a tree is traversed, in any order."""
+        """Maximum number of nodes on the stack of a traversal, in any order."""
         self.build = -1
-        """Number of the build, other than that of any other: its levels and the addresses of its nodes stay."""
+        """Unique number of the build; levels and node addresses stay the same until the next build."""
 
     @property
     def bytes(self) -> int:
-        """Memory held, bytes."""
+        """Memory in use, bytes."""
         return self._buffers.bytes
 
     @property
     def cost(self) -> float:
-        """Surface of all nodes over the root's: the expected number of nodes hit by a random ray that hits the root.
+        """Total surface area of all nodes over that of the root.
 
-        1 if the root has no surface, or one beyond float32.
+        It is the expected number of nodes hit by a random ray that hits the root. 1 if the root has no area, or an area
+        beyond float32.
         """
         areas = self._areas.numpy().astype(np.float64)
         return float(areas.sum() / areas[0]) if 0.0 < areas[0] < np.inf else 1.0
 
     def link(self, scratch: Buffers, counts: npt.NDArray[np.int64], split: Split) -> None:
-        """Builds the hierarchies, but for their boxes.
+        """Builds the topology of the BVHs: nodes and links, without boxes.
 
         Args:
-            scratch: Holds what only the build needs.
-            counts: How many items each has, in the order of the items.
+            scratch: Holds arrays that only the build needs.
+            counts: Number of items of each BVH, in item order.
             split: Splits the nodes of a level.
         """
         self.build = next(_BUILDS)
@@ -113,13 +114,13 @@ class BoxTree:
         """Sets the boxes of the nodes.
 
         Args:
-            boxes: Of the items, in the order of the hierarchies.
+            boxes: Boxes of the items, in BVH order.
         """
         for first, nodes in reversed(self.levels):
             self._launcher.run_banded(kernels.refit_nodes, nodes, first, boxes, self.nodes, self._areas)
 
     def by_area(self, boxes: DeviceArray, items: DeviceArray) -> Split:
-        """The CPU's split, by the surface area heuristic; it orders boxes and items."""
+        """Returns the CPU's split, by the surface area heuristic; it reorders ``boxes`` and ``items``."""
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
@@ -133,7 +134,7 @@ class BoxTree:
         return split
 
     def by_code(self, codes: DeviceArray) -> Split:
-        """CUDA's split, by Morton codes, which are sorted."""
+        """Returns CUDA's split, by sorted Morton codes."""
 
         def split(level: Level) -> None:
             self._launcher.run_banded(
@@ -145,7 +146,7 @@ class BoxTree:
         return split
 
     def _link_levels(self, split: Split, scratch: Buffers, counts: npt.NDArray[np.int64]) -> DeviceArray:
-        """Splits level after level; returns the links of all nodes."""
+        """Splits level after level; returns the child links of all nodes."""
         room = len(counts) + int(counts.sum())
         begins, ends = (scratch.get(name, wp.int32, room) for name in ("begins", "ends"))
         links = scratch.get("links", ChildLinks, room)
@@ -171,22 +172,22 @@ class BoxTree:
 
 
 class HostBoxTree(BoxTree):
-    """Hierarchies over boxes that the host knows.
+    """BVHs over boxes in host memory.
 
     Args:
         launcher: Runs the kernels.
-        lows: Lower corners, shape (N, 3), tree after tree.
+        lows: Lower corners, shape (N, 3), BVH after BVH.
         highs: Upper corners, shape (N, 3).
-        counts: How many boxes each hierarchy has.
+        counts: Number of boxes of each BVH.
     """
 
     def __init__(self, launcher: Launcher, lows: Doubles, highs: Doubles, counts: npt.NDArray[np.int64]) -> None:
         super().__init__(launcher)
         scratch = Buffers(launcher.device)
         self.order = np.arange(len(lows), dtype=np.int32)
-        """The number of the box at each place of the order of the hierarchies."""
+        """Index of the box at each position in BVH order."""
         self.items = self._buffers.upload("items", wp.int32, self.order)
-        """The same on the device."""
+        """Device copy of ``order``."""
         if launcher.is_parallel:
             self.order, codes = coded_order(lows, highs, counts)
             self.items.assign(self.order)
@@ -199,12 +200,12 @@ class HostBoxTree(BoxTree):
         self.cost_built = self.cost
 
     def refit(self, lows: Doubles, highs: Doubles) -> None:
-        """Sets the boxes, which are as many as those that the hierarchies were built over."""
+        """Sets new boxes, in the number and order of those that the BVHs were built over."""
         self.fit(upload_boxes(self._buffers, lows[self.order], highs[self.order]))
 
 
 def upload_boxes(buffers: Buffers, lows: Doubles, highs: Doubles) -> DeviceArray:
-    """Boxes on the device, in float32, which contain those in float64."""
+    """Uploads boxes in float32, rounded outwards so that they contain the float64 boxes."""
     table = np.zeros(len(lows), dtype=table_dtype(Box))
     table["low"] = np.nextafter(lows.astype(np.float32), np.float32(-np.inf))
     table["high"] = np.nextafter(highs.astype(np.float32), np.float32(np.inf))
@@ -214,7 +215,7 @@ def upload_boxes(buffers: Buffers, lows: Doubles, highs: Doubles) -> DeviceArray
 def coded_order(
     lows: Doubles, highs: Doubles, counts: npt.NDArray[np.int64]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
-    """Boxes along a Morton curve of 1024 cells an axis, hierarchy after hierarchy: their numbers, and their codes."""
+    """Sorts boxes along a Morton curve of 1024 cells an axis, BVH after BVH; returns their indices and codes."""
     middles = lows + highs
     tree = np.repeat(np.arange(len(counts)), counts)
     filled = np.flatnonzero(counts)
@@ -229,11 +230,11 @@ def coded_order(
 
 
 def traversal_stack_size(inner_counts: list[npt.NDArray[np.int32]]) -> int:
-    """How many nodes of a tree may wait at a time: those beside the path to the node that is visited, and its children.
+    """Returns the maximum number of nodes on the stack of a traversal: siblings along a path plus the last children.
 
     Args:
-        inner_counts: Number of children that are nodes, of all nodes, one array a level; the root's is the first. The
-            children of a level's nodes are the next level's, in their order.
+        inner_counts: Number of inner children of all nodes, one array a level, root first. The children of a level's
+            nodes are the next level's nodes, in order.
     """
     below = np.zeros(0, np.int64)
     for counts in reversed(inner_counts):

@@ -1,7 +1,7 @@
-"""Bounding volume hierarchies over boxes, level by level from the root, and the refit of their boxes.
+"""Kernels that build BVHs over boxes level by level from the root, and refit their boxes.
 
-``split_by_area`` (CPU), ``split_by_code`` (CUDA): one item is one node of a level, whose items are ordered child by
-child. ``link_nodes``, ``refit_nodes``: one item is one node of a level. ``place_links``: one item is one node.
+``split_by_area`` (CPU), ``split_by_code`` (CUDA): one item is one node of a level; its items are ordered child by
+child. ``link_nodes``, ``refit_nodes``: one item is one node of a level. ``write_links``: one item is one node.
 """
 
 import warp as wp
@@ -12,7 +12,7 @@ from lumisplat.device.structs.bvh import FAR, NO_CHILD, Box, ChildLinks, Childre
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 SAH_BINS = 16
-"""Bins per axis, at whose edges a build tries to split a node (Wald 2007)."""
+"""Bins per axis at whose edges the build tries to split a node (Wald 2007)."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 BINS = wp.constant(SAH_BINS)
@@ -24,7 +24,7 @@ Edges = wp.types.vector(length=NODE_WIDTH + 1, dtype=wp.int32)
 
 @wp.func
 def empty_box() -> Box:
-    """An inverted box, which contains nothing."""
+    """Returns an inverted box, which contains nothing."""
     box = Box()
     box.low = wp.vec3(FAR)
     box.high = wp.vec3(-FAR)
@@ -33,7 +33,7 @@ def empty_box() -> Box:
 
 @wp.func
 def union(a: Box, b: Box) -> Box:
-    """The box around two."""
+    """Returns the box around two boxes."""
     box = Box()
     box.low = wp.min(a.low, b.low)
     box.high = wp.max(a.high, b.high)
@@ -42,14 +42,14 @@ def union(a: Box, b: Box) -> Box:
 
 @wp.func
 def half_area(low: wp.vec3, high: wp.vec3) -> float:
-    """Half the surface of a box; zero for an inverted one."""
+    """Returns half the surface area of a box; 0 for an inverted box."""
     size = wp.max(high - low, wp.vec3(0.0))
     return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
 
 
 @wp.func
 def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int, axis: int, middle2: float) -> int:
-    """Moves the items whose doubled centre lies below ``middle2`` to the front, and returns where they end."""
+    """Moves items whose doubled centre is below ``middle2`` to the front, and returns one past the last of them."""
     low = int(begin)
     high = int(end)
     while low < high:
@@ -68,9 +68,10 @@ def partition_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end:
 
 @wp.func
 def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int) -> int:
-    """Splits items in two at the lowest cost of the surface area heuristic (Wald 2007), and returns where.
+    """Splits items in two at the lowest cost of the surface area heuristic (Wald 2007), and returns the split index.
 
-    In the middle if all centres coincide. Left whole: its three loops share the bins, which a function would copy.
+    The split is in the middle if all centres coincide. The function is not divided further: its three loops share the
+    bins, and function calls would copy them.
     """
     center_low = wp.vec3(wp.inf)
     center_high = wp.vec3(-wp.inf)
@@ -109,7 +110,7 @@ def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int
     best_bin = int(0)
     for axis in range(3):
         if size[axis] > 0.0:
-            right_cost = BinFloats(0.0)  # of all bins from here on
+            right_cost = BinFloats(0.0)  # cost of all bins from this one on
             low = wp.vec3(FAR)
             high = wp.vec3(-FAR)
             items_right = int(0)
@@ -143,7 +144,7 @@ def split_range(boxes: wp.array[Box], items: wp.array[int], begin: int, end: int
 
 @wp.func
 def range_area(boxes: wp.array[Box], begin: int, end: int) -> float:
-    """Half the surface of the box around a range of boxes."""
+    """Returns half the surface area of the box around a range of boxes."""
     low = wp.vec3(FAR)
     high = wp.vec3(-FAR)
     for i in range(begin, end):
@@ -164,9 +165,10 @@ def split_by_area(
     edges_out: wp.array[Edges],
     inner_counts_out: wp.array[int],
 ):
-    """The child with the largest surface is split by the surface area heuristic until all children are in use.
+    """Splits the child with the largest area by the surface area heuristic until all eight children are in use.
 
-    The children are the items between consecutive edges. With ``by_area`` 0 the largest child is split in the middle.
+    The children are the items between consecutive edges. With ``by_area`` 0, the child with the most items is split in
+    the middle instead.
     """
     node = start + wp.tid()
     begin = begins[node_first + node]
@@ -214,7 +216,7 @@ def split_by_area(
 
 @wp.func
 def first_with_digit(codes: wp.array[int], begin: int, end: int, shift: int, digit: int) -> int:
-    """The first of sorted codes, equal above the digit at ``shift``, whose digit there is at least ``digit``."""
+    """Returns the first sorted code whose octal digit at ``shift`` is at least ``digit``; higher digits are equal."""
     low = int(begin)
     high = int(end)
     while low < high:
@@ -236,9 +238,9 @@ def split_by_code(
     edges_out: wp.array[Edges],
     inner_counts_out: wp.array[int],
 ):
-    """Three levels of the binary radix tree at once (Karras 2012): children by the first octal digit that differs.
+    """Splits a node by the first octal digit that differs: three levels of a binary radix tree (Karras 2012).
 
-    Items of one code are distributed evenly.
+    Items with equal codes are distributed evenly.
     """
     node = start + wp.tid()
     begin = begins[node_first + node]
@@ -276,7 +278,7 @@ def link_nodes(
     ends_out: wp.array[int],
     links_out: wp.array[ChildLinks],
 ):
-    """Numbers the child nodes of a level, and writes their ranges of items."""
+    """Numbers the inner children of a level, and writes their ranges of items."""
     n = start + wp.tid()
     ranges = edges[n]
     child = child_first + inner_ends[n] - inner_counts[n]
@@ -311,7 +313,7 @@ def refit_nodes(
     nodes_inout: wp.array[Node],
     areas_out: wp.array[float],
 ):
-    """Writes the boxes of the children of a level's nodes; deeper levels are refitted already."""
+    """Writes the boxes of the children of a level's nodes; deeper levels must be refitted before."""
     n = node_first + start + wp.tid()
     node = nodes_inout[n]
     whole = empty_box()

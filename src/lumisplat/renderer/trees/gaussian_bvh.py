@@ -1,6 +1,6 @@
-"""Host pass: a bounding volume hierarchy over the Gaussians of an asset, and its refit when they move."""
+"""Host pass: BVH over the Gaussians of an asset, and its refit when they move."""
 
-# Warp's vector types are made by calls, so that type checkers know neither them nor the kernels that take them.
+# Warp creates its vector types at run time, so type checkers know neither them nor the kernels that take them.
 # pyright: reportUnknownMemberType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ BOUNDS_SAMPLES = 65536
 
 
 class GaussianBvh(BoxTree):
-    """A bounding volume hierarchy over one Gaussian set, in its own space.
+    """BVH over one Gaussian set, in object space.
 
     Args:
         launcher: Runs the kernels.
         gaussians: The set on the device.
-        kernel: How its Gaussians respond, on which their bounds depend.
+        kernel: Response function of the Gaussians, which determines their bounds.
     """
 
     MODULES: ClassVar[tuple[KernelModule, ...]] = (kernels, *BoxTree.MODULES)
-    """The kernel modules."""
+    """Kernel modules of the build and refit."""
 
     def __init__(self, launcher: Launcher, gaussians: GaussianData, kernel: KernelData) -> None:
         super().__init__(launcher)
@@ -41,17 +41,17 @@ class GaussianBvh(BoxTree):
         self._build(gaussians)
 
     def refit(self, gaussians: GaussianData) -> None:
-        """Updates the boxes after Gaussians have moved; rebuilds the hierarchy if its cost has grown too much.
+        """Updates the boxes after Gaussians have moved; rebuilds the BVH if its cost has grown too much.
 
         Args:
-            gaussians: As many as before.
+            gaussians: The Gaussians, as many as before.
         """
         self._fit(gaussians)
         if not self.cost <= REBUILD_COST * self.cost_built:
             self._build(gaussians)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Corners (min, max) of a box around all Gaussians, object space, (3,) each; inverted if all are ignored."""
+        """Returns corners (min, max) of a box around all Gaussians, object space, (3,) each; inverted if empty."""
         root = self.nodes[:1].numpy()[0]
         low, high = ([root[f"{side}_{axis}"] for axis in "xyz"] for side in ("low", "high"))
         return np.min(low, axis=1).astype(np.float64), np.max(high, axis=1).astype(np.float64)
@@ -75,7 +75,9 @@ class GaussianBvh(BoxTree):
         return self.by_area(boxes, self._items)
 
     def _split_by_code(self, scratch: Buffers, gaussians: GaussianData, count: int) -> Split:
-        codes, items = (scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items"))  # half is for the sort
+        codes, items = (
+            scratch.get(name, wp.int32, 2 * count) for name in ("codes", "items")
+        )  # the second half is scratch space of the sort
         low, high = sampled_bounds(gaussians)
         per_cell = wp.vec3(MORTON_CELLS / np.maximum(high - low, 1e-30))
         self._launcher.run_banded(kernels.code_gaussians, count, wp.vec3(low), per_cell, gaussians, codes, items)
@@ -94,7 +96,7 @@ class GaussianBvh(BoxTree):
 
 
 def sampled_bounds(gaussians: GaussianData) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (min, max) of a box around all means but outliers, object space, shape (3,) each; from a sample."""
+    """Returns corners (min, max) of a box around a sample of the means without outliers, object space, (3,) each."""
     means = device_array(gaussians.means)[:: -(-len(gaussians.means) // BOUNDS_SAMPLES)].numpy()
     low, high = np.quantile(means, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     return low, high

@@ -1,7 +1,7 @@
-"""The Gaussians of bounding volume hierarchies: their boxes and codes, and the records that rays read.
+"""Kernels of BVHs over Gaussians: boxes, Morton codes, and the particle records that rays read.
 
-``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``gather_particles``: one item is one particle, in the
-order of the hierarchy.
+``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``gather_particles``: one item is one particle, in BVH
+order.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 
 @wp.kernel
 def box_gaussians(start: int, kernel: KernelData, gaussians: GaussianData, boxes_out: wp.array[Box]):
-    """Tight boxes of the Gaussians of an asset."""
+    """Writes tight boxes of the Gaussians of an asset."""
     i = start + wp.tid()
     boxes_out[i] = particle_box(kernel, gaussians, i)
 
@@ -30,7 +30,7 @@ def code_gaussians(
     codes_out: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Morton codes of the means on a grid of 1024^3 cells; means outside take the nearest cell."""
+    """Writes Morton codes of the means on a grid of 1024^3 cells; means outside take the nearest cell."""
     i = start + wp.tid()
     codes_out[i] = morton_code(gaussians.means[i], low, per_cell)
     items_out[i] = i
@@ -45,7 +45,7 @@ def gather_particles(
     particles_out: wp.array[Particle],
     boxes_out: wp.array[Box],
 ):
-    """Particles and their boxes in the order of the BVH."""
+    """Writes particles and their boxes in BVH order."""
     i = start + wp.tid()
     particles_out[i] = particle_of(kernel, gaussians, items[i])
     boxes_out[i] = particle_box(kernel, gaussians, items[i])

@@ -1,4 +1,4 @@
-"""The scene's meshes as rays hit them: a bounding volume hierarchy (BVH) a mesh, and one over the instances."""
+"""BVHs of the scene's meshes: one over the triangles of each mesh, and one over the instances."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 TRIANGLE_BOX_MARGIN = 2.0**-19
-"""Boxes of triangles grow by this share of the mesh's size: 32 roundings of a coordinate. Without it, 2 % of the rays
-aimed at the edges of a cube from inside leave it."""
+"""Margin of triangle boxes as a fraction of the mesh's size: 32 roundings of a coordinate. Without it, 2 % of the rays
+aimed at the edges of a cube from inside leave the cube."""
 
 INSTANCE_BOX_MARGIN = 1e-3
-"""Boxes of mesh instances grow by this share of their diagonal. Distant rays are started at the box, for accuracy; the
-rounding error of that start, from a thousand diagonals away, is well below this."""
+"""Margin of mesh instance boxes as a fraction of their diagonal. For accuracy, distant rays start at the box; the
+rounding error of that start, from a thousand diagonals away, is well below the margin."""
 
 
 class TriangleTrees(HostBoxTree):
-    """The trees of the triangles of some meshes, each in its own space, built together.
+    """BVHs over the triangles of several meshes, each in object space, built together.
 
     Args:
         launcher: Runs the kernels.
-        meshes: The meshes; the tree of each has its number in this order as its root.
+        meshes: The meshes; the index of a mesh is the root node of its BVH.
     """
 
     def __init__(self, launcher: Launcher, meshes: list[Mesh]) -> None:
         self.root_of = {id(mesh): number for number, mesh in enumerate(meshes)}
-        self._meshes = meshes  # so that no other mesh gets the id of one
+        self._meshes = meshes  # keeps the meshes alive, so that no other mesh gets one of their ids
         counts = np.array([mesh.face_count for mesh in meshes])
         boxes = [list(itertools.product(*zip(*mesh.bounds(), strict=True))) for mesh in meshes]
         self.corners: Doubles = np.array(boxes, np.float64)
-        """Of boxes around the meshes, shape (M, 8, 3)."""
+        """Corners of the boxes around the meshes, shape (M, 8, 3)."""
         margins = TRIANGLE_BOX_MARGIN * np.linalg.norm(self.corners[:, -1] - self.corners[:, 0], axis=1)
         around = np.repeat(margins, counts)[:, None]
         faces: Doubles = np.concatenate([mesh.positions[mesh.indices].astype(np.float64) for mesh in meshes])
@@ -54,7 +54,9 @@ class TriangleTrees(HostBoxTree):
 
 
 class MeshBvhScene:
-    """BVHs of a scene's meshes, built when rays first need them; the one over the instances is refitted as they move.
+    """BVHs of a scene's meshes, built when rays first need them.
+
+    The BVH over the instances is refitted when they move.
 
     Args:
         launcher: Runs the kernels.
@@ -66,9 +68,9 @@ class MeshBvhScene:
         self._instances: HostBoxTree | None = None
         self._synced: object = None
         self.data = MeshBvh()
-        """What kernels traverse; nothing that they may, if the scene has no meshes."""
+        """BVHs for kernels; must not be traversed if the scene has no meshes."""
         self.boxes = InstanceBoxes.none()
-        """Where the instances are, and where their trees."""
+        """World-space boxes of the instances, and their BVHs."""
 
     @property
     def bytes(self) -> int:
@@ -79,11 +81,11 @@ class MeshBvhScene:
 
     @property
     def graph_key(self) -> object:
-        """What kernels get of it by value: captured graphs are stale after a change."""
+        """Key of the addresses that kernels get by value; captured graphs are stale when it changes."""
         return [trees.build for trees in self._trees], self._instances and self._instances.build
 
     def sync(self, scene: Scene) -> None:
-        """Builds the trees of new meshes, and refits the one over the instances, or builds it, if they have moved."""
+        """Builds BVHs of new meshes, and refits or rebuilds the BVH over the instances if they have moved."""
         if not scene.meshes:
             self._trees, self._instances, self._synced = [], None, None
             self.boxes = InstanceBoxes.none()
@@ -95,8 +97,8 @@ class MeshBvhScene:
         transforms = np.array([instance.transform for instance in scene.meshes])
         synced = assets.tobytes(), roots.tobytes(), transforms.tobytes(), [trees.build for trees in self._trees]
         if synced == self._synced:
-            return  # nothing has moved
-        self._synced = None  # until all of it is there
+            return  # nothing has changed
+        self._synced = None  # in case building fails halfway
         corners = np.concatenate([trees.corners for trees in self._trees])
         firsts = np.cumsum([0, *(len(trees.corners) for trees in self._trees)])
         low, high = world_boxes(corners[firsts[assets] + roots], transforms)
@@ -106,7 +108,7 @@ class MeshBvhScene:
         self._synced = synced
 
     def _sync_trees(self, meshes: dict[int, Mesh]) -> None:
-        """Drops the trees of which no mesh is used, and builds those of new meshes."""
+        """Drops BVHs whose meshes are all unused, and builds those of new meshes."""
         used = [trees for trees in self._trees if trees.root_of.keys() & meshes.keys()]
         held = {key for trees in used for key in trees.root_of}
         missing = [mesh for key, mesh in meshes.items() if key not in held]
@@ -123,7 +125,7 @@ class MeshBvhScene:
         self._trees = used
 
     def _tree_over(self, before: HostBoxTree | None) -> HostBoxTree:
-        """The tree over the instances: the one before, refitted, unless that has become too loose."""
+        """Returns the BVH over the instances: the previous one, refitted, unless its cost has grown too much."""
         low, high = self.boxes.low, self.boxes.high
         if before is not None and len(before.order) == len(low):
             before.refit(low, high)
@@ -134,28 +136,28 @@ class MeshBvhScene:
 
 @dataclass(frozen=True, slots=True)
 class InstanceBoxes:
-    """What rays need to know of the mesh instances of a scene, in arrays with an element each."""
+    """Boxes and BVH roots of a scene's mesh instances, one element each."""
 
     assets: npt.NDArray[np.int64]
-    """Which TriangleBvh has the mesh's triangles."""
+    """Index of the TriangleBvh that has the mesh's triangles."""
     roots: npt.NDArray[np.int64]
-    """Root of the mesh's tree there."""
+    """Root node of the mesh in that TriangleBvh."""
     low: Doubles
-    """Lower corner of a world-space box around it, shape (N, 3)."""
+    """Lower corner of a world-space box around the instance, shape (N, 3)."""
     high: Doubles
 
     @classmethod
     def none(cls) -> InstanceBoxes:
-        """Of a scene without meshes."""
+        """Returns the boxes of a scene without meshes."""
         return cls(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
 def world_boxes(corners: Doubles, transforms: Doubles) -> tuple[Doubles, Doubles]:
-    """World-space boxes around instances of meshes, with a margin for rounding errors of rays.
+    """Returns world-space boxes around mesh instances, with a margin for rounding errors of rays.
 
     Args:
-        corners: Of boxes around the meshes, object space, shape (N, 8, 3).
-        transforms: World from object, shape (N, 4, 4).
+        corners: Corners of the boxes around the meshes, object space, shape (N, 8, 3).
+        transforms: World-from-object transforms, shape (N, 4, 4).
 
     Returns:
         Corners (min, max), shape (N, 3) each.

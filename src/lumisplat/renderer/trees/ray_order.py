@@ -1,6 +1,6 @@
-"""Host pass: an order of incoherent rays, in which neighbours start near each other and point alike.
+"""Host pass: sorts incoherent rays so that neighbours have similar origins and directions.
 
-Each of them walks alone, but finds in the caches what the ones before it have read of the trees.
+Rays are traced one by one, but find the BVH nodes of their predecessors in the caches.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import sort_pairs
 
 _CELLS = 8.0
-"""Along the size of what rays go through."""
+"""Number of sort cells along the extent of the scene."""
 
 _LAST = 8 * 16**3
-"""Greater than the keys of all rays."""
+"""Sort key of inactive rays, above the keys of all others."""
 
 RAY_ORDER_MODULES: tuple[KernelModule, ...] = (kernels,)
-"""The kernel modules of `ray_order`."""
+"""Kernel modules of `ray_order`."""
 
 
 def ray_order(launcher: Launcher, buffers: Buffers, rays: RayData, extent: float) -> DeviceArray:
-    """The numbers of rays, by the cell where they start and the octant of their direction; those that are none last.
+    """Returns ray indices sorted by the cell of the origin and the octant of the direction; inactive rays last.
 
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays; the next order overwrites this one.
         rays: The rays.
-        extent: Size of what they go through, scene units.
+        extent: Size of the scene, scene units.
     """
     count = len(rays.t_max)
     keys, order = (buffers.get(f"ray_order.{name}", wp.int32, 2 * count) for name in ("keys", "order"))

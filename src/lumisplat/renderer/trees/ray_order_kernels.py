@@ -1,4 +1,4 @@
-"""Keys by which incoherent rays are sorted. One item is one ray."""
+"""Kernel of the sort keys of incoherent rays. One item is one ray."""
 
 import warp as wp
 
@@ -10,9 +10,9 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def key_rays(start: int, per_cell: float, last: int, rays: RayData, keys_out: wp.array[int], order_out: wp.array[int]):
-    """Morton code of the cell where a ray starts, then the octant of its direction; ``last`` where there is none.
+    """Writes the Morton code of the cell of a ray's origin, then the octant of its direction; ``last`` if inactive.
 
-    The grid of 16^3 cells is repeated in all directions: it needs no bounds.
+    The grid of 16^3 cells repeats in all directions, so it needs no bounds.
     """
     i = start + wp.tid()
     order_out[i] = i
