@@ -225,8 +225,11 @@ def test_frames_are_resumed_with_what_they_began(changes: dict[str, Any], names:
     renderer = ls.create_renderer(replace(PATHS, **changes), "cpu")
     with pytest.raises(ls.ConfigError, match=rf"other settings: they differ in {names}$"):
         renderer.render(shown(), view(), resume=adaptive())
-    with pytest.raises(ls.ConfigError, match=r"does not hold what samples are added to: albedo, count, rates, sums$"):
+    with pytest.raises(
+        ls.ConfigError,
+        match=r"lacks accumulated images: albedo, count, rates, sums; render it again with these settings$",
+    ):
         ls.create_renderer(PATHS, "cpu").render(shown(), view(), resume=replace(adaptive(), accumulated=None))
-    with pytest.raises(ls.ConfigError, match=r"does not hold what samples are added to: sums$"):
+    with pytest.raises(ls.ConfigError, match=r"lacks accumulated images: sums; render it again with these settings$"):
         held = {name: words for name, words in (adaptive().accumulated or {}).items() if name != "sums"}
         ls.create_renderer(PATHS, "cpu").render(shown(), view(), resume=replace(adaptive(), accumulated=held))
