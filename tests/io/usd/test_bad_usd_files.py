@@ -282,7 +282,7 @@ def test_the_end_of_the_child_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     """A crash, and a wait without end; the next file is read by another child. Mistakes of ours stay tracebacks."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
-    with pytest.raises(FormatError, match=r"a\.usda: ends the process that reads it, or takes more than"):
+    with pytest.raises(FormatError, match=r"a\.usda: crashes the process that reads it, or takes more than"):
         process.read_in_child(tmp_path / "a.usda", crashing)
     with pytest.raises(RuntimeError, match="ZeroDivisionError: ours"):
         process.read_in_child(tmp_path / "a.usda", failing)
@@ -498,7 +498,7 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 3)
     many = loop.replace("rel prototypes = [</a>, </b>]", "rel prototypes = </b>").replace("[0, 0]", "[0, 0, 0]")
     many = many.replace("(1, 0, 0)]", "(1, 0, 0), (2, 0, 0)]")
-    with pytest.raises(FormatError, match="shows more than 3 prims"):
+    with pytest.raises(FormatError, match="has more than 3 prims or instances"):
         scene_of(write_usda(tmp_path / "b.usda", many + field(name="b")), False)
 
 
@@ -515,17 +515,17 @@ def test_instances_of_nothing_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         """
         for k in range(1, 21)
     )
-    with pytest.raises(FormatError, match="shows more than 1,000 prims"):
+    with pytest.raises(FormatError, match="has more than 1,000 prims or instances"):
         scene_of(write_usda(tmp_path / "a.usda", body + field(name="b")), False)
 
 
 @pytest.mark.parametrize(
     ("head", "body", "message"),
     [
-        ('upAxis = "Y"', "", "shows no particle field, mesh, light or camera"),
+        ('upAxis = "Y"', "", "contains no particle field, mesh, light or camera"),
         ('upAxis = "X"', field(), "has upAxis 'X', expected Y or Z"),
         ('upAxis = "Y"\nmetersPerUnit = 0', field(), "has metersPerUnit 0, expected a length above 0"),
-        ('upAxis = "Y"', field({"point3f[] positions": "[]"}), "fields without particles"),
+        ('upAxis = "Y"', field({"point3f[] positions": "[]"}), "particle fields without particles"),
         ('upAxis = "Y"', field({"float[] opacities": "[2, 0.5]"}), "opacities: 1 of 2 are outside 0..1"),
         ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:intensity = -1\n}', "/l: intensity is -1"),
         ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:radius = 0\n}', "/l: radius is 0"),

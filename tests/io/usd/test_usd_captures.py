@@ -178,7 +178,7 @@ def test_degrees_above_three_are_cut(tmp_path: Path, caplog: pytest.LogCaptureFi
     }
     scene = expect_kind(ls.Scene, ls.load(write_usda(tmp_path / "a.usda", field(four) + "\n" + field(name="b"))))
     np.testing.assert_array_equal(scene.splats[0].gaussians.sh[1, :, 0], np.arange(25.0, 41.0))
-    assert "harmonics above degree 3 (/splats)" in caplog.text
+    assert "SH above degree 3 (/splats)" in caplog.text
 
 
 def test_kernels_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -191,7 +191,7 @@ def test_kernels_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
     flat = field(scales, kind="ParticleField", schemas=kernel.format("GaussianSurflet"))
     loaded = load_gaussians(write_usda(tmp_path / "b.usda", flat))
     np.testing.assert_allclose(loaded.scales, [(1, 0.5, 0.0005), (1, 1, 0.001)], rtol=1e-6)
-    assert "surflets, which become flat Gaussians (/splats)" in caplog.text
+    assert "surflets, read as flat Gaussians (/splats)" in caplog.text
 
 
 @pytest.mark.parametrize("where", ["field", "attribute"])
@@ -243,7 +243,7 @@ def test_axes_and_units_of_the_stage(tmp_path: Path, caplog: pytest.LogCaptureFi
     scene = expect_kind(ls.Scene, ls.load(path))
     np.testing.assert_allclose(scene.splats[0].world_means, [(0.01, 0.03, -0.02)], atol=1e-9)
     assert scene.up_direction == (0.0, 1.0, 0.0)
-    assert "z is up in it: turned, so that y is; its unit is 0.01 m: scaled to metres" in caplog.text
+    assert "upAxis Z: rotated to y up; metersPerUnit 0.01: scaled to metres" in caplog.text
     alone = load_gaussians(write_usda(tmp_path / "b.usda", one, Z_UP))
     np.testing.assert_allclose(alone.means, [(1.0, -3.0, 2.0)], atol=1e-6)
 

@@ -126,7 +126,7 @@ def test_stretched_disks_are_round_ones_of_their_area(tmp_path: Path, caplog: py
     place = '\ndouble3 xformOp:scale = (4, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
     lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"float inputs:radius = 2{place}"))
     assert lamp.radius == pytest.approx(4.0)
-    assert "disks that are stretched, read as round ones of the same area (/lamp)" in caplog.text
+    assert "stretched disk lights, read as round disks of the same area (/lamp)" in caplog.text
 
 
 def test_temperature_and_colour(tmp_path: Path) -> None:
@@ -196,6 +196,6 @@ def test_what_is_not_read_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     ls.load(write_usda(tmp_path / "a.usda", body))
     (line,) = [record.getMessage() for record in caplog.records]
     assert line.endswith(
-        "not read, or read otherwise: lights of type CylinderLight (/tube); the diffuse and specular factors of lights "
-        "(/odd); the focus of lights (/odd)"
+        "not read, or read differently: lights of type CylinderLight (/tube); diffuse and specular multipliers of "
+        "lights (/odd); shaping:focus of lights (/odd)"
     )

@@ -127,7 +127,7 @@ def test_subdivision_surfaces_are_smooth(tmp_path: Path, caplog: pytest.LogCaptu
     quad = load_scene(tmp_path, mesh(geometry=QUAD.replace('"none"', '"catmullClark"'))).meshes[0].mesh
     assert quad.normals is not None
     np.testing.assert_allclose(quad.normals, [(0, 0, 1)] * 4, atol=1e-6)
-    assert "subdivision surfaces, read as the meshes that control them (/quad)" in caplog.text
+    assert "subdivision surfaces, read as their control meshes (/quad)" in caplog.text
 
 
 def test_subsets_are_meshes_of_their_own(tmp_path: Path) -> None:
@@ -336,11 +336,14 @@ def test_simple_shapes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("geometry", "message"),
     [
-        (QUAD.replace("[4]", "[5]"), "faces of 5 corners, but 4 indices"),
+        (QUAD.replace("[4]", "[5]"), "has 4 faceVertexIndices, expected 5"),
         (QUAD.replace("0, 1, 2, 3", "0, 1, 2, 9"), None),
         (QUAD.replace("0, 1, 2, 3", "0, 0, 0, 0"), "no triangles but 2 without area"),
         (f'{QUAD}\nnormal3f[] normals = [(0, 0, 1)] ( interpolation = "vertex" )', "1 values, expected 4"),
-        (QUAD.replace("int[] faceVertexCounts = [4]", "int[] faceVertexCounts = [-4]"), "faces of -4 corners"),
+        (
+            QUAD.replace("int[] faceVertexCounts = [4]", "int[] faceVertexCounts = [-4]"),
+            "has 4 faceVertexIndices, expected -4",
+        ),
     ],
 )
 def test_wrong_meshes(tmp_path: Path, geometry: str, message: str | None) -> None:

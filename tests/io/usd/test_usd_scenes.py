@@ -120,13 +120,13 @@ def test_what_others_will_not_know_is_one_line(tmp_path: Path, caplog: pytest.Lo
     ls.save(tmp_path / "a.usdc", full_scene("y-down"))
     (line,) = [record.getMessage() for record in caplog.records]
     for remark in (
-        "that a capture is relit, which only Lumisplat will know (relit)",
-        "shadow_catcher and sh_degree of captures, which only Lumisplat will know (relit)",
-        "colours of vertices beside a texture (textures)",
+        "relighting of captures, which only Lumisplat reads (relit)",
+        "shadow_catcher and sh_degree of captures, which only Lumisplat reads (relit)",
+        "vertex colours of textured meshes (textures)",
         "the range of lights (bulb)",
-        "that lights are not seen themselves (visible) (ball, sky, disk)",
-        "parallelograms, which are sheared rectangles (skewed)",
-        "the fall-off of spots between their cones, which is another curve (spot)",
+        "lights that cameras do not see (visible = false) (ball, sky, disk)",
+        "sheared rectangle lights (parallelograms) (skewed)",
+        "the falloff of spots between inner and outer cone, which follows another curve (spot)",
     ):
         assert remark in line
 
@@ -139,9 +139,14 @@ def test_lost_parts_of_materials_are_said(tmp_path: Path, caplog: pytest.LogCapt
     ball = full_scene("y-up").meshes[0].mesh
     ls.save(tmp_path / "a.usdc", ls.Scene(meshes=[replace(ball, material=odd), replace(ball, material=simple)]))
     text = caplog.text
-    for remark in ("sheen (odd)", "thin walls (odd)", "media inside of meshes (odd)", "reflections (specular) (odd)"):
+    for remark in (
+        "sheen (odd)",
+        "thin-walled transmission (odd)",
+        "absorption inside meshes (odd)",
+        "specular strength (odd)",
+    ):
         assert remark in text
-    assert "simple materials, of which a diffuse and an emitting part stay (simple)" in text
+    assert "simple materials, reduced to diffuse reflection and emission (simple)" in text
     near = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc")).meshes[1].mesh.material
     near = expect_kind(ls.MaterialPbr, near)
     assert near.base_color == (0.5, 0.25, 0.0) and near.emissive == (0.25, 0.125, 0.0)
@@ -200,7 +205,7 @@ def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     ls.save(path, capture(5))
     before = path.read_bytes()
     monkeypatch.setattr("lumisplat.io.usd.writing.USD_PACKAGE_BYTES_MAX", 10)
-    with pytest.raises(FormatError, match=r"more than a package can hold: write a \.usdc"):
+    with pytest.raises(FormatError, match=r"more than a .usdz can hold: write a .usdc"):
         ls.save(path, full_scene("y-up"))
     assert path.read_bytes() == before and [file.name for file in tmp_path.iterdir()] == ["a.usdz"]
     (tmp_path / "b.usdc").mkdir()

@@ -1,1 +1,1 @@
-"""OpenUSD files, read and written by usd-core: .usda, .usdc and .usdz."""
+"""Reads and writes OpenUSD files (.usd, .usda, .usdc and .usdz) with usd-core."""

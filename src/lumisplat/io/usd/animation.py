@@ -1,4 +1,4 @@
-"""Animations of OpenUSD files: what changes its place with time becomes actors, cameras that do become paths."""
+"""Reads OpenUSD animations: prims with time samples become actors, and animated cameras become camera paths."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from lumisplat.scene.scene import MeshInstance, Scene, check_similarity
 
 
 def read_usd_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
-    """Reads a stage with its times: frames from its first time code to its last, at its rate.
+    """Reads a stage with its time samples, from its first time code to its last, at its frame rate.
 
-    Places are sampled where they have samples. What deforms is read at each time that is shown, as the file has it
-    then; if it is shown at several places, it keeps its first shape, with a log line.
+    Transforms become keyframes at their time samples. Deforming prims are read again at each rendered time. A deforming
+    prim of a point instancer keeps its first shape, with a log line.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
-        drop_invalid: Leave out Gaussians with invalid values, instead of refusing the file.
+        drop_invalid: Drop Gaussians with invalid values instead of refusing the file.
 
     Raises:
-        FormatError: The file cannot be read, or its times are no times.
+        FormatError: The file cannot be read, or its time codes or rates are invalid.
         MissingExtraError: usd-core is not installed.
     """
     return read_in_child(path, _animation_of, drop_invalid)
 
 
 def _animation_of(path: Path, drop_invalid: bool) -> Animation:
-    """Reads an animation in this process, which goes on to read what deforms; as of `read_usd_animation`."""
+    """Reads an animation in the current process, which later reads deforming prims too; see `read_usd_animation`."""
     with reading_usd(path):
         file = open_usd(path)
         animation = _read(file, drop_invalid)
@@ -58,7 +58,9 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
     stage = file.stage
     rate, fps = float(stage.GetTimeCodesPerSecond()), float(stage.GetFramesPerSecond())
     if not (0.0 < rate < np.inf and 0.0 < fps < np.inf):
-        raise FormatError(file.path, f"has {rate:g} time codes and {fps:g} frames a second, expected rates above 0")
+        raise FormatError(
+            file.path, f"has timeCodesPerSecond {rate:g} and framesPerSecond {fps:g}, expected both above 0"
+        )
     codes = {key: _transform_time_codes(stage.GetPrimAtPath(key)) for key in reader.moving}
     moving_cameras = [one for one in _cameras(file) if _transform_time_codes(one).size]
     shapes = [
@@ -87,9 +89,7 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
     frames = (last - first) / rate * fps
     if not 0.0 <= frames < ANIMATION_FRAMES_MAX:
         time_range = f"time codes {first:g} to {last:g}"
-        raise FormatError(
-            file.path, f"has {time_range}, expected at most {ANIMATION_FRAMES_MAX:,} frames, from first to last"
-        )
+        raise FormatError(file.path, f"has {time_range}, expected at most {ANIMATION_FRAMES_MAX:,} frames between them")
     cameras = cameras_of(file)
     path = _camera_path(file, moving_cameras, first, rate)
     return Animation(scene, actors, cameras, fps=fps, frame_count=round(frames) + 1, camera_path=path)
@@ -98,7 +98,7 @@ def _read(file: UsdFile, drop_invalid: bool) -> Animation:
 def _instances_at(
     reader: StageReader, placed: PlacedPrim, first: float, rate: float, time: float
 ) -> tuple[Instance, ...]:
-    """What deforms at a time, seconds."""
+    """Returns the instances of a deforming prim at a time in seconds."""
     with reading_usd(reader.file.path):
         instances = tuple(reader.instances_at(placed, first + time * rate))
         check_loaded(reader.file.path)
@@ -110,7 +110,7 @@ def _cameras(file: UsdFile) -> Iterator[Any]:
 
 
 def _transform_time_codes(prim: Any) -> Doubles:
-    """The time codes at which the place of a prim has samples, its own or those of prims above it, shape (K,)."""
+    """Returns the time codes with samples of a prim's transform or an ancestor's, shape (K,)."""
     xformable, found = pxr().UsdGeom.Xformable, set[float]()
     while prim and not prim.IsPseudoRoot():
         own = xformable(prim)
@@ -123,7 +123,7 @@ def _transform_time_codes(prim: Any) -> Doubles:
 
 
 def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
-    """First and last time code: those that the stage says, else those of all samples."""
+    """Returns the first and last time code: those of the stage if authored, else those of all time samples."""
     if file.stage.HasAuthoredTimeCodeRange():
         return float(file.stage.GetStartTimeCode()), float(file.stage.GetEndTimeCode())
     sampled = np.concatenate([np.zeros(0), *codes])
@@ -131,48 +131,51 @@ def _range(file: UsdFile, codes: list[Doubles]) -> tuple[float, float]:
 
 
 def _world_transforms(file: UsdFile, prim: Any, codes: Doubles) -> Doubles:
-    """``world_from_prim`` at time codes, shape (K, 4, 4)."""
+    """Returns ``world_from_prim`` at each time code, shape (K, 4, 4)."""
     px = pxr()
     caches = (px.UsdGeom.XformCache(px.Usd.TimeCode(float(code))) for code in codes)
     return np.array([file.world_transform(cache.GetLocalToWorldTransform(prim)) for cache in caches])
 
 
 def _actors(file: UsdFile, prim: Any, instances: list[Instance], codes: Doubles, seconds: Doubles) -> Iterator[Actor]:
-    """The instances of a prim as actors, one for each of its materials; ``seconds`` are the times of its samples."""
+    """Yields an actor for each instance of a prim; ``seconds`` are the times of ``codes``."""
     transforms = _world_transforms(file, prim, codes)
     rest = np.eye(4)
     try:
         for transform in transforms:
             check_similarity(transform[:3, :3])
-    except SceneError:  # stretched alike at all times, and moved by what is left
+    except SceneError:  # keep the first transform fixed, and animate the rest
         rest = transforms[0]
         transforms = np.asarray(transforms @ np.linalg.inv(rest), np.float64)
     motion = Keyframes(seconds, transforms[:, :3, 3], *_rotations_and_scales(file, prim, transforms))
     try:
         for time in seconds:
-            matrix_4x4("its place", motion.at(float(time)) @ rest)
+            matrix_4x4("its transform", motion.at(float(time)) @ rest)
     except SceneError as error:
         raise FormatError(file.path, f"{prim.GetPath()}: {error}") from None
     for instance in instances:
         if isinstance(instance, MeshInstance):
             yield Actor(instance.mesh, motion, rest, name=instance.name)
-        else:  # Gaussians that are stretched are where they stand already
+        else:  # a stretching transform is already applied to the Gaussians
             yield Actor(instance.gaussians, motion, name=instance.name)
 
 
 def _rotations_and_scales(file: UsdFile, prim: Any, transforms: Doubles) -> tuple[Doubles, Doubles]:
-    """Quaternions, shape (K, 4), and uniform scales, shape (K,), of transforms; a remark if they stretch."""
+    """Returns quaternions, shape (K, 4), and uniform scales, shape (K,), of transforms.
+
+    A remark records transforms that stretch or mirror.
+    """
     linear = transforms[:, :3, :3]
     left, factors, right = np.linalg.svd(linear)
     if (factors[:, 0] > factors[:, 2] * (1.0 + 1e-3)).any() or (np.linalg.det(linear) < 0.0).any():
-        file.remarks.add("motion that stretches or mirrors", str(prim.GetPath()))
+        file.remarks.add("animated transforms that stretch or mirror", str(prim.GetPath()))
     rotations = left @ right
     rotations = rotations * np.sign(np.linalg.det(rotations))[:, None, None]
     return quaternions_from_matrices(rotations).astype(np.float64), np.maximum(np.cbrt(factors.prod(axis=1)), 1e-9)
 
 
 def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) -> CameraPath | None:
-    """The first camera that moves, as a path through its samples."""
+    """Returns the path of the first animated camera, with a keyframe at each time sample; None if no camera moves."""
     if not moving:
         return None
     px, codes, at_start = pxr(), _transform_time_codes(moving[0]), file.time
@@ -182,5 +185,5 @@ def _camera_path(file: UsdFile, moving: list[Any], first: float, rate: float) ->
         keys += [one for one in cameras_of(file) if one.name == prim_name(moving[0])][:1]
     file.time = at_start
     if len(moving) > 1:
-        file.remarks.add("all moving cameras but the first", str(moving[1].GetPath()))
+        file.remarks.add("all animated cameras but the first", str(moving[1].GetPath()))
     return CameraPath(keys, (codes - first) / rate)

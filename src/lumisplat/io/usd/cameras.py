@@ -1,6 +1,7 @@
-"""Reads and writes cameras of OpenUSD: y up and -z forward, apertures in tenths of a unit.
+"""Reads and writes OpenUSD cameras (UsdGeomCamera).
 
-Cameras have no size in pixels: render products do.
+These cameras look along -z with y up, and give apertures and focal lengths in tenths of a stage unit. They have no
+image size in pixels; it comes from render products.
 """
 
 from __future__ import annotations
@@ -23,43 +24,44 @@ from lumisplat.math.arrays import Doubles
 from lumisplat.scene.camera import Camera, CameraModel
 
 USD_APERTURE_WIDTH = 0.036
-"""Width of the film of cameras that are written, metres: that of small-format film, whose focal lengths people know."""
+"""horizontalAperture of written cameras in metres: the width of 35 mm film, so that focal lengths look familiar."""
 
 _APERTURE_UNIT = 0.1
-"""Unit of films and focal lengths, in those of the stage."""
+"""Unit of apertures and focal lengths of UsdGeomCamera, in stage units."""
 
 _Y_UP = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Ours have y down and z forward."""
+"""Rotation between USD cameras (y up, looking along -z) and Lumisplat cameras (y down, looking along z)."""
 _FAR = 1e6
-"""Where what is far away ends, metres."""
+"""Far end of the clippingRange of written cameras, metres."""
 _RENDER = "/Render"
 
 
 class _Size(NamedTuple):
-    """Size of pictures, pixels."""
+    """Image size in pixels."""
 
     width: int
     height: int
 
 
 def read_usd_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """The cameras of a stage at its first time, in its order.
+    """Reads the cameras of a stage at its first time code, in stage order.
 
     Args:
         path: The file.
-        width: Image width, pixels; None: as the file orders, else from the height and the film's aspect ratio.
-        height: Image height, pixels. Without any of these, the largest size within 1280 x 720. The vertical field of
-            view is always that of the file.
+        width: Image width in pixels; None: that of the camera's render product, else from the height and the aspect
+            ratio of the apertures.
+        height: Image height in pixels; None likewise. Without width, height and render product, the image is the
+            largest within 1280 x 720. The vertical field of view is always that of the file.
 
     Raises:
-        FormatError: The file cannot be read, or a camera is invalid; names it.
+        FormatError: The file cannot be read, or a camera is invalid; the message names the camera.
         MissingExtraError: usd-core is not installed.
     """
     return read_in_child(path, _cameras_in, width, height)
 
 
 def _cameras_in(path: Path, width: int | None, height: int | None) -> list[Camera]:
-    """Reads cameras in this process; as of `read_usd_cameras`."""
+    """Reads the cameras of a file in the current process; see `read_usd_cameras`."""
     with reading_usd(path):
         found = cameras_of(open_usd(path), width, height)
         check_loaded(path)
@@ -67,7 +69,7 @@ def _cameras_in(path: Path, width: int | None, height: int | None) -> list[Camer
 
 
 def cameras_of(file: UsdFile, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """As `read_usd_cameras`, of a file that is open."""
+    """Reads the cameras of an open file; see `read_usd_cameras`."""
     camera_prims = [one for one in placed_prims(file) if str(one.prim.GetTypeName()) == "Camera"]
     product_sizes = _product_sizes(file) if camera_prims else {}
     cameras: list[Camera] = []
@@ -82,7 +84,7 @@ def cameras_of(file: UsdFile, width: int | None = None, height: int | None = Non
 
 
 def _product_sizes(file: UsdFile) -> dict[str, _Size]:
-    """The sizes of the pictures that the file orders, by the paths of their cameras."""
+    """Returns the resolutions of render products and render settings, by the paths of their cameras."""
     px, sizes = pxr(), dict[str, _Size]()
     for prim in file.stage.Traverse():
         if prim.IsA(px.UsdRender.SettingsBase) and prim.GetAttribute("resolution").HasAuthoredValue():
@@ -116,7 +118,7 @@ def _camera(
     kind = str(value(file, prim, "projection", "perspective"))
     if kind not in ("perspective", "orthographic"):
         raise SceneError(f"projection is {kind!r}, expected perspective or orthographic")
-    # Of parallel rays, lengths on the film are those in the scene.
+    # Orthographic apertures are lengths in the scene, so that the focal length does not matter.
     fy = size.height / aperture_height * (focal if kind == "perspective" else 1.0)
     pixels_y = size.height / aperture_height
     pixels_x = pixels_y * stretch
@@ -140,7 +142,7 @@ def _camera(
 
 
 def _exposure(file: UsdFile, prim: Any) -> float:
-    """Stops: the compensation of a camera, and the exposure by its time, sensitivity, aperture and responsivity."""
+    """Returns the exposure in stops: exposure compensation plus that of exposure time, ISO, f-stop and responsivity."""
     time, iso, responsivity = (
         number(file, prim, f"exposure:{name}", default)
         for name, default in (("time", 1.0), ("iso", 100.0), ("responsivity", 1.0))
@@ -158,7 +160,7 @@ def _positive(name: str, length: float) -> float:
 
 
 def write_cameras(writer: StageWriter, cameras: Sequence[Camera]) -> None:
-    """Writes cameras, and the sizes of their pictures. Fisheyes are left out, with a remark."""
+    """Writes cameras and their image sizes as render products. Fisheye cameras are left out with a remark."""
     for camera in cameras:
         if camera.model is CameraModel.FISHEYE:
             writer.remarks.add("fisheye cameras", camera.name)
@@ -167,12 +169,12 @@ def write_cameras(writer: StageWriter, cameras: Sequence[Camera]) -> None:
 
 
 def camera_transform(camera: Camera) -> Doubles:
-    """``world_from_prim`` of a camera, shape (4, 4)."""
+    """Returns ``world_from_prim`` of a camera prim, shape (4, 4)."""
     return camera.world_from_camera @ _Y_UP
 
 
 def define_camera(writer: StageWriter, camera: Camera) -> Any:
-    """Writes a camera, without its place; its prim."""
+    """Writes a camera without its transform, and returns its prim."""
     prim = pxr().UsdGeom.Camera.Define(writer.stage, writer.path_of(camera.name or "camera")).GetPrim()
     writer.name(prim, camera.name)
     if camera.is_distorted:
@@ -186,7 +188,11 @@ def define_camera(writer: StageWriter, camera: Camera) -> Any:
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
-    """The attributes of a camera: its film has a known width, or, of parallel rays, that of what it sees."""
+    """Returns the UsdGeomCamera attributes of a camera.
+
+    Perspective cameras have a horizontalAperture of `USD_APERTURE_WIDTH`, orthographic ones the width of the visible
+    area.
+    """
     is_orthographic = camera.model is CameraModel.ORTHOGRAPHIC
     aperture_width = camera.width / camera.fx if is_orthographic else USD_APERTURE_WIDTH
     focal = USD_APERTURE_WIDTH if is_orthographic else aperture_width * camera.fx / camera.width
@@ -206,7 +212,7 @@ def camera_values(camera: Camera) -> dict[str, Any]:
 
 
 def _write_render_product(writer: StageWriter, camera: Camera, prim: Any) -> None:
-    """Orders a picture of a camera, which says its size."""
+    """Writes a render product for a camera, which stores its image size and pixel aspect ratio."""
     px, stage = pxr(), writer.stage
     if not stage.GetPrimAtPath(_RENDER):
         px.UsdGeom.Scope.Define(stage, _RENDER)

@@ -1,6 +1,6 @@
-"""Wraps usd-core: its modules, its messages and its errors, and which files it may open.
+"""Wraps usd-core: its modules, its messages, its errors, and the files that it may open.
 
-The library reads whatever a layer names. The files that a stage is composed of are found without composing it.
+The library opens whatever a layer names. Lumisplat therefore collects the layers of a stage before composing it.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from lumisplat.io.files.source import (
 from lumisplat.io.usd.process import request_access
 
 USD_LAYERS_MAX = 10_000
-"""Most layers of a stage."""
+"""Largest number of layers of a stage."""
 
 _MODULES = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdVol", "Vt")
 _REASON_MAX = 160
-"""Longest reason of the library that a message quotes, characters."""
+"""Longest part of a library error that a message quotes, in characters."""
 
 _INTERNAL = re.compile(r"pxrInternal_\w+?__(::)?")
-"""Namespaces of the library."""
+"""Internal namespace prefixes in the library's error messages."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @cache
 def pxr() -> Any:
-    """The modules of usd-core by their names: ``pxr().UsdGeom``. The library has no type stubs.
+    """Returns the modules of usd-core as attributes, such as ``pxr().UsdGeom``. The library has no type stubs.
 
     Raises:
         MissingExtraError: usd-core is not installed.
@@ -59,9 +59,9 @@ def pxr() -> Any:
 
 @contextmanager
 def reading_usd(path: PathLike) -> Generator[None]:
-    """Inside the block the library is silent, and what it raises becomes one `FormatError` about ``path``.
+    """Silences the library inside the block, and turns its errors into one `FormatError` about ``path``.
 
-    Log lines of ours come after the block, when the terminal can be written to again.
+    Log lines of Lumisplat are emitted after the block, because standard output and error are redirected inside.
 
     Raises:
         FormatError: The content cannot be read.
@@ -77,7 +77,7 @@ def reading_usd(path: PathLike) -> Generator[None]:
 
 @contextmanager
 def writing_usd(path: PathLike) -> Generator[None]:
-    """As `reading_usd`, of what is written.
+    """Silences the library inside the block, as `reading_usd`, and reports its errors as failures to write ``path``.
 
     Raises:
         FormatError: The file cannot be written.
@@ -90,7 +90,7 @@ def writing_usd(path: PathLike) -> Generator[None]:
 
 
 def _reason(error: Exception, path: PathLike) -> str:
-    """What the library says about an error, in a line, after a colon; without the places in its own source."""
+    """Returns the library's error message on one line after a colon, without internal names and the file's own path."""
     first: object = error.args[0] if error.args else ""
     text = " ".join(str(getattr(first, "commentary", first)).split())
     for name in (os.path.abspath(path), os.fspath(path)):
@@ -99,13 +99,13 @@ def _reason(error: Exception, path: PathLike) -> str:
     at = re.match(r"(?:it)?:(\d+):\d+: (.*)", text)
     if at:
         does_not_parse = at[2].startswith("parse error")
-        text = f"line {at[1]}: " + ("it, or the block that begins there, does not parse" if does_not_parse else at[2])
+        text = f"line {at[1]}: " + ("it, or the block that starts there, cannot be parsed" if does_not_parse else at[2])
     return f": {text[:_REASON_MAX]}" if text else ""
 
 
 @contextmanager
 def _log_deferred() -> Generator[None]:
-    """Keeps back log lines until the end of the block."""
+    """Defers log records until the end of the block."""
     held: list[logging.LogRecord] = []
 
     def hold(record: logging.LogRecord) -> bool:
@@ -122,17 +122,18 @@ def _log_deferred() -> Generator[None]:
 
 
 def check_layers(path: Path, text: str) -> list[Any]:
-    """Checks a file and all layers that it is composed of, each before it is opened, and returns layers to hold.
+    """Checks a file and all layers of its stage, each before it is opened.
 
-    The library finds these as long as they are held, and would refuse their files: text with a byte order mark.
+    Returns layers that must stay referenced. They come from text with a byte order mark, which the library cannot open
+    itself, and the library finds them only while they are alive.
 
     Args:
         path: The file.
-        text: A path of it that is UTF-8, as the library needs.
+        text: A UTF-8 path of the file, as the library needs it.
 
     Raises:
-        FormatError: A layer is no regular file, is named by a path that leaves the folder of ``path``, which is not
-            allowed, or by an expression or with arguments, so that nobody knows which file is meant.
+        FormatError: A layer is no regular file, its path leaves the folder of ``path`` without permission, or it is
+            named by an expression or with arguments, so that the file it means is unknown.
     """
     px, home = pxr(), path.parent
     waiting, checked, held = [path], {os.path.abspath(path)}, list[Any]()
@@ -141,7 +142,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
             raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers")
         file = waiting.pop()
         if not file.exists():
-            continue  # composed without it; a remark says so
+            continue  # the stage is composed without the layer, and a remark reports it
         check_regular(file, file.stat())
         request_access(file)
         name = text if file is path else os.fspath(file)
@@ -164,10 +165,10 @@ def check_layers(path: Path, text: str) -> list[Any]:
 
 
 def _marked_layer(file: Path, name: str) -> Any | None:
-    """Returns the layer of a text that begins with a byte order mark, which the library does not read; None for others.
+    """Returns the layer of a text file with a byte order mark, which the library does not read; None for other files.
 
     Raises:
-        FormatError: The text is none.
+        FormatError: The file is not text.
     """
     px = pxr()
     with open(file, "rb") as stream:
@@ -181,15 +182,16 @@ def _marked_layer(file: Path, name: str) -> Any | None:
 
 
 def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
-    """The file that a layer names, or the package in which that is; arguments as of `check_layers`."""
+    """Returns the file that a layer names, or the package that holds it; arguments and errors as in `check_layers`."""
     px = pxr()
     if px.Sdf.VariableExpression.IsExpression(name):
         raise FormatError(
-            path, f"names a file by the expression {name[:200]}: usdcat --flatten writes it without expressions"
+            path,
+            f"names a file by the expression {name[:200]}, which is not supported: flatten it with usdcat --flatten",
         )
     name, arguments = px.Sdf.Layer.SplitIdentifier(name)
     if arguments:
-        raise FormatError(path, f"names the layer {name[:200]!r} with arguments, which are not read")
+        raise FormatError(path, f"names the layer {name[:200]!r} with arguments, which is not supported")
     found = px.Sdf.ComputeAssetPathRelativeToLayer(layer, name)
     if px.Ar.IsPackageRelativePath(found):
         found = px.Ar.SplitPackageRelativePathOuter(found)[0]
@@ -197,11 +199,7 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
 
 
 def check_loaded(path: Path) -> None:
-    """Checks that the library has opened no layer outside of a file's folder, as values are read at last.
-
-    Raises:
-        FormatError: It has, which is not allowed.
-    """
+    """Checks that the library has opened no layer outside of the file's folder, not even while reading values."""
     px = pxr()
     for layer in px.Sdf.Layer.GetLoadedLayers():
         name = str(layer.realPath)
@@ -212,7 +210,7 @@ def check_loaded(path: Path) -> None:
 
 
 def _layer_dependencies(layer: Any) -> Iterator[str]:
-    """The layers that a layer names: sublayers, references, payloads, and clips of values, in variants, too."""
+    """Yields the layers that a layer names: sublayers, references, payloads and value clips, also in variants."""
     yield from (str(name) for name in layer.GetCompositionAssetDependencies() if name)
     clips: list[Any] = []
 
@@ -229,7 +227,7 @@ def _layer_dependencies(layer: Any) -> Iterator[str]:
 
 
 def _asset_packages(layer: Any) -> Iterator[str]:
-    """The values of a layer that name files in packages, or files by expressions: the library opens these itself."""
+    """Yields asset values that name files in packages or use expressions: the library opens such files itself."""
     px, values = pxr(), list[Any]()
 
     def collect(at: Any) -> None:

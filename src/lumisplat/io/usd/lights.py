@@ -1,13 +1,13 @@
-"""Reads and writes lights of OpenUSD (UsdLux): radiance, candela and lux.
+"""Reads and writes OpenUSD lights (UsdLux), and converts between nits and the units of Lumisplat.
 
-A light of UsdLux emits radiance ``intensity * 2^exposure * color``, in nits, divided by its area in the world if it
-normalises. That area is in units of the stage, as renderers measure it, which know no metres. A sphere of radius r and
-radiance L shines with ``pi r^2 L`` candela; a distant light of angular radius t gives ``pi sin(t)^2 L`` lux, or,
-normalised, its intensity itself. Radiance is written as it is, candela and lux as the intensities of lights that
-normalise: a sphere that normalises divides by its area 4 pi r^2, of which pi r^2 is seen, so that its intensity is four
-times the candela, whatever its radius.
+A UsdLux light emits radiance ``intensity * 2^exposure * color`` in nits, divided by its area if ``inputs:normalize`` is
+set. The area is in square stage units, because USD renderers ignore metersPerUnit. A sphere of radius r and radiance L
+has an intensity of ``pi r^2 L`` candela. A distant light of angular radius t gives ``pi sin(t)^2 L`` lux, or, if
+normalized, its intensity in lux. Lights in radiance are written without normalization; candela and lux are written as
+intensities of normalized lights. A normalized sphere divides by its surface area 4 pi r^2 but shows a disk of pi r^2,
+so its intensity is four times the candela at any radius.
 
-The image of a dome light has +z in the middle and +x to the left of it.
+The image of a dome light has +z in its middle and +x to the left of the middle.
 """
 
 from __future__ import annotations
@@ -53,34 +53,34 @@ from lumisplat.scene.lights import (
 )
 
 USD_POINT_RADIUS = 1e-3
-"""Radius of the sphere that a point light is written as, metres; who reads ``treatAsPoint`` does not use it."""
+"""Radius in metres of the sphere light that represents a point light; readers of ``treatAsPoint`` ignore it."""
 
 _UNREAD_INPUTS = {
-    "inputs:diffuse": ("the diffuse and specular factors of lights", 1.0),
-    "inputs:specular": ("the diffuse and specular factors of lights", 1.0),
-    "inputs:shaping:focus": ("the focus of lights", 0.0),
+    "inputs:diffuse": ("diffuse and specular multipliers of lights", 1.0),
+    "inputs:specular": ("diffuse and specular multipliers of lights", 1.0),
+    "inputs:shaping:focus": ("shaping:focus of lights", 0.0),
 }
-"""Inputs that are not read, what a remark calls them, and the value at which they do nothing."""
+"""Inputs that are not read: the remark about each, and the value that has no effect."""
 _SOFTNESS_MIN = 1e-6
-"""Least width of a spot's edge, as a share of its angle."""
+"""Smallest softness of a cone's edge, as a fraction of its angle."""
 
 _DOME_FROM_ENVIRONMENT = np.diag([-1.0, 1.0, -1.0])
-"""Our skies have -z in the middle and +x to the right of it: half a turn about the pole."""
+"""Rotation from a `LightEnvironment` image, with -z in its middle and +x to the right, to a dome light: a half turn."""
 _Z_FROM_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-"""Stands a dome whose pole is y up along z, so that its middle looks to -y."""
+"""Rotation of a dome light whose pole axis is z: y goes to z, and the middle of the image faces -y."""
 _RADIANCE = (".hdr", ".pic", ".exr")
 
 
 def is_light(prim: Any) -> bool:
-    """Whether a prim shines, in whatever way."""
+    """Returns whether a prim has UsdLux.LightAPI, whatever its type."""
     return prim.HasAPI(pxr().UsdLux.LightAPI)
 
 
 def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
-    """A light in the world; None, with a remark, for a kind that is not read.
+    """Reads a light into world space; returns None and adds a remark if the light type is not supported.
 
     Raises:
-        FormatError: A value is out of range, or the image of a sky cannot be read.
+        FormatError: A value is out of range, or the image of a dome light cannot be read.
     """
     prim, kind = placed.prim, str(placed.prim.GetTypeName())
     if kind not in _READERS:
@@ -107,7 +107,7 @@ def read_light(file: UsdFile, placed: PlacedPrim) -> Light | None:
 
 
 def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
-    """What our files say of a light besides: fields for which UsdLux has no place."""
+    """Returns the light's fields that Lumisplat stores in customData, because UsdLux has no attribute for them."""
     kinds = {"range": (float, int), "visible": (bool,)}
     return {
         name: custom_data[name]
@@ -117,14 +117,14 @@ def _custom_fields(light: Light, custom_data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _emission(file: UsdFile, prim: Any) -> float:
-    """Intensity with exposure; nits, unless the light normalises."""
+    """Returns intensity times 2^exposure: radiance in nits, unless the light is normalized."""
     default = 50000.0 if str(prim.GetTypeName()) == "DistantLight" else 1.0
     exposure = np.clip(number(file, prim, "inputs:exposure", 0.0), -126.0, 126.0)
     return number(file, prim, "inputs:intensity", default) * 2.0 ** float(exposure)
 
 
 def _color(file: UsdFile, prim: Any) -> Doubles:
-    """Colour, times that of a black body if the light has a temperature."""
+    """Returns the light's colour, multiplied by its blackbody colour if enableColorTemperature is set, shape (3,)."""
     color = np.array([shortest(float(one)) for one in value(file, prim, "inputs:color", (1.0, 1.0, 1.0))])
     if value(file, prim, "inputs:enableColorTemperature", False):
         kelvin = np.clip(number(file, prim, "inputs:colorTemperature", 6500.0), 1000.0, 10000.0)
@@ -133,28 +133,29 @@ def _color(file: UsdFile, prim: Any) -> Doubles:
 
 
 def _normalises(file: UsdFile, prim: Any) -> bool:
+    """Returns whether the light's intensity is divided by its area (``inputs:normalize``)."""
     return bool(value(file, prim, "inputs:normalize", False))
 
 
 def _scale(placed: PlacedPrim) -> float:
-    """The size of a length of one in the world: the cube root of that of a volume."""
+    """Returns the mean scale of a prim's transform: the cube root of its determinant."""
     return float(np.cbrt(abs(np.linalg.det(placed.world_from_prim[:3, :3]))))
 
 
 def _shadow_distance(file: UsdFile, placed: PlacedPrim) -> float:
-    """Distance beyond which nothing casts shadows; below 0 there is no limit."""
+    """Returns the largest distance at which objects cast shadows, world units; negative values mean no limit."""
     distance = number(file, placed.prim, "inputs:shadow:distance", -1.0)
     return distance * _scale(placed) if distance > 0.0 else math.inf
 
 
 def _sphere(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
-    """A sphere; a point if it is to be taken for one, or normalises; a spot if it is shaped to a cone."""
+    """Reads a SphereLight as a spot if it has a cone, a point if it is normalized or treatAsPoint, else a sphere."""
     prim = placed.prim
     radius = number(file, prim, "inputs:radius", 0.5) * _scale(placed)
     position = placed.world_from_prim[:3, 3]
     is_point, normalises = bool(value(file, prim, "treatAsPoint", False)), _normalises(file, prim)
     cone = number(file, prim, "inputs:shaping:cone:angle", 180.0) if prim.HasAPI(pxr().UsdLux.ShapingAPI) else 180.0
-    # Area 4 pi r^2, of which pi r^2 is seen from everywhere.
+    # A sphere of area 4 pi r^2 shows a disk of area pi r^2 from every direction.
     unit = file.unit
     candela = 0.25 * unit * unit * emission if normalises else math.pi * radius * radius * emission
     light_radius = 0.0 if is_point else radius
@@ -172,13 +173,14 @@ def _sphere(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str
 
 
 def _distant(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
+    """Reads a DistantLight as a directional light, at most a hemisphere wide."""
     angle = math.radians(min(max(number(file, placed.prim, "inputs:angle", 0.53), 0.0), 360.0)) / 2.0
     lux = emission
     if angle > 0.0 and not _normalises(file, placed.prim):
         sine2 = math.sin(angle) ** 2
         lux *= math.pi * (sine2 if angle <= 0.5 * math.pi else 2.0 - sine2)
     if angle > 0.5 * math.pi:
-        file.remarks.add("distant lights wider than half of the sky", str(placed.prim.GetPath()))
+        file.remarks.add("distant lights wider than 180 degrees", str(placed.prim.GetPath()))
     return LightDirectional(
         -placed.world_from_prim[:3, 2],
         intensity=lux,
@@ -189,21 +191,21 @@ def _distant(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[st
 
 
 def _rect(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
-    """A rectangle in the plane of x and y that shines along -z."""
+    """Reads a RectLight, which lies in the xy plane and emits along -z."""
     width, height = (number(file, placed.prim, f"inputs:{side}", 1.0) for side in ("width", "height"))
     if value(file, placed.prim, "inputs:texture:file"):
-        file.remarks.add("textures of rectangular lights", str(placed.prim.GetPath()))
+        file.remarks.add("textures of rectangle lights", str(placed.prim.GetPath()))
     linear = placed.world_from_prim[:3, :3]
     edge_u, edge_v = -linear[:, 0] * width, linear[:, 1] * height
     normal = np.cross(edge_u, edge_v)
-    if normal @ linear[:, 2] > 0.0:  # its place mirrors
+    if normal @ linear[:, 2] > 0.0:  # the transform mirrors
         edge_u = -edge_u
     radiance = _flat_radiance(file, placed, emission, float(np.linalg.norm(normal)), "rectangular")
     return LightRect(placed.world_from_prim[:3, 3], edge_u, edge_v, intensity=radiance, **shared)
 
 
 def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> Light:
-    """A disk in the plane of x and y that shines along -z."""
+    """Reads a DiskLight, which lies in the xy plane and emits along -z."""
     linear = placed.world_from_prim[:3, :3]
     x, y, z = linear.T
     normal = np.cross(x, y)
@@ -212,25 +214,26 @@ def _disk(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, 
     scale2 = float(np.linalg.norm(normal))
     gram = np.array([x @ x, x @ y, y @ y])
     if np.abs(gram - (scale2, 0.0, scale2)).max() > SIMILARITY_TOLERANCE * scale2:
-        file.remarks.add("disks that are stretched, read as round ones of the same area", str(placed.prim.GetPath()))
+        file.remarks.add("stretched disk lights, read as round disks of the same area", str(placed.prim.GetPath()))
     radius = number(file, placed.prim, "inputs:radius", 0.5) * math.sqrt(scale2)
     radiance = _flat_radiance(file, placed, emission, math.pi * radius**2, "disk")
     return LightDisk(placed.world_from_prim[:3, 3], normal, radius, intensity=radiance, **shared)
 
 
 def _flat_radiance(file: UsdFile, placed: PlacedPrim, emission: float, area: float, kind: str) -> float:
-    """Radiance of a light in a plane, whose emission is divided by its area if it normalises."""
+    """Returns the radiance of a rectangle or disk; the emission of a normalized light is divided by its area."""
     if _has_cone(placed.prim):
         file.remarks.add(f"cones of {kind} lights", str(placed.prim.GetPath()))
     return emission * (file.unit**2 / area) if _normalises(file, placed.prim) else emission
 
 
 def _has_cone(prim: Any) -> bool:
-    """Whether a light is shaped to a cone."""
+    """Returns whether a light has an authored cone angle (UsdLux.ShapingAPI)."""
     return prim.HasAPI(pxr().UsdLux.ShapingAPI) and prim.GetAttribute("inputs:shaping:cone:angle").HasAuthoredValue()
 
 
 def _dome(file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any]) -> LightEnvironment | None:
+    """Reads a DomeLight as an environment."""
     return _read_environment(file, placed, emission, shared, _shadow_distance(file, placed))
 
 
@@ -247,7 +250,7 @@ _READERS: dict[str, Callable[[UsdFile, PlacedPrim, float, dict[str, Any]], Light
 def _read_environment(
     file: UsdFile, placed: PlacedPrim, emission: float, shared: dict[str, Any], shadow_distance: float
 ) -> LightEnvironment | None:
-    """A dome light as an environment; None, with a remark, if its image is no panorama."""
+    """Reads a dome light as an environment; returns None and adds a remark if its image is not latlong."""
     prim = placed.prim
     asset, layout = (
         value(file, prim, "inputs:texture:file"),
@@ -256,7 +259,7 @@ def _read_environment(
     image = None
     if asset is not None and asset_name(asset):
         if layout not in ("automatic", "latlong"):
-            file.remarks.add(f"skies of format {layout}", str(prim.GetPath()))
+            file.remarks.add(f"dome lights of texture format {layout}", str(prim.GetPath()))
             return None
         image = _environment_image(file, asset, str(prim.GetPath()))
     world_from_dome = placed.world_from_prim[:3, :3]
@@ -265,7 +268,7 @@ def _read_environment(
         world_from_dome = world_from_dome @ _Z_FROM_Y
     rotation = _nearest_rotation(world_from_dome)
     if np.linalg.det(world_from_dome) < 0.0:
-        file.remarks.add("skies that are mirrored", str(prim.GetPath()))
+        file.remarks.add("mirrored dome lights", str(prim.GetPath()))
     return LightEnvironment(
         image,
         intensity=emission,
@@ -276,18 +279,18 @@ def _read_environment(
 
 
 def _nearest_rotation(linear: Doubles) -> Doubles:
-    """The rotation that is nearest to a matrix, shape (3, 3)."""
+    """Returns the rotation closest to a matrix, shape (3, 3), by its singular value decomposition."""
     left, _, right = np.linalg.svd(linear)
     return left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
 
 
 def _environment_image(file: UsdFile, asset: Any, label: str) -> FloatArray:
-    """Linear radiance, shape (H, W, 3)."""
+    """Reads the image of a dome light as linear radiance, shape (H, W, 3)."""
     name, data = asset_name(asset), asset_bytes(file, asset, label)
     if Path(name).suffix.lower() not in _RADIANCE:
         texels = decode_texture(data, file.path, name)[:, :, :3]
         return decode_srgb(texels / np.float32(255.0)).astype(np.float32)
-    with tempfile.TemporaryDirectory() as folder:  # the reader of OpenEXR takes a file
+    with tempfile.TemporaryDirectory() as folder:  # the OpenEXR reader needs a file
         copy = Path(folder) / f"sky{Path(name).suffix.lower()}"
         copy.write_bytes(data)
         try:
@@ -297,7 +300,7 @@ def _environment_image(file: UsdFile, asset: Any, label: str) -> FloatArray:
 
 
 def write_light(writer: StageWriter, light: Light) -> None:
-    """Writes a light at its place."""
+    """Writes a light with its world transform."""
     match light:
         case LightDirectional():
             prim, intensity = _write_distant(writer, light)
@@ -326,11 +329,11 @@ def write_light(writer: StageWriter, light: Light) -> None:
         pxr().UsdGeom.Imageable(prim).MakeInvisible()
     if not getattr(light, "visible", True):
         writer.set_custom_data(prim, visible=False)
-        writer.remarks.add("that lights are not seen themselves (visible)", light.name)
+        writer.remarks.add("lights that cameras do not see (visible = false)", light.name)
 
 
 def _define(writer: StageWriter, light: Light, kind: str) -> Any:
-    """A light's prim."""
+    """Defines a prim of a UsdLux type for a light, and returns the prim."""
     path = writer.path_of(light.name or kind)
     return getattr(pxr().UsdLux, kind).Define(writer.stage, path).GetPrim()
 
@@ -340,7 +343,7 @@ def _set(prim: Any, name: str, value: Any) -> None:
 
 
 def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[Any, float]:
-    """A sphere that normalises; one without a radius is to be taken for a point."""
+    """Writes a point or spot as a normalized SphereLight, with treatAsPoint if the light has no radius."""
     prim = _define(writer, light, "SphereLight")
     _set(prim, "inputs:radius", light.radius or USD_POINT_RADIUS)
     _set(prim, "inputs:normalize", True)
@@ -354,12 +357,13 @@ def _write_point(writer: StageWriter, light: LightPoint | LightSpot) -> tuple[An
         shaping = pxr().UsdLux.ShapingAPI.Apply(prim)
         shaping.CreateShapingConeAngleAttr(math.degrees(light.outer_angle))
         shaping.CreateShapingConeSoftnessAttr(1.0 - light.inner_angle / light.outer_angle)
-        writer.remarks.add("the fall-off of spots between their cones, which is another curve", light.name)
+        writer.remarks.add("the falloff of spots between inner and outer cone, which follows another curve", light.name)
     writer.set_transform(prim, transform)
     return prim, 4.0 * light.intensity
 
 
 def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, float]:
+    """Writes a directional light as a normalized DistantLight, whose intensity is in lux."""
     prim = _define(writer, light, "DistantLight")
     _set(prim, "inputs:angle", math.degrees(2.0 * light.angle))
     _set(prim, "inputs:normalize", True)
@@ -369,14 +373,14 @@ def _write_distant(writer: StageWriter, light: LightDirectional) -> tuple[Any, f
 
 
 def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
-    """A rectangle in the plane of x and y that shines along -z."""
+    """Writes a rectangle as a RectLight in the xy plane that emits along -z."""
     prim = _define(writer, light, "RectLight")
     width, height = float(np.linalg.norm(light.edge_u)), float(np.linalg.norm(light.edge_v))
     _set(prim, "inputs:width", width)
     _set(prim, "inputs:height", height)
     x, y = -np.array(light.edge_u) / width, np.array(light.edge_v) / height
     if abs(x @ y) > 1e-6:
-        writer.remarks.add("parallelograms, which are sheared rectangles", light.name)
+        writer.remarks.add("sheared rectangle lights (parallelograms)", light.name)
     z = np.cross(x, y)
     transform = _light_transform(light.position)
     transform[:3, :3] = np.stack([x, y, z / np.linalg.norm(z)], axis=1)
@@ -385,6 +389,7 @@ def _write_rect(writer: StageWriter, light: LightRect) -> tuple[Any, float]:
 
 
 def _write_dome(writer: StageWriter, light: LightEnvironment) -> tuple[Any, float]:
+    """Writes an environment as a DomeLight with an OpenEXR image."""
     px = pxr()
     prim = _define(writer, light, "DomeLight")
     if light.image is not None:
@@ -408,7 +413,7 @@ def _shadow_api(prim: Any) -> Any:
 
 
 def _light_transform(position: Any, direction: Any = None) -> Doubles:
-    """A transform to a position that turns -z to a unit vector, if there is one, shape (4, 4)."""
+    """Returns a transform, shape (4, 4), to a position; -z points along ``direction``, a unit vector, if given."""
     transform = np.eye(4)
     transform[:3, 3] = position
     if direction is not None:
@@ -417,7 +422,7 @@ def _light_transform(position: Any, direction: Any = None) -> Doubles:
 
 
 def _facing(direction: Any) -> Doubles:
-    """A rotation that turns -z to a unit vector, shape (3, 3)."""
+    """Returns a rotation, shape (3, 3), that maps -z to a unit vector."""
     z = -np.array(direction, np.float64)
     side = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = np.cross(side, z)
@@ -426,7 +431,7 @@ def _facing(direction: Any) -> Doubles:
 
 
 def _exr_bytes(image: FloatArray) -> bytes:
-    """Radiance as OpenEXR."""
+    """Encodes radiance as OpenEXR."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "sky.exr"
         write_radiance(file, image)

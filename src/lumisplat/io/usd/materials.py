@@ -1,6 +1,6 @@
-"""Reads UsdPreviewSurface and its textures as `MaterialPbr`, and writes materials as networks of it.
+"""Reads UsdPreviewSurface networks as `MaterialPbr`, and writes materials as UsdPreviewSurface networks.
 
-An input of a shader is a value, a primvar or a texture with its placement.
+A shader input is a constant, a primvar, or a texture with a UV transform.
 """
 
 from __future__ import annotations
@@ -31,21 +31,22 @@ from lumisplat.scene.materials import (
 )
 
 _WRAP_MODES = {"repeat": TextureWrap.REPEAT, "mirror": TextureWrap.MIRROR, "clamp": TextureWrap.CLAMP}
-"""Others are black beyond the edges, or left to the image, which says nothing."""
+"""Wrap modes of UsdUVTexture. The others are read as repeat: ``black``, and ``useMetadata``, which images do not have.
+"""
 _CHANNELS = {"r": 0, "g": 1, "b": 2, "a": 3}
 
 
 class UvTransform(NamedTuple):
-    """Where texture coordinates come from: a primvar, scaled, turned, then moved, with (0, 0) at the bottom left."""
+    """Texture coordinates of a texture: a primvar, scaled, rotated, then translated; (0, 0) is the bottom left."""
 
     primvar: str = "st"
     scale: tuple[float, float] = (1.0, 1.0)
     rotation: float = 0.0
-    """Radians, counter-clockwise."""
+    """Counter-clockwise angle in radians."""
     translation: tuple[float, float] = (0.0, 0.0)
 
     def apply(self, uvs: FloatArray) -> FloatArray:
-        """Coordinates, shape (V, 2), as stored."""
+        """Returns the transformed texture coordinates, shape (V, 2), with v still up."""
         if self == UvTransform(self.primvar):
             return uvs
         cos, sin = np.cos(self.rotation), np.sin(self.rotation)
@@ -55,11 +56,11 @@ class UvTransform(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _TextureInput:
-    """A texture that feeds an input: ``texel * scale + bias``, four channels each."""
+    """A texture connected to a shader input. Its value is ``texel * scale + bias``, with four channels each."""
 
     asset: Any
     channel: int | None
-    """0..3; None: all three colours."""
+    """Channel that is used, 0..3; None uses red, green and blue."""
     uv_transform: UvTransform
     wraps: WrapPair
     scale: Doubles
@@ -70,7 +71,7 @@ class _TextureInput:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ShaderInput:
-    """What feeds an input: a value, a texture, or a primvar of the mesh."""
+    """Source of a shader input: a constant, a texture, or a primvar of the mesh."""
 
     value: Any = None
     texture: _TextureInput | None = None
@@ -78,7 +79,7 @@ class _ShaderInput:
 
 
 class _PreviewSurface:
-    """The inputs of a material's UsdPreviewSurface.
+    """Inputs of a material's UsdPreviewSurface shader.
 
     Args:
         file: The open file.
@@ -89,17 +90,17 @@ class _PreviewSurface:
         self._file, self._shader = file, shader
 
     def read(self, name: str) -> _ShaderInput:
-        """An input; one that has neither a value nor a connection that is known has value None."""
+        """Returns an input; its value is None if it has neither a value nor a supported connection."""
         return _read_input(self._file, self._shader.GetInput(name))
 
     def number(self, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
-        """The value of an input within limits; the default if it is none, or fed by a texture."""
+        """Returns the constant of an input, clipped to ``low``..``high``; ``default`` if the input has no constant."""
         found = self.read(name).value
         held = finite_numbers(found, ())
         return default if held is None else float(np.clip(shortest(float(held)), low, high))
 
     def color(self, name: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
-        """The same of three values, at least 0."""
+        """Returns the constant colour of an input, at least 0; ``default`` if the input has no constant."""
         held = finite_numbers(self.read(name).value, (3,))
         if held is None:
             return default
@@ -108,7 +109,7 @@ class _PreviewSurface:
 
 
 def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface | None:
-    """The UsdPreviewSurface of a material; None, perhaps with a remark, if it has none."""
+    """Returns the UsdPreviewSurface of a material; None, with a remark if ``remark``, for other surface shaders."""
     shader = material.ComputeSurfaceSource()[0]
     if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
         if remark:
@@ -118,6 +119,7 @@ def _surface_of(file: UsdFile, material: Any, remark: bool) -> _PreviewSurface |
 
 
 def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
+    """Follows an input's connection to a constant, a UsdUVTexture or a primvar reader."""
     px = pxr()
     if not given:
         return _ShaderInput()
@@ -133,15 +135,16 @@ def _read_input(file: UsdFile, given: Any) -> _ShaderInput:
         return _ShaderInput(texture=_read_texture(file, shader, str(output)))
     if kind.startswith("UsdPrimvarReader"):
         return _ShaderInput(primvar=str(_read_input(file, shader.GetInput("varname")).value or ""))
-    file.remarks.add(f"shader nodes of kind {kind}", str(shader.GetPath()))
+    file.remarks.add(f"shader nodes of type {kind}", str(shader.GetPath()))
     return _ShaderInput()
 
 
 def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | None:
+    """Reads a UsdUVTexture node; returns None and adds a remark if it has no file, or UDIM tiles."""
     asset = _read_input(file, shader.GetInput("file")).value
     name = str(getattr(asset, "path", asset or ""))
     if not name or "<UDIM>" in name:
-        file.remarks.add("textures without a file, or of UDIM tiles", str(shader.GetPath()))
+        file.remarks.add("textures without a file, or with UDIM tiles", str(shader.GetPath()))
         return None
 
     def four(key: str, default: float) -> Doubles:
@@ -164,7 +167,7 @@ def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | No
 
 
 def _read_uv_transform(file: UsdFile, st: Any) -> UvTransform:
-    """The coordinates of a texture: through a UsdTransform2d, if there is one."""
+    """Reads the primvar of a texture's ``st`` input, and its UsdTransform2d if there is one."""
     px = pxr()
     sources = st.GetValueProducingAttributes() if st else ()
     if not sources:
@@ -185,36 +188,36 @@ def _read_uv_transform(file: UsdFile, st: Any) -> UvTransform:
 
 
 GREY = 0.18
-"""Base colour of what has no material: the diffuse colour of a UsdPreviewSurface that says nothing."""
+"""Base colour of meshes without a material: the default diffuseColor of UsdPreviewSurface."""
 
 _Texels = npt.NDArray[np.uint8]
 
 _WRAP_NAMES = {wrap: name for name, wrap in _WRAP_MODES.items()}
 _UNSUPPORTED_FIELDS = {
-    "specular": ("the strength of reflections (specular)", 1.0),
-    "thin_walled": ("thin walls", False),
-    "attenuation_distance": ("media inside of meshes", math.inf),
+    "specular": ("specular strength", 1.0),
+    "thin_walled": ("thin-walled transmission", False),
+    "attenuation_distance": ("absorption inside meshes", math.inf),
     "sheen_color": ("sheen", (0.0, 0.0, 0.0)),
-    "transmission_texture": ("textures of transmission", None),
-    "priority": ("priorities of media", 0),
+    "transmission_texture": ("transmission textures", None),
+    "priority": ("priorities of overlapping media", 0),
 }
-"""Fields of a material that have no place, what a remark calls them, and the value at which nothing is lost."""
+"""Material fields that UsdPreviewSurface lacks: the remark about each, and the value that has no effect."""
 
 _Key = tuple[int, bool]
 
 
 class ReadMaterial(NamedTuple):
-    """A material, and what meshes of it need."""
+    """A material and the primvars that its meshes need."""
 
     material: MaterialPbr
     uv_transform: UvTransform = UvTransform()
-    """Of its textures."""
+    """Texture coordinates of all textures of the material."""
     color_primvar: str = ""
-    """Primvar of the mesh that is its base colour; empty: none."""
+    """Primvar of the mesh that provides the base colour; empty if no primvar does."""
 
 
 class UsdMaterials:
-    """The materials of a file, each decoded once.
+    """Materials of a file, each decoded once.
 
     Args:
         file: The open file.
@@ -228,7 +231,7 @@ class UsdMaterials:
         self._total = TextureBytes(file.path)
 
     def bound_to(self, prim: Any, *, remark: bool = True) -> ReadMaterial | None:
-        """The material that is bound to a prim; None if there is none that is known, with a remark unless not wanted.
+        """Returns the material bound to a prim; None if no supported material is bound, with a remark if ``remark``.
 
         Raises:
             FormatError: A value is out of range, or a texture is missing or corrupt.
@@ -236,7 +239,7 @@ class UsdMaterials:
         material = pxr().UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial()[0]
         if not material:
             return None
-        # Of instances, one material of the prototype has a path in each of them.
+        # A material of a prototype has a different path in each instance.
         own = material.GetPrim()
         key = str((own.GetPrimInPrototype() if own.IsInstanceProxy() else own).GetPath())
         if key not in self._cache:
@@ -250,7 +253,7 @@ class UsdMaterials:
         return self._cache[key]
 
     def sided(self, material: MaterialPbr, prim: Any) -> MaterialPbr:
-        """The material of a mesh, which emits from the front of its triangles alone if the mesh is not double-sided."""
+        """Returns the material for a mesh: emissive ones emit from front faces only, unless the mesh is doubleSided."""
         if not material.is_emissive or value(self._file, prim, "doubleSided", False):
             return material
         if id(material) not in self._one_sided:
@@ -258,7 +261,7 @@ class UsdMaterials:
         return self._one_sided[id(material)]
 
     def texels(self, texture: _TextureInput) -> _Texels:
-        """The texels of a texture as stored, shape (H, W, 3 or 4)."""
+        """Returns the texels of a texture as stored, shape (H, W, 3) or (H, W, 4)."""
         name = str(getattr(texture.asset, "resolvedPath", "")) or asset_name(texture.asset)
         if name not in self._images:
             data = asset_bytes(self._file, texture.asset, texture.label)
@@ -266,12 +269,12 @@ class UsdMaterials:
         return self._images[name]
 
     def remark(self, text: str, label: str) -> None:
-        """Notes what is left out of a material."""
+        """Records a feature of a material that is left out."""
         self._file.remarks.add(text, label)
 
 
 class _Decoder:
-    """One material, while it is decoded."""
+    """Decodes one material."""
 
     def __init__(self, materials: UsdMaterials, surface: _PreviewSurface) -> None:
         self._materials, self._surface = materials, surface
@@ -294,7 +297,7 @@ class _Decoder:
         if self._values["clearcoat"] == 0.0:
             self._values["clearcoat_roughness"] = 0.0
         if surface.number("useSpecularWorkflow", 0.0) > 0.0:
-            self._materials.remark("colours of highlights (useSpecularWorkflow)", name)
+            self._materials.remark("specular colours (useSpecularWorkflow)", name)
             self._values["metallic"] = 0.0
         if surface.read("displacement").texture:
             self._materials.remark("displacement", name)
@@ -309,14 +312,16 @@ class _Decoder:
         )
 
     def _texture_input(self, name: str) -> _TextureInput | None:
-        """The texture of an input, unless its coordinates are others than those of the textures before it."""
+        """Returns an input's texture; None, with a remark, if its texture coordinates differ from the first one's."""
         texture = self._surface.read(name).texture
         if texture is None:
             return None
         if self._uv_transform is None:
             self._uv_transform = texture.uv_transform
         if texture.uv_transform != self._uv_transform:
-            self._materials.remark("textures with other coordinates than the first of their material", texture.label)
+            self._materials.remark(
+                "textures whose coordinates differ from those of the material's first texture", texture.label
+            )
             return None
         return texture
 
@@ -336,18 +341,18 @@ class _Decoder:
             self._set("emissive_texture", texture, self._colors(texture))
 
     def _colors(self, texture: _TextureInput) -> Texture:
-        """Texels in sRGB, three channels."""
+        """Returns three channels of a texture, encoded as sRGB."""
         texels = self._materials.texels(texture)
         texels = texels[:, :, :3] if texture.channel is None else np.repeat(_channel(texels, texture)[:, :, None], 3, 2)
         if texture.bias[:3].any():
-            self._materials.remark("biases of textures of colour", texture.label)
+            self._materials.remark("biases of colour textures", texture.label)
         if texture.color_space != "raw":
             return texels
         table = np.round(255.0 * encode_srgb(np.arange(256) / 255.0)).astype(np.uint8)
         return table[texels]
 
     def _metallic_roughness(self) -> None:
-        """One texture of both: roughness in green, metallic in blue."""
+        """Combines the roughness and metallic textures into one, with roughness in green and metallic in blue."""
         planes: dict[int, _Texels] = {}
         for name, plane in (("roughness", 1), ("metallic", 2)):
             texture = self._texture_input(name)
@@ -355,7 +360,7 @@ class _Decoder:
                 continue
             texels = self._plane(texture, plane)
             if planes and texels.shape[:2] != next(iter(planes.values())).shape[:2]:
-                self._materials.remark("textures of roughness and metallic of two sizes", texture.label)
+                self._materials.remark("roughness and metallic textures of different sizes", texture.label)
                 continue
             self._values[name] = float(np.clip(texture.scale[texture.channel or 0], 0.0, 1.0))
             planes[plane] = texels
@@ -366,13 +371,13 @@ class _Decoder:
             for plane, texels in planes.items():
                 if both is not texels:
                     both[:, :, plane] = texels[:, :, plane]
-            if len(planes) == 1:  # the other one is a number
+            if len(planes) == 1:  # the other input is a constant
                 both = both.copy()
                 both[:, :, 2 if 1 in planes else 1] = 255
             self._values["metallic_roughness_texture"] = both
 
     def _plane(self, texture: _TextureInput, channel_index: int) -> _Texels:
-        """Three channels, of which one, at ``wanted``, feeds the input: those of the image, if that is how it is."""
+        """Returns three channels of a texture, with the input's channel moved to ``channel_index``."""
         texels, channel = self._materials.texels(texture), texture.channel or 0
         if channel == channel_index:
             return texels[:, :, :3] if texels.shape[2] > 3 else texels
@@ -381,7 +386,7 @@ class _Decoder:
     def _normals_and_occlusion(self) -> None:
         texture = self._texture_input("normal")
         if texture is not None:
-            # Files of 8 bits need scale 2 and bias -1; some lack them, and mean the same.
+            # 8-bit normal maps need scale 2 and bias -1; some files omit both and mean the same.
             scale = float(texture.scale[0]) / 2.0 if texture.bias[:3].any() else 1.0
             self._values["normal_scale"] = scale
             self._set("normal_texture", texture, self._materials.texels(texture)[:, :, :3])
@@ -398,7 +403,12 @@ class _Decoder:
                 self._set(f"{name}_texture", texture, self._plane(texture, plane))
 
     def _opacity(self) -> None:
-        """Alpha, or glass: what is not opaque, smooth, and says so of all of itself, lets light through."""
+        """Reads opacity as transmission or as alpha.
+
+        Opacity below 1 becomes transmission if it is constant without a threshold, its mode is not ``presence``, and
+        either the mode is ``transparent`` or the roughness is 0. Otherwise it becomes alpha: masked with a threshold,
+        else blended.
+        """
         surface, cutoff = self._surface, self._surface.number("opacityThreshold", 0.0)
         texture, opacity = self._texture_input("opacity"), surface.number("opacity", 1.0)
         mode = str(surface.read("opacityMode").value or "")
@@ -417,19 +427,19 @@ class _Decoder:
             self._add_alpha(texture)
 
     def _add_alpha(self, texture: _TextureInput) -> None:
-        """The texels of the base colour with those of opacity as their fourth channel."""
+        """Adds the opacity texture to the base colour texture as its fourth channel."""
         plane = _channel(self._materials.texels(texture), texture)
         colors = self._values.get("base_color_texture")
         if colors is None:
             colors = np.full((*plane.shape, 3), 255, np.uint8)
             self._wraps["base_color_texture"] = texture.wraps
         if colors.shape[:2] != plane.shape:
-            self._materials.remark("textures of opacity of another size than those of colour", texture.label)
+            self._materials.remark("opacity textures whose size differs from that of the colour texture", texture.label)
             return
         self._values["base_color_texture"] = np.concatenate([colors[:, :, :3], plane[:, :, None]], axis=2)
 
     def _wrap_values(self) -> dict[str, Any]:
-        """How the textures wrap: as the first of them, but for those that are named."""
+        """Returns the first texture's wrap modes for the whole material, and by name those of textures that differ."""
         if not self._wraps:
             return {}
         first = next(iter(self._wraps.values()))
@@ -438,13 +448,13 @@ class _Decoder:
 
 
 def _channel(texels: _Texels, texture: _TextureInput) -> _Texels:
-    """The channel of a texture that feeds an input, shape (H, W); opaque where an image has no alpha."""
+    """Returns the channel of a texture that feeds an input, shape (H, W); 255 if the image lacks that channel."""
     channel = texture.channel or 0
     return texels[:, :, channel] if channel < texels.shape[2] else np.full(texels.shape[:2], 255, np.uint8)
 
 
 def _unit(color: Any) -> tuple[float, ...]:
-    """A colour within 0..1."""
+    """Returns a colour clipped to 0..1."""
     return tuple(np.clip(np.asarray(color, np.float64), 0.0, 1.0).tolist())
 
 
@@ -456,12 +466,12 @@ class MaterialWriter:
     _cache: dict[_Key, tuple[Material, Any]] = field(default_factory=dict[_Key, "tuple[Material, Any]"])
 
     def bind(self, prim: Any, material: Material, has_colors: bool = False) -> None:
-        """Binds a material to a prim.
+        """Binds a material to a prim, and writes the material on first use.
 
         Args:
             prim: A mesh or a particle field.
             material: Its material.
-            has_colors: Whether the mesh has colours of vertices (the primvar displayColor), by which to multiply.
+            has_colors: Whether the mesh has vertex colours (primvar displayColor), which multiply the base colour.
         """
         key = id(material), has_colors
         if key not in self._cache:
@@ -471,7 +481,7 @@ class MaterialWriter:
 
 
 class _Network:
-    """The shaders of one material."""
+    """Shader network of one written material."""
 
     def __init__(self, writer: StageWriter, material: Material, has_colors: bool) -> None:
         px = pxr()
@@ -500,7 +510,7 @@ class _Network:
         return made
 
     def _connect(self, name: str, kind: str, source: Any, output: str, output_kind: str) -> None:
-        """Feeds an input of the surface by an output of another node."""
+        """Connects an input of the surface shader to an output of another node."""
         types = pxr().Sdf.ValueTypeNames
         made = source.CreateOutput(output, getattr(types, output_kind))
         self._surface.CreateInput(name, getattr(types, kind)).ConnectToSource(made)
@@ -541,8 +551,8 @@ class _Network:
         self._write_opacity(material)
 
     def _write_simple(self, material: MaterialSimple, has_colors: bool) -> None:
-        """A `MaterialSimple` as what comes near to it: its diffuse part, and what it emits."""
-        self._writer.remarks.add("simple materials, of which a diffuse and an emitting part stay", self._name)
+        """Writes the diffuse and emitted parts of a `MaterialSimple`, which UsdPreviewSurface can only approximate."""
+        self._writer.remarks.add("simple materials, reduced to diffuse reflection and emission", self._name)
         color = material.base_color
         diffuse = tuple(d * c for d, c in zip(material.diffuse, color, strict=True))
         self._write_color(material, diffuse, has_colors)
@@ -560,7 +570,7 @@ class _Network:
         if texture is not None:
             self._connect("diffuseColor", "Color3f", texture, "rgb", "Float3")
             if has_colors:
-                self._writer.remarks.add("colours of vertices beside a texture", self._name)
+                self._writer.remarks.add("vertex colours of textured meshes", self._name)
         elif has_colors:
             reader = self._node("VertexColors", "UsdPrimvarReader_float3")
             self._set(reader, "varname", "String", "displayColor")
@@ -569,7 +579,7 @@ class _Network:
             self._set(self._surface, "diffuseColor", "Color3f", pxr().Gf.Vec3f(*color))
 
     def _write_opacity(self, material: Material) -> None:
-        """Alpha; or, of what transmits, glass."""
+        """Writes alpha, or transmission as transparent opacity."""
         transmission = material.transmission if isinstance(material, MaterialPbr) else 0.0
         if material.alpha_mode is AlphaMode.OPAQUE:
             if transmission > 0.0:
@@ -577,7 +587,7 @@ class _Network:
                 self._set(self._surface, "opacityMode", "Token", "transparent")
             return
         if transmission > 0.0:
-            self._writer.remarks.add("transmission beside alpha", self._name)
+            self._writer.remarks.add("transmission of materials with alpha", self._name)
         if material.base_color_texture is not None and material.base_color_texture.shape[2] == 4:
             source = pxr().UsdShade.Shader.Get(self._writer.stage, f"{self._path}/base_color")
             self._connect("opacity", "Float", source, "a", "Float")
@@ -589,7 +599,7 @@ class _Network:
             self._set(self._surface, "opacityMode", "Token", "presence")
 
     def _write_plane(self, texture: str, name: str, factor: float, channel: str, scale: tuple[float, ...]) -> None:
-        """An input that is a number, or a channel of a texture times it."""
+        """Writes an input as a constant, or as a channel of a texture times ``scale``."""
         source = self._texture(texture, scale)
         if source is None:
             self._set(self._surface, name, "Float", factor)
@@ -605,7 +615,7 @@ class _Network:
         color: bool = False,
         name: str | None = None,
     ) -> Any:
-        """The node of a texture, ``texel * scale + bias``; None if the material does not have it."""
+        """Returns the texture node of a material field, ``texel * scale + bias``; None without such a texture."""
         px, material = pxr(), self._material
         texels = getattr(material, f"{field_name}_texture", None)
         if texels is None:

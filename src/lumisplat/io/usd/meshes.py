@@ -1,4 +1,4 @@
-"""Meshes of OpenUSD files: polygons, their attributes and materials, and simple shapes."""
+"""Reads OpenUSD meshes with their primvars and materials, and cubes, spheres and planes."""
 
 from __future__ import annotations
 
@@ -27,46 +27,47 @@ _SHAPES = ("Cube", "Sphere", "Plane")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attribute:
-    """Values of a mesh."""
+    """Attribute or primvar of a mesh."""
 
     values: FloatArray
-    """Shape (N, C)."""
+    """Values as float32, shape (N, C)."""
     interpolation: str
-    """What has a value of its own: constant (the mesh), uniform (faces), vertex or varying, faceVarying (corners)."""
+    """One value each for: constant (the mesh), uniform (faces), vertex or varying (vertices), faceVarying (corners)."""
     label: str
 
 
 @dataclass(slots=True)
 class Polygons:
-    """Polygons of a mesh.
+    """Polygons of a mesh with their attributes.
 
     Raises:
-        FormatError: There are more corners than the faces have, or fewer.
+        FormatError: The number of indices is not the sum of the face vertex counts.
     """
 
     path: object
     """The file, for messages."""
     label: str
     positions: FloatArray
-    """Vertices, shape (V, 3)."""
+    """Vertex positions, shape (V, 3)."""
     counts: Rows
-    """Corners of each face, shape (P,)."""
+    """Number of corners of each face, shape (P,)."""
     indices: Rows
-    """Vertex of each corner, shape (C,)."""
+    """Vertex index of each corner, shape (C,)."""
     attributes: dict[str, Attribute] = field(default_factory=dict[str, Attribute])
 
     def __post_init__(self) -> None:
         if (self.counts < 0).any() or int(self.counts.sum()) != len(self.indices):
             raise FormatError(
                 str(self.path),
-                f"{self.label} has faces of {int(self.counts.sum()):,} corners, but {len(self.indices):,} indices",
+                f"{self.label} has {len(self.indices):,} faceVertexIndices, expected {int(self.counts.sum()):,} "
+                "by its faceVertexCounts",
             )
 
     def add(self, name: str, attribute: Attribute | None) -> None:
-        """Adds an attribute, if there is one.
+        """Adds an attribute; None adds nothing.
 
         Raises:
-            FormatError: It has fewer values than the mesh has vertices, faces or corners.
+            FormatError: The attribute has fewer values than its interpolation needs.
         """
         if attribute is None:
             return
@@ -80,13 +81,14 @@ class Polygons:
         self.attributes[name] = attribute
 
     def _needed(self, interpolation: str) -> int:
+        """Returns the number of values that an interpolation needs."""
         sizes = {"uniform": len(self.counts), "faceVarying": len(self.indices), "constant": 1}
         return sizes.get(interpolation, len(self.positions))
 
     def vertices(self) -> tuple[Rows, dict[str, FloatArray]]:
-        """The vertex of each corner, shape (C,), and the attributes of vertices, ``positions`` among them.
+        """Returns the vertex of each corner, shape (C,), and the per-vertex attributes, including ``positions``.
 
-        Vertices whose corners have different values become several.
+        A vertex whose corners have different values is split into several vertices.
         """
         splitting = {
             name: a for name, a in self.attributes.items() if a.interpolation not in (*_OF_VERTICES, "constant")
@@ -114,12 +116,12 @@ class Polygons:
 
 
 class UsdMeshes:
-    """The meshes of a file, each read once, whatever the number of its instances.
+    """Meshes of a file, each read once for all its instances.
 
     Args:
         file: The open file.
-        materials: Its materials.
-        sieve: Counts triangles that are of no use.
+        materials: Materials of the file.
+        sieve: Counts the unusable triangles.
     """
 
     def __init__(self, file: UsdFile, materials: UsdMaterials, sieve: TriangleSieve) -> None:
@@ -128,11 +130,11 @@ class UsdMeshes:
 
     @staticmethod
     def reads(prim: Any) -> bool:
-        """Whether a prim is a mesh, or a shape that becomes one."""
+        """Returns whether a prim is a mesh, or a shape that is read as a mesh."""
         return str(prim.GetTypeName()) in ("Mesh", *_SHAPES)
 
     def instances(self, placed: PlacedPrim) -> list[MeshInstance]:
-        """The meshes of a prim at its place, one for each of its materials."""
+        """Returns a prim's meshes as instances in the world, one for each material."""
         bound = self._materials.bound_to(placed.prim)
         key = placed.asset, id(bound)
         if key not in self._cache:
@@ -143,6 +145,7 @@ class UsdMeshes:
         return [MeshInstance(mesh, at, name=placed.name, shadow_catcher=catches) for mesh in self._cache[key]]
 
     def _read(self, placed: PlacedPrim, bound: ReadMaterial | None) -> list[Mesh]:
+        """Reads a mesh prim, one mesh for each material."""
         file, prim = self._file, placed.prim
         positions = array(file, prim, "points", 3)
         counts, indices = whole_numbers(file, prim, "faceVertexCounts"), whole_numbers(file, prim, "faceVertexIndices")
@@ -157,7 +160,7 @@ class UsdMeshes:
         return meshes
 
     def _groups(self, prim: Any, count: int, bound: ReadMaterial | None) -> list[tuple[Flags, ReadMaterial | None]]:
-        """The faces of each material, shape (P,): those of subsets, then all others."""
+        """Returns a face mask, shape (P,), for each material: first the geometry subsets, then the remaining faces."""
         rest = np.ones(count, bool)
         holes = whole_numbers(self._file, prim, "holeIndices")
         rest[holes[(holes >= 0) & (holes < count)]] = False
@@ -172,12 +175,12 @@ class UsdMeshes:
         return [group for group in (*groups, (rest, bound)) if group[0].any()]
 
     def _group(self, placed: PlacedPrim, polygons: Polygons, faces: Flags, read: ReadMaterial | None) -> Mesh | None:
-        """The faces of one material as a mesh; None if none of their triangles is usable."""
+        """Returns the faces of one material as a mesh; None if no triangle is usable."""
         file, prim = self._file, placed.prim
         subdivided = value(file, prim, "subdivisionScheme", "catmullClark") != "none"
         polygons.add("normals", _normals(file, prim))
         polygons.add("uvs", _primvar(file, prim, "st" if read is None else read.uv_transform.primvar, 2))
-        # Ours multiply by the colours of vertices, for which shaders have no place where there is a texture.
+        # Meshes that Lumisplat wrote multiply textures by vertex colours, which UsdPreviewSurface cannot express.
         own = custom_data_of(prim).get("multipliesColors", False)
         colored = "displayColor" if read is None or own else read.color_primvar
         polygons.add("colors", _primvar(file, prim, colored, 3) if colored else None)
@@ -202,12 +205,12 @@ class UsdMeshes:
         attributes = {name: read_only_view(values) for name, values in arrays.items() if name != "positions"}
         mesh = Mesh(read_only_view(arrays["positions"]), triangles, material=material, name=placed.name, **attributes)
         if subdivided:
-            file.remarks.add("subdivision surfaces, read as the meshes that control them", str(prim.GetPath()))
+            file.remarks.add("subdivision surfaces, read as their control meshes", str(prim.GetPath()))
             mesh = mesh if mesh.normals is not None else smooth_normals(mesh, math.pi)
         return drop_textures_without_uvs(file.path, mesh)
 
     def _shape(self, placed: PlacedPrim, read: ReadMaterial | None) -> Mesh:
-        """A cube, sphere or plane as a mesh; ours have y up."""
+        """Returns a cube, sphere or plane prim as a mesh."""
         file, prim = self._file, placed.prim
         material = MaterialPbr(base_color=(GREY,) * 3) if read is None else self._materials.sided(read.material, prim)
         match str(prim.GetTypeName()):
@@ -222,14 +225,14 @@ class UsdMeshes:
 
 
 def _turned(mesh: Mesh, axis: str) -> Mesh:
-    """A plane that faces +y, turned to face another axis: its width is along x, or z if it faces x."""
+    """Rotates a plane that faces +y to another axis; its width lies along x, or along z if the plane faces x."""
     order, signs = {"X": ([1, 2, 0], (1, 1, 1)), "Z": ([0, 2, 1], (1, -1, 1))}.get(axis, ([0, 1, 2], (1, 1, 1)))
     assert mesh.normals is not None
     return replace(mesh, positions=mesh.positions[:, order] * signs, normals=mesh.normals[:, order] * signs)
 
 
 def _normals(file: UsdFile, prim: Any) -> Attribute | None:
-    """Normals as a primvar, else those of the mesh."""
+    """Returns the normals primvar, else the normals attribute; None if the mesh has neither."""
     found = _primvar(file, prim, "normals", 3)
     if found is not None:
         return found
@@ -239,7 +242,7 @@ def _normals(file: UsdFile, prim: Any) -> Attribute | None:
 
 
 def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | None:
-    """A primvar, its indices resolved; None if the mesh does not have it."""
+    """Returns a primvar with its indices resolved; None if the mesh does not have it."""
     primvar = pxr().UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance(name)
     if not primvar or not primvar.HasValue():
         return None
@@ -249,7 +252,7 @@ def _primvar(file: UsdFile, prim: Any, name: str, columns: int) -> Attribute | N
 
 
 def _used(triangles: Rows, arrays: dict[str, FloatArray]) -> tuple[IntArray, dict[str, FloatArray]]:
-    """Triangles and attributes with the vertices that the triangles have; as they are if those are all."""
+    """Removes the vertices that no triangle uses, from triangles and attributes."""
     used = np.zeros(len(arrays["positions"]), bool)
     used[triangles] = True
     if used.all():

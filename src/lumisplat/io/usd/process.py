@@ -1,9 +1,9 @@
-"""OpenUSD files are read by a process of their own, with limits of memory and time.
+"""Reads OpenUSD files in a child process with limits on memory and processor time.
 
-The library believes what a file claims: a crafted one takes all memory, runs for hours or ends the process. Here that
-process is a child, which sends what it has read and nothing else. It names the files that a stage is composed of, and
-the parent checks them before the child composes it. Where processes can fork, one that has loaded the library waits for
-requests and forks for each, so that only the first one waits for the library.
+The USD library trusts the sizes in a file: a crafted file can take all memory, run for hours or crash the process. The
+child therefore reads the file and sends only the result. It asks the parent about each layer before opening it, and the
+parent checks the path. Where processes can fork, one child loads the library, waits for requests and forks for each of
+them, so that only the first request pays for loading.
 """
 
 from __future__ import annotations
@@ -32,67 +32,69 @@ from lumisplat.errors import FormatError, LumisplatError, MissingExtraError
 from lumisplat.io.files.source import PathLike, check_regular, leaves_folder, may_leave_folder, references_outside
 
 USD_MEMORY = 3 * 2**28
-"""Memory, bytes, that the process that reads a stage may take at least: the library and Warp take 0.2 GB of it."""
+"""Memory limit of the child in bytes, before the size of the files is added. The library and Warp take 0.2 GB of it."""
 
 USD_ASSETS_MEMORY = 2 * 2**30
-"""Further bytes of memory from the first texture on, which are bounded by themselves (`TEXTURE_BYTES_FREE`)."""
+"""Bytes added to the memory limit at the first texture. `TEXTURE_BYTES_FREE` limits the textures themselves."""
 
 USD_MEMORY_PER_BYTE = 40
-"""Further bytes of memory for each byte of layers and textures: text of 8 digits becomes doubles, which are held three
-times."""
+"""Bytes added to the memory limit for each byte of layers and textures: text of 8 digits becomes doubles, which the
+library holds three times."""
 
 USD_CPU_SECONDS = 30
-"""Processor time, seconds, that reading a stage may take at least: references nested 16 deep took minutes."""
+"""Limit on the child's processor time in seconds, before the size of the files is added. References nested 16 deep
+took minutes."""
 
 USD_CPU_SECONDS_PER_MEGABYTE = 1.0
-"""Further seconds for each 2^20 bytes of the files: text is read in 0.1 s."""
+"""Seconds added to the processor time limit for each 2^20 bytes of the files. Reading text takes 0.1 s."""
 
 USD_WALL_FACTOR = 10.0
-"""Time on the clock after which reading ends, as a factor of its processor time: on machines that are busy."""
+"""Limit on elapsed time as a multiple of the processor time limit, generous for busy machines."""
 
 USD_START_SECONDS = 300.0
-"""Time on the clock, seconds, in which that process must have loaded the library: 0.2 s on a machine that is idle."""
+"""Limit on the elapsed time, in seconds, in which the child must load the library. An idle machine takes 0.2 s."""
 
 USD_IDLE_SECONDS = 60.0
-"""Time without a request, seconds, after which the process that has loaded the library ends."""
+"""Seconds without a request after which an idle child ends."""
 
 _log = logging.getLogger("lumisplat")
 
 _START = "import sys; sys.path[:] = sys.argv[1:]; from lumisplat.io.usd.process import serve; serve()"
-"""What a child runs: its modules are those of the parent, and none of the working folder's."""
+"""Program of the child. The child imports modules from the parent's path, never from the working folder."""
 
 _FORKS = hasattr(os, "fork") and sys.platform != "darwin"
-"""Whether processes fork; macOS' libraries do not survive it."""
+"""Whether children fork for each request. Libraries of macOS do not survive a fork."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Request:
-    """What the child is to do."""
+    """The function to call in the child, its arguments and its limits."""
 
     module: str
     function: str
     arguments: tuple[Any, ...]
     path: Path
     folder: str
-    """Working folder of the parent, from which paths begin."""
+    """Working folder of the parent, from which relative paths start."""
     allow_outside: bool
     limit: _Limit
-    """What may be taken before the first layer is granted."""
+    """Limit until the parent grants the first layer."""
     level: int
-    """Least level of log lines that the parent shows."""
+    """Lowest level of log records that the parent handles."""
 
 
 def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Runs a function that reads an OpenUSD file in a child, and returns its result.
+    """Calls a function that reads an OpenUSD file in a child process, and returns its result.
 
     Args:
         path: The file.
-        function: A function of a module, called with ``Path(path)`` and ``arguments``.
-        *arguments: Further arguments. What of the result is a `Remote` stays in the child, which then lives as long.
+        function: A module-level function, called with ``Path(path)`` and ``arguments``.
+        *arguments: Further arguments. Each `Remote` in the result stays in the child, which lives until the parent
+            drops the last of them.
 
     Raises:
-        FormatError: As of the function; or the child has ended, or taken more memory or time than files of this size
-            need.
+        FormatError: The function raised it; or the child crashed, or took more memory or time than a file of this size
+            needs.
         MissingExtraError: usd-core is not installed.
     """
     if importlib.util.find_spec("pxr") is None:
@@ -121,7 +123,7 @@ def read_in_child(path: PathLike, function: Callable[..., Any], *arguments: Any)
 
 
 class Remote:
-    """A function of one argument that stays in the child: the parent gets one that asks it.
+    """A function of one argument that stays in the child. The parent receives a proxy that calls it there.
 
     Args:
         function: The function.
@@ -139,16 +141,16 @@ class Remote:
 
 
 class _Child:
-    """A process that reads files, as its parent sees it."""
+    """The parent's handle of a child process."""
 
     _idle: list[_Child] = []  # noqa: RUF012
     _lock = threading.RLock()  # `_drop_remote` may run at any time, also within `acquire`
 
     def __init__(self) -> None:
-        home = os.fspath(Path(__file__).parents[3])  # where the parent has found this package
+        home = os.fspath(Path(__file__).parents[3])  # the folder from which the parent imports this package
         paths = dict.fromkeys([*(path for path in sys.path if path), home])
         env = os.environ | {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1"}
-        env.pop("PXR_AR_DEFAULT_SEARCH_PATH", None)  # files are found from those that name them alone
+        env.pop("PXR_AR_DEFAULT_SEARCH_PATH", None)  # assets are searched only relative to the layer that names them
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-c", _START, *paths],
             stdin=subprocess.PIPE,
@@ -158,19 +160,19 @@ class _Child:
         )
         self._in, self._out = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
         self._reader = 0
-        """The process that reads the file: the child itself, or what it has forked; 0: none."""
+        """Process id of the reader: the child itself or its fork; 0 if no file is being read."""
         self._limit = _Limit.of(0)
-        """Of the file that is read."""
+        """Limits of the current file."""
         self._size = 0
-        """Bytes of its layers so far."""
+        """Bytes of the current file's layers so far."""
         self._calls = threading.Lock()
         self._remotes = 0
-        """Functions that the parent still has."""
+        """Number of remote functions that the parent still holds."""
         self._path = Path()
 
     @classmethod
     def acquire(cls) -> _Child:
-        """Returns a child that waits for a request."""
+        """Returns an idle child, or starts one."""
         with cls._lock:
             while cls._idle:
                 child = cls._idle.pop()
@@ -180,10 +182,10 @@ class _Child:
         return cls()
 
     def release(self) -> None:
-        """Ends the reading of a file, unless functions of it are still there: then the last of them does."""
+        """Ends the request and makes the child idle, unless the parent still holds one of its remote functions."""
         if self._remotes:
             return
-        with contextlib.suppress(OSError, EOFError, ValueError):  # it may have ended, and its streams be closed
+        with contextlib.suppress(OSError, EOFError, ValueError):  # the child may have ended and its pipes be closed
             if self._reader:
                 self._send("done")
             if self._reader and _FORKS and self._receive()[0] == "ended":
@@ -194,7 +196,7 @@ class _Child:
         self.end()
 
     def end(self) -> None:
-        """Ends the process, whatever it does."""
+        """Kills the process, whatever it is doing."""
         with contextlib.suppress(OSError):
             if self._reader and self._reader != self._process.pid and self._process.poll() is None:
                 os.kill(self._reader, signal.SIGKILL)
@@ -205,10 +207,10 @@ class _Child:
         self._process.wait()
 
     def call(self, request: _Request | tuple[int, float], path: Path) -> Any:
-        """Sends a request, or calls a function by its number, and returns what comes of it.
+        """Sends a request, or calls a remote function by its number, and returns the result.
 
         Raises:
-            FormatError: As of `read_in_child`.
+            FormatError: See `read_in_child`.
         """
         self._path = path
         limit = self._begin(request)
@@ -239,23 +241,23 @@ class _Child:
                     timer.cancel()
             except LumisplatError:
                 raise
-            except (EOFError, OSError, ValueError):  # a ValueError: `end` has closed the streams
+            except (EOFError, OSError, ValueError):  # ValueError: `end` closed the pipes
                 if not self._reader:
-                    raise FormatError(path, "cannot be read: the process that reads OpenUSD does not start") from None
+                    raise FormatError(path, "cannot be read: the OpenUSD reader process did not start") from None
                 self._process.kill()
                 raise _death_error(path, limit, self._process.wait()) from None
-            except KeyboardInterrupt:  # nobody waits for the answer any more
+            except KeyboardInterrupt:  # nobody waits for the answer now
                 self.end()
                 raise
 
     def _begin(self, request: _Request | tuple[int, float]) -> _Limit:
-        """Forgets the file before, if the request is another one, and returns the limit of the call."""
+        """Returns the limit of a call; a new request resets the state of the previous file."""
         if isinstance(request, _Request):
             self._reader, self._size, self._limit = 0, 0, request.limit
         return self._limit
 
     def _update_limit(self, kind: str, value: Any) -> None:
-        """Sets the limit from now on: the process has forked, asks for a file, or has raised it for a texture."""
+        """Handles messages that change the limit: the child forked, asks for a layer, or will decode a texture."""
         if kind == "reader":
             self._reader = value
         elif kind == "limit":
@@ -272,7 +274,7 @@ class _Child:
         return receive(self._out, self._remote)
 
     def _remote(self, number: int) -> Callable[[float], Any]:
-        """A function of the child, which reads no other file before the last of them is gone."""
+        """Returns a proxy of a remote function. The child is reserved until the last proxy is deleted."""
         self._remotes += 1
 
         def call(argument: float) -> Any:
@@ -282,39 +284,41 @@ class _Child:
         return call
 
     def _drop_remote(self) -> None:
+        """Releases the child when its last proxy is deleted."""
         self._remotes -= 1
         self.release()
 
 
 @atexit.register
 def _end_idle() -> None:
+    """Ends all idle children at exit."""
     for child in _Child._idle:  # pyright: ignore[reportPrivateUsage]
         child.end()
 
 
 @dataclass(frozen=True, slots=True)
 class _Limit:
-    """What a child may take for files of a size."""
+    """Limits on the memory and processor time of a child."""
 
     memory: int
-    """Bytes."""
+    """Memory in bytes."""
     seconds: float
-    """Of processor time."""
+    """Processor time in seconds."""
 
     @classmethod
     def of(cls, size: int) -> _Limit:
-        """The limits for so many bytes."""
+        """Returns the limits for files of ``size`` bytes in total."""
         return cls(
             USD_MEMORY + USD_MEMORY_PER_BYTE * size, USD_CPU_SECONDS + USD_CPU_SECONDS_PER_MEGABYTE * size / 2**20
         )
 
     def timer(self, end: Callable[[], None]) -> threading.Timer:
-        """Ends a child that neither finishes nor takes processor time, which the system limits."""
+        """Starts a timer that ends a child which hangs without using processor time."""
         return _timer(USD_WALL_FACTOR * self.seconds, end)
 
 
 def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
-    """Starts a timer that does not keep the program alive."""
+    """Starts a daemon timer, which does not keep the program alive."""
     timer = threading.Timer(seconds, end)
     timer.daemon = True
     timer.start()
@@ -322,16 +326,16 @@ def _timer(seconds: float, end: Callable[[], None]) -> threading.Timer:
 
 
 def _death_error(path: Path, limit: _Limit, status: int) -> FormatError:
-    """What to say of a child that has ended; ``status`` is the negative number of the signal, as of `Popen.wait`."""
+    """Returns the error for a child that has died; ``status`` is the negative signal number, as from `Popen.wait`."""
     if status in (-getattr(signal, "SIGXCPU", 0), -getattr(signal, "SIGKILL", 0)):
         what = f"takes more than {limit.seconds:.0f} s to read, many times what files of its size need"
     else:
-        what = f"ends the process that reads it, or takes more than {limit.memory / 2**30:.1f} GB of memory"
+        what = f"crashes the process that reads it, or takes more than {limit.memory / 2**30:.1f} GB of memory"
     return FormatError(path, f"{what}: damaged, or made to exhaust this machine")
 
 
 def _size_of(path: Path) -> int:
-    """Returns the bytes of a file, 0 of one that is not there."""
+    """Returns the size of a file in bytes, 0 if it does not exist."""
     try:
         return path.stat().st_size
     except OSError:
@@ -339,7 +343,11 @@ def _size_of(path: Path) -> int:
 
 
 def _checked_size(path: Path, file: Path) -> int:
-    """Returns the bytes of one of the files that a stage is composed of."""
+    """Returns the size in bytes of a layer that the child asks for.
+
+    Raises:
+        FormatError: The layer is outside of the stage's folder, or is no regular file.
+    """
     if leaves_folder(path, file):
         raise FormatError(path, f"names {os.fspath(file)[:200]!r}, which is not in its folder")
     status = file.stat()
@@ -352,43 +360,43 @@ def _checked_size(path: Path, file: Path) -> int:
 
 @dataclass(slots=True)
 class _Session:
-    """The child's side of the reading of a file."""
+    """The child's side of one request."""
 
     input: BinaryIO
     output: BinaryIO
     limit: _Limit
     used: float = 0.0
-    """Processor time that was used when the present call began, seconds."""
+    """Processor time in seconds that the process had used when the current call began."""
     remotes: list[Remote] = field(default_factory=list[Remote])
     has_assets: bool = False
 
     def send(self, kind: str, value: Any) -> None:
-        """Sends a message."""
+        """Sends a message to the parent."""
         send(self.output, (kind, value), self._number)
 
     def _number(self, value: Any) -> int | None:
-        """The number of a function that stays here."""
+        """Returns the number of a `Remote`, which stays in the child; None for other values."""
         if not isinstance(value, Remote):
             return None
         self.remotes.append(value)
         return len(self.remotes) - 1
 
     def begin(self) -> None:
-        """Begins a call, which has all of the processor time for itself."""
+        """Starts a call with a fresh allowance of processor time."""
         self.used = time.process_time()
         self.set_limit(self.limit)
 
     def set_limit(self, limit: _Limit) -> None:
-        """Limits memory, and the processor time of the present call."""
+        """Limits the memory and the processor time of the current call."""
         self.limit = limit
         _limit(limit.memory, self.used + limit.seconds)
 
     def answer(self, function: Callable[[], Any]) -> None:
-        """Sends what a function returns or raises."""
+        """Calls a function and sends its result or its exception."""
         try:
             self.send("result", function())
         except LumisplatError as error:
-            if "std::bad_alloc" in str(error):  # the library's own word for memory that is at its end
+            if "std::bad_alloc" in str(error):  # how the library reports that memory is exhausted
                 os._exit(1)
             self.send("error", error)
         except MemoryError:
@@ -398,14 +406,16 @@ class _Session:
 
 
 _session: _Session | None = None
-"""That of this process, if it is a child."""
+"""The session of this process; None in the parent."""
 
 
 def request_access(file: Path) -> None:
-    """In a child: asks the parent whether a file may be opened, and takes the limits that it sets.
+    """In a child, asks the parent for permission to open a layer, and applies the new limits.
+
+    Does nothing in other processes.
 
     Args:
-        file: One of those that a stage is composed of. In other processes nothing happens.
+        file: A file that the stage is composed of.
     """
     if _session is None:
         return
@@ -414,10 +424,12 @@ def request_access(file: Path) -> None:
 
 
 def raise_limit_for_asset(size: int) -> None:
-    """In a child: raises the limits for a texture or a sky that is about to be decoded.
+    """In a child, raises the limits before a texture or an environment image is decoded.
+
+    Does nothing in other processes.
 
     Args:
-        size: Bytes of its file. In other processes nothing happens.
+        size: Size of the encoded file in bytes.
     """
     if _session is None:
         return
@@ -429,13 +441,13 @@ def raise_limit_for_asset(size: int) -> None:
 
 
 def serve() -> None:
-    """Reads files for the parent process, until that closes the pipe or asks for nothing for some time."""
+    """Answers requests of the parent until the pipe closes or no request arrives for `USD_IDLE_SECONDS`."""
     stdin, stdout = os.fdopen(os.dup(0), "rb", buffering=0), os.fdopen(os.dup(1), "wb", buffering=0)
     nowhere = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(nowhere, descriptor)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
-    importlib.import_module("lumisplat.io.usd.animation")  # what requests need, loaded once
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl C
+    importlib.import_module("lumisplat.io.usd.animation")  # preloaded once for all requests
     importlib.import_module("lumisplat.io.usd.library").pxr()
     while _wait_for_request(stdin):
         try:
@@ -453,7 +465,7 @@ def serve() -> None:
 
 
 def _wait_for_request(stdin: BinaryIO) -> bool:
-    """Waits for a request."""
+    """Waits for a request; returns False after `USD_IDLE_SECONDS` without one."""
     if not _FORKS:
         return True
     import select
@@ -462,7 +474,7 @@ def _wait_for_request(stdin: BinaryIO) -> bool:
 
 
 def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
-    """Reads a file, and answers until nothing more is asked; then the process ends."""
+    """Reads a file and answers calls of its remote functions, then exits the process."""
     global _session  # noqa: PLW0603
     session = _session = _Session(stdin, stdout, request.limit)
     try:
@@ -485,7 +497,7 @@ def _read(request: _Request, stdin: BinaryIO, stdout: BinaryIO) -> NoReturn:
 
 
 def _limit(memory: int, seconds: float) -> None:
-    """Limits the memory and the whole processor time of this process, where the system can."""
+    """Limits the memory and the total processor time of this process, on systems that support it."""
     try:
         import resource
     except ImportError:
@@ -498,7 +510,7 @@ def _limit(memory: int, seconds: float) -> None:
 
 
 class _LogForwarder(logging.Handler):
-    """Sends log lines to the parent."""
+    """Sends log records to the parent."""
 
     def __init__(self, session: _Session) -> None:
         super().__init__()
@@ -512,12 +524,12 @@ class _LogForwarder(logging.Handler):
 
 
 def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | None = None) -> None:
-    """Writes a value to a pipe: the number of its parts, and each part after its length.
+    """Writes a value to a pipe: the number of parts, then each part after its length.
 
     Args:
         stream: The pipe.
-        value: What can be pickled; arrays are parts of their own, and not copied.
-        number_of: Returns the number of what stays here.
+        value: A picklable value. Arrays become separate parts and are not copied.
+        number_of: Returns the number of a value that stays in this process, None for values to be sent.
     """
     data, buffers = io.BytesIO(), list[pickle.PickleBuffer]()
     pickler = pickle.Pickler(data, 5, buffer_callback=buffers.append)
@@ -533,7 +545,7 @@ def send(stream: BinaryIO, value: Any, number_of: Callable[[Any], int | None] | 
 
 
 def receive(stream: BinaryIO, load: Callable[[int], Any] | None = None) -> Any:
-    """Reads a value that `send` has written. Arrays are read-only.
+    """Reads a value that `send` wrote; its arrays are read-only.
 
     Raises:
         EOFError: The pipe is closed.
@@ -556,7 +568,7 @@ def _write(stream: BinaryIO, data: bytes | memoryview) -> None:
 
 
 def _read_exactly(stream: BinaryIO, length: int) -> bytes:
-    """Reads so many bytes, and no more: another process may read what follows."""
+    """Reads exactly ``length`` bytes and never more, because another process may read what follows."""
     parts: list[bytes] = []
     while length:
         part = stream.read(min(length, 2**20))

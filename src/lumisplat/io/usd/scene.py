@@ -1,4 +1,4 @@
-"""Scenes of OpenUSD files: what is shown of a stage, placed in the world."""
+"""Reads OpenUSD stages as scenes or captures."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 _NON_SHAPE_ATTRIBUTES = ("xformOp:", "visibility", "extent", "velocities", "accelerations", "angularVelocities")
-"""How attributes begin that may change with time though the shape stays."""
+"""Prefixes of attributes whose time samples do not change the shape."""
 
 
 def read_usd(path: PathLike, drop_invalid: bool = False) -> Gaussians | Scene:
-    """Reads what a stage shows at its first time: particle fields, meshes and lights, with their materials.
+    """Reads a stage at its first time code: particle fields, meshes and lights, with their materials.
 
-    A stage that holds one field of particles and nothing else is a capture, with y down as captures have it. Scenes
-    have y up, and metres.
+    A stage with one particle field and nothing else is returned as a capture, with y down as in Gaussian PLY files.
+    Scenes have y up and metres.
 
     Args:
         path: ``.usd``, ``.usda``, ``.usdc`` or ``.usdz``.
-        drop_invalid: Leave out Gaussians with invalid values, instead of refusing the file.
+        drop_invalid: Drop Gaussians with invalid values instead of refusing the file.
 
     Raises:
-        FormatError: The file, or one that it names, is missing or damaged, or nothing in it can be read.
+        FormatError: The file, or a file that it names, is missing or damaged, or contains nothing that can be read.
         MissingExtraError: usd-core is not installed.
     """
     return read_in_child(path, scene_of, drop_invalid)
 
 
 def scene_of(path: Path, drop_invalid: bool) -> Gaussians | Scene:
-    """Reads a scene in this process; as of `read_usd`."""
+    """Reads a scene in the current process; see `read_usd`."""
     with reading_usd(path):
         file = open_usd(path)
         found = StageReader(file, drop_invalid).run()
@@ -60,7 +60,7 @@ def scene_of(path: Path, drop_invalid: bool) -> Gaussians | Scene:
 
 
 def holds_one_capture(path: PathLike) -> bool:
-    """Whether a file shows one field of particles and nothing else, which `read_usd` reads as Gaussians.
+    """Returns whether a file contains one particle field and nothing else, so that `read_usd` returns Gaussians.
 
     Raises:
         FormatError: The file cannot be read.
@@ -70,7 +70,7 @@ def holds_one_capture(path: PathLike) -> bool:
 
 
 def _holds_one_capture(path: Path) -> bool:
-    """Looks for one field of particles in this process; as of `holds_one_capture`."""
+    """Looks for a single particle field in the current process; see `holds_one_capture`."""
     with reading_usd(path):
         file = open_usd(path)
         shown = [one.prim for one in placed_prims(file) if one.visible and not one.is_degenerate]
@@ -82,50 +82,50 @@ def _holds_one_capture(path: Path) -> bool:
 
 
 def _settings(prim: Any) -> dict[str, Any]:
-    """What of a field is shown, if our file says so."""
+    """Returns the sh_degree and shadow_catcher of a field or mesh that Lumisplat wrote."""
     own = with_current_keys(custom_data_of(prim))
     return {name: own[name] for name in ("sh_degree", "shadow_catcher") if name in own}
 
 
 def shape_time_codes(prim: Any) -> Doubles:
-    """The time codes at which the shape of a prim, or what it looks like, has samples, shape (K,)."""
+    """Returns the time codes with samples of a prim's shape or appearance, shape (K,)."""
     shapes = (one for one in prim.GetAuthoredAttributes() if not one.GetName().startswith(_NON_SHAPE_ATTRIBUTES))
     return np.array(sorted({code for one in shapes for code in one.GetTimeSamples()}))
 
 
 def _world_transform(file: UsdFile, prim: Any) -> Doubles:
-    """``world_from_prim`` at the time that is shown, shape (4, 4)."""
+    """Returns ``world_from_prim`` at the current time code, shape (4, 4)."""
     return file.world_transform(pxr().UsdGeom.XformCache(file.time).GetLocalToWorldTransform(prim))
 
 
 @dataclass(slots=True)
 class StageReader:
-    """What is found on the way through a stage."""
+    """Collects the captures, meshes and lights of a stage."""
 
     file: UsdFile
     drop_invalid: bool = False
     for_animation: bool = False
-    """Whether what deforms will be read at other times, too."""
+    """Whether deforming prims will also be read at other time codes."""
     splats: list[SplatInstance] = field(default_factory=list[SplatInstance])
     meshes: list[MeshInstance] = field(default_factory=list[MeshInstance])
     lights: list[Light] = field(default_factory=list[Light])
     moving: dict[str, list[SplatInstance | MeshInstance]] = field(
         default_factory=dict[str, "list[SplatInstance | MeshInstance]"]
     )
-    """Of those, what changes its place with time, by the paths of prims."""
+    """Instances whose transform has time samples, by prim path."""
     deforming: dict[str, tuple[PlacedPrim, list[SplatInstance | MeshInstance]]] = field(
         default_factory=dict[str, "tuple[PlacedPrim, list[SplatInstance | MeshInstance]]"]
     )
-    """Likewise, what changes its shape where it stands itself; what point instancers show of it keeps its first one."""
+    """Instances whose shape has time samples, by prim path. Instances of point instancers keep their first shape."""
     has_cameras: bool = False
     _captures: dict[str, Gaussians | None] = field(default_factory=dict[str, "Gaussians | None"])
     _materials: UsdMaterials = field(init=False)
 
     def run(self) -> StageReader:
-        """Finds everything.
+        """Traverses the stage and collects everything in it.
 
         Raises:
-            FormatError: Something cannot be read, or there is nothing.
+            FormatError: A prim cannot be read, or the stage has nothing to read.
         """
         file, sieve = self.file, TriangleSieve(self.file.path)
         self._materials = materials = UsdMaterials(file)
@@ -147,17 +147,17 @@ class StageReader:
         if not (self.splats or self.meshes or self.lights or self.has_cameras or sieve.problems):
             said = "; ".join(file.remarks.names)
             raise FormatError(
-                file.path, "shows no particle field, mesh, light or camera" + (f" ({said})" if said else "")
+                file.path, "contains no particle field, mesh, light or camera" + (f" ({said})" if said else "")
             )
         sieve.report(any_usable=bool(self.splats or self.meshes or self.lights or self.has_cameras))
         return self
 
     def scene(self) -> Scene:
-        """All of it."""
+        """Returns all captures, meshes and lights as a scene."""
         return Scene(self.splats, self.meshes, self.lights, up="y-up")
 
     def as_capture(self) -> Gaussians | None:
-        """The Gaussians, if there is one field of them, and nothing else."""
+        """Returns the Gaussians if the stage has a single particle field and nothing else, else None."""
         if len(self.splats) != 1 or self.meshes or self.lights or self.has_cameras:
             return None
         only = self.splats[0]
@@ -166,7 +166,7 @@ class StageReader:
         return single_capture(only)
 
     def instances_at(self, placed: PlacedPrim, code: float) -> list[SplatInstance | MeshInstance]:
-        """A prim of `deforming` at a time code, in its place."""
+        """Returns the instances of a deforming prim at a time code, in world space."""
         file, px = self.file, pxr()
         before, file.time = file.time, px.Usd.TimeCode(code)
         try:
@@ -182,6 +182,7 @@ class StageReader:
             file.time = before
 
     def _collect(self, placed: PlacedPrim, collection: list[Any], instances: list[Any]) -> None:
+        """Adds a prim's instances to ``collection``, and to `moving` or `deforming` if the prim has time samples."""
         collection.extend(instances)
         if not instances:
             return
@@ -190,12 +191,12 @@ class StageReader:
             if self.for_animation and not placed.instanced:
                 self.deforming[path] = placed, instances
                 return
-            self.file.remarks.add("shapes that change with time, of which the first is shown", placed.name)
+            self.file.remarks.add("animated shapes, of which only the first is used", placed.name)
         if placed.animated:
             self.moving.setdefault(path, []).extend(instances)
 
     def _splats(self, placed: PlacedPrim, materials: UsdMaterials) -> list[SplatInstance]:
-        """A capture at its place; what an instance cannot be, the Gaussians become."""
+        """Returns a particle field as an instance; a transform that is no similarity is applied to the Gaussians."""
         if placed.asset not in self._captures:
             columns = read_particles(self.file, placed.prim)
             self._captures[placed.asset] = columns and gaussians_from_columns(
@@ -208,17 +209,18 @@ class StageReader:
             check_similarity(matrix[:3, :3])
         except SceneError:
             gaussians, matrix = under_affine(gaussians, matrix), np.eye(4)
-        # Fields of others have materials of their renderer, by which they shine as captured.
+        # Other programs bind materials of their renderer, which show the colours as captured: no remark.
         bound = materials.bound_to(placed.prim, remark=False)
         settings = _settings(placed.prim)
         return [SplatInstance(gaussians, matrix, bound and bound.material, name=placed.name, **settings)]
 
     def _add_light(self, placed: PlacedPrim) -> None:
+        """Adds a light, unless its transform is singular or an enabled environment exists already."""
         light = None if placed.is_degenerate else read_light(self.file, placed)
         if light is None:
             return
         has_environment = any(isinstance(one, LightEnvironment) and one.enabled for one in self.lights)
         if isinstance(light, LightEnvironment) and light.enabled and has_environment:
-            self.file.remarks.add("all skies but the first", str(placed.prim.GetPath()))
+            self.file.remarks.add("all dome lights but the first", str(placed.prim.GetPath()))
             return
         self.lights.append(light)

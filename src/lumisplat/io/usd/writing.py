@@ -1,8 +1,8 @@
-"""Writes captures, scenes and animations as OpenUSD files.
+"""Writes captures, meshes, scenes and animations as OpenUSD files.
 
-What stands at one position is written there, what stands at several as instances of one prototype. Actors and moving
-cameras become time samples, one time code a frame. The stage is made in memory, then written as a layer with a folder
-of assets beside it, or as a package that holds both.
+An asset with one instance is written directly, an asset with several as a prototype with scene-graph instances. Actors
+and moving cameras get time samples, one time code per frame. The stage is built in memory, then written as a layer with
+a texture folder beside it, or as a .usdz package with both.
 """
 
 from __future__ import annotations
@@ -38,8 +38,7 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 USD_PACKAGE_BYTES_MAX = 2**32 - 1
-"""Size, bytes, of the largest package and of what is in it: those of zip without its extension, which USD does not
-read."""
+"""Largest size of a .usdz package in bytes: that of zip without the zip64 extension, which USD does not read."""
 
 Instance = SplatInstance | MeshInstance
 _PROTOTYPES = "/Prototypes"
@@ -50,12 +49,12 @@ _Key = tuple[str, int, int]
 
 
 def write_usd(path: PathLike, subject: Gaussians | Mesh | Scene | Animation, cameras: Sequence[Camera] = ()) -> None:
-    """Writes a capture, a mesh, a scene or an animation. One log line lists what OpenUSD has no place for.
+    """Writes a capture, mesh, scene or animation. One log line lists what OpenUSD cannot store.
 
     Args:
         path: ``.usda`` is text, ``.usdc`` and ``.usd`` are binary, ``.usdz`` is a package with its textures.
         subject: What to write.
-        cameras: Cameras, besides those of an animation.
+        cameras: Cameras to write, in addition to those of an animation.
 
     Raises:
         FormatError: The file cannot be written.
@@ -78,7 +77,7 @@ def write_usd(path: PathLike, subject: Gaussians | Mesh | Scene | Animation, cam
 
 
 def _as_scene(subject: Gaussians | Mesh | Scene | Animation) -> Scene:
-    """What stands still: a scene as it is, that of an animation; one of a single asset has it at the origin."""
+    """Returns the static scene of an animation, or a scene with a single capture or mesh at the origin."""
     match subject:
         case Gaussians():
             return Scene(splats=(SplatInstance(subject),))
@@ -92,14 +91,14 @@ def _as_scene(subject: Gaussians | Mesh | Scene | Animation) -> Scene:
 
 @dataclass(slots=True)
 class AssetWriter:
-    """Writes instances; an asset that several of them show is written once."""
+    """Writes instances; an asset that several instances share is written once."""
 
     writer: StageWriter
     materials: MaterialWriter
     _prototypes: dict[tuple[int, int, int], str] = field(default_factory=dict[tuple[int, int, int], str])
 
     def write(self, instances: Sequence[Instance]) -> None:
-        """Writes instances at their places."""
+        """Writes instances with their transforms."""
         uses = Counter(_key(instance) for instance in instances)
         for instance in instances:
             name = instance.name or (instance.mesh.name if isinstance(instance, MeshInstance) else "gaussians")
@@ -112,7 +111,7 @@ class AssetWriter:
             self.writer.set_transform(prim, instance.transform)
 
     def define(self, path: str, instance: Instance) -> Any:
-        """Writes what an instance shows, in its own coordinates; its prim."""
+        """Writes the capture or mesh of an instance in its own space, and returns the prim."""
         if isinstance(instance, MeshInstance):
             prim = _define_mesh(self.writer, path, instance.mesh)
             self.materials.bind(prim, instance.mesh.material, instance.mesh.colors is not None)
@@ -120,23 +119,21 @@ class AssetWriter:
                 self.writer.set_custom_data(prim, multipliesColors=True)
             if instance.shadow_catcher:
                 self.writer.set_custom_data(prim, shadow_catcher=True)
-                self.writer.remarks.add(
-                    "that a mesh is a shadow catcher, which only Lumisplat will know", instance.mesh.name
-                )
+                self.writer.remarks.add("shadow catchers, which only Lumisplat reads", instance.mesh.name)
             return prim
         prim = define_field(self.writer, path, instance.gaussians)
         if instance.material is not None:
             self.materials.bind(prim, instance.material)
-            self.writer.remarks.add("that a capture is relit, which only Lumisplat will know", instance.name)
+            self.writer.remarks.add("relighting of captures, which only Lumisplat reads", instance.name)
         if instance.shadow_catcher or instance.sh_degree < SH_DEGREE_MAX:
             self.writer.set_custom_data(prim, shadow_catcher=instance.shadow_catcher, sh_degree=instance.sh_degree)
             self.writer.remarks.add(
-                "shadow_catcher and sh_degree of captures, which only Lumisplat will know", instance.name
+                "shadow_catcher and sh_degree of captures, which only Lumisplat reads", instance.name
             )
         return prim
 
     def _instance(self, path: str, instance: Instance) -> Any:
-        """A prim that shows a prototype."""
+        """Writes a prim that references the prototype of an instance; the prototype is written on first use."""
         px, stage = pxr(), self.writer.stage
         key = _key(instance)
         if key not in self._prototypes:
@@ -156,14 +153,14 @@ def _name(instance: Instance) -> str:
 
 
 def _key(instance: Instance) -> tuple[int, int, int]:
-    """What an instance shows: asset, material and settings."""
+    """Returns a key of an instance's asset, material and settings. Instances with equal keys share a prototype."""
     if isinstance(instance, MeshInstance):
         return id(instance.mesh), 0, int(instance.shadow_catcher)
     return id(instance.gaussians), id(instance.material), instance.sh_degree + 4 * instance.shadow_catcher
 
 
 def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
-    """Writes a mesh in its own coordinates, without its material; its prim."""
+    """Writes a mesh without its material, in its own space, and returns the prim."""
     px = pxr()
     types, tokens, vt = px.Sdf.ValueTypeNames, px.UsdGeom.Tokens, px.Vt
     defined = px.UsdGeom.Mesh.Define(writer.stage, path)
@@ -189,7 +186,7 @@ def _define_mesh(writer: StageWriter, path: str, mesh: Mesh) -> Any:
 
 
 def _mesh_values(mesh: Mesh) -> dict[str, Any]:
-    """The values of a mesh's attributes that may change with time, by their names."""
+    """Returns the attributes of a mesh that may have time samples, by name."""
     vt = pxr().Vt
     values = {
         "points": vt.Vec3fArray.FromNumpy(mesh.positions),
@@ -201,7 +198,7 @@ def _mesh_values(mesh: Mesh) -> dict[str, Any]:
 
 
 def _colors(mesh: Mesh) -> Any:
-    """Colours of vertices, times the base colour where no texture has it, as a surface shader cannot multiply."""
+    """Returns the vertex colours, times the base colour if no texture replaces it: shaders cannot multiply them."""
     assert mesh.colors is not None
     material = mesh.material
     if material.base_color_texture is not None or material.base_color == (1.0, 1.0, 1.0):
@@ -213,10 +210,10 @@ def _colors(mesh: Mesh) -> Any:
 
 
 def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation) -> None:
-    """Writes what moves in an animation, and the times of its frames.
+    """Writes the actors and the camera path of an animation as time samples, and its frame range and rate.
 
-    Transforms, and the shapes of what deforms, have a sample at each frame at which they change; between frames,
-    readers interpolate them.
+    Transforms, and the attributes of deforming prims, have a time sample at each frame where they change. Readers
+    interpolate between frames.
     """
     stage = writer.stage
     stage.SetTimeCodesPerSecond(animation.fps)
@@ -237,17 +234,17 @@ def _write_motion(writer: StageWriter, assets: AssetWriter, animation: Animation
 
 @dataclass(slots=True)
 class _Samples:
-    """Samples of the attributes of a prim, written where values change.
+    """Writes time samples of a prim's attributes at the frames where values change.
 
-    Before a change after frames without one, the old value is written again, so that it holds until there.
+    Before a change that follows frames without one, the old value is written again, so that readers hold it until then.
     """
 
     prim: Any
     _last: dict[str, tuple[int, Any, Any]] = field(default_factory=dict[str, "tuple[int, Any, Any]"])
-    """By attribute: the frame of the last sample, its value, and what says whether another one is the same."""
+    """Frame of the last sample, its value and its mark, by attribute."""
 
     def add(self, frame: int, name: str, value: Any, mark: Any) -> None:
-        """Takes the value of an attribute at a frame; equal marks mean equal values."""
+        """Records the value of an attribute at a frame; equal marks mean equal values."""
         attribute = self.prim.GetAttribute(name)
         if name == _TRANSFORM_OP and not attribute:
             attribute = pxr().UsdGeom.Xformable(self.prim).AddTransformOp().GetAttr()
@@ -266,9 +263,9 @@ class _Samples:
 
 
 def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animation: Animation) -> None:
-    """Writes an actor: each of its instances as a prim, with samples of its place and of its shape."""
+    """Writes an actor, one prim per instance, with time samples of transform, shape and visibility."""
     if not actor.casts_shadow or not actor.relight:
-        writer.remarks.add("how actors are lit (relight, casts_shadow)", actor.name)
+        writer.remarks.add("lighting settings of actors (relight, casts_shadow)", actor.name)
     prims: dict[_Key, _Samples] = {}
     written_assets: dict[_Key, Any] = {}
     for frame, time in enumerate(animation.times):
@@ -295,7 +292,7 @@ def _write_actor(writer: StageWriter, assets: AssetWriter, actor: Actor, animati
 
 
 def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]:
-    """Instances by what stays of them from frame to frame: their kind, their material, and the how many-th it is."""
+    """Yields instances with keys that match from frame to frame: kind, material, and index within that group."""
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
         own = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
@@ -304,7 +301,7 @@ def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]
 
 
 def _varying_values(instance: Instance) -> dict[str, Any]:
-    """The values of an instance that may change with time, by attribute."""
+    """Returns the attributes of an instance that may have time samples, by name."""
     if not isinstance(instance, MeshInstance):
         return particle_values(instance.gaussians)
     mesh, vt = instance.mesh, pxr().Vt
@@ -316,7 +313,7 @@ def _varying_values(instance: Instance) -> dict[str, Any]:
 
 
 def _write_files(writer: StageWriter) -> None:
-    """Writes a stage; each file appears complete or not at all, the layer last."""
+    """Writes a stage. Each file appears complete or not at all, and the layer is written last."""
     path = writer.path
     if path.suffix.lower() == ".usdz":
         _write_package(writer)
@@ -340,17 +337,17 @@ def _write_package(writer: StageWriter) -> None:
             files[file] = f"{folder_name}/{name}"
         size = sum(file.stat().st_size for file in files)
         if size > USD_PACKAGE_BYTES_MAX:
-            raise FormatError(path, f"would have {size:,} bytes, more than a package can hold: write a .usdc")
+            raise FormatError(path, f"would have {size:,} bytes, more than a .usdz can hold: write a .usdc instead")
         with atomic_write(path) as temporary, utf8_path(temporary) as text:
             package = pxr().Sdf.ZipFileWriter.CreateNew(text)
-            for file, name in files.items():  # the first one is what a package shows
+            for file, name in files.items():  # USD opens the first file of a package
                 package.AddFile(os.fspath(file), name)
             if not package.Save() or not _is_complete(temporary, len(files)):
                 raise FormatError(path, "cannot be written: is the disk full?")
 
 
 def _is_complete(package: Path, count: int) -> bool:
-    """Whether all of a package is on the disk: the library says that it saved what a full one did not take."""
+    """Returns whether a package was written completely: the library reports success even on a full disk."""
     try:
         with zipfile.ZipFile(package) as written:
             return len(written.infolist()) == count and written.testzip() is None
@@ -365,5 +362,5 @@ def _export(writer: StageWriter, file: Path) -> None:
 
 
 def _ascii_stem(stem: str) -> str:
-    """The name of a layer inside of a package."""
+    """Returns an ASCII name for the layer inside a package."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "_-") else "_" for c in stem)[:64] or "scene"
