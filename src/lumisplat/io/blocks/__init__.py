@@ -1,1 +1,1 @@
-"""Captures larger than memory: blocks of space on disk, loaded by what a view sees (docs/adr/0073)."""
+"""Stores captures larger than memory as spatial blocks, and loads the blocks that a view shows."""

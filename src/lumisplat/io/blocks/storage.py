@@ -1,7 +1,7 @@
-"""Writes and opens captures larger than memory: an index, and blocks of space as rows of 32-bit floats.
+"""Writes and opens captures larger than memory: an index, and spatial blocks stored as rows of float32.
 
-The index has the place, number of Gaussians and file of each block. A stream of Gaussians is cut into blocks in memory
-for a piece of the stream and one block.
+The index has the bounds, Gaussian count and file of each block. Writing needs memory for one chunk of the input and one
+block.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ from lumisplat.scene.editing.decimate import decimate
 from lumisplat.scene.gaussians import Gaussians
 
 BLOCK_DEPTH_MAX = 16
-"""How often a cell is cut in eight: Gaussians that are in one place cannot be told apart."""
+"""Largest number of times that a cube is split into eight. Coincident Gaussians cannot be separated by more splits."""
 
 BLOCK_LEVEL_RATIO = 4
-"""Gaussians of a level for one of the next coarser one."""
+"""Ratio of Gaussian counts between a level of detail and the next coarser one."""
 
 BLOCK_CELLS_MAX = 2**16
-"""Cubes of a capture at most, each of which is a file: more are a wrong edge."""
+"""Largest number of cubes of a capture, each of which is a file. More means that the given edge length is wrong."""
 
 _INDEX = BLOCKS
-"""The index in the folder of a capture; it is written last: without it, there is no capture."""
+"""File name of the index. It is written last, so a folder without it is an incomplete capture."""
 _VERSION = 1
 _GAUSSIAN_FLOATS = 11
-"""Numbers of a Gaussian beside its harmonics: mean, quaternion (wxyz), scales, opacity."""
+"""Numbers per Gaussian besides SH coefficients: mean, quaternion (wxyz), scales, opacity."""
 
 _COLUMNS = (slice(3), slice(3, 7), slice(7, 10), 10, slice(_GAUSSIAN_FLOATS, None))
-"""Where a row has its mean, quaternion, scales, opacity and harmonics."""
+"""Columns of a row: mean, quaternion, scales, opacity and SH coefficients."""
 
 _CAPTURE_FILES = re.compile(r"cell[0-9_-]+\.part|\d{6,}(_\d+)?\.bin|\..*\.lumisplat(\.json)?")
-"""Files of a capture that is not finished."""
+"""Matches names of files that an unfinished write may leave in the folder."""
 
 
 @dataclass(frozen=True)
@@ -56,64 +56,64 @@ class BlockLevel:
     """The Gaussians of a block at one level of detail."""
 
     file: str
-    """In the folder of the capture: rows of 32-bit floats."""
+    """Name of a file in the capture's folder, with rows of float32."""
     count: int
     scale_max: float
-    """Largest standard deviation, scene units."""
+    """Largest standard deviation of any Gaussian, scene units."""
     scale_mean: float
     """Mean over Gaussians of their largest standard deviation, scene units."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A part of space."""
+    """A spatial block of a capture."""
 
     low: tuple[float, float, float]
-    """Least coordinates of the means of all levels."""
+    """Smallest coordinates of the means of all levels."""
     high: tuple[float, float, float]
     levels: tuple[BlockLevel, ...]
-    """From the finest to the coarsest."""
+    """Levels of detail, from the finest to the coarsest."""
 
 
 @dataclass(frozen=True)
 class BlockIndex:
-    """A capture in blocks."""
+    """Index of a capture that is stored in blocks."""
 
     folder: Path
     sh_count: int
-    """Coefficients of harmonics: 1, 4, 9 or 16."""
+    """Number of SH coefficients per channel: 1, 4, 9 or 16."""
     antialiased: bool
     blocks: tuple[Block, ...]
     orientation: Orientation = UNSTATED
-    """Up and first view."""
+    """Up direction and first view."""
 
     @property
     def count(self) -> int:
-        """Gaussians of the finest level."""
+        """Number of Gaussians at the finest level."""
         return sum(block.levels[0].count for block in self.blocks)
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What its `Gaussians` have beside their arrays."""
+        """Keyword arguments of `Gaussians` besides its arrays."""
         return {"antialiased": self.antialiased, **self.orientation._asdict()}
 
     @property
     def row_bytes(self) -> int:
-        """Of a Gaussian on disk."""
+        """Size of a Gaussian on disk, bytes."""
         return 4 * (_GAUSSIAN_FLOATS + 3 * self.sh_count)
 
     @cached_property
     def scale_max(self) -> Doubles:
-        """Largest standard deviation of each block's Gaussians, scene units, (B,)."""
+        """Largest standard deviation of each block's Gaussians, scene units, shape (B,)."""
         return np.array([max(level.scale_max for level in block.levels) for block in self.blocks])
 
     @cached_property
     def bounds(self) -> tuple[Doubles, Doubles]:
-        """Least and largest coordinates of all blocks, shapes (B, 3)."""
+        """Smallest and largest coordinates of all blocks, shapes (B, 3)."""
         return np.array([block.low for block in self.blocks]), np.array([block.high for block in self.blocks])
 
     def text(self) -> str:
-        """The index as it is stored."""
+        """Returns the index as JSON, as it is stored."""
         blocks = [
             {
                 "low": block.low,
@@ -127,13 +127,13 @@ class BlockIndex:
 
 
 def open_blocks(folder: PathLike) -> BlockIndex:
-    """The index of a capture in blocks.
+    """Opens the index of a capture in blocks.
 
     Args:
-        folder: As of `lumisplat.io.write_blocks`, or its ``blocks.json``.
+        folder: Folder written by `lumisplat.io.write_blocks`, or its ``blocks.json``.
 
     Raises:
-        FormatError: There is no index, it is damaged, or a file is missing or has another size than it says.
+        FormatError: There is no index, it is damaged, or a file is missing or differs in size from the index.
     """
     folder = Path(folder).parent if Path(folder).name == _INDEX else Path(folder)
     path = folder / _INDEX
@@ -197,7 +197,7 @@ def _check_file(path: Path, size: int) -> None:
 
 
 def packed(gaussians: Gaussians) -> FloatArray:
-    """Mean, quaternion, scales, opacity and harmonics of each Gaussian, shape (N, 11 + 3 K)."""
+    """Packs mean, quaternion, scales, opacity and SH coefficients of each Gaussian into a row, shape (N, 11 + 3 K)."""
     count = gaussians.count
     columns = (
         gaussians.means,
@@ -210,17 +210,17 @@ def packed(gaussians: Gaussians) -> FloatArray:
 
 
 def unpacked(rows: FloatArray, **settings: Any) -> Gaussians:
-    """The Gaussians of rows; ``settings`` as of `joined`."""
+    """Unpacks rows to Gaussians; ``settings`` as for `joined`."""
     return joined([rows], len(rows), rows.shape[1], **settings)
 
 
 def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any) -> Gaussians:
-    """The Gaussians of rows in pieces, in memory once and a piece beside.
+    """Unpacks rows that arrive in pieces to Gaussians, holding only one piece besides the result in memory.
 
     Args:
-        pieces: Rows, shape (n, width) each.
-        count: How many there are of all pieces.
-        width: Of a row.
+        pieces: Arrays of rows, shape (n, width) each.
+        count: Total number of rows.
+        width: Number of columns.
         **settings: ``antialiased``, ``up`` and ``first_view`` of `Gaussians`.
     """
     columns = [np.empty((count, *shape), np.float32) for shape in ((3,), (4,), (3,), (), ((width - _GAUSSIAN_FLOATS),))]
@@ -237,10 +237,10 @@ def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any
 
 
 def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -> FloatArray:
-    """The rows of a block, or some of them.
+    """Reads all rows of a block file, or a slice of them.
 
     Raises:
-        FormatError: The file cannot be read, or is shorter.
+        FormatError: The file cannot be read, or has fewer rows than ``count``.
     """
     try:
         if chosen == slice(None):
@@ -257,7 +257,7 @@ def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -
 
 
 def _pieces(path: Path, width: int) -> Iterator[FloatArray]:
-    """The rows of a file, some at a time."""
+    """Yields the rows of a file in pieces of bounded size."""
     with open(path, "rb") as file:
         while content := file.read(4 * width * BLOCK_PIECE):
             yield np.frombuffer(content, "<f4").reshape(-1, width)
@@ -272,24 +272,24 @@ def write_blocks(
     block_max: int = BLOCK_GAUSSIANS_MAX,
     progress: Callable[[float], None] | None = None,
 ) -> BlockIndex:
-    """Writes a capture in blocks of space: cubes, those with many Gaussians cut in eight, and so on.
+    """Writes a capture as spatial blocks: cubes, of which those with many Gaussians are split into eight, recursively.
 
     Args:
-        folder: A new or empty folder. Its index, ``blocks.json``, is written last: a folder without it is no capture.
-            If something goes wrong, what was written is removed; what a run that was killed has left, the next one
-            removes.
-        chunks: The capture in any order, a part at a time; means, rotations, scales, opacities and harmonics are kept,
-            all of one degree; normals and materials are left out, with a log line.
-        cell: Edge of the largest cubes, scene units.
-        levels: Coarser levels of detail beside the finest, each with a quarter of the Gaussians of the one before, see
-            `lumisplat.editing.decimate`.
-        block_max: Gaussians of a block at most; more that are in one place stay together.
-        progress: Called with the fraction of all Gaussians whose blocks are made, 0..1, once all have been read.
+        folder: A new or empty folder. Its index, ``blocks.json``, is written last, so a folder without it is no
+            capture. On failure all written files are removed. Files of a killed run are removed by the next run.
+        chunks: Parts of the capture, in any order, all of one SH degree. Means, rotations, scales, opacities and SH are
+            stored; normals and materials are dropped, and a log line says so.
+        cell: Edge length of the largest cubes, scene units.
+        levels: Number of coarser levels of detail besides the finest. Each has a quarter of the Gaussians of the
+            previous level, see `lumisplat.editing.decimate`.
+        block_max: Largest number of Gaussians in a block. Coincident Gaussians may exceed it.
+        progress: Called with the fraction of Gaussians whose blocks are written, 0..1, after all chunks were read.
 
     Raises:
-        ConfigError: The cell's edge is not positive, or a number is out of range.
-        SceneError: There are no Gaussians, they differ in degree or antialiasing, or have another kernel or an origin.
-        FormatError: The folder holds a capture or anything else already, or cannot be written.
+        ConfigError: ``cell`` is not positive, or a number is out of range.
+        SceneError: There are no Gaussians, or the parts differ in SH degree or antialiasing, or have another kernel
+            degree or an origin.
+        FormatError: The folder is not empty, or cannot be written.
     """
     if not is_number(cell) or not 0.0 < cell < math.inf:
         raise ConfigError(f"cell is {cell}, expected the edge of a cube in scene units")
@@ -315,7 +315,7 @@ def write_blocks(
 
 
 def _prepare_folder(place: Path) -> bool:
-    """Makes the folder, and removes what a run that was killed has left in it; whether there was none."""
+    """Creates the folder, and removes files of a killed run. Returns whether the folder is new."""
     if (place / _INDEX).exists():
         raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
     if place.is_dir() and unfinished_writes(place / _INDEX):
@@ -338,13 +338,13 @@ def _remove_leftovers(place: Path) -> None:
 
 
 class _Writer:
-    """Sorts Gaussians into files of cells, then makes blocks of these.
+    """Sorts Gaussians into one file per cube, then converts these files to blocks.
 
     Args:
-        folder: The capture's.
-        cell: Edge of a cube.
-        levels: Coarser levels.
-        block_max: Gaussians of a block.
+        folder: Folder of the capture.
+        cell: Edge length of the largest cubes, scene units.
+        levels: Number of coarser levels.
+        block_max: Largest number of Gaussians in a block.
     """
 
     def __init__(self, folder: Path, cell: float, levels: int, block_max: int) -> None:
@@ -354,7 +354,7 @@ class _Writer:
         self._count = 0
 
     def write(self, chunks: Iterable[Gaussians], progress: Callable[[float], None]) -> BlockIndex:
-        """Writes all blocks."""
+        """Writes all blocks. Returns the index."""
         cells: dict[tuple[int, ...], Path] = {}
         for chunk in chunks:
             self._check(chunk)
@@ -394,7 +394,7 @@ class _Writer:
         return _GAUSSIAN_FLOATS + 3 * self._kind[0]
 
     def _sort(self, rows: FloatArray, edge: float, name: str, cells: dict[tuple[int, ...], Path]) -> None:
-        """Appends rows to the files of the cubes that they are in."""
+        """Appends each row to the file of the cube that contains its mean."""
         keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
         low = keys.min(axis=0)
         size = keys.max(axis=0) - low + 1
@@ -421,7 +421,7 @@ class _Writer:
                 file.write(ordered[end - count : end].astype("<f4", copy=False).tobytes())
 
     def _blocks(self, path: Path, depth: int) -> Iterator[Block]:
-        """The blocks of a cube's file, which is used up."""
+        """Splits the file of a cube into blocks, recursively; the file is consumed."""
         count = path.stat().st_size // (4 * self._width)
         if count <= self._block_max or depth >= BLOCK_DEPTH_MAX:
             yield self._block(path, count)
@@ -435,7 +435,7 @@ class _Writer:
             yield from self._blocks(parts[part], depth + 1)
 
     def _block(self, path: Path, count: int) -> Block:
-        """A block of a file, and its coarser levels."""
+        """Converts a file to a block, and writes its coarser levels."""
         name = f"{self._count:06d}"
         self._count += 1
         low, high = np.full(3, np.inf), np.full(3, -np.inf)

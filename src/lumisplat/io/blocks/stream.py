@@ -1,4 +1,4 @@
-"""Captures that are read a piece at a time: binary Gaussian PLYs of any size."""
+"""Reads binary Gaussian PLYs of any size in chunks."""
 
 from __future__ import annotations
 
@@ -30,38 +30,38 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import needed_origin
 
 BLOCK_SAMPLE = 2**16
-"""Gaussians of a file by which the edge of its cubes is chosen."""
+"""Number of Gaussians sampled from a file to choose the edge length of its cubes."""
 
 BLOCK_CELLS = 4096
-"""Cubes at most that such a sample is in."""
+"""Largest number of cubes that the sample may occupy."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True)
 class PlyStream:
-    """A binary Gaussian PLY that is read a piece at a time, in the order of the file; made by `stream_ply`.
+    """A binary Gaussian PLY that is read in chunks, in the order of the file; created by `stream_ply`.
 
-    What iterating over it gives are `Gaussians`, some 262,144 at once.
+    Iterating yields `Gaussians`, about 262,144 at a time.
     """
 
     path: Path
     count: int
-    """Gaussians in the file."""
+    """Number of Gaussians in the file."""
     sh_count: int
-    """Coefficients of harmonics: 1, 4, 9 or 16."""
+    """Number of SH coefficients per channel: 1, 4, 9 or 16."""
     drop_invalid: bool
     progress: Callable[[float], None] | None
     _header: PlyHeader
     _vertex: PlyElement
     _activated: tuple[bool, bool]
-    """As of `stored_activated`, of a sample."""
+    """Whether scales and opacities are stored directly, inferred by `stored_activated` from a sample."""
 
     def __iter__(self) -> Iterator[Gaussians]:
-        """Reads the file.
+        """Reads the file in chunks.
 
         Raises:
-            FormatError: It cannot be read, or has invalid values.
+            FormatError: The file cannot be read, or has invalid values.
         """
         first = dropped = 0
         why = ""
@@ -85,7 +85,7 @@ class PlyStream:
             _log.warning("%s: dropped %s Gaussians: %s", os.fspath(self.path), f"{dropped:,}", why)
 
     def _warn_rounding(self, rows: PlyRows, columns: SplatColumns) -> None:
-        """Logs a line if float32, which blocks have, cannot hold the positions of the first rows."""
+        """Logs if float32, in which blocks store positions, is too coarse for the positions of the first chunk."""
         with np.errstate(all="ignore"):
             width = float(np.median(columns.log_scales.max(axis=1)))
             width = math.exp(min(width, 100.0)) if columns.scales_are_logarithms else width
@@ -108,13 +108,13 @@ class PlyStream:
         )
 
     def cell(self, block_max: int = BLOCK_GAUSSIANS_MAX) -> float:
-        """Returns the edge of cubes that gives `lumisplat.io.write_blocks` few enough of them, by a sample.
+        """Chooses the edge length of cubes for `lumisplat.io.write_blocks` from a sample, so that there are few cubes.
 
         Args:
-            block_max: As of `lumisplat.io.write_blocks`.
+            block_max: Largest number of Gaussians in a block, as for `lumisplat.io.write_blocks`.
 
         Raises:
-            FormatError: The file cannot be read, or no mean of the sample is finite.
+            FormatError: The file cannot be read, or no position in the sample is finite.
         """
         rows = _sample(self._header, self._vertex)
         means = np.stack([rows[name].astype(np.float64) for name in ("x", "y", "z")], axis=1)
@@ -132,18 +132,18 @@ class PlyStream:
 def stream_ply(
     path: PathLike, *, drop_invalid: bool = False, progress: Callable[[float], None] | None = None
 ) -> PlyStream:
-    """Opens a Gaussian PLY of any size, for `lumisplat.io.write_blocks`; memory is for a piece of it.
+    """Opens a Gaussian PLY of any size for `lumisplat.io.write_blocks`. Only one chunk at a time is in memory.
 
-    Means, rotations, scales, opacities and harmonics are read; a log line says if materials or normals are left out.
+    Means, rotations, scales, opacities and SH are read. A log line says if materials or normals are dropped.
 
     Args:
-        path: A binary .ply, not compressed.
-        drop_invalid: Leave out Gaussians with NaN or infinite values or a rotation of zero length, and log their
-            number, instead of refusing the file.
+        path: A binary .ply, not a compressed one.
+        drop_invalid: Drop Gaussians with NaN or infinite values or a rotation of zero length, and log their number,
+            instead of refusing the file.
         progress: Called with the fraction read, 0..1.
 
     Raises:
-        FormatError: The file is no binary capture, lacks a property, or is shorter than its header says.
+        FormatError: The file is not a binary capture, lacks a property, or is shorter than its header says.
         MissingFileError: There is no such file.
     """
     path = Path(path)
@@ -159,7 +159,7 @@ def stream_ply(
 
 
 def can_stream(path: PathLike) -> bool:
-    """Whether a file is one that `stream_ply` opens; False if it cannot be read."""
+    """Returns whether `stream_ply` can open the file; False if it cannot be read."""
     try:
         _opened(Path(path))
     except (OSError, FormatError):
@@ -191,7 +191,7 @@ def _opened(path: Path) -> tuple[PlyHeader, PlyElement, int]:
 
 
 def _sample(header: PlyHeader, vertex: PlyElement) -> PlyRows:
-    """Returns rows from all over a file, at most about `BLOCK_SAMPLE`."""
+    """Reads at most about `BLOCK_SAMPLE` rows, evenly spaced over the file."""
     start, _ = header.start(vertex)
     with parsing(header.path, "a PLY file"):
         rows = np.memmap(header.path, header.dtype(vertex), "r", start, vertex.count)
@@ -199,7 +199,7 @@ def _sample(header: PlyHeader, vertex: PlyElement) -> PlyRows:
 
 
 def _materials(header: PlyHeader, vertex: PlyElement) -> list[str]:
-    """Materials and light that the file has columns for; INRIA's normals are zeros."""
+    """Returns the materials and incident light in the file. Normals are ignored, as INRIA's are all zero."""
     stored = material_columns_of(vertex.names, header.comments).properties
     names = [name for name in FIELDS[1:] if name in stored and set(stored[name]) <= set(vertex.names)]
     return names + ["incident light"] * ("incidents_dc_0" in vertex.names)

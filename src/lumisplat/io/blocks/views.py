@@ -1,4 +1,4 @@
-"""Loads the blocks of a capture that a view shows, and divides views among workers by the index alone."""
+"""Selects and loads the blocks that a view needs, and plans the work of several workers from the index alone."""
 
 from __future__ import annotations
 
@@ -25,43 +25,44 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.local_frame import default_near, note_box
 
 BLOCK_PREVIEW = 2**18
-"""Gaussians of a capture by which a view of all of it is framed."""
+"""Number of sampled Gaussians from which a view of the whole capture is framed."""
 
 BLOCK_MEMORY = 5
-"""Memory of Gaussians of blocks that are rendered, as a factor of their bytes on disk: 6.7 million of 56 bytes each
-took 1.7 GiB on a CPU."""
+"""Memory of rendered Gaussians as a multiple of their size on disk.
+
+Measured on a CPU: 6.7 million Gaussians of 56 bytes took 1.7 GiB."""
 
 _log = logging.getLogger("lumisplat")
 
 _REACH = math.sqrt(-2.0 * math.log(ALPHA_MIN))
-"""Standard deviations at which a Gaussian of opacity 1 ends."""
+"""Cut-off radius of a Gaussian of opacity 1, standard deviations."""
 _DILATION_PX = _REACH * math.sqrt(0.3) + 1.0
-"""How far the filter of the rasteriser widens a splat, and a pixel for rounding, pixels."""
+"""Largest widening of a projected Gaussian by the rasteriser's filter, plus one pixel for rounding, pixels."""
 
 _CUTS_MAX = 8
-"""Columns, and rows, of windows that a view is cut in at most."""
+"""Largest number of columns, and of rows, of windows that a view is split into."""
 
 
 class BlockPart(NamedTuple):
-    """A level of a block."""
+    """One level of detail of one block."""
 
     block: int
-    """Number of the block."""
+    """Index of the block."""
     level: int
-    """0: the finest."""
+    """Level of detail; 0 is the finest."""
 
 
 def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) -> list[BlockPart]:
-    """The blocks that an unlit, rasterised frame needs, with the level that is fine enough for each.
+    """Selects the blocks that an unlit, rasterised frame needs, and a level of detail for each.
 
     Args:
-        index: Of the capture.
-        camera: A pinhole; with a window, what that shows.
-        pixels: How large the mean Gaussian of a coarser level may be where the block is nearest to the eye, pixels; 0:
-            all are of the finest level, and frames are those of the whole capture, to the bit.
+        index: Index of the capture.
+        camera: An undistorted pinhole. If it has a window, only blocks visible in the window are selected.
+        pixels: Largest projected size of a coarser level's mean Gaussian at the block's nearest point, pixels. 0
+            selects the finest level everywhere; frames are then bit for bit those of the whole capture.
 
     Raises:
-        SceneError: The camera is no sharp pinhole: rays may see anything.
+        SceneError: The camera is not an undistorted pinhole, or has a rolling shutter.
     """
     if camera.model is not CameraModel.PINHOLE or camera.is_distorted or camera.camera_from_world_end is not None:
         raise SceneError("blocks are chosen for pinholes, without distortion or rolling shutter: load all of them")
@@ -74,11 +75,11 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
 
 
 def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
-    """The Gaussians of blocks, in the order of the parts.
+    """Loads the Gaussians of blocks, in the order of the parts.
 
     Raises:
-        FormatError: A file cannot be read, or they are larger than the machine's memory.
-        SceneError: There is no part.
+        FormatError: A file cannot be read, or the blocks do not fit into the machine's memory.
+        SceneError: ``parts`` is empty.
     """
     if not parts:
         raise SceneError("no block is visible: there is nothing to render")
@@ -103,20 +104,20 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
 
 
 def all_blocks(index: BlockIndex, level: int = 0) -> list[BlockPart]:
-    """All blocks at a level, or the coarsest that they have."""
+    """Selects all blocks at one level, or at their coarsest level if they have fewer."""
     return [BlockPart(number, min(level, len(block.levels) - 1)) for number, block in enumerate(index.blocks)]
 
 
 def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = None) -> Gaussians:
-    """A whole capture at one level of detail.
+    """Loads a whole capture at one level of detail.
 
     Args:
-        path: Its folder, or the index in it.
-        lod: As of `lumisplat.io.load`.
-        budget: Likewise.
+        path: Folder of the capture, or the index in it.
+        lod: Level of detail, as for `lumisplat.io.load`.
+        budget: Largest number of Gaussians, as for `lumisplat.io.load`.
 
     Raises:
-        FormatError: It cannot be read, or has no such level.
+        FormatError: The capture cannot be read, or has no such level.
     """
     index = open_blocks(path)
     levels = max(len(block.levels) for block in index.blocks)
@@ -134,11 +135,11 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
 
 
 def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
-    """Some of a capture's Gaussians from everywhere in it, to see where it is: about so many, or all if it has fewer.
+    """Loads about ``count`` Gaussians, evenly spaced over the capture, to find its extent; all if it has fewer.
 
     Args:
-        index: Of the capture.
-        count: How many.
+        index: Index of the capture.
+        count: Approximate number of Gaussians.
 
     Raises:
         FormatError: A file cannot be read.
@@ -155,18 +156,22 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
 
 
 def _bytes_of(index: BlockIndex, parts: Sequence[BlockPart]) -> int:
-    """Bytes of some blocks on disk."""
+    """Returns the size of blocks on disk, bytes."""
     return index.row_bytes * sum(index.blocks[part.block].levels[part.level].count for part in parts)
 
 
 def _level(block: Block, size: float) -> int:
-    """The coarsest level of a block whose mean Gaussian is no larger than that, scene units; else the finest."""
+    """Returns the coarsest level whose mean Gaussian is at most ``size`` scene units large, or the finest level."""
     fine = [number for number, level in enumerate(block.levels) if level.scale_mean <= size]
     return fine[-1] if fine else 0
 
 
 def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], Doubles]:
-    """Whether blocks may be seen, (B,), and the view depth of what is nearest of them, not before the near plane."""
+    """Tests blocks against the view frustum, widened by the reach of their Gaussians.
+
+    Returns:
+        Whether each block may be visible, shape (B,), and the view depth of its nearest point, at least the near plane.
+    """
     (low, high), scale = index.bounds, index.scale_max
     choices = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     corners = np.where(choices[None], high[:, None], low[:, None])
@@ -193,38 +198,38 @@ def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], 
 
 @dataclass(frozen=True)
 class WorkerPlan:
-    """What a worker does."""
+    """Work of one worker."""
 
     views: range
-    """Numbers of its views."""
+    """Indices of the worker's views."""
     tiles: int
-    """Windows that it renders: more than views, where the blocks of one do not fit into its memory at once."""
+    """Number of windows to render; more than views if the blocks of a view do not fit into memory at once."""
     held_bytes: int
-    """Most that it holds at once."""
+    """Largest size of blocks in memory at once, bytes on disk."""
     moved_bytes: int
-    """All that it loads."""
+    """Total size of all loaded blocks, bytes on disk."""
     too_large: int
-    """Windows whose blocks do not fit, though their view is cut in 8 x 8."""
+    """Number of windows whose blocks do not fit into memory even with their view split into 8 x 8."""
 
 
 def plan_views(
     index: BlockIndex, cameras: Sequence[Camera], workers: int, memory_bytes: int, *, pixels: float = 0.0
 ) -> list[WorkerPlan]:
-    """What each worker holds and loads, where each takes a run of views that follow each other.
+    """Plans which blocks each worker holds and loads; each worker renders a run of consecutive views.
 
-    A worker keeps the blocks that it has seen last, as many as its memory holds. A view whose blocks do not fit at once
-    is cut into 2 x 2, 4 x 4 or 8 x 8 windows (`Camera.windows`), whose pixels are those of the whole view.
+    A worker caches its most recently used blocks, as many as fit into its memory. A view whose blocks do not fit at
+    once is split into 2 x 2, 4 x 4 or 8 x 8 windows (`Camera.windows`), which give the pixels of the whole view.
 
     Args:
-        index: Of the capture; its files need not be there.
-        cameras: The views in their order, as of `BlockIndex`'s ``visible``.
-        workers: How many there are.
-        memory_bytes: For the Gaussians that each holds, as they are on disk.
-        pixels: As of `lumisplat.io.visible_blocks`.
+        index: Index of the capture; its block files need not exist.
+        cameras: Cameras of the views, in order, as for `lumisplat.io.visible_blocks`.
+        workers: Number of workers.
+        memory_bytes: Memory of each worker for Gaussians, in bytes on disk.
+        pixels: Largest projected size of coarser levels, as for `lumisplat.io.visible_blocks`.
 
     Raises:
-        ConfigError: There is no worker, or no memory.
-        SceneError: As of `lumisplat.io.visible_blocks`.
+        ConfigError: ``workers`` or ``memory_bytes`` is not a positive whole number.
+        SceneError: See `lumisplat.io.visible_blocks`.
     """
     for name, value in (("workers", workers), ("memory_bytes", memory_bytes)):
         if not is_whole(value) or value < 1:
@@ -234,7 +239,7 @@ def plan_views(
 
 
 def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_bytes: int, pixels: float) -> WorkerPlan:
-    """The plan of one worker."""
+    """Simulates the block cache of one worker over its views."""
     cache: OrderedDict[BlockPart, int] = OrderedDict()
     held = most = moved = tiles = too_large = 0
     for view in views:
@@ -255,7 +260,7 @@ def _worker(index: BlockIndex, cameras: Sequence[Camera], views: range, memory_b
 
 
 def _windows(index: BlockIndex, camera: Camera, memory_bytes: int, pixels: float) -> list[list[BlockPart]]:
-    """The blocks of a view, or those of each of its windows, of which there are as few as will do."""
+    """Returns the blocks of the view, or of each window in the coarsest split whose windows fit into memory."""
     cuts = 1
     while True:
         cameras = [camera] if cuts == 1 else camera.windows(cuts, cuts)

@@ -1,1 +1,1 @@
-"""Camera files: `transforms.json` and `cameras.json`."""
+"""Reads and writes camera files: COLMAP sparse models and JSON files of several programs."""

@@ -1,6 +1,6 @@
-"""Reads COLMAP's sparse models: ``cameras``, ``images`` and ``points3D``, .bin or .txt, with OpenCV's axes.
+"""Reads COLMAP sparse models: ``cameras``, ``images`` and ``points3D``, .bin or .txt, with OpenCV axes.
 
-The tracks of points are left out.
+Tracks of points are skipped.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.camera import Camera, CameraModel
 
 _FILES = ("cameras.bin", "cameras.txt", "images.bin", "images.txt")
-"""Files of a model, any of which stands for it."""
+"""Files of a model; the path of any of them stands for the model."""
 
 _NAMES: tuple[str, ...] = (
     *("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV"),
     *("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE"),
     *("SIMPLE_DIVISION", "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR"),
 )
-"""Names of models by their number."""
+"""Names of COLMAP's camera models, by their number."""
 
 _PARAMETERS = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -40,42 +40,42 @@ _PARAMETERS = {
     "SIMPLE_FISHEYE": "f cx cy",
     "FISHEYE": "fx fy cx cy",
 }
-"""Parameters of the models that a `Camera` can be."""
+"""Parameters of the camera models that `Camera` supports."""
 
 _IMAGE = struct.Struct("<i7di")
-"""Number, rotation wxyz and translation of camera from world, number of the camera."""
+"""Image number, camera_from_world as rotation wxyz and translation, camera number."""
 _CAMERA = struct.Struct("<iiQQ")
-"""Number, number of the model, width, height."""
+"""Camera number, model number, width, height."""
 _POINT_BYTES = 24
 
 _Lens = tuple[str, int, int, list[float]]
-"""Name of the model, width, height and parameters."""
+"""Name of the camera model, width, height and parameters."""
 
 _POINT = np.dtype([("number", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")])
-"""A point of a .bin file, before its track."""
+"""A point of a .bin file, without the track that follows it."""
 _TRACK_BYTES = 8
 _TRACK_AT = _POINT.itemsize - 8
 
 
 def is_colmap(path: Path) -> bool:
-    """Whether a path is a file of a model, or a folder that holds one."""
+    """Returns whether a path is a file of a sparse model, or a folder that holds one."""
     return path.name in _FILES or (path.is_dir() and any((path / name).is_file() for name in _FILES))
 
 
 def read_colmap(path: PathLike) -> list[Camera]:
-    """The cameras of a model, in the order of its images; images without a pose are not in it.
+    """Reads the cameras of a sparse model, in the order of its images. The model lists only images with a pose.
 
     Args:
-        path: The folder of the model, or one of `_FILES`.
+        path: Folder of the model, or one of `_FILES`.
 
     Raises:
-        FormatError: A file is missing or damaged, or has a camera of another model.
+        FormatError: A file is missing or damaged, or has a camera model that is not supported.
     """
     return [camera for camera, _ in read_colmap_images(path)]
 
 
 def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
-    """As `read_colmap`, each camera with the name of its image, which is a path from the folder of the images."""
+    """Reads cameras as `read_colmap` does, each with its image name, a path relative to the image folder."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
     with parsing(path, "a sparse model of COLMAP"):
@@ -88,7 +88,7 @@ def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
 
 
 def count_colmap_images(folder: Path) -> int:
-    """Returns how many images of a model have a pose; 0: the file of them is damaged or missing."""
+    """Returns the number of images with a pose; 0 if the images file is damaged or missing."""
     try:
         path = _file(folder, "images")
         with parsing(path, "a sparse model of COLMAP"):
@@ -100,7 +100,7 @@ def count_colmap_images(folder: Path) -> int:
 
 
 def _file(folder: Path, stem: str) -> Path:
-    """The file of that name, .bin before .txt, as COLMAP reads them."""
+    """Finds a file of the model by its stem; .bin takes precedence over .txt, as in COLMAP."""
     for suffix in (".bin", ".txt"):
         if (folder / (stem + suffix)).is_file():
             return folder / (stem + suffix)
@@ -110,7 +110,7 @@ def _file(folder: Path, stem: str) -> Path:
 
 
 def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float], int, str]) -> Camera:
-    """The camera of an image."""
+    """Creates the camera of an image."""
     number, pose, lens_number, name = entry
     where = f"image {number} ({name})"
     if lens_number not in lenses:
@@ -148,7 +148,7 @@ def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float],
 
 
 def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
-    """Number and lens of each camera."""
+    """Yields number and lens of each camera."""
     if path.suffix == ".txt":
         for line in _text_lines(path):
             number, model, width, height, *values = line.split()
@@ -168,7 +168,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
 
 
 def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
-    """Number, pose, camera's number and name of each image."""
+    """Yields image number, pose, camera number and name of each image."""
     if path.suffix == ".txt":
         follows = False  # whether the points of an image may come next; some programs leave them out
         for line in _text_lines(path):
@@ -196,26 +196,27 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
 
 
 def _is_image(line: str) -> bool:
-    """Tells whether a line is of an image, and not of points: these are X, Y and a number each, without a name."""
+    """Returns whether a line of images.txt describes an image, not 2D points, which are triples without a name."""
     words = line.split(maxsplit=9)
     return len(words) == 10 and (not is_number_word(words[9].split()[0]) or len(line.split()) % 3 != 0)
 
 
 def _text_lines(path: Path) -> Iterator[str]:
-    """Yields the lines of a text file without its comments and empty lines."""
+    """Yields the lines of a text file without comments and empty lines."""
     for line in read_text(path, errors="surrogateescape").splitlines():
         if line.strip() and not line.startswith("#"):
             yield line
 
 
 def read_colmap_points(folder: Path) -> tuple[Doubles, FloatArray] | None:
-    """The points of a model.
+    """Reads the points of a sparse model.
 
     Args:
-        folder: The folder of the model; .bin is read before .txt, as COLMAP does.
+        folder: Folder of the model; .bin takes precedence over .txt, as in COLMAP.
 
     Returns:
-        Positions in world space, shape (N, 3), and display-referred colours, 0..1, shape (N, 3); None: it has none.
+        Positions in world space, shape (N, 3), and display-referred colours, 0..1, shape (N, 3); None if the model has
+        no points.
 
     Raises:
         FormatError: The file is damaged or truncated, or has a position that is not finite.

@@ -1,4 +1,4 @@
-"""Defines what camera formats share: names from images, poses of nodes, and sizes of images from aspect ratios."""
+"""Provides what camera formats share: camera names from image files, node poses, and image sizes from aspect ratios."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from lumisplat.scene.camera import Camera, camera_pose
 _IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp", ".exr", ".heic")
 
 DEFAULT_SIZE_MAX = (1280, 720)
-"""Largest width and height, pixels, of a camera for which no size is given."""
+"""Largest width and height, pixels, of a camera without a given size."""
 
 
 def name_from_image(image: object) -> str:
-    """The name of an image file without its folder and extension: `images/0001.png` gives `0001`; other dots stay."""
+    """Returns an image's file name without folder and extension: `images/0001.png` gives `0001`. Other dots stay."""
     name = str(image).replace("\\", "/").rstrip("/").rpartition("/")[2]
     return name[: -len(Path(name).suffix)] if Path(name).suffix.lower() in _IMAGE_SUFFIXES else name
 
 
 def unique_names(cameras: list[Camera]) -> list[Camera]:
-    """The cameras with distinct names: an empty name becomes `frame_00000`, a repeated one gets a number."""
+    """Gives cameras distinct names: an empty name becomes `frame_00000`, and a repeated one gets a number appended."""
     used: set[str] = set()
     copies: dict[str, int] = {}  # the last number that each name was given, so that many equal ones take no longer
     named: list[Camera] = []
@@ -40,13 +40,16 @@ def unique_names(cameras: list[Camera]) -> list[Camera]:
 
 
 def pose_of_node(world_from_node: Doubles) -> Doubles:
-    """``camera_from_world`` with our axes, rigid also if the node scales or shears, shape (4, 4).
+    """Converts a node transform with OpenGL axes to ``camera_from_world``, rigid even if the node scales or shears.
 
     Args:
-        world_from_node: Shape (4, 4).
+        world_from_node: Transform of the node, shape (4, 4).
+
+    Returns:
+        Pose with OpenCV axes, shape (4, 4).
 
     Raises:
-        SceneError: The node flattens the camera.
+        SceneError: The node scales the camera's axes to zero.
     """
     up, back = world_from_node[:3, 1], world_from_node[:3, 2]
     right = np.cross(up, back)
@@ -56,12 +59,12 @@ def pose_of_node(world_from_node: Doubles) -> Doubles:
 
 
 def size_of_aspect(aspect: float, width: int | None, height: int | None) -> tuple[int, int]:
-    """Width and height, pixels.
+    """Returns width and height of an image, pixels; a missing one follows from the aspect ratio.
 
     Args:
-        aspect: Width by height.
-        width: Width that is wanted; None: from the height and the aspect ratio.
-        height: Height that is wanted. If both are None, the largest size within 1280 x 720.
+        aspect: Width divided by height.
+        width: Wanted width; None derives it from the height.
+        height: Wanted height; None derives it from the width. If both are None, the largest size within 1280 x 720.
     """
     if width is None and height is None:
         if aspect >= DEFAULT_SIZE_MAX[0] / DEFAULT_SIZE_MAX[1]:

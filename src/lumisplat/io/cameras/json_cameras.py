@@ -1,8 +1,8 @@
-"""Reads cameras of JSON files, recognised by their content, and writes ``transforms.json``.
+"""Reads camera files in JSON, recognised by their content, and writes ``transforms.json``.
 
-Files are nerfstudio's, instant-ngp's and NeRF's ``transforms.json`` and nerfstudio's ``camera_path.json``, whose poses
-are camera to world with OpenGL's axes, and INRIA's ``cameras.json``, with OpenCV's axes and the principal point in the
-centre of the image. Values are checked: poses must be rigid. Errors complete "frame 3 ...".
+Supported are the ``transforms.json`` of nerfstudio, instant-ngp and NeRF and nerfstudio's ``camera_path.json``, whose
+poses are camera-to-world with OpenGL axes. INRIA's ``cameras.json`` has OpenCV axes and the principal point at the
+image centre. Poses must be rigid. Error texts continue "frame 3 ...".
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ Matrix = npt.NDArray[np.float64]
 _PATH_MODELS = {"perspective": CameraModel.PINHOLE, "fisheye": CameraModel.FISHEYE}
 
 OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
-"""OpenGL cameras have -z forward and y up. This matrix is its own inverse."""
+"""Converts OpenCV camera axes to OpenGL ones, with -z forward and y up. The matrix is its own inverse."""
 
 _IMAGE_EXTENSIONS = ("", ".png", ".jpg", ".jpeg")
-"""Extensions that NeRF's synthetic scenes leave off their file names, in the order in which they are tried."""
+"""Extensions to try for file names without one, as in NeRF's synthetic scenes, in order."""
 
 _MODELS = {
     "OPENCV": CameraModel.PINHOLE,
@@ -51,20 +51,20 @@ _MODELS = {
     "FISHEYE": CameraModel.FISHEYE,
     "ORTHOPHOTO": CameraModel.ORTHOGRAPHIC,
 }
-"""Models by nerfstudio's names. Files are written with the first name of a model."""
+"""Camera models by their nerfstudio names. Files are written with the first name of a model."""
 
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 """Keys of the lens distortion, in the order of `Camera.distortion`."""
 
 
 def quote(value: object) -> str:
-    """JSON for a message, cut short."""
+    """Formats a value as JSON for a message, at most 40 characters."""
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def _number(values: Entry, name: str) -> float:
-    """The number called ``name``."""
+    """Returns the number ``values[name]``; raises `SceneError` if it is not a number."""
     value = values[name]
     if not is_number(value):
         raise SceneError(f"has {name} {quote(value)}, expected a number")
@@ -72,7 +72,7 @@ def _number(values: Entry, name: str) -> float:
 
 
 def _number_array(values: object, shape: tuple[int, ...], name: str) -> Matrix:
-    """Finite numbers in an array of the given shape."""
+    """Converts nested lists to an array of the given shape; raises `SceneError` unless all numbers are finite."""
     array = finite_numbers(values, shape)
     if array is None:
         raise SceneError(f"has {name} {quote(values)}, expected {' x '.join(map(str, shape))} finite numbers")
@@ -80,7 +80,7 @@ def _number_array(values: object, shape: tuple[int, ...], name: str) -> Matrix:
 
 
 def _rigid_pose(matrix: Matrix) -> Matrix:
-    """A pose, shape (3 or 4, 4), as a rigid transform, shape (4, 4), with rounding errors of its rotation removed."""
+    """Checks that a pose, shape (3 or 4, 4), is rigid. Returns it without rounding errors, shape (4, 4)."""
     if matrix.shape == (3, 4):
         matrix = np.vstack([matrix, (0.0, 0.0, 0.0, 1.0)])
     u, singular_values, v = np.linalg.svd(matrix[:3, :3])
@@ -98,7 +98,7 @@ def _rigid_pose(matrix: Matrix) -> Matrix:
 
 
 def _inverse_rigid(matrix: Matrix) -> Matrix:
-    """The inverse of a rigid transform, shape (4, 4)."""
+    """Inverts a rigid transform, shape (4, 4)."""
     inverse = np.eye(4)
     inverse[:3, :3] = matrix[:3, :3].T
     inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
@@ -106,10 +106,10 @@ def _inverse_rigid(matrix: Matrix) -> Matrix:
 
 
 def _path_camera(shared: Entry, frame: Entry) -> Camera:
-    """The camera of one frame.
+    """Creates the camera of one frame of a ``camera_path.json``.
 
     Args:
-        shared: The top of the file.
+        shared: Top-level object of the file.
         frame: An entry of ``camera_path``.
     """
     kind: Any = shared.get("camera_type", "perspective")
@@ -136,7 +136,7 @@ def _path_camera(shared: Entry, frame: Entry) -> Camera:
 
 
 def _path_rate(content: Entry) -> float:
-    """Frames a second of the file, 24 if it does not say."""
+    """Returns the frames per second of a ``camera_path.json``, 24 by default."""
     fps = _number(content, "fps") if "fps" in content else 24.0
     if not 0.0 < fps < math.inf:
         raise SceneError(f"has fps {fps}, expected a positive number")
@@ -144,7 +144,7 @@ def _path_rate(content: Entry) -> float:
 
 
 def _inria_camera(entry: Entry) -> Camera:
-    """The camera of one entry."""
+    """Creates the camera of one entry of INRIA's ``cameras.json``."""
     width, height = _number(entry, "width"), _number(entry, "height")
     world_from_camera = np.eye(4)
     world_from_camera[:3, :3] = _number_array(entry["rotation"], (3, 3), "rotation")
@@ -162,13 +162,13 @@ def _inria_camera(entry: Entry) -> Camera:
 
 
 def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | None, frame: Entry) -> Camera:
-    """The camera of one frame.
+    """Creates the camera of one frame of a ``transforms.json``.
 
     Args:
-        path: The file; images are next to it.
-        shared: The top of the file, whose values hold for all frames.
+        path: The file; images are relative to its folder.
+        shared: Top-level object of the file, whose values apply to all frames.
         fallback: Width and height of a frame whose size neither the file nor an image gives.
-        frame: The frame, whose values replace the shared ones.
+        frame: The frame, whose values override the shared ones.
 
     Raises:
         KeyError: A value is missing.
@@ -200,7 +200,10 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
 
 
 def frame_image(folder: Path, values: Entry) -> Path | None:
-    """The image of a frame in a folder, else in its ``images``; its extension may be left off. None: there is none."""
+    """Finds the image of a frame in the folder, or else in its ``images`` subfolder; None if there is none.
+
+    ``file_path`` may lack the extension.
+    """
     stem = str(values.get("file_path", ""))
     candidates = (
         named_path(directory, stem + extension)
@@ -211,7 +214,7 @@ def frame_image(folder: Path, values: Entry) -> Path | None:
 
 
 def write_transforms(path: PathLike, cameras: Sequence[Camera]) -> None:
-    """As `lumisplat.io.save_cameras`."""
+    """Writes a ``transforms.json``; see `lumisplat.io.save_cameras`."""
     model = _common_model(cameras)
     _refuse_lenses(cameras)
     if any(camera.exposure for camera in cameras):
@@ -254,7 +257,7 @@ def _refuse_lenses(cameras: Sequence[Camera]) -> None:
 
 
 def _model(values: Entry) -> CameraModel:
-    """The camera model of a frame."""
+    """Returns the camera model of a frame."""
     key = "camera_model" if "camera_model" in values else "camera_type"
     name = "OPENCV_FISHEYE" if values.get("is_fisheye") else values.get(key, "OPENCV")
     if not isinstance(name, str) or name.upper() not in _MODELS:
@@ -263,7 +266,7 @@ def _model(values: Entry) -> CameraModel:
 
 
 def _image_size(path: Path, values: Entry, fallback: tuple[int, int] | None) -> tuple[float, float]:
-    """Width and height from the file, else from the header of the frame's image, else the fallback."""
+    """Returns width and height from the file, or else from the header of the frame's image, or else the fallback."""
     if "w" in values and "h" in values:
         return _number(values, "w"), _number(values, "h")
     image = frame_image(path.parent, values)
@@ -278,7 +281,7 @@ def _image_size(path: Path, values: Entry, fallback: tuple[int, int] | None) -> 
 
 
 def _focal(values: Entry, angle_name: str, size: float, default: float | None = None) -> float:
-    """Focal length in pixels for a field of view in radians."""
+    """Returns the focal length in pixels for a field of view in radians, or ``default`` if the key is missing."""
     if angle_name not in values:
         if default is None:
             raise SceneError("has no intrinsics: expected fl_x, or camera_angle_x")
@@ -290,7 +293,7 @@ def _focal(values: Entry, angle_name: str, size: float, default: float | None = 
 
 
 def read_camera_json(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """As `lumisplat.io.load_cameras`, for JSON files. Poses become `camera_from_world` with OpenCV axes."""
+    """Reads the cameras of a JSON file; see `lumisplat.io.load_cameras`. Poses are converted to OpenCV axes."""
     path = Path(path)
     fallback = None if width is None or height is None else (width, height)
     with parsing(path, "a camera file (transforms.json or cameras.json)"):
@@ -313,7 +316,7 @@ def read_camera_json(path: PathLike, width: int | None = None, height: int | Non
 
 
 def read_path_rate(path: PathLike) -> float | None:
-    """Frames a second of a `camera_path.json`; None: it is another camera file."""
+    """Returns the frames per second of a ``camera_path.json``, or None for other camera files."""
     path = Path(path)
     with parsing(path, "a camera file"):
         content = parse_json(path)
@@ -330,10 +333,10 @@ def _is_inria(entries: list[Any]) -> bool:
 
 
 def parse_json(path: Path) -> object:
-    """The content of a JSON file.
+    """Parses a JSON file.
 
     Raises:
-        FormatError: It cannot be read, or is no JSON.
+        FormatError: The file cannot be read, or is not JSON.
     """
     try:
         return json.loads(read_text(path))
@@ -344,10 +347,10 @@ def parse_json(path: Path) -> object:
 
 
 def decode_frame(path: Path, index: int, entry: object, decode: Callable[[Entry], Camera]) -> Camera:
-    """Decodes one entry.
+    """Decodes one frame of a camera file.
 
     Raises:
-        FormatError: It is no object, or ``decode`` refuses it; names the frame.
+        FormatError: The entry is not an object, or ``decode`` refuses it; the message names the frame.
     """
     if not is_object(entry):
         raise FormatError(path, f"frame {index} is {quote(entry)}, expected an object with a pose")

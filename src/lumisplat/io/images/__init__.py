@@ -1,1 +1,1 @@
-"""Image files: textures and pictures, PNG, EXR, NPZ and Radiance HDR, animations and videos."""
+"""Reads and writes images: OpenEXR, Radiance HDR, 8-bit textures, animations and videos."""

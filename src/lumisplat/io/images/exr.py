@@ -1,4 +1,4 @@
-"""Reads and writes OpenEXR: named channels of floats or integers, and deep samples."""
+"""Reads and writes OpenEXR images: named channels of floats or integers, and deep samples."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Channel = npt.NDArray[Any]
 
 @dataclass(frozen=True)
 class ExrPart:
-    """A part of an EXR, an image of its own."""
+    """One part of a multi-part EXR, an image with its own channels and header."""
 
     name: str
     channels: Mapping[str, Channel]
-    """As of `write_exr`."""
+    """Pixels of each channel, as for `write_exr`."""
     metadata: Mapping[str, str] = field(default_factory=dict[str, str])
     """Header attributes."""
 
@@ -40,11 +40,13 @@ def write_exr(
 
     Args:
         path: The file to write. It appears complete or not at all.
-        channels: ``"R"``, ``"depth.Z"``, ``"normal.X"``, ..., all of one shape (H, W). Floating-point arrays become
-            32-bit float (infinities are kept), integer ones 32-bit unsigned: -1 ("none") reads back as 4294967295.
+        channels: Pixels of ``"R"``, ``"depth.Z"``, ``"normal.X"`` and so on, all of one shape (H, W). Floating-point
+            arrays are stored as 32-bit float (infinities are preserved), integer arrays as 32-bit unsigned: -1 ("none")
+            reads back as 4294967295.
         metadata: Header attributes.
-        further: Further parts. What reads the first one only, as most programs that are no compositors, still finds
-            these channels; the attributes of all parts are in its header, too, where some compositors look alone.
+        further: Further parts. Programs that read only the first part, as most but compositors do, still find
+            ``channels``. The first header also gets the attributes of all parts, because some compositors look only
+            there.
 
     Raises:
         SceneError: There is no channel, or shapes differ.
@@ -75,7 +77,7 @@ def _header(metadata: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _planes(channels: Mapping[str, Channel]) -> dict[str, Channel]:
-    """Pixels as they are stored, one array a channel: given (H, W, 3), OpenEXR would name its channels .R .G .B."""
+    """Converts channels to the stored types, one array each. OpenEXR would rename the channels of a (H, W, 3) array."""
     shapes = {np.shape(host_array(pixels)) for pixels in channels.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
         raise SceneError(f"EXR channels must share one shape (H, W), got {sorted(shapes) or 'no channel'}")
@@ -115,13 +117,14 @@ def read_exr(path: PathLike) -> dict[str, Channel]:
 
 
 def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels: Mapping[str, FloatArray]) -> None:
-    """Writes a one-part deep scanline EXR, ZIP-compressed line by line, of 32-bit floats.
+    """Writes a one-part deep scanline EXR of 32-bit floats, ZIP-compressed line by line.
 
     Args:
         path: The file to write. It appears complete or not at all.
         size: Rows and columns, (H, W).
-        first: Row of the first sample of each pixel, pixels row by row, and how many there are at the end, (H W + 1,).
-        channels: ``R``, ``G``, ``B``, ``A``, ``Z``, ``ZBack``, one value a sample.
+        first: Index of the first sample of each pixel, row by row, followed by the total number of samples, shape
+            (H W + 1,).
+        channels: Values of ``R``, ``G``, ``B``, ``A``, ``Z`` and ``ZBack``, one per sample.
 
     Raises:
         FormatError: The file cannot be written.
@@ -137,7 +140,7 @@ def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels:
 
 
 def _lists(values: FloatArray, size: tuple[int, int], first: Rows) -> npt.NDArray[Any]:
-    """A list of values for each pixel, as OpenEXR takes them."""
+    """Splits values into one array per pixel, the form that OpenEXR expects."""
     held = np.ascontiguousarray(values, dtype=np.float32)
     lists = np.empty(size[0] * size[1], dtype=object)
     for pixel, (begin, end) in enumerate(zip(first[:-1].tolist(), first[1:].tolist(), strict=True)):

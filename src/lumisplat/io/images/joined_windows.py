@@ -1,4 +1,4 @@
-"""Joins the files of an image's windows, PNG or OpenEXR, in memory for one row of windows.
+"""Joins the image files of a camera's windows to one PNG or OpenEXR, holding one row of windows in memory.
 
 PNG (W3C Recommendation of 2003) has 8-bit pixels; OpenEXR has ZIP-compressed scanlines (openexr.com, File Layout).
 """
@@ -23,36 +23,36 @@ from lumisplat.io.images.exr import read_exr
 _MAGIC = 20000630
 _VERSION, _LONG_NAMES = 2, 0x400
 _SHORT_NAME = 31
-"""Longest name without that flag, bytes."""
+"""Longest channel name without the long-name flag, bytes."""
 _BLOCK_ROWS = 16
-"""Rows that ZIP compresses together."""
+"""Number of rows that ZIP compresses together."""
 _ZIP = 3
 _KINDS = {"u": (0, "<u4"), "f": (2, "<f4")}
-"""Types of pixels by those of arrays: 32-bit unsigned numbers, and floats."""
+"""OpenEXR pixel type and stored type by NumPy kind: 32-bit unsigned integers and floats."""
 
 Rows = Mapping[str, npt.NDArray[Any]]
-"""Rows of all channels by their names, each float32 or uint32, shape (R, W)."""
+"""Rows of all channels by name, each float32 or uint32, shape (R, W)."""
 
 _Bytes = npt.NDArray[np.uint8]
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOR_TYPES = {3: 2, 4: 6}
-"""Of RGB and RGBA, by their channels."""
+"""PNG colour types of RGB and RGBA, by number of channels."""
 _FILTERS = (1, 2, 4)
-"""Those that are tried of each row: Sub, Up and Paeth."""
+"""PNG filters that are tried for each row: Sub, Up and Paeth."""
 
 Window = tuple[int, int, int, int]
 """Left, top, width and height, pixels."""
 
 
 class ExrRows:
-    """Writes an image from top to bottom.
+    """Writes an OpenEXR image from top to bottom.
 
     Args:
-        file: Open for writing, at its beginning; it must be seekable.
-        width: Of the image, pixels.
-        height: Likewise.
-        channels: Names, and ``f`` for float32 or ``u`` for uint32.
+        file: Seekable file, open for writing, at its beginning.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
+        channels: Channel names, with ``f`` for float32 or ``u`` for uint32.
     """
 
     def __init__(self, file: BinaryIO, width: int, height: int, channels: Mapping[str, str]) -> None:
@@ -94,7 +94,7 @@ class ExrRows:
 
 
 def _predicted(content: bytes) -> bytes:
-    """Bytes at even places, then those at odd ones, each as its difference from the one before."""
+    """Applies OpenEXR's ZIP predictor: bytes at even, then at odd offsets, each minus the previous byte."""
     stored = np.frombuffer(content, np.uint8)
     parted = np.concatenate([stored[::2], stored[1::2]])
     parted[1:] = np.diff(parted) + np.uint8(128)
@@ -122,17 +122,17 @@ def _header(width: int, height: int, kinds: Mapping[str, str]) -> bytes:
 
 
 def _channel(name: str, kind: str) -> bytes:
-    """A channel in the list of a header: its name, its type, linear or not, and its sampling."""
+    """Encodes a channel for the header's list: its name, type, linearity and sampling."""
     return name.encode() + b"\0" + struct.pack("<iiii", _KINDS[kind][0], 0, 1, 1)
 
 
 class PngRows:
-    """Writes an image from top to bottom.
+    """Writes a PNG image from top to bottom.
 
     Args:
-        file: Open for writing, at its beginning.
-        width: Of the image, pixels.
-        height: Likewise.
+        file: File open for writing, at its beginning.
+        width: Width of the image, pixels.
+        height: Height of the image, pixels.
         channels: 3 (RGB) or 4 (RGBA, straight alpha).
     """
 
@@ -162,7 +162,7 @@ class PngRows:
             self._chunk(b"IDAT", bytes(packed))
 
     def _filtered(self, row: _Bytes) -> bytes:
-        """A row as differences from what is beside it, by the filter whose differences are smallest in sum."""
+        """Filters a row with the filter whose absolute differences have the smallest sum."""
         left, corner = self._left_neighbors(row), self._left_neighbors(self._above)
         candidates = row - left, row - self._above, row - _paeth(left, self._above, corner)
         sizes = [
@@ -172,7 +172,7 @@ class PngRows:
         return bytes([_FILTERS[best]]) + candidates[best].tobytes()
 
     def _left_neighbors(self, row: _Bytes) -> _Bytes:
-        """Each byte's like in the pixel to the left."""
+        """Returns for each byte the same channel of the pixel to the left; 0 for the first pixel."""
         return np.concatenate([np.zeros(self._channels, np.uint8), row[: -self._channels]])
 
     def _chunk(self, name: bytes, content: bytes) -> None:
@@ -181,25 +181,25 @@ class PngRows:
 
 
 def _paeth(left: _Bytes, above: _Bytes, corner: _Bytes) -> _Bytes:
-    """The nearest of three neighbours to ``left + above - corner``; of equally near ones the first."""
+    """Returns the neighbour nearest to ``left + above - corner``, in this order of preference on ties."""
     a, b, c = (one.astype(np.int16) for one in (left, above, corner))
     to_a, to_b, to_c = np.abs(b - c), np.abs(a - c), np.abs(a + b - 2 * c)
     return np.where((to_a <= to_b) & (to_a <= to_c), left, np.where(to_b <= to_c, above, corner)).astype(np.uint8)
 
 
 def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
-    """Writes the picture that files of its windows (`Camera.window`) are cut from, pixel by pixel as they are.
+    """Joins files of a camera's windows (`Camera.window`) to one image, with unchanged pixels.
 
     Args:
-        path: The picture, ``.png`` (8-bit RGB or RGBA) or ``.exr`` (all channels of the windows' files). It appears
-            complete or not at all.
-        windows: Files of one format by the windows that they show. These stand in rows, without gaps, and windows in a
-            row are of one height.
+        path: The image to write, ``.png`` (8-bit RGB or RGBA) or ``.exr`` (all channels of the window files). It
+            appears complete or not at all.
+        windows: Files of one format by their windows. Windows form rows without gaps, and all windows of a row have the
+            same height.
 
     Raises:
-        SceneError: The windows are none of a picture.
-        FormatError: A file is missing, damaged, or does not fit the others; the picture cannot be written, or its
-            extension is another.
+        SceneError: The windows do not tile an image.
+        FormatError: A file is missing, damaged, or does not match the others; the image cannot be written, or has
+            another extension.
     """
     rows = _in_rows(windows)
     size = max(left + width for left, _, width, _ in windows), max(top + height for _, top, _, height in windows)
@@ -211,7 +211,7 @@ def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
 
 
 def _in_rows(windows: Mapping[Window, PathLike]) -> list[list[Window]]:
-    """The windows row by row, each from left to right."""
+    """Groups windows by row, each from left to right, and checks that they tile the image."""
     if not windows:
         raise SceneError("a picture needs a window")
     rows = [
@@ -240,7 +240,7 @@ def _join_png(path: PathLike, rows: list[dict[Window, PathLike]], size: tuple[in
 
 
 def _png_pixels(path: PathLike, window: Window, channels: int | None) -> npt.NDArray[np.uint8]:
-    """The pixels of a window's PNG, (H, W, 3 or 4)."""
+    """Reads the pixels of a window's PNG, shape (H, W, 3 or 4)."""
     from PIL import Image
 
     try:
@@ -271,7 +271,7 @@ def _join_exr(path: PathLike, rows: list[dict[Window, PathLike]], size: tuple[in
 
 
 def _exr_channels(path: PathLike, window: Window, kinds: Mapping[str, str] | None) -> dict[str, npt.NDArray[Any]]:
-    """The channels of a window's EXR."""
+    """Reads the channels of a window's EXR."""
     channels = read_exr(path)
     shapes = {image.shape for image in channels.values()}
     if shapes != {(window[3], window[2])}:

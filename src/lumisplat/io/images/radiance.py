@@ -1,6 +1,6 @@
-"""Reads images of radiance (Radiance HDR or OpenEXR, recognised by their content), and pictures in display colours.
+"""Reads radiance images (Radiance HDR or OpenEXR, recognised by content) and display-referred images.
 
-Radiance HDR (.hdr, .pic) has RGBE pixels, flat or in one of two run-length encodings.
+Radiance HDR (.hdr, .pic) has RGBE pixels, uncompressed or in one of two run-length encodings.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ _MAGIC = b"#?"
 
 _HEADER_BYTES_MAX = 2**16
 _ENCODED_WIDTHS = range(8, 2**15)
-"""Widths for which the newer run-length encoding exists."""
+"""Image widths for which the newer run-length encoding is defined."""
 
 LINEAR = (".exr", ".hdr", ".pic")
-"""Extensions of files that store linear light."""
+"""Extensions of files with linear radiance."""
 
 
 def read_radiance(path: PathLike) -> FloatArray:
-    """As `lumisplat.io.load_radiance`."""
+    """Reads linear radiance; see `lumisplat.io.load_radiance`."""
     data = read_bytes(path)
     with parsing(path, "an image of radiance (.hdr or .exr)"):
         if data.startswith(_MAGIC):
@@ -53,7 +53,7 @@ def read_radiance(path: PathLike) -> FloatArray:
 
 
 def write_radiance(path: PathLike, image: FloatArray) -> None:
-    """Writes radiance, shape (H, W, 3), as an EXR that `read_radiance` takes.
+    """Writes radiance, shape (H, W, 3), as an EXR that `read_radiance` reads.
 
     Raises:
         FormatError: The file cannot be written.
@@ -62,7 +62,7 @@ def write_radiance(path: PathLike, image: FloatArray) -> None:
 
 
 def _exr_colors(path: PathLike) -> FloatArray:
-    """The channels R, G and B of an EXR, shape (H, W, 3)."""
+    """Reads the channels R, G and B of an EXR, shape (H, W, 3)."""
     channels = read_exr(path)
     missing = [name for name in "RGB" if name not in channels]
     if missing:
@@ -76,7 +76,7 @@ def _exr_colors(path: PathLike) -> FloatArray:
 
 
 def _without_invalid(path: PathLike, image: FloatArray) -> FloatArray:
-    """The image, read-only, with negative and non-finite values set to 0; one log line counts them."""
+    """Replaces negative and non-finite values by 0, and logs their number. Returns a read-only image."""
     not_finite = ~np.isfinite(image)
     with np.errstate(invalid="ignore"):
         negative = (image < 0.0) & ~not_finite
@@ -93,22 +93,22 @@ class _Header(NamedTuple):
     width: int
     height: int
     exposure: npt.NDArray[np.float64]
-    """Factors by which the pixels were multiplied, one per channel, shape (3,)."""
+    """Factors by which the stored pixels were multiplied, one per channel, shape (3,)."""
     size: int
-    """Bytes before the pixels."""
+    """Length of the header, bytes."""
 
 
 def decode_hdr(path: PathLike, data: bytes) -> npt.NDArray[np.float32]:
-    """Linear radiance, divided by the exposures that the header lists, shape (H, W, 3), row 0 at the top.
+    """Decodes Radiance HDR to linear radiance, divided by the header's exposures, shape (H, W, 3), row 0 at the top.
 
-    A mantissa m with exponent e is ``m 2^(e - 136)``, as in most readers, which keeps whole numbers exact.
+    A mantissa m with exponent e is ``m 2^(e - 136)``, as in most readers; integers are thus exact.
 
     Args:
-        path: Named in errors.
+        path: File to name in errors.
         data: The whole file.
 
     Raises:
-        FormatError: The file is damaged or truncated, has XYZ colours, or rows and columns in another order.
+        FormatError: The file is damaged or truncated, has XYZ colours, or another order of rows and columns.
     """
     header = _read_header(path, data)
     check_expansion(path, f"{header.width} x {header.height} pixels", 12 * header.width * header.height, len(data))
@@ -156,7 +156,7 @@ def _read_header(path: PathLike, data: bytes) -> _Header:
 
 
 def _positive_numbers(text: str) -> list[float]:
-    """The numbers of a header line; empty if one is not a positive number."""
+    """Parses the numbers of a header line; empty if any is not a positive number."""
     try:
         numbers = [float(word) for word in text.split()]
     except ValueError:
@@ -169,7 +169,7 @@ class _RunError(Exception):
 
 
 def _read_row(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """The RGBE bytes of the row that begins at byte ``at``, and the byte at which the next row begins."""
+    """Decodes the row that begins at byte ``at``. Returns its RGBE bytes and the start of the next row."""
     encoded = data[at] == 2 == data[at + 1] and (data[at + 2] << 8 | data[at + 3]) == width
     if encoded and width in _ENCODED_WIDTHS:
         return _read_channels(data, at + 4, width)
@@ -180,7 +180,7 @@ def _read_row(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], 
 
 
 def _read_channels(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """The newer encoding: one channel after the other, each in runs of equal bytes and runs of different bytes."""
+    """Decodes the newer encoding: one channel after the other, as runs of equal bytes and runs of different bytes."""
     row = bytearray()
     for end in (width, 2 * width, 3 * width, 4 * width):
         while len(row) < end:
@@ -197,7 +197,7 @@ def _read_channels(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uin
 
 
 def _read_repeats(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint8], int]:
-    """The older encoding: (1, 1, 1, n) repeats the last pixel n times; another one directly after it, 256 n times."""
+    """Decodes the older encoding: (1, 1, 1, n) repeats the last pixel n times; a second such pixel counts 256 n."""
     row, shift = bytearray(), 0
     while len(row) < 4 * width:
         pixel = data[at : at + 4]
@@ -218,7 +218,7 @@ def _read_repeats(data: bytes, at: int, width: int) -> tuple[npt.NDArray[np.uint
 
 
 def read_display_image(path: PathLike) -> FloatArray:
-    """As `lumisplat.io.load_image`."""
+    """Reads an image as display-referred values; see `lumisplat.io.load_image`."""
     if Path(path).suffix.lower() in LINEAR:
         return np.clip(encode_srgb(read_radiance(path)), 0.0, 1.0).astype(np.float32)
     pixels = read_texture(path).astype(np.float32) / np.float32(255.0)

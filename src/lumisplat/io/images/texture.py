@@ -1,4 +1,4 @@
-"""Decodes images of 8 bits (PNG, JPEG, WebP and some more) as sRGB texels, finds damaged ones, and writes PNGs."""
+"""Decodes 8-bit images (PNG, JPEG, WebP and others) to sRGB texels, detects damaged files, and writes PNGs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from lumisplat.io.files.source import PathLike, TextureBytes, opened, read_bytes
 from lumisplat.math.arrays import host_array
 
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "GIF", "TGA", "TIFF")
-"""Formats that Pillow decodes by itself: for others it starts programs, such as Ghostscript for EPS."""
+"""Formats that Pillow decodes itself. For others it would start external programs, such as Ghostscript for EPS."""
 
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"
 _SCAN, _END = 0xDA, b"\xff\xd9"
-"""Markers of a JPEG: its pixels begin, and they have ended (ITU-T T.81, table B.1)."""
+"""JPEG markers: start of scan, and end of image (ITU-T T.81, table B.1)."""
 
 
 def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArray[np.uint8]:
@@ -34,10 +34,10 @@ def read_texture(path: PathLike, total: TextureBytes | None = None) -> npt.NDArr
 
 
 def image_size(path: PathLike) -> tuple[int, int]:
-    """Width and height of an image file, from its header.
+    """Reads width and height from the header of an image file.
 
     Raises:
-        FormatError: The file is missing, or no image.
+        FormatError: The file is missing, or not an image.
     """
     from PIL import Image
 
@@ -59,9 +59,9 @@ def decode_texture(
 
     Args:
         data: The encoded image.
-        path: The file to name in errors.
-        label: The image inside of that file, to name in errors; None: the file is the image.
-        total: The textures of the file that this one belongs to, which are bounded together.
+        path: File to name in errors.
+        label: Name of the image inside of that file, for errors; None if the file is the image.
+        total: Running total of texture sizes of the file that the image belongs to, which bounds their memory.
 
     Returns:
         sRGB-encoded texels, shape (H, W, 3), or (H, W, 4) if the image has transparency; row 0 at the top.
@@ -93,12 +93,12 @@ def decode_texture(
 
 
 def check_undamaged(path: PathLike) -> None:
-    """Refuses an image file that is cut off, and a PNG that is damaged anywhere.
+    """Raises an error for a truncated image file, and for a PNG that is damaged anywhere.
 
-    What a PNG's checksums or the end of a JPEG's picture do not show to be whole is decoded.
+    PNG checksums and the JPEG end marker show quickly that a file is complete; other files are decoded.
 
     Raises:
-        FormatError: It cannot be decoded to its end.
+        FormatError: The image cannot be decoded to its end.
     """
     data = read_bytes(path)
     if _is_whole_png(data) or _is_ended_jpeg(data):
@@ -114,7 +114,7 @@ def check_undamaged(path: PathLike) -> None:
 
 
 def _is_whole_png(data: bytes) -> bool:
-    """Whether all of its parts are there, with the checksums that they should have."""
+    """Returns whether all chunks of a PNG are present with correct checksums."""
     from PIL import Image
 
     if not data.startswith(_PNG):
@@ -128,7 +128,7 @@ def _is_whole_png(data: bytes) -> bool:
 
 
 def _is_ended_jpeg(data: bytes) -> bool:
-    """Whether its picture has an end: not that of a thumbnail before it, nor of what some cameras append."""
+    """Returns whether the main image of a JPEG has an end marker, ignoring an embedded thumbnail and appended data."""
     if not data.startswith(_JPEG):
         return False
     at = len(_JPEG)
@@ -147,8 +147,8 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
 
     Args:
         path: The file to write. It appears complete or not at all.
-        srgb: Display-referred values, 0..1, shape (H, W, 3 or 4); clamped, and rounded half up. NaN becomes 0, and one
-            log line counts such values. Or bytes.
+        srgb: Display-referred values, 0..1, shape (H, W, 3 or 4); clamped, and rounded half up. NaN becomes 0, and a
+            log line counts NaN values. Bytes are written unchanged.
 
     Raises:
         SceneError: The shape is not that of an image.
@@ -164,12 +164,12 @@ def write_png(path: PathLike, srgb: npt.ArrayLike) -> None:
 def write_gray_png(
     path: PathLike, values: npt.NDArray[np.uint8] | npt.NDArray[np.uint16], texts: Mapping[str, str] | None = None
 ) -> None:
-    """Writes an 8-bit or a 16-bit grey PNG.
+    """Writes an 8-bit or 16-bit grey PNG.
 
     Args:
         path: The file to write. It appears complete or not at all.
-        values: Shape (H, W).
-        texts: Text chunks by their keywords, in Latin-1.
+        values: Pixels, shape (H, W).
+        texts: Text chunks by keyword, in Latin-1.
 
     Raises:
         FormatError: The file cannot be written.
@@ -187,7 +187,7 @@ def write_gray_png(
 def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
     """Converts display-referred values, 0..1, shape (H, W, 3 or 4), to 8 bits; ``path`` is named in the log.
 
-    Values that are bytes already are returned as they are.
+    Bytes are returned unchanged.
 
     Raises:
         SceneError: The shape is not that of an image.

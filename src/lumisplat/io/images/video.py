@@ -1,4 +1,4 @@
-"""Writes animations from pictures: GIF, WebP, animated PNG, and MP4 (H.264) by PyAV."""
+"""Writes frames as GIF, WebP or animated PNG, or as MP4 video (H.264) with PyAV."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
 _Bytes = npt.NDArray[np.uint8]
 
 _FPS_MAX = 50.0
-"""Largest number of frames per second: browsers show GIF frames shorter than 20 ms ten times slower."""
+"""Largest frames per second of image animations: browsers slow GIF frames shorter than 20 ms down ten times."""
 _PALETTE_PIXELS = 100_000
-"""Number of pixels, over all frames, from which the palette of a GIF is chosen: more make no visible difference."""
+"""Number of pixels, over all frames, from which a GIF palette is chosen. More make no visible difference."""
 
 _VIDEO_FPS_MAX = 240.0
-"""Largest number of frames per second: that of H.264's level 5.1 for common sizes."""
+"""Largest frames per second of a video, from H.264 level 5.1 at common sizes."""
 _FPS_DENOMINATOR = 1001
-"""Largest denominator of frame rates: 24, 12.5 and 30000/1001 are exact."""
+"""Largest denominator of frame rates, so that 24, 12.5 and 30000/1001 are exact."""
 _QUALITY = {"crf": "16", "preset": "medium"}
-"""x264's constant rate factor (its default is 23) at which compression is hardly visible."""
+"""x264 options; its default constant rate factor is 23, and at 16 compression is hardly visible."""
 _BT709 = 1
-"""Code of the primaries, the transfer function and the matrix (ITU-T H.273)."""
+"""Code of BT.709 primaries, transfer function and matrix (ITU-T H.273)."""
 _LIMITED_RANGE = 1
-"""Luma 16..235 (FFmpeg's AVCOL_RANGE_MPEG)."""
+"""Code of limited range, luma 16..235 (FFmpeg's AVCOL_RANGE_MPEG)."""
 
 
 def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> None:
-    """As `lumisplat.io.save_animation`."""
+    """Writes an animation or a video; see `lumisplat.io.save_animation`."""
     from PIL import Image
 
     suffix = Path(path).suffix.lower()
@@ -69,13 +69,13 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
 
 
 def _durations_ms(count: int, fps: float, unit: int) -> list[int]:
-    """Durations in whole units, so that any number of frames takes the right time to half a unit."""
+    """Returns frame durations, milliseconds, rounded to ``unit`` so that every total is right to half a unit."""
     ends = np.floor(np.arange(count + 1) * 1000.0 / (fps * unit) + 0.5).astype(int)
     return [int(length) * unit for length in np.diff(ends)]
 
 
 def _quantise(frames_8bit: list[_Bytes]) -> list[Image.Image]:
-    """The pictures in one palette of 256 colours, with ordered dithering."""
+    """Quantises frames to one palette of 256 colours, with ordered dithering."""
     from PIL import Image
 
     # An odd step, so that the pixels are not all in a few columns.
@@ -103,10 +103,10 @@ def _palette_bytes(image: Image.Image) -> bytes:
 
 
 def _write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) -> None:
-    """Writes an H.264 video that all players show: 4:2:0, BT.709, limited range, with the index at the start.
+    """Writes an H.264 video that all players support: 4:2:0, BT.709, limited range, with the index at the start.
 
-    Frames are taken one by one, so that they need not be in memory together. If width or height is odd, the last column
-    or row is repeated, because colours have half the resolution in both directions.
+    Frames are consumed one by one and need not be in memory together. If width or height is odd, the last column or row
+    is repeated, because chroma has half the resolution in both directions.
 
     Args:
         path: The file to write. It appears complete or not at all.
@@ -130,7 +130,7 @@ def _write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) ->
 
 
 def _with_equal_shapes(frames_8bit: Iterable[_Bytes]) -> Iterator[_Bytes]:
-    """The pictures, one by one."""
+    """Yields the frames one by one, and raises `SceneError` if their shapes differ or are not (H, W, 3)."""
     expected = "a video takes pictures of one shape (H, W, 3), got"
     shape: tuple[int, ...] | None = None
     for frame_8bit in frames_8bit:
@@ -146,7 +146,7 @@ def _with_equal_shapes(frames_8bit: Iterable[_Bytes]) -> Iterator[_Bytes]:
 
 
 def _encode(av: Any, path: Path, frames_8bit: Iterable[_Bytes], shape: tuple[int, ...], rate: Fraction) -> None:
-    """Encodes pictures of one shape with PyAV."""
+    """Encodes frames of one shape with PyAV."""
     with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
         stream = container.add_stream("libx264", rate=rate, options=_QUALITY)
         stream.height, stream.width = (size + size % 2 for size in shape[:2])
@@ -164,6 +164,6 @@ def _encode(av: Any, path: Path, frames_8bit: Iterable[_Bytes], shape: tuple[int
 
 
 def _even(frame_8bit: _Bytes) -> _Bytes:
-    """The picture, with its last row or column repeated if their number is odd."""
+    """Returns the frame with its last row or column repeated if their number is odd."""
     height, width, _ = frame_8bit.shape
     return np.pad(frame_8bit, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -1,1 +1,1 @@
-"""Scene files: the tables of a `scene.toml`, one module for each kind of table."""
+"""Reads the tables of a scene file, ``scene.toml``, with one module for each kind of table."""

@@ -1,12 +1,12 @@
-"""Actors of a scene file, which move by their own clip or frames and by keyframes.
+"""Reads the actors of a scene file: animated objects that move by a clip, by a frame sequence, or by keyframes.
 
 [[actors]]
 path = "walker.glb"                     # a rig, a folder of frames, a capture or a mesh
-position = [0.0, 0.0, 2.0]              # placed first ...
+position = [0.0, 0.0, 2.0]              # the placement is applied first ...
 speed = 1.2
 name = "walker"
 
-[[actors.keyframes]]                    # ... then moved
+[[actors.keyframes]]                    # ... then the keyframes
 time = 0.0
 position = [-1.0, 0.0, 0.0]
 
@@ -71,19 +71,19 @@ _KEY_OWNERS = {
     "vertex_colors": "a rig",
     "fps": "a folder of frames",
 }
-"""Keys that only some actors have, and which actors these are."""
+"""Keys that only some kinds of files accept, and the names of these kinds in error messages."""
 
 Load = Callable[..., Gaussians | Mesh | Scene]
-"""Loads a file by its path; entries that say so give ``lod`` and ``budget``, too."""
+"""Loads a file by its path; ``lod`` and ``budget`` are passed too if the entry gives them."""
 
 
 def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
-    """The actors of a scene file that are not hidden, in order. A file named twice in the same form is loaded once.
+    """Reads the actors of a scene file that are not hidden, in order. A file used twice in one form is loaded once.
 
     Args:
-        document: Top table of the scene file.
+        document: Top-level table of the scene file.
         load: Reads one capture or mesh.
-        scene: What stands still; an actor that says no place is put into its captures, beside the actors before it.
+        scene: The static scene. An actor without a placement is inserted into its captures, beside earlier actors.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -99,21 +99,21 @@ def read_actors(document: TomlTable, load: Load, scene: Scene) -> list[Actor]:
 
 
 def with_instances(scene: Scene, instances: Sequence[SplatInstance | MeshInstance]) -> Scene:
-    """Returns a scene with further captures and meshes."""
+    """Returns the scene with further captures and meshes."""
     splats = tuple(instance for instance in instances if isinstance(instance, SplatInstance))
     meshes = tuple(instance for instance in instances if isinstance(instance, MeshInstance))
     return replace(scene, splats=(*scene.splats, *splats), meshes=(*scene.meshes, *meshes))
 
 
 def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | None = None) -> Actor:
-    """The actor of an entry.
+    """Reads one entry of ``[[actors]]``.
 
     Args:
         table: The entry.
-        subjects: Makes what it shows.
+        subjects: Cache that loads the files of actors.
         up: Unit vector that points up in the scene.
-        scene: What is there already, not empty; an actor that says no place is put into it. None: it stays as it is in
-            its file.
+        scene: Non-empty scene into which an actor without a placement is inserted. None leaves such an actor where its
+            file has it.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a file cannot be read.
@@ -137,7 +137,7 @@ def read_actor(table: TomlTable, subjects: Subjects, up: Vector, scene: Scene | 
 
 
 def _motion(table: TomlTable) -> Keyframes | None:
-    """The keyframes of an entry; a key that one leaves out keeps the value of the one before."""
+    """Reads the keyframes of an entry. A keyframe inherits missing keys from the previous keyframe."""
     frames: list[Values] = []
     last: Values = {"position": [0.0, 0.0, 0.0], "rotation_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": 1.0}
     for entry in table.tables("keyframes"):
@@ -157,20 +157,20 @@ def _motion(table: TomlTable) -> Keyframes | None:
 
 @dataclass(slots=True)
 class Subjects:
-    """The subjects that entries name, in the form that they ask for, each made once."""
+    """Loads the files of actors in the requested form (Gaussians, mesh, rig or sequence), and caches the results."""
 
     load: Load
     _subjects: dict[tuple[object, ...], Subject] = field(default_factory=dict[tuple[object, ...], Subject])
     _captures: set[Path] = field(default_factory=set[Path])
-    """Files of captures, which have the up of captures; others have y up."""
+    """Files that hold captures, whose up direction is that of the capture; all other files are y up."""
 
     def has_y_up(self, table: TomlTable, given: Values) -> bool:
-        """Whether the file of an entry has y up: it is no capture, and no folder of such."""
+        """Returns whether the file of an entry is y up, which is every file except captures and folders of captures."""
         self.get(table, given)
         return table.file("path") not in self._captures
 
     def get(self, table: TomlTable, given: Values) -> Subject:
-        """The subject of an entry."""
+        """Returns the loaded file of an entry."""
         file = table.file("path")
         if given.get("form", "gaussians") not in _FORMS:
             raise table.wrong("form", " or ".join(_FORMS))
@@ -212,7 +212,7 @@ class Subjects:
 
 
 def _refuse_foreign_keys(table: TomlTable, given: Values, known: set[str], kind: str) -> None:
-    """Refuses keys that have no meaning for the kind of the file."""
+    """Raises `FormatError` if the entry has a key that its kind of file does not accept."""
     for key, owner in _KEY_OWNERS.items():
         if key in given and key not in known:
             raise table.error(f"{key} is of {owner}, but path is {given['path']!r}, {kind}", key)

@@ -1,13 +1,13 @@
-"""The captures and meshes that entries of a scene file name, changed and placed as these say.
+"""Loads the captures and meshes of scene file entries, applies the changes of the entries, and places them.
 
 [[meshes]]
 path = "table.glb"
-part = "leg"                        # of a file with several meshes, this one alone, by its name or number
-hidden = true                       # read and checked, but not shown
+part = "leg"                        # only this mesh of a file with several, by its name or number
+hidden = true                       # read and checked, but not rendered
 
 [[splats]]
 path = "garden.ply"
-crop_low = [-2.0, -3.0, -2.0]       # corners of a box in the file's coordinates: only Gaussians inside it are shown
+crop_low = [-2.0, -3.0, -2.0]       # box corners in file coordinates: Gaussians outside the box are removed
 crop_high = [2.0, 0.5, 2.0]
 """
 
@@ -68,7 +68,7 @@ def _is_size(value: object) -> bool:
 
 
 _SIZE = Kind("a number, two (plane) or three (box)", _is_size)
-"""Edges of a box or a plane, or the diameter of a sphere."""
+"""Edge lengths of a box or a plane, or the diameter of a sphere."""
 
 _ENTRY = {
     "path": TEXT,
@@ -100,16 +100,16 @@ ENTRY_KEYS = {
         "shadow_catcher": FLAG,
     },
 }
-"""Keys of captures and meshes, by heading."""
+"""Allowed keys of captures and meshes, by heading."""
 
 _CHANGES = ("kernel_degree", "crease_angle_degrees", "crop_low", "crop_high")
-"""Keys of an entry that change the form of the asset itself, not where it stands."""
+"""Keys of an entry that change the asset itself, not its placement."""
 
 _Key = tuple[str, ...]
 
 
 def _shape_mesh(table: TomlTable, given: Values) -> Mesh:
-    """The mesh of an entry with a ``shape``: of size 1, unless ``size`` says otherwise."""
+    """Creates the mesh of an entry with a ``shape``; ``size`` is 1 by default."""
     shape, size = given["shape"], given.get("size", 1.0)
     if shape not in _SHAPES:
         raise table.error(f"shape is {shape!r}, {suggestion(shape, _SHAPES)}", "shape")
@@ -129,36 +129,37 @@ def _shape_mesh(table: TomlTable, given: Values) -> Mesh:
 
 @dataclass(frozen=True, slots=True)
 class PlacedEntry:
-    """What an entry puts into the scene."""
+    """Instances and lights that an entry adds to the scene."""
 
     splats: tuple[SplatInstance, ...] = ()
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
     world_from_file: Doubles = field(default_factory=lambda: np.eye(4))
-    """Where it stands, a similarity, shape (4, 4)."""
+    """Placement of the entry, a similarity transform, shape (4, 4)."""
     assets: tuple[Scene, ...] = ()
-    """What it was made from: its file as loaded, with its changes, and with its material. `Assets` knows these as long
-    as there is an entry that holds them."""
+    """Assets of the entry: the loaded file, the file with the entry's changes, and with its material.
+
+    `Assets` caches them only as long as an entry references them here."""
 
 
 @dataclass(slots=True)
 class Assets:
-    """The assets that entries name. Each file is loaded once; entries with equal changes share the changed asset.
+    """Loads and caches the assets of entries. Files are loaded once, and entries with equal changes share one asset.
 
-    A material is a change of its own, after all others: another one leaves the Gaussians of a capture as they are.
+    The material is applied last, so that a new material leaves the Gaussians of a capture unchanged.
     """
 
     load: Load
     materials: dict[str, MaterialTable]
     up: Vector
-    """Up of the scene."""
+    """Unit vector that points up in the scene."""
     memory: Mapping[str, Scene] = field(default_factory=dict[str, Scene])
-    """Assets that are not from files, by what entries give as their path."""
+    """In-memory assets, by the name that entries give as their ``path``."""
     _cache: WeakValueDictionary[_Key, Scene] = field(default_factory=WeakValueDictionary[_Key, Scene])
-    """By file and changes."""
+    """Assets by file and changes."""
 
     def splats(self, table: TomlTable) -> PlacedEntry:
-        """The captures of an entry in the world."""
+        """Reads an entry of ``[[splats]]`` and places its captures in the world."""
         given, world_from_file = _read_entry(table, "splats", self.up)
         assets = self._assets(table, "splats", given)
         settings = {key: given[key] for key in ("sh_degree", "shadow_catcher") if key in given}
@@ -176,12 +177,12 @@ class Assets:
             raise table.failed(error) from None
 
     def meshes(self, table: TomlTable, existing: Scene | None = None) -> PlacedEntry:
-        """The meshes and lights of an entry in the world, and the captures of a scene that has such.
+        """Reads an entry of ``[[meshes]]``, and places its meshes, lights and any captures of its file in the world.
 
         Args:
             table: The entry.
-            existing: What is there already, not empty; an entry that says no place is put into it. None: it stays as it
-                is in its file.
+            existing: Non-empty scene into which an entry without a placement is inserted. None leaves such an entry
+                where its file has it.
         """
         given, world_from_file = _read_entry(table, "meshes", self.up)
         assets = self._assets(table, "meshes", given)
@@ -215,11 +216,11 @@ class Assets:
             raise table.failed(error) from None
 
     def part_names(self, table: TomlTable) -> list[str]:
-        """The names of the meshes of an entry's file, whichever of them it shows."""
+        """Returns the names of all meshes in an entry's file, whatever its ``part`` is."""
         return _mesh_names(self._assets(table, "meshes", table.values)[-1])
 
     def _part(self, table: TomlTable, given: Values, scene: Scene) -> Scene:
-        """The one mesh that an entry shows, without lights; all if it does not say."""
+        """Returns the single mesh that ``part`` names, without lights, or the whole scene if there is no ``part``."""
         part = given.get("part")
         if part is None:
             return scene
@@ -236,7 +237,10 @@ class Assets:
         return Scene(meshes=(scene.meshes[names.index(part) if isinstance(part, str) else part],))
 
     def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
-        """What moves the lowest point of an entry to its ``ground``, shape (4, 4); without that, nothing."""
+        """Returns the translation that puts the entry's lowest point at ``ground``, shape (4, 4).
+
+        Without ``ground`` it is the identity.
+        """
         move = np.eye(4)
         if not isinstance(given.get("ground", False), bool) and placed:
             height = min(lowest(instance, self.up) for instance in placed)
@@ -244,7 +248,7 @@ class Assets:
         return move
 
     def _assets(self, table: TomlTable, heading: str, given: Values) -> tuple[Scene, ...]:
-        """The contents of an entry's file, or its shape; with the changes of the entry; and with its material."""
+        """Returns the entry's asset as loaded, with its changes, and, if it has a ``material``, with that material."""
         if "path" in given:
             key, loaded = self._loaded(table, heading, given)
         else:
@@ -262,7 +266,7 @@ class Assets:
         return loaded, changed, self._cached(key, lambda: self._with_material(changed, table))
 
     def _loaded(self, table: TomlTable, heading: str, given: Values) -> tuple[_Key, Scene]:
-        """The contents of an entry's file, and what they are known by."""
+        """Loads the file of an entry. Returns its cache key and contents."""
         if "size" in given or "shape" in given:
             key = "shape" if "shape" in given else "size"
             raise table.error(f"path and {key} are both given: an entry is a file or a shape", key)
@@ -282,14 +286,14 @@ class Assets:
         return key, scene
 
     def _cached(self, key: _Key, make: Callable[[], Scene]) -> Scene:
-        """What is known by a key, made unless there is an entry that has it."""
+        """Returns the cached asset of a key, or creates and caches it."""
         scene = self._cache.get(key)
         if scene is None:
             scene = self._cache[key] = make()
         return scene
 
     def _with_material(self, scene: Scene, table: TomlTable) -> Scene:
-        """The assets with the material of an entry."""
+        """Returns the scene with the entry's material on all meshes and captures."""
         material = entry_material(table, self.materials)
         assert material is not None
         try:
@@ -308,7 +312,7 @@ class Assets:
 
 
 def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, int | None]:
-    """What an entry says of the level of detail of its file, as arguments of `lumisplat.load`; else nothing."""
+    """Converts ``lod`` and ``lod_budget`` of an entry to arguments of `lumisplat.load`; empty if it has neither."""
     stated = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
     if len(stated) == 2:
         raise table.error("lod and lod_budget do not go together: each chooses the level by itself", "lod_budget")
@@ -321,7 +325,7 @@ def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, i
 
 
 def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
-    """The assets of a file, changed in form."""
+    """Applies kernel degree, crop box and crease angle to the assets of a file."""
     try:
         if "kernel_degree" in changes:
             degree = changes["kernel_degree"]
@@ -343,17 +347,17 @@ def _with_changes(scene: Scene, table: TomlTable, changes: Values) -> Scene:
 
 
 def _is_capture(scene: Scene) -> bool:
-    """Whether it is a capture alone. A scene of a glTF that has captures says which way is up."""
+    """Returns whether the scene is a lone capture. A glTF scene that contains captures states its up direction."""
     return bool(scene.splats) and scene.up is None
 
 
 def _mesh_names(scene: Scene) -> list[str]:
-    """The names of the meshes of a file."""
+    """Returns the names of all meshes in a scene."""
     return [instance.name or instance.mesh.name for instance in scene.meshes]
 
 
 def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
-    """The corners of an entry's crop box, both of which are needed, the lower one first."""
+    """Reads both corners of the crop box, the lower one first; a single corner is an error."""
     for key in ("crop_low", "crop_high"):
         if key not in given:
             raise table.error(f"lacks {key}, three numbers: a box has two corners")
@@ -364,7 +368,7 @@ def _box(table: TomlTable, given: Values) -> tuple[list[float], list[float]]:
 
 
 def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Doubles]:
-    """The values of an entry, and ``world_from_file``."""
+    """Checks the values of an entry. Returns them and ``world_from_file``."""
     given = table.take(ENTRY_KEYS[heading], required=() if "shape" in table.values else ("path",))
     if not np.isfinite(given.get("ground", 0.0)):
         raise table.wrong("ground", "a height, a finite number")
@@ -374,7 +378,7 @@ def _read_entry(table: TomlTable, heading: str, up: Vector) -> tuple[Values, Dou
 
 
 def _as_scene(asset: Gaussians | Mesh | Scene) -> Scene:
-    """A scene as it is; one of a single asset has it at the origin."""
+    """Wraps a single capture or mesh in a scene, at the origin; returns scenes unchanged."""
     if isinstance(asset, Scene):
         return asset
     if isinstance(asset, Mesh):

@@ -1,4 +1,4 @@
-"""Cameras of a scene file: those of a camera file, or one by its eye and target.
+"""Reads the cameras of a scene file: all cameras of a camera file, or one camera given by eye and target.
 
 [[cameras]]
 path = "transforms.json"            # or cameras.json, or a glTF scene
@@ -8,9 +8,9 @@ name = "front"
 eye = [0.0, 1.0, 4.0]
 target = [0.0, 0.5, 0.0]
 fov_y_degrees = 45.0
-distortion = [-0.1, 0.02, 0.0, 0.0, 0.0, 0.0]   # k1 k2 k3 k4 p1 p2, as of Camera
+distortion = [-0.1, 0.02, 0.0, 0.0, 0.0, 0.0]   # k1 k2 k3 k4 p1 p2, see Camera
 
-[[cameras]]                         # one that moves
+[[cameras]]                         # a moving camera
 name = "flight"
 target = [0.0, 0.5, 0.0]
 
@@ -20,7 +20,7 @@ eye = [0.0, 1.0, 4.0]
 
 [[cameras.keyframes]]
 time = 2.0
-eye = [3.0, 1.0, 3.0]               # what a keyframe leaves out stays as it was
+eye = [3.0, 1.0, 3.0]               # missing keys are inherited from the previous keyframe
 """
 
 from __future__ import annotations
@@ -77,23 +77,23 @@ _CAMERA_KEYFRAME_KEYS = {
 
 
 class LoadCameras(Protocol):
-    """Reads a camera file, whose frames may need a width and a height; as `lumisplat.io.load_cameras`."""
+    """Signature of `lumisplat.io.load_cameras`. Width and height apply to frames without a size."""
 
     def __call__(self, path: Path, /, *, width: int | None, height: int | None) -> list[Camera]:
-        """The cameras of the file."""
+        """Reads the cameras of a file."""
         ...
 
 
 def read_scene_cameras(
     document: TomlTable, load: LoadCameras, width: int | None = None, height: int | None = None
 ) -> list[Camera]:
-    """The cameras of a scene file, in order, with distinct names.
+    """Reads the cameras of a scene file, in order, with distinct names.
 
     Args:
-        document: Top table of the scene file.
+        document: Top-level table of the scene file.
         load: Reads a camera file.
-        width: Width of frames of camera files for which neither the file nor the entry gives a size.
-        height: Height of such frames.
+        width: Image width of camera-file frames for which neither the file nor the entry gives a size.
+        height: Image height of these frames.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or a camera file cannot be read.
@@ -127,7 +127,7 @@ def _cameras_of_file(table: TomlTable, load: LoadCameras, width: int | None, hei
 
 
 def read_camera_path(document: TomlTable) -> CameraPath | None:
-    """The first camera of a scene file that moves; None: all stand still.
+    """Reads the first moving camera of a scene file, or returns None if all cameras are static.
 
     Raises:
         FormatError: A key is unknown, or a value is invalid.
@@ -139,14 +139,14 @@ def read_camera_path(document: TomlTable) -> CameraPath | None:
 
 
 def _entry_camera(table: TomlTable, up: Vector) -> Camera:
-    """The camera of an entry, of one that moves at its first keyframe."""
+    """Reads the camera of an entry; a moving camera is taken at its first keyframe."""
     if "keyframes" in table.values:
         return _entry_path(table, up).cameras[0]
     return _camera(table, table.take(_VIEW_KEYS, required=("eye", "target")), up)
 
 
 def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
-    """The way of an entry through its keyframes; a key that one leaves out keeps the value of the one before."""
+    """Reads the keyframes of an entry. A keyframe inherits missing keys from the previous keyframe."""
     last = table.take(_VIEW_KEYS)
     del last["keyframes"]
     times: list[float] = []
@@ -170,7 +170,7 @@ def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
 
 
 def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
-    """A camera of `Camera.look_at`; without ``up`` among the values, that of the scene is up in the image."""
+    """Creates a camera by `Camera.look_at`. The default ``up`` is that of the scene."""
     values: dict[str, Any] = dict(given)
     models = {model.value: model for model in CameraModel}
     name = values.get("model", "pinhole")
@@ -195,7 +195,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
 
 
 def _move(camera: Camera, world_from_file: npt.NDArray[np.float64]) -> Camera:
-    """Moves a camera by a similarity transform, which also scales the lengths of the camera."""
+    """Applies a similarity transform to a camera, which also scales its near plane, aperture and focus distance."""
     scale = float(np.cbrt(np.linalg.det(world_from_file[:3, :3])))
     file_from_world = np.linalg.inv(world_from_file)
     focal = 1.0 / scale if camera.model is CameraModel.ORTHOGRAPHIC else 1.0

@@ -1,8 +1,8 @@
-"""Settings of the renderer in TOML: the ``[render]`` table of a scene file, with a table below it for each stage.
+"""Reads and writes render settings in TOML: the ``[render]`` table of a scene file, with one subtable for each stage.
 
 [render]
-pipeline = "hybrid"             # an enum by its value
-lighting = "auto"               # None by a word: "auto", of the background "none"; else true, false, "on" or "off"
+pipeline = "hybrid"             # an enum is written as its value
+lighting = "auto"               # None is written as "auto", or "none" for a colour; flags also take "on" and "off"
 samples = 16
 
 [render.shadow_rays]
@@ -31,23 +31,23 @@ if TYPE_CHECKING:
 _Config = TypeVar("_Config")
 
 _FLAG_WORDS = {"on": True, "off": False}
-"""Words for a flag that may be None, as the shell has them: ``--lighting off``."""
+"""Words for an optional flag, as on the command line: ``--lighting off``."""
 
 
 def read_config(document: TomlTable) -> RenderConfig:
-    """The settings of a scene file; defaults for those that it does not name.
+    """Reads the render settings of a scene file; missing settings get their defaults.
 
     Raises:
-        FormatError: An unknown setting, or a bad value.
+        FormatError: A setting is unknown, or its value is invalid.
     """
     return read_settings(document.table("render"), RenderConfig)
 
 
 def write_config(path: PathLike, config: RenderConfig) -> None:
-    """Writes every setting; see `lumisplat.io.save_config`.
+    """Writes all render settings to a TOML file; see `lumisplat.io.save_config`.
 
     Raises:
-        ConfigError: ``config`` is no RenderConfig.
+        ConfigError: ``config`` is not a `RenderConfig`.
         FormatError: The file cannot be written.
     """
     if not isinstance(config, RenderConfig):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -58,15 +58,15 @@ def write_config(path: PathLike, config: RenderConfig) -> None:
 
 
 def read_settings(table: TomlTable, kind: type[_Config], base: _Config | None = None) -> _Config:
-    """The settings of a table, those of groups in tables below it; defaults for those that it does not name.
+    """Reads settings from a table, and groups of settings from its subtables.
 
     Args:
-        table: Its keys are names of fields.
-        kind: The class of the settings.
-        base: Has the settings that the table does not name; None: their defaults.
+        table: Table whose keys are field names of ``kind``.
+        kind: Dataclass of the settings.
+        base: Settings to use for missing keys; None uses the defaults.
 
     Raises:
-        FormatError: An unknown setting, or a bad value.
+        FormatError: A setting is unknown, or its value is invalid.
     """
     declared = {one.name: one for one in settings_of(kind)}
     table.check_keys(declared)
@@ -78,10 +78,10 @@ def read_settings(table: TomlTable, kind: type[_Config], base: _Config | None = 
 
 
 def changed_setting(base: _Config, name: str, text: str) -> _Config:
-    """Returns settings with one of them changed; see `lumisplat.io.change_config`.
+    """Returns a copy of the settings with one setting changed; see `lumisplat.io.change_config`.
 
     Raises:
-        ConfigError: There is no such setting, or the value is a bad one.
+        ConfigError: There is no such setting, or its value is invalid.
     """
     try:
         value: object = tomllib.loads(f"value = {text}")["value"]
@@ -104,7 +104,7 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
 
 
 def _setting(table: TomlTable, setting: Setting, base: object) -> object:
-    """The value of a setting, of its kind; whether it is in its range is checked by the settings."""
+    """Converts the TOML value of a setting to its Python type. The settings class checks ranges."""
     key, value = setting.name, table.values[setting.name]
     none = _word_for_none(setting) if setting.is_optional else ""
     if none and value == none:
@@ -130,12 +130,12 @@ def _setting(table: TomlTable, setting: Setting, base: object) -> object:
 
 
 def _word_for_none(setting: Setting) -> str:
-    """How None is written."""
+    """Returns the word that stands for None in TOML, which has no null."""
     return "none" if setting.kind == "color" else "auto"
 
 
 def _enum_member(table: TomlTable, setting: Setting) -> Enum:
-    """The member of an enum that a key names by its value."""
+    """Finds the enum member that has the value of a setting."""
     key, value = setting.name, table.values[setting.name]
     members = {str(member.value): member for member in setting.choices}
     if not isinstance(value, str):
@@ -146,12 +146,12 @@ def _enum_member(table: TomlTable, setting: Setting) -> Enum:
 
 
 def changed_settings(config: DataclassInstance) -> dict[str, Any]:
-    """The settings that differ from the defaults, as a table of a scene file has them; those of groups in tables."""
+    """Returns the settings that differ from their defaults, as nested TOML tables."""
     return _table(config, type(config)())
 
 
 def _table(config: object, base: object = None) -> dict[str, Any]:
-    """Returns settings as a table of a scene file has them: all, or those that differ from others."""
+    """Converts settings to nested TOML tables: all settings, or only those that differ from ``base``."""
     table: dict[str, Any] = {}
     for one in settings_of(type(config)):
         value, before = getattr(config, one.name), getattr(base, one.name, None)
@@ -164,7 +164,7 @@ def _table(config: object, base: object = None) -> dict[str, Any]:
 
 
 def _toml_value(setting: Setting, value: object) -> object:
-    """The value of a setting as a table has it."""
+    """Converts the value of a setting to a TOML value."""
     if value is None:
         return _word_for_none(setting)
     if isinstance(value, tuple):

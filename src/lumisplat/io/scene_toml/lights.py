@@ -1,7 +1,7 @@
-"""Lights and the environment of a scene file.
+"""Reads the lights and the environment of a scene file.
 
 [[lights]]
-type = "spot"                       # the kind of a class of scene/lights.py
+type = "spot"                       # see the classes of scene/lights.py
 position = [0.0, 2.0, 0.0]
 direction = [0.0, -1.0, 0.0]
 intensity = 40.0                    # candela
@@ -35,11 +35,11 @@ from lumisplat.scene.lights import LIGHT_KINDS, Light, LightEnvironment, LightSp
 _Light = TypeVar("_Light", bound=Light)
 
 _OTHER_NAMES = {"sun": "directional", "distant": "directional", "area": "rect", "quad": "rect"}
-"""What other programs call a type of light."""
+"""Light types of other renderers and the matching type of a scene file, for error messages."""
 
 
 def read_light(table: TomlTable) -> Light:
-    """The light of one entry of ``[[lights]]``.
+    """Reads an entry of ``[[lights]]``.
 
     Raises:
         FormatError: The type or a key is unknown, or a value is invalid.
@@ -65,18 +65,18 @@ def read_light(table: TomlTable) -> Light:
 
 
 def _aim_keys(kind: type[Light]) -> dict[str, Kind]:
-    """Keys that stand for others: a size is a pair, all else a position."""
+    """Returns alternative keys that aim a light, with their kinds: ``size`` is a pair, all others are positions."""
     return {key: PAIR if key == "size" else VECTOR for key in kind.aim_keys}
 
 
 def _required(kind: type[Light], table: TomlTable) -> list[str]:
-    """The keys that a light needs: those without a default, and something that says where it shines."""
+    """Returns the required keys of a light: those without a default, and its direction unless another key aims it."""
     is_aimed = any(key in table.values for key in kind.aim_keys if key != "size")
     return required_keys(kind) + ([] if is_aimed else list(kind.aim_fields))
 
 
 def read_environment(table: TomlTable) -> LightEnvironment:
-    """The light of ``[environment]``: an image, a colour, or both.
+    """Reads ``[environment]``: an environment map, a constant colour, or a map multiplied by a colour.
 
     Raises:
         FormatError: A key is unknown, a value is invalid, or the image cannot be read.
@@ -90,7 +90,7 @@ def read_environment(table: TomlTable) -> LightEnvironment:
 
 
 def _make(table: TomlTable, kind: type[_Light], values: Values) -> _Light:
-    """An object from the values of a table."""
+    """Creates a light; an invalid value becomes an error that names the file and line."""
     try:
         return kind(**values)
     except SceneError as error:

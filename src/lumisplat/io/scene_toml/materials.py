@@ -1,4 +1,4 @@
-"""Materials of a scene file: by name in ``[materials.NAME]``, or written where they are used.
+"""Reads the materials of a scene file: named ones in ``[materials.NAME]``, or inline tables of entries.
 
 [materials.varnish]
 type = "pbr"                        # or "simple"; "pbr" is the default
@@ -21,24 +21,24 @@ from lumisplat.io.scene_toml.toml_table import TEXT, TomlTable, Values, is_objec
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 
 MATERIAL_KINDS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
-"""Materials by their type in a scene file."""
+"""Material classes by their ``type`` in a scene file."""
 _SHARED = ("base_color", "base_color_texture", "name")
-"""Properties that both kinds of material have, and that stay when the kind changes."""
+"""Properties that both material types have. They are preserved when the type changes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialTable:
-    """A material of a scene file: its kind, and the values that it sets."""
+    """A material of a scene file: its type, and only the values that the file sets."""
 
     kind: type[MaterialPbr] | type[MaterialSimple]
     values: Values
 
     def apply_to(self, file_material: Material | None) -> Material:
-        """The material of a surface whose file gives it the material ``own``.
+        """Returns the material of a surface after this table overrides the material of its file.
 
-        Values that are not set stay as in ``own`` if it is of the same kind; of a material of the other kind, only
-        colour, texture and name stay. A texture is shown as it is on a surface that has no colour of its own, not times
-        the grey of such surfaces.
+        Unset values are taken from ``file_material`` if it is of the same type; of another type, only base colour, base
+        colour texture and name are kept. If the table sets a base colour texture and the surface has the default grey,
+        the base colour becomes white, so that the texture is not darkened.
         """
         if isinstance(file_material, self.kind):
             is_grey = isinstance(file_material, MaterialPbr) and file_material.base_color == MaterialPbr().base_color
@@ -49,7 +49,7 @@ class MaterialTable:
 
 
 def read_materials(document: TomlTable) -> dict[str, MaterialTable]:
-    """The named materials of a scene file.
+    """Reads the named materials of a scene file.
 
     Raises:
         FormatError: A material is not a table, or is invalid.
@@ -59,11 +59,11 @@ def read_materials(document: TomlTable) -> dict[str, MaterialTable]:
 
 
 def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
-    """A material that is written as a table.
+    """Reads one material table.
 
     Args:
         table: The table.
-        name: Name of the material, if the table does not set one.
+        name: Default name of the material.
     """
     type_name = table.values.get("type", "pbr")
     kind = MATERIAL_KINDS.get(type_name) if isinstance(type_name, str) else None
@@ -84,10 +84,10 @@ def _read_material(table: TomlTable, name: str | None = None) -> MaterialTable:
 
 
 def entry_material(entry: TomlTable, named: Mapping[str, MaterialTable]) -> MaterialTable | None:
-    """The ``material`` of an entry, which is a name or a table; None if it has none.
+    """Reads the ``material`` of an entry, a name or an inline table; None if the entry has none.
 
     Raises:
-        FormatError: There is no such name, or the table is invalid.
+        FormatError: There is no material of this name, or the table is invalid.
     """
     given = entry.values.get("material")
     if given is None:

@@ -1,7 +1,7 @@
-"""Places the entries of a scene file: points are scaled, then rotated, then translated; and finds which way is up.
+"""Places the entries of a scene file (scale, then rotation, then translation), and finds the scene's up direction.
 
-Up is ``up = "z-up"`` at the top of the file, else what its captures state, else a guess. It is found without reading
-Gaussians where a format allows that.
+Up is the ``up`` at the top of the file, or else what its captures state, or else a guess. The captures are searched
+without reading their Gaussians where the format allows it.
 """
 
 from __future__ import annotations
@@ -38,38 +38,39 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 _log = logging.getLogger("lumisplat")
 
 PLACEMENT = {"position": VECTOR, "rotation_wxyz": QUATERNION, "scale": NUMBER}
-"""Keys of the placement of an entry."""
+"""Keys that place an entry: position, rotation and scale."""
 STANDING = {"rotation_degrees": VECTOR, "look_at": VECTOR, "front": TEXT, "upright": FLAG}
-"""Further keys of captures, meshes and actors: rotations in other words than a quaternion."""
+"""Further rotation keys of captures, meshes and actors, instead of a quaternion."""
 
 
 _ROUNDING = 1e-15
-"""Of the length of a direction that was normalised."""
+"""Rounding error of the length of a normalised direction."""
 _ROTATION_KEYS = ("rotation_wxyz", "rotation_degrees", "look_at", "upright")
 
 
 _UPRIGHT_MIN = 0.7
-"""Height of y along up below which what has y up does not stand."""
+"""Smallest y component of the scene's up direction at which a y-up object counts as upright."""
 
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 
 def _is_saved(document: TomlTable) -> bool:
-    """Whether a program has saved a scene file: up is a direction of length 1, to the last digit."""
+    """Returns whether a program saved the scene file: its ``up`` is a unit vector to the last digit."""
     up: Any = document.values.get("up")
     is_written = VECTOR.accepts(up) and all(isinstance(value, float) for value in up)
     return is_written and abs(float(np.linalg.norm(up)) - 1.0) <= _ROUNDING
 
 
 def is_placed(values: Mapping[str, Any]) -> bool:
-    """Whether an entry says where it is or how it is turned: then it stands as it says, and nothing is assumed."""
+    """Returns whether an entry states a position, rotation or ground height; its placement is then used as stated."""
     return any(key in values for key in ("position", *_ROTATION_KEYS)) or values.get("ground", False) is not False
 
 
 def keep_saved_positions(document: TomlTable) -> None:
-    """Keeps meshes and actors of a scene file that a program saved where they were: at the origin, it wrote no place.
+    """Leaves unplaced meshes and actors of a saved scene file at the origin, where they were when the file was saved.
 
-    Programs write up as a direction of length 1, to the last digit. Those of today write all places.
+    Earlier versions saved no position for objects at the origin. Saved files are recognised by their unit ``up``;
+    current versions save every position.
     """
     if not _is_saved(document):
         return
@@ -84,9 +85,9 @@ def keep_saved_positions(document: TomlTable) -> None:
 
 
 def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
-    """Says of meshes and actors of files that they lie as in their files, where y is not up, though they have a place.
+    """Warns of placed meshes and actors that stay y up although the scene is not y up.
 
-    Files that a program saved mean it, and so does who writes ``upright = false``.
+    Saved files and entries with ``upright = false`` are intentional and cause no warning.
     """
     if not document.tables("splats") or up[1] > _UPRIGHT_MIN or _is_saved(document):
         return
@@ -108,13 +109,13 @@ def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
 def insert_entry(
     table: TomlTable, scene: Scene, instances: Sequence[MeshInstance | SplatInstance], instances_up: Vector | None
 ) -> npt.NDArray[np.float64]:
-    """Puts what an entry without a place shows into the captures of a scene, and says so: ``world_from_file``.
+    """Inserts an entry without a placement into the captures of a scene, and logs where. Returns ``world_from_file``.
 
     Args:
-        table: The entry; ``scale``, ``front`` and ``ground = false`` are obeyed.
-        scene: What is there already, with a capture at least.
-        instances: What the entry shows, where its file has it.
-        instances_up: Up in that file; None: y.
+        table: The entry; ``scale``, ``front`` and ``ground = false`` are respected.
+        scene: Scene with at least one capture.
+        instances: Captures and meshes of the entry, in the coordinates of its file.
+        instances_up: Up direction of the file; None for y up.
 
     Raises:
         FormatError: The scale is not positive.
@@ -133,7 +134,7 @@ def insert_entry(
 
 
 def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
-    """Stands an actor upright that keyframes move, but do not turn, and says so: ``world_from_file``.
+    """Rotates an actor upright whose keyframes move but do not rotate it, and logs it. Returns ``world_from_file``.
 
     Raises:
         FormatError: The scale is not positive.
@@ -150,15 +151,15 @@ def _warn(table: TomlTable, line: str) -> None:
 
 
 def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.float64]:
-    """``world_from_file`` of an entry, shape (4, 4).
+    """Returns ``world_from_file`` of an entry, shape (4, 4).
 
     Args:
-        table: An entry whose values have the right kinds.
+        table: Entry whose values have the right types.
         up: Unit vector that points up in the scene, for ``upright`` and ``look_at``.
 
     Raises:
-        FormatError: A value is not finite, the scale is not positive, the rotation has zero length, or it is given
-            twice.
+        FormatError: A value is not finite, the scale is not positive, the rotation has zero length, or two rotations
+            are given.
     """
     rotation_keys = [key for key in STANDING if key in table.values]
     if rotation_keys:
@@ -188,13 +189,14 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
 
 
 def stated_up(path: Path) -> Vector | None:
-    """Returns the unit vector that points up in a capture, in its own coordinates.
+    """Returns the up direction that a capture file states, a unit vector in its own coordinates.
 
     Args:
-        path: A file or folder of any format.
+        path: File or folder of any format.
 
     Returns:
-        None if the file states no up, is no capture, or cannot be read, which whoever reads it will say.
+        None if the file states no up direction, is not a capture, or cannot be read; the loader reports the error
+        later.
     """
     try:
         with parsing(path, "a capture"):
@@ -208,7 +210,7 @@ def stated_up(path: Path) -> Vector | None:
 
 
 def _up_by_values(path: Path, kind: str) -> Vector | None:
-    """Returns what is stated beside the Gaussians of a file."""
+    """Returns the up direction from the metadata of a file, without reading its Gaussians."""
     if kind == ".ply":
         return orientation_of_comments(path, read_ply_header(path).comments).up
     if kind in (BLOCKS, STREAMED_SOG):
@@ -221,9 +223,9 @@ def _up_by_values(path: Path, kind: str) -> Vector | None:
 
 @lru_cache(maxsize=64)
 def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
-    """Returns the up of a capture whose format says how it stands; only the place of its node tells that.
+    """Returns the up direction of a glTF or USD capture, which depends on the transform of its node.
 
-    The whole file is read for it, once for each of its versions, and without log lines: who loads it logs them.
+    The whole file is read for it, once per file version. Log lines are suppressed; the loader logs them later.
     """
     with _silenced():
         if kind in _USD:
@@ -235,7 +237,7 @@ def _up_by_format(path: Path, kind: str, *_version: int) -> Vector | None:
 
 @contextmanager
 def _silenced() -> Generator[None]:
-    """Drops the log lines of this thread."""
+    """Suppresses the log lines of this thread."""
     thread = threading.get_ident()
 
     def is_other_thread(record: logging.LogRecord) -> bool:
@@ -253,7 +255,7 @@ def _up_of(loaded: Gaussians | Scene) -> Vector | None:
 
 
 def _has_up(file: GltfFile) -> bool:
-    """Whether a capture of a glTF file has an up of its own, besides that of the format."""
+    """Returns whether a capture in the glTF file states an up direction of its own, besides the y up of the format."""
     primitives = (one for mesh in file.model.meshes or [] for one in mesh.primitives)
     return any("up" in (lumisplat_extras(one) or {}) for one in primitives)
 
@@ -263,23 +265,23 @@ def _may_be_direction(value: object) -> bool:
 
 
 DIRECTION = Kind("the name of an axis, such as y-down, or three numbers", _may_be_direction)
-"""An axis by its name, or a direction."""
+"""Kind of value that is a direction: an axis name or a vector."""
 
 _CAPTURES = (".ply", ".spz", ".splat", ".ksplat", ".sog", ".json", "")
-"""Ends of the paths of captures, .json of unpacked SOGs; those of folders of frames have none."""
+"""File extensions of captures; .json is an unpacked SOG, and folders of frames have no extension."""
 
 
 def scene_up(document: TomlTable) -> Vector:
-    """Returns the unit vector that points up.
+    """Returns the unit vector that points up in the scene.
 
-    It is what the file says, else what the first capture states of which the file does, else y down with a capture, y
-    up for meshes alone.
+    It is the ``up`` of the file, or else that of the first capture that states one, or else y down if the scene has a
+    capture and y up if it has only meshes.
 
     Args:
-        document: Top table of the scene file.
+        document: Top-level table of the scene file.
 
     Raises:
-        FormatError: ``up`` is no direction.
+        FormatError: ``up`` is not a direction.
     """
     if "up" in document.values:
         return _direction(document, "up")
@@ -292,9 +294,9 @@ def scene_up(document: TomlTable) -> Vector:
 
 
 def _stated(table: TomlTable) -> Vector | None:
-    """Returns up as the file of a capture states it, turned as the entry turns the capture; None: it states none.
+    """Returns the up direction of an entry's capture, rotated as the entry rotates it; None if its file states none.
 
-    An entry that is stood upright follows the scene, and says nothing about it.
+    An entry with ``upright`` or ``look_at`` is rotated to the scene's up direction, so it is ignored.
     """
     stands = table.values.get("upright", False) or "look_at" in table.values
     path = table.values.get("path")
@@ -309,7 +311,7 @@ def _stated(table: TomlTable) -> Vector | None:
 
 
 def _direction(table: TomlTable, key: str) -> Vector:
-    """The unit vector of a key."""
+    """Reads a key as a unit vector."""
     try:
         return up_vector(table.values[key])
     except SceneError as error:

@@ -1,25 +1,25 @@
-"""Scene files, ``scene.toml``: files placed in one scene, with lights, cameras, materials and settings.
+"""Reads scene files, ``scene.toml``: captures and meshes in one scene, with lights, cameras, materials and settings.
 
-up = "y-down"                           # of all that follows; this is what captures have
+up = "y-down"                           # up direction of the scene; captures are usually y down
 
 [[splats]]
 path = "garden.ply"                     # relative to the scene file
 kernel_degree = 4                       # if it was not trained with degree 2 and the file does not say so
-shadow_catcher = true                   # shows its captured colours, and receives shadows of other objects
+shadow_catcher = true                   # emits its captured colours, and receives shadows of other objects
 
 [[meshes]]
 path = "teapot.glb"
 position = [0.0, -1.2, 3.0]
-rotation_wxyz = [0.0, 1.0, 0.0, 0.0]    # y up to y down: half a turn about x
+rotation_wxyz = [0.0, 1.0, 0.0, 0.0]    # y up to y down: 180 degrees about x
 scale = 0.5
 name = "teapot"
-material = "chrome"                     # replaces that of the file
-lights = false                          # leaves out the lights of the file
+material = "chrome"                     # replaces the materials of the file
+lights = false                          # ignores the lights of the file
 
 [[meshes]]
-shape = "box"                           # without a file; also plane and sphere
+shape = "box"                           # a primitive instead of a file; also plane and sphere
 size = 0.4
-ground = 0.0                            # stands at this height along up
+ground = 0.0                            # height of its lowest point along up
 
 [materials.chrome]
 roughness = 0.0
@@ -63,11 +63,11 @@ _FPS = 25.0
 
 _HEADINGS = ("splats", "meshes", "actors", "lights", "environment", "cameras", "materials", "animation", "render", "up")
 _VISIBLE_HEADINGS = ("splats", "meshes", "actors", "lights", "environment")
-"""Headings that put something into the scene."""
+"""Headings of entries that can make a frame non-empty."""
 
 
 def _read_timing(document: TomlTable) -> tuple[float, AvatarLightingConfig]:
-    """Frames a second of a scene file's animation, and how its actors are lit; defaults if it has no such table."""
+    """Reads frames per second and the lighting of actors from ``[animation]``; defaults if there is no such table."""
     table = document.table("animation")
     given = table.take(ANIMATION_KEYS)
     lighting = read_settings(table.table("lighting"), AvatarLightingConfig)
@@ -84,7 +84,7 @@ def _read_timing(document: TomlTable) -> tuple[float, AvatarLightingConfig]:
 
 
 def read_document(path: PathLike) -> TomlTable:
-    """Reads the top table of a scene file and checks its headings.
+    """Reads the top-level table of a scene file and checks its headings.
 
     Raises:
         FormatError: The file is not TOML, or has an unknown heading.
@@ -101,17 +101,17 @@ def read_document(path: PathLike) -> TomlTable:
 def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None = None) -> Scene:
     """Reads a scene file and the files that it names, with actors at time 0. A file named twice is loaded once.
 
-    ``kernel_degree`` of a capture and ``material`` of a mesh replace those of the file; all meshes of a file change.
-    Lights of the scene file come first, then those of its mesh files, then the environment.
+    ``kernel_degree`` of a capture and ``material`` of a mesh override those of the file, for all meshes of the file.
+    Lights of the scene file come first, then lights of its mesh files, then the environment.
 
     Args:
         path: The ``.toml`` file.
         load: Reads one capture or mesh.
-        up: Up of a file that does not say it, an axis or a direction; None: as `scene_up` finds it.
+        up: Up direction if the file has no ``up``, an axis or a vector; None: see `scene_up`.
 
     Raises:
         FormatError: The file is not TOML, has an unknown or invalid entry, or names a file of the wrong kind.
-        SceneError: ``up`` is no direction.
+        SceneError: ``up`` is not a direction.
     """
     direction = None if up is None else list(up_vector(up))
     with parsing(path, "a scene file"):
@@ -127,7 +127,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
 
 
 def _static_scene(document: TomlTable, load: Load) -> Scene:
-    """The scene of a scene file without its actors; it may be empty."""
+    """Builds the scene without its actors; it may be empty."""
     lights: list[Light] = [read_light(table) for table in document.tables("lights")]
     environment = [read_environment(document.table("environment"))] if "environment" in document.values else []
     up = scene_up(document)
@@ -153,7 +153,7 @@ def _heading(key: str) -> str:
 
 
 def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Animation:
-    """As `lumisplat.io.load_animation`.
+    """Reads an animated scene; see `lumisplat.io.load_animation`.
 
     Args:
         path: The scene file.
@@ -170,15 +170,15 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
 
 
 def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> Animation:
-    """How a scene moves, without the cameras that stand still.
+    """Builds the animation of a scene file, without its static cameras.
 
     Args:
-        document: Top table of the scene file.
-        scene: What stands still.
-        actors: What moves.
+        document: Top-level table of the scene file.
+        scene: The static scene.
+        actors: The moving objects.
 
     Raises:
-        FormatError: ``[animation]`` or a camera is wrong.
+        FormatError: ``[animation]`` or a camera is invalid.
     """
     moving = read_camera_path(document)
     fps, lighting = _read_timing(document)
@@ -187,7 +187,7 @@ def animation_of(document: TomlTable, scene: Scene, actors: Sequence[Actor]) -> 
 
 
 def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: CameraPath | None) -> int:
-    """Number of frames, from ``frames``, from ``duration``, or from what takes longest: an actor, or the camera."""
+    """Returns the number of frames from ``frames``, ``duration``, or the longest duration of actors and camera."""
     given = table.values
     if "frames" in given:
         count = given["frames"]
@@ -204,5 +204,5 @@ def _frame_count(table: TomlTable, fps: float, actors: Sequence[Actor], moving: 
 
 
 def _duration(actor: Actor) -> float:
-    """Time of the last keyframe, else the duration of the clip or the frames, seconds."""
+    """Returns the time of the actor's last keyframe, or else the duration of its clip or sequence, seconds."""
     return actor.motion.duration if actor.motion is not None else actor.own_duration

@@ -1,6 +1,7 @@
-"""Reads TOML tables with values of known kinds, and writes tables as TOML that ``tomllib`` reads back to equal values.
+"""Reads TOML tables with type checks, and writes tables as TOML that ``tomllib`` reads back to equal values.
 
-Errors name the line, the key and what was probably meant. ``tomllib`` gives no line numbers; they are found here.
+Error messages name the line and the key, and suggest the closest known key. ``tomllib`` gives no line numbers, so this
+module finds them.
 
 Keys of scene dataclasses are the names of their fields; angles are in degrees.
 """
@@ -27,10 +28,10 @@ from lumisplat.errors import FormatError, LumisplatError
 from lumisplat.io.files.source import PathLike, TextureBytes, is_list, is_object, named_path, read_text
 
 TOML_KEY_PARTS_MAX = 32
-"""Parts of a dotted key of a TOML file; scene files have up to three. Python's parser takes their number squared."""
+"""Largest number of parts of a dotted key; scene files use up to three. Python's parser needs time quadratic in it."""
 
 KeyPath = tuple[str | int, ...]
-"""Keys and indices from the top of the document, e.g. ``("splats", 1, "position")``."""
+"""Keys and indices from the top of the document, such as ``("splats", 1, "position")``."""
 
 _TOKEN = re.compile(
     r"""(?P<blank>[ \t\r]+|\#[^\n]*)
@@ -52,16 +53,16 @@ class _Token(NamedTuple):
 
 
 def line_numbers(text: str) -> dict[KeyPath, int]:
-    """The line of every key, table and element of an array of tables, counted from 1.
+    """Returns the line of every key, table and element of an array of tables, counted from 1.
 
     Args:
-        text: Valid TOML, which tomllib has read without an error.
+        text: Valid TOML, already parsed by tomllib.
     """
     return _Scanner(text).lines
 
 
 class _Scanner:
-    """Reads the tokens of a text and notes the line of every key."""
+    """Scans the tokens of a TOML document and records the line of every key."""
 
     def __init__(self, text: str) -> None:
         self.lines: dict[KeyPath, int] = {}
@@ -112,11 +113,11 @@ class _Scanner:
         return path
 
     def _latest(self, path: KeyPath) -> KeyPath:
-        """A path, or that of the latest element if it is an array of tables."""
+        """Appends the index of the latest element if the path is an array of tables."""
         return (*path, self._array_sizes[path] - 1) if path in self._array_sizes else path
 
     def _keys(self, end: str) -> tuple[list[str], int]:
-        """Reads a dotted key and the mark after it; the line is that of its first part."""
+        """Reads a dotted key and the token after it. Returns its parts and the line of the first part."""
         keys: list[str] = []
         line = self._upcoming.line
         while (token := self._next()).text != end:
@@ -142,7 +143,7 @@ class _Scanner:
                 self._at += 1
 
     def _members(self, path: KeyPath, end: str) -> None:
-        """Reads the contents of an array or an inline table, and its end."""
+        """Reads the contents of an array or an inline table, up to and including its closing bracket."""
         index = 0
         while (token := self._next()).text != end:
             if token.text in ("\n", ","):
@@ -157,12 +158,12 @@ class _Scanner:
 
 
 class Kind(NamedTuple):
-    """A kind of values."""
+    """A kind of TOML value, such as a number or three numbers."""
 
     expected: str
-    """Its name in messages: ``three numbers``."""
+    """Description for error messages, such as ``three numbers``."""
     accepts: Callable[[object], bool]
-    """Whether a value is of this kind."""
+    """Returns whether a value is of this kind."""
 
 
 def _is_number_or_false(value: object) -> bool:
@@ -186,7 +187,7 @@ def _is_color(value: object) -> bool:
 
 
 def _is_array_of_tables(value: object) -> TypeGuard[list[dict[str, object]]]:
-    """Whether a value is an array of tables, which may be empty."""
+    """Returns whether a value is an array of tables; an empty array is one."""
     return is_list(value) and all(map(is_object, value))
 
 
@@ -220,7 +221,7 @@ TEXT_OR_TABLE = Kind("a name or a table", _is_instance(str | dict))
 
 
 class _Source(NamedTuple):
-    """The file of a table."""
+    """File that a table was read from."""
 
     path: Path
     text: str
@@ -230,11 +231,11 @@ class _Source(NamedTuple):
 _LONG_KEY = re.compile(
     rf"""(?<![\w-])(?:(?>[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{TOML_KEY_PARTS_MAX}}}""", re.ASCII
 )
-"""The first parts of a dotted key that is too long."""
+"""Matches the first parts of a dotted key with too many parts."""
 
 
 class TomlTable:
-    """A table of a TOML file, with its place in the file."""
+    """A table of a TOML file that remembers its position in the file, for error messages."""
 
     def __init__(self, values: dict[str, Any], source: _Source, where: KeyPath = ()) -> None:
         self.values = values
@@ -243,11 +244,11 @@ class TomlTable:
 
     @classmethod
     def read(cls, path: PathLike, kind: str) -> TomlTable:
-        """Reads the top table of a file.
+        """Reads the top-level table of a file.
 
         Args:
             path: The file.
-            kind: The expected kind of file, for messages: ``"a scene file"``.
+            kind: Expected kind of file for error messages, such as ``"a scene file"``.
 
         Raises:
             FormatError: The file cannot be read, or is not TOML.
@@ -269,32 +270,32 @@ class TomlTable:
 
     @classmethod
     def of(cls, path: Path, values: dict[str, Any], *where: str) -> TomlTable:
-        """A table that no file has yet, as if it were in one.
+        """Creates a table in memory, as if it were part of a file.
 
         Args:
-            path: The file, from whose folder paths start.
-            values: Its values.
-            *where: Its place, for messages.
+            path: File whose folder relative paths start from.
+            values: Values of the table.
+            *where: Keys that lead to the table, for error messages.
         """
         return cls(values, _Source(path, "", TextureBytes(path)), where)
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self._source.path
 
     @property
     def textures(self) -> TextureBytes:
-        """The textures that tables of the file name, which are bounded together."""
+        """Running total of texture sizes in this file, which bounds their memory together."""
         return self._source.textures
 
     @property
     def is_of_file(self) -> bool:
-        """Whether the text of a file has it, not only a document in memory."""
+        """Whether the table was read from a file and not created in memory."""
         return bool(self._source.text)
 
     def error(self, problem: str, key: str | None = None) -> FormatError:
-        """An error about a key of this table, or about the whole table; names the file, the line and the table."""
+        """Creates an error about a key, or about the whole table; its message names the file, line and table."""
         lines = line_numbers(self._source.text)
         where = (*self._where, key) if key is not None else self._where
         while where and where not in lines:
@@ -304,20 +305,20 @@ class TomlTable:
         return FormatError(self.path, location + problem)
 
     def failed(self, error: LumisplatError) -> FormatError:
-        """The error of an object made from this table, at the line of the first key that its message names."""
+        """Converts an error of an object made from this table; the message names the line of the first key in it."""
         named = (word for word in re.findall(r"\w+", str(error)) if word in self.values)
         return self.error(str(error), next(named, None))
 
     def wrong(self, key: str, expected: str) -> FormatError:
-        """An error about the value of a key."""
+        """Creates an error about the value of a key: "KEY is VALUE, expected ..."."""
         return self.error(f"{key} is {_quote(self.values[key])}, expected {expected}", key)
 
     def take(self, known: Mapping[str, Kind], required: Iterable[str] = ()) -> Values:
-        """The values by key, checked.
+        """Returns the values by key, after checking keys and kinds.
 
         Args:
-            known: The keys that are allowed, with their kinds.
-            required: The keys that must be present.
+            known: Allowed keys with their kinds.
+            required: Keys that must be present.
 
         Raises:
             FormatError: A key is unknown or missing, or its value is of another kind.
@@ -332,17 +333,17 @@ class TomlTable:
         return dict(self.values)
 
     def check_keys(self, known: Iterable[str]) -> None:
-        """Refuses unknown keys.
+        """Checks that all keys are known.
 
         Raises:
-            FormatError: A key is unknown; names the most similar known key.
+            FormatError: A key is unknown; the message suggests the most similar known key.
         """
         for key in self.values:
             if key not in known:
                 raise self.error(f"unknown {key!r}, {suggestion(key, known)}", key)
 
     def table(self, key: str) -> TomlTable:
-        """The table of a key; an empty one if the key is missing.
+        """Returns the subtable of a key, or an empty table if the key is missing.
 
         Raises:
             FormatError: The value is not a table.
@@ -355,7 +356,7 @@ class TomlTable:
         return TomlTable(values, self._source, (*self._where, key))
 
     def tables(self, key: str) -> list[TomlTable]:
-        """The elements of an array of tables; an empty list if the key is missing.
+        """Returns the elements of an array of tables, or an empty list if the key is missing.
 
         Raises:
             FormatError: The value is not an array of tables.
@@ -366,7 +367,7 @@ class TomlTable:
         return [TomlTable(entry, self._source, (*self._where, key, index)) for index, entry in enumerate(entries)]
 
     def file(self, key: str) -> Path:
-        """The path of the file that a key names, relative to this file.
+        """Returns the path that a key names, resolved relative to this file.
 
         Raises:
             FormatError: There is no such file, or it is a device, a pipe or a socket.
@@ -380,14 +381,14 @@ class TomlTable:
 
 
 def _quote(value: object) -> str:
-    """A value for a message of one line, as TOML writes it."""
+    """Formats a value for a one-line message, in TOML notation."""
     if isinstance(value, bool):
         return str(value).lower()
     return " ".join(reprlib.repr(value).split())
 
 
 def plain_value(value: object) -> Any:
-    """Converts a value to what TOML has: NumPy to Python, tuples to lists, paths and enums to text."""
+    """Converts a value to TOML types: NumPy to Python numbers, tuples to lists, paths and enums to text."""
     match value:
         case Enum():
             return plain_value(value.value)
@@ -404,7 +405,7 @@ def plain_value(value: object) -> Any:
 
 
 def toml_text(values: Mapping[str, Any]) -> str:
-    """Writes a document: values first, then tables, then arrays of tables; arrays of numbers stay on one line."""
+    """Formats a document: values first, then tables, then arrays of tables. Arrays of numbers stay on one line."""
     import tomlkit  # 20 ms that readers need not wait for
 
     return tomlkit.dumps(plain_value(values))
@@ -420,34 +421,35 @@ _KINDS: dict[str, Kind] = {
     "choice": TEXT,
 }
 _FIELD_KINDS = {"rotation_wxyz": QUATERNION, "texture_wraps": TABLE}
-"""Kinds of values by that of a field; other fields are images, given by file names."""
+"""Kinds of fields that the field's own kind does not determine. All other such fields are images, given as file names.
+"""
 
 DEGREES = "_degrees"
-"""End of the keys of angles, whose fields are in radians."""
+"""Suffix of angle keys, which are in degrees; the fields are in radians."""
 
 
 def key_of(field: Setting | Field[Any]) -> str:
-    """The key of a field."""
+    """Returns the scene file key of a dataclass field."""
     return field.name + (DEGREES if field.name.endswith("angle") else "")
 
 
 def schema(kind: type) -> dict[str, Kind]:
-    """The keys of a scene dataclass in a scene file, with their kinds."""
+    """Returns the scene file keys of a scene dataclass, with their kinds."""
     return {key_of(one): _KINDS.get(one.kind, _FIELD_KINDS.get(one.name, TEXT)) for one in settings_of(kind)}
 
 
 def required_keys(kind: type) -> list[str]:
-    """The keys of a scene dataclass that have no default."""
+    """Returns the keys of a scene dataclass that have no default."""
     return [key_of(one) for one in settings_of(kind) if one.default is MISSING]
 
 
 def with_radians(table: TomlTable, values: Mapping[str, Any], largest: float = 90.0) -> Values:
-    """Values by the names of fields, with angles in radians.
+    """Renames keys to field names, and converts angles from degrees to radians.
 
     Args:
-        table: The table, for errors.
+        table: The table, for error messages.
         values: Values by key.
-        largest: Largest angle, degrees.
+        largest: Largest allowed angle, degrees.
 
     Raises:
         FormatError: An angle is not within 0..``largest`` degrees.

@@ -1,7 +1,7 @@
-"""Converts between `Gaussians` and the values that splat files store: logarithms of scales, logits of opacities.
+"""Converts between `Gaussians` and the columns of splat files: log scales, opacity logits, normals and materials.
 
-Columns of normals and materials differ by who wrote them. Mirrored axes and quaternions packed as their three smallest
-components are decoded here too.
+Each trainer stores normals and materials in its own columns. This module also mirrors axes and packs quaternions as
+their three smallest components.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.placing import Vector
 
 LOGIT_MAX = 20.0
-"""Opacities are written as logits of at most this size: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""
+"""Largest magnitude of written opacity logits: the float32 sigmoid of 20 is 1, that of -20 is 2e-9."""
 
 _log = logging.getLogger("lumisplat")
 
 Floats = npt.NDArray[np.floating]
 
 FIELDS = ("normals", "albedo", "roughness", "metallic")
-"""Fields of a capture that only some files have."""
+"""Optional fields of a capture: normals and materials."""
 
 LINEAR_COMMENT = "lumisplat materials linear"
-"""Our comment in the header: albedo is linear Rec.709, and all materials are within 0..1."""
+"""Lumisplat's PLY header comment: albedo is linear Rec.709, and all materials are within 0..1."""
 
 _LINEAR = re.compile(r"\s*lumisplat\s+materials\s+linear\s*", re.I)
 
@@ -49,22 +49,23 @@ _NORMALS = ("nx", "ny", "nz")
 
 
 _SH_ODD_AXES = ("", "y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x")
-"""Axes in which each SH basis function up to degree 3 is odd, from its polynomial: degree 3, m = -3 is y (3x^2 - y^2),
-which is odd in y alone. Mirroring an odd axis changes the sign of the coefficient."""
+"""Axes in which each SH basis function up to degree 3 is odd. Mirroring an odd axis negates the coefficient.
+
+The axes follow from the polynomials: degree 3, m = -3 is y (3x^2 - y^2), which is odd in y alone."""
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialColumns:
-    """How one trainer stores normals and materials."""
+    """Names and encodings of the columns in which one trainer stores normals and materials."""
 
     properties: Mapping[str, tuple[str, ...]]
     """PLY properties of each field, in order."""
     sigmoids: Mapping[str, tuple[float, float]] = field(default_factory=dict[str, tuple[float, float]])
-    """Factor and offset: the value is factor * sigmoid(stored) + offset. Fields that are not listed are stored as they
-    are."""
+    """Factor and offset of each sigmoid-encoded field: value = factor * sigmoid(stored) + offset. Other fields are
+    stored directly."""
 
     def activated(self, name: str, stored: Floats) -> Floats:
-        """The values of a field; those that are not finite stay so."""
+        """Decodes stored values of a field. Values that are not finite give values that are not finite."""
         if name not in self.sigmoids:
             return stored
         factor, offset = self.sigmoids[name]
@@ -73,7 +74,7 @@ class MaterialColumns:
         return np.where(np.isfinite(stored), values, np.nan).astype(np.float32)
 
     def stored(self, name: str, values: Floats) -> Floats:
-        """What is read as these values of a field, or as the nearest that it can have, float32."""
+        """Encodes values of a field, clamped to what the encoding can represent; float32 for sigmoid fields."""
         if name not in self.sigmoids:
             return values
         factor, offset = self.sigmoids[name]
@@ -83,7 +84,7 @@ class MaterialColumns:
         return np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32)
 
     def limits(self, name: str) -> tuple[np.float32, np.float32]:
-        """The least and the largest value that a field of logits can have."""
+        """Returns the smallest and largest value that a sigmoid-encoded field can represent."""
         factor, offset = self.sigmoids[name]
         return np.float32(offset), np.float32(offset + factor)
 
@@ -96,7 +97,7 @@ LINEAR = MaterialColumns(
         "metallic": ("metallic",),
     }
 )
-"""Our own."""
+"""Columns of Lumisplat: all fields stored directly."""
 
 R3DG = MaterialColumns(
     {
@@ -119,19 +120,19 @@ _GS_IR = MaterialColumns(
 
 
 def has_linear_comment(comments: tuple[str, ...]) -> bool:
-    """Whether header comments say that the materials are ours."""
+    """Returns whether a header comment marks the materials as Lumisplat's linear ones."""
     return any(map(_LINEAR.fullmatch, comments))
 
 
 def material_columns_of(names: tuple[str, ...], comments: tuple[str, ...]) -> MaterialColumns:
-    """Who wrote the materials of a file.
+    """Detects from property names and comments which trainer wrote the materials of a PLY file.
 
     Args:
-        names: The properties of its Gaussians.
-        comments: The comments of its header.
+        names: PLY properties of the Gaussians.
+        comments: Header comments.
 
     Returns:
-        One of the four above; `LINEAR` also if nobody is recognised.
+        `LINEAR`, `R3DG`, `_R3DG_FIRST` or `_GS_IR`; `LINEAR` if no trainer is recognised.
     """
     if has_linear_comment(comments):
         return LINEAR
@@ -147,13 +148,14 @@ class SplatColumns:
     """N Gaussians as a file stores them, not yet validated."""
 
     means: Floats
-    """Shape (N, 3)."""
+    """Positions, shape (N, 3)."""
     rotations_wxyz: Floats
     """Quaternions of any length, shape (N, 4)."""
     log_scales: Floats
-    """Natural logarithms of the standard deviations if ``scales_are_logarithms``, else these, shape (N, 3)."""
+    """Natural logarithms of the standard deviations if ``scales_are_logarithms``, else standard deviations, shape (N,
+    3)."""
     opacities: Floats
-    """Logits if ``opacities_are_logits``, else 0..1, shape (N,)."""
+    """Logits if ``opacities_are_logits``, else opacities in 0..1, shape (N,)."""
     sh: Floats
     """SH coefficients, DC first, shape (N, K, 3)."""
     normals: Floats | None = None
@@ -161,9 +163,9 @@ class SplatColumns:
     roughness: Floats | None = None
     metallic: Floats | None = None
     incident: Floats | None = None
-    """SH coefficients, DC first, shape (N, J, 3)."""
+    """SH coefficients of incident light, DC first, shape (N, J, 3)."""
     material_columns: MaterialColumns = LINEAR
-    """How the normals and materials are stored."""
+    """Encoding of normals and materials."""
     scales_are_logarithms: bool = True
     opacities_are_logits: bool = True
     antialiased: bool = False
@@ -172,7 +174,7 @@ class SplatColumns:
     orientation: Orientation = UNSTATED
     """Up and first view, in the axes of the means."""
     origin: Vector = (0.0, 0.0, 0.0)
-    """As of `Gaussians`, in addition to that of a comment."""
+    """Origin of the means, as in `Gaussians`, added to the origin that a header comment states."""
 
     @property
     def count(self) -> int:
@@ -180,7 +182,7 @@ class SplatColumns:
         return self.means.shape[0]
 
     def property_names(self, field: str) -> Sequence[str]:
-        """PLY properties of a field, one for each of its columns."""
+        """Returns the PLY properties of a field, one for each of its columns."""
         if field == "sh":
             return sh_names("f", self.sh.shape[1])
         if field == "incident":
@@ -194,33 +196,36 @@ PROPERTY_NAMES = {
     "log_scales": ("scale_0", "scale_1", "scale_2"),
     "opacities": ("opacity",),
 }
-"""PLY properties of each field that all captures have, in order; those of SH are `sh_names`."""
+"""PLY properties of the fields that all captures have, except SH; see `sh_names`."""
 
 REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities", "sh")
 """Fields that every capture has."""
 
 OPTIONAL = (*FIELDS, "incident")
-"""Fields that only some have."""
+"""Fields that only some captures have."""
 
 _STEPS = 4
-"""Neighbours of a logarithm or a logit that are tried, on each side."""
+"""Neighbouring float32 values tried on each side of a logarithm or logit, to read back the exact value."""
 
 _ACTIVATED_MIN = 32
-"""Fewest Gaussians by whose values it is decided whether these are logarithms and logits."""
+"""Fewest Gaussians from whose values the encoding of scales and opacities is inferred."""
 
 LOGITS_COMMENT = "lumisplat logits"
-"""Our comment in the header of a PLY: scales are logarithms and opacities logits, even if they look otherwise."""
+"""Lumisplat's PLY header comment: scales are logarithms and opacities logits, even if their values suggest otherwise.
+"""
 
 _PROBLEMS_LISTED = 6
 """Largest number of properties that an error about invalid values lists, before "and more"."""
 
 
 def sh_names(prefix: str, coefficients: int) -> list[str]:
-    """PLY properties of SH in the order of ``sh.reshape(N, -1)``; the rest is channel-major in files, unlike ``sh``.
+    """Returns PLY properties of SH in the order of ``sh.reshape(N, -1)``.
+
+    Files order the ``rest`` coefficients by channel, unlike ``sh``.
 
     Args:
-        prefix: ``f`` of colours, ``incidents`` of incident light.
-        coefficients: Of a channel.
+        prefix: ``f`` for colours, ``incidents`` for incident light.
+        coefficients: Number of coefficients per channel.
     """
     rest = coefficients - 1
     names = [f"{prefix}_dc_{channel}" for channel in range(3)]
@@ -228,10 +233,10 @@ def sh_names(prefix: str, coefficients: int) -> list[str]:
 
 
 def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
-    """Captures without materials, stored alike, as one; where one has fewer harmonics than another, the others are 0.
+    """Concatenates captures of the same encoding, without materials. SH of lower degree are padded with zeros.
 
     Args:
-        parts: At least one.
+        parts: The captures, at least one.
     """
     width = max(part.sh.shape[1] for part in parts)
     padded = [replace(part, sh=np.pad(part.sh, ((0, 0), (0, width - part.sh.shape[1]), (0, 0)))) for part in parts]
@@ -241,16 +246,16 @@ def joined_columns(parts: Sequence[SplatColumns]) -> SplatColumns:
 
 @np.errstate(all="ignore")
 def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[bool, bool]:
-    """Returns whether the scales, and whether the opacities, are stored as they are, not as logarithms and logits.
+    """Infers whether scales, and whether opacities, are stored directly instead of as logarithms and logits.
 
-    Of a trained capture some logits lie outside 0..1, and some logarithms are negative. Opacities of 0..1 are thus
-    opacities where they come with positive scales, or span nearly all of 0..1: as logits, all would be 0.5 to 0.73.
-    Scales beside logits are scales where they are positive and, as logarithms, would be of nearly one size or far
-    larger than the capture.
+    In a trained capture some logits lie outside 0..1, and some logarithms are negative. So opacities within 0..1 are
+    stored directly if the scales are all positive, or if they span nearly all of 0..1: as logits they would all give
+    opacities of 0.5 to 0.73. Scales beside logits are stored directly if they are positive and, read as logarithms,
+    would be of nearly one size or far larger than the capture.
 
     Args:
-        columns: Scales and opacities as the file has them; invalid Gaussians are passed over.
-        scale_columns: The number of scales that the file has, 2 for 2D Gaussians.
+        columns: Scales and opacities as the file has them; invalid Gaussians are ignored.
+        scale_columns: Number of scales in the file, 2 for 2D Gaussians.
     """
     if columns.count < _ACTIVATED_MIN or LOGITS_COMMENT in columns.comments:
         return False, False
@@ -267,7 +272,7 @@ def stored_activated(columns: SplatColumns, scale_columns: int = 3) -> tuple[boo
 
 
 def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
-    """Returns whether positive values are scales rather than logarithms of them, by their range beside the means'."""
+    """Returns whether positive values must be scales, because as logarithms they would not fit the capture's extent."""
     small, median, large = (float(size) for size in np.quantile(scales, (0.05, 0.5, 0.95)))
     low, high = np.quantile(means, (0.05, 0.95), axis=0)
     extent = 0.5 * float(np.linalg.norm(high - low))
@@ -277,18 +282,18 @@ def _cannot_be_logarithms(scales: Floats, means: Floats) -> bool:
 
 
 def look_like_logits(opacities: Floats, *, with_logarithms: bool) -> bool:
-    """Returns whether values in place of opacities are logits: a tenth of them, at least, lies outside 0..1.
+    """Returns whether stored opacities look like logits: at least a tenth of them lies outside 0..1.
 
     Args:
-        opacities: The values.
-        with_logarithms: The scales beside them are logarithms; without these, one logit must be negative.
+        opacities: The stored values.
+        with_logarithms: Whether the scales are logarithms. If not, at least one value must be negative.
     """
     outside = np.count_nonzero((opacities < 0.0) | (opacities > 1.0))
     return int(10 * outside) >= max(len(opacities), 1) and (with_logarithms or bool((opacities < 0.0).any()))
 
 
 def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: int = 3) -> None:
-    """Sets how scales and opacities are stored, as `stored_activated` finds, and logs what is assumed."""
+    """Sets the encoding of scales and opacities to what `stored_activated` infers, and logs unusual results."""
     scales, opacities = stored_activated(columns, scale_columns)
     columns.scales_are_logarithms, columns.opacities_are_logits = not scales, not opacities
     found = ["opacities of 0..1, not logits"] * opacities + ["positive scales, not logarithms"] * scales
@@ -303,14 +308,13 @@ def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: in
 
 @np.errstate(all="ignore")  # what overflows, and NaN that signals, is refused by name or dropped
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
-    """Applies exp and sigmoids, and refuses or drops Gaussians that cannot be rendered.
+    """Decodes columns to `Gaussians` by exp and sigmoid, and refuses or drops Gaussians that cannot be rendered.
 
     Args:
-        path: Named in errors.
+        path: File to name in errors.
         columns: Columns as read from the file.
-        drop_invalid: Leave out Gaussians with NaN or infinite values, or a rotation or normal of zero length, and log
-            a warning with their number. Infinite logits are valid, they are opacities of 0 and 1, as are logarithms
-            of -inf, which are the least scale.
+        drop_invalid: Drop Gaussians with NaN or infinite values, or a rotation or normal of zero length, and log their
+            number. Infinite logits are valid (opacities 0 and 1), as are logarithms of -inf (the smallest scale).
 
     Raises:
         FormatError: There are invalid values and ``drop_invalid`` is False, no Gaussian is left, or a value is out of
@@ -352,7 +356,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
 def _rows_to_keep(
     path: PathLike, columns: SplatColumns, scales: Floats, drop_invalid: bool
 ) -> slice | npt.NDArray[np.bool_]:
-    """Selects all Gaussians, or the valid ones if the others may be dropped."""
+    """Selects all Gaussians, or only the valid ones if invalid ones may be dropped; raises `FormatError` otherwise."""
     invalid, problems = _invalid_rows(columns, scales)
     if not problems:
         return slice(None)
@@ -368,7 +372,7 @@ def _rows_to_keep(
 
 @np.errstate(all="ignore")  # as of `gaussians_from_columns`
 def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
-    """Returns which Gaussians cannot be used, shape (N,), and why, in words."""
+    """Returns a mask of the invalid Gaussians, shape (N,), and a description of their problems."""
     invalid, problems = _invalid_rows(columns, _linear_scales(columns))
     return invalid, _listed(problems)
 
@@ -378,7 +382,7 @@ def _listed(problems: list[str]) -> str:
 
 
 def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np.bool_], list[str]]:
-    """Mask of the Gaussians that cannot be used, shape (N,), and one phrase per property that is invalid."""
+    """Returns a mask of the invalid Gaussians, shape (N,), and one phrase per invalid property."""
     invalid = np.zeros(columns.count, dtype=bool)
     problems: list[str] = []
     for attribute in (*REQUIRED, *OPTIONAL):
@@ -405,10 +409,11 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
 
 
 def columns_from_gaussians(gaussians: Gaussians) -> SplatColumns:
-    """The inverse of `gaussians_from_columns`; the logits of opacities 0 and 1 are clamped to finite values.
+    """Encodes Gaussians as log scales and logits, the inverse of `gaussians_from_columns`.
 
-    What was read from logarithms and logits of float32 is read again to the same bits; but for some scales near 1 and
-    opacities near 0.5, where neither logarithms nor logits are what rounds, to the next number.
+    Logits of opacities 0 and 1 are clamped to finite values. Values that were decoded from float32 logarithms and
+    logits decode to the same bits again. Some directly stored scales near 1 and opacities near 0.5 have no exact
+    float32 logarithm or logit; they change by one unit in the last place.
     """
     return SplatColumns(
         means=gaussians.means,
@@ -449,12 +454,12 @@ def _logits(opacities: Floats) -> Floats:
 
 @np.errstate(divide="ignore")  # of 0 and 1
 def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Callable[[Floats], Floats]) -> FloatArray:
-    """What is read as these values to the bit, as far as there is such a float32; else what is nearest.
+    """Finds float32 numbers that decode to these values bit for bit, or to the nearest possible values.
 
     Args:
         values: Scales or opacities.
-        read: What is done to stored numbers when they are read, in float32.
-        inverse: The inverse of that.
+        read: Decodes stored numbers, in float32.
+        inverse: Inverse of ``read``.
     """
     stored = inverse(values.astype(np.float64)).astype(np.float32)
     wrong = np.nonzero(read(stored) != values)
@@ -467,7 +472,7 @@ def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Calla
 
 
 def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs which normals and materials a format cannot store, nor the origin of a capture, unless comments state it."""
+    """Logs which of a capture's materials, normals and origin the format cannot store."""
     lost = [name for name in OPTIONAL if getattr(gaussians, name) is not None]
     if lost:
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))
@@ -482,7 +487,7 @@ def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None
 
 
 def warn_losses(path: PathLike, kind: str, gaussians: Gaussians) -> None:
-    """Logs what a format without comments cannot store: as of `warn_lost_materials`, and the kernel degree."""
+    """Logs what a format without comments cannot store: materials, normals, origin and kernel degree."""
     warn_lost_materials(path, kind, gaussians)
     if gaussians.kernel_degree != KERNEL_DEGREE:
         _log.warning(
@@ -494,10 +499,10 @@ def warn_losses(path: PathLike, kind: str, gaussians: Gaussians) -> None:
 
 
 def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColumns:
-    """The same Gaussians in a frame whose axes are multiplied by ``signs``.
+    """Multiplies the coordinate axes of Gaussians by ``signs``.
 
-    With S = diag(signs), a rotation R becomes S R S, whose quaternion is (w, sy sz x, sx sz y, sx sy z), because the
-    axis of a rotation is a pseudovector.
+    With S = diag(signs), a rotation R becomes S R S. Its quaternion is (w, sy sz x, sx sz y, sx sy z), because a
+    rotation axis is a pseudovector.
 
     Args:
         columns: Any Gaussians.
@@ -518,7 +523,7 @@ def mirror_axes(columns: SplatColumns, signs: tuple[int, int, int]) -> SplatColu
 
 
 def unpack_smallest_three(largest: npt.NDArray[np.integer], smallest: Floats) -> FloatArray:
-    """Restores unit quaternions with a positive largest component.
+    """Restores unit quaternions from their three smallest components; the largest one is positive.
 
     Args:
         largest: Index of the component that is not stored, 0..3, shape (N,).
@@ -536,14 +541,14 @@ def unpack_smallest_three(largest: npt.NDArray[np.integer], smallest: Floats) ->
 
 
 def pack_smallest_three(quaternions: Floats) -> tuple[npt.NDArray[np.int64], Floats]:
-    """The inverse of `unpack_smallest_three`.
+    """Packs unit quaternions as their three smallest components, the inverse of `unpack_smallest_three`.
 
     Args:
         quaternions: Unit quaternions, shape (N, 4).
 
     Returns:
-        Index of the largest component, shape (N,), and the other three after the sign is changed to make the largest
-        positive, shape (N, 3), each within +-sqrt(1/2).
+        Index of the largest component, shape (N,), and the other three components of the quaternion with a positive
+        largest component, shape (N, 3), each within +-sqrt(1/2).
     """
     largest = np.abs(quaternions).argmax(axis=1)
     rows = np.arange(len(quaternions))

@@ -1,9 +1,9 @@
-"""PlayCanvas compressed PLY: 16 bytes per Gaussian, in chunks of 256 that share their value ranges.
+"""Reads and writes PlayCanvas compressed PLY: 16 bytes per Gaussian, in chunks of 256 that share value ranges.
 
 Layout: https://github.com/playcanvas/engine/issues/6204 and PlayCanvas's splat-transform. A chunk stores minimum and
-maximum of position, log scale and (in newer files) colour. A Gaussian stores position and scale as 11+10+11 bits each,
-its rotation as its smallest three components (2+10+10+10, wxyz), colour and opacity as 8 bits each, and SH from degree
-1 as 8 bits over -4..4 in an element of its own. Axes are those of the PLY that it was made from.
+maximum of position, log scale and, in newer files, colour. A Gaussian stores position and scale as 11+10+11 bits each,
+its rotation as its smallest three components (2+10+10+10, wxyz), and colour and opacity as 8 bits each. SH from degree
+1 are 8 bits over -4..4 in an element of its own. Axes are those of the original PLY.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _log = logging.getLogger("lumisplat")
 
 _CHUNK = 256
 _LOG_SCALE_MAX = 20.0
-"""Log scales are clamped to this magnitude when written, as PlayCanvas does: an outlier would coarsen its chunk."""
+"""Written log scales are clamped to this magnitude, as in PlayCanvas: an outlier would coarsen its whole chunk."""
 
 _POSITION_RANGE = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 _SCALE_RANGE = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
@@ -52,7 +52,7 @@ Packed = npt.NDArray[np.uint32]
 
 
 def is_compressed_header(header: PlyHeader) -> bool:
-    """Whether a header has the elements of a compressed capture."""
+    """Returns whether a PLY header is that of a compressed capture."""
     vertex = header.element("vertex")
     return vertex is not None and "packed_position" in vertex.names
 
@@ -64,7 +64,7 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
         header: Header of the file.
 
     Raises:
-        FormatError: A property is missing, element counts do not fit, or the file is truncated.
+        FormatError: A property is missing, element counts do not match, or the file is truncated.
     """
     _require(header, "chunk", "f4", _POSITION_RANGE + _SCALE_RANGE)
     _require(header, "vertex", "u4", _PACKED)
@@ -95,7 +95,7 @@ def read_compressed_ply(header: PlyHeader) -> SplatColumns:
 
 
 def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str]) -> None:
-    """Raises a `FormatError` unless an element has properties of a type."""
+    """Raises `FormatError` unless an element has all of the properties with the given type."""
     types = {prop.name: prop.code for prop in header.required(name).properties}
     wrong = [prop for prop in properties if types.get(prop) != code]
     if wrong:
@@ -103,7 +103,7 @@ def _require(header: PlyHeader, name: str, code: str, properties: Iterable[str])
 
 
 def _unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
-    """Fields of 32-bit words, the first field in the highest bits, each scaled to 0..1, shape (N, fields)."""
+    """Splits 32-bit words into bit fields, highest bits first, each scaled to 0..1, shape (N, fields)."""
     values = np.empty((len(packed), len(bits)), dtype=np.float32)
     shift = 32
     for i, width in enumerate(bits):
@@ -115,7 +115,7 @@ def _unpack_bits(packed: Packed, bits: tuple[int, ...]) -> Floats:
 
 
 def _pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
-    """The inverse of `_unpack_bits`: clips fields to 0..1 and rounds them."""
+    """Packs fields into 32-bit words, the inverse of `_unpack_bits`; fields are clamped to 0..1 and rounded."""
     packed = np.zeros(len(values), dtype=np.uint32)
     for i, width in enumerate(bits):
         limit = (1 << width) - 1
@@ -125,7 +125,7 @@ def _pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
 
 
 def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Floats:
-    """Values of 0..1 scaled to the ranges of their chunks, shape (N, 3)."""
+    """Scales values from 0..1 to the ranges of their chunks, shape (N, 3)."""
     low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
     with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges are refused later, as non-finite values
         low, size = (np.repeat(values, _CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
@@ -133,7 +133,7 @@ def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Fl
 
 
 def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
-    """SH, shape (N, K, 3): the DC term, and the degrees in the ``sh`` element if the file has one."""
+    """Returns SH coefficients, shape (N, K, 3): the DC term and, if the file has an ``sh`` element, higher degrees."""
     element = header.element("sh")
     if element is None:
         return dc[:, None, :]
@@ -156,10 +156,10 @@ def _with_higher_degrees(header: PlyHeader, dc: Floats) -> Floats:
 
 
 def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes a compressed PLY.
+    """Writes a compressed PLY. The order of the Gaussians changes.
 
-    Gaussians are sorted along a Morton curve, as PlayCanvas does, so that neighbours share a chunk, ranges are small
-    and the 11 bits of a position are finer. The order of the input is lost.
+    Gaussians are sorted along a Morton curve, as in PlayCanvas: neighbours share a chunk, so ranges are small and the
+    11 bits of a position resolve finer steps.
 
     Raises:
         FormatError: The file cannot be written.
@@ -192,9 +192,9 @@ def write_compressed_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
-    """Logs how many Gaussians are in chunks that a distant stray has made coarse.
+    """Logs how many Gaussians are in chunks whose positions are coarse because of a distant outlier.
 
-    A chunk is coarse if the step of its positions is larger than the median of the largest scales of its Gaussians.
+    A chunk is coarse if its position step is larger than the median over its Gaussians of their largest scale.
     """
     starts = np.arange(0, ordered.count, _CHUNK)
     means = ordered.means
@@ -212,7 +212,7 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
 
 
 def _chunk_ranges(values: Floats) -> tuple[Floats, Floats]:
-    """Ranges of the chunks, shape (C, 6), and the values relative to them, 0..1, shape (N, 3)."""
+    """Returns minimum and maximum of each chunk, shape (C, 6), and the values scaled to them, 0..1, shape (N, 3)."""
     starts = np.arange(0, len(values), _CHUNK)
     low, high = np.minimum.reduceat(values, starts), np.maximum.reduceat(values, starts)
     size = np.where(high > low, high - low, 1.0)

@@ -1,16 +1,15 @@
-"""Reads ``.splat`` and ``.ksplat``, the formats of viewers on the web.
+"""Reads ``.splat`` and ``.ksplat``, formats of web viewers.
 
-``.splat``, of antimatter15's viewer, has 32 bytes a Gaussian, without a header and without harmonics: three float32 of
-the position, three of the scales (standard deviations), four bytes of red, green, blue and opacity, and four of the
-rotation, wxyz, as 128 q + 128. Axes are those of the PLY that it was made from.
-Layout: https://github.com/antimatter15/splat.
+``.splat`` of antimatter15's viewer has no header and no SH above degree 0. Each Gaussian takes 32 bytes: position as
+three float32, scales (standard deviations) as three float32, red, green, blue and opacity as four bytes, and rotation
+wxyz as four bytes, 128 q + 128. Axes are those of the original PLY. Layout: https://github.com/antimatter15/splat.
 
-``.ksplat``, of mkkellogg's GaussianSplats3D, version 0.1, is uncompressed, or at two levels of compression. A header of
-4,096 bytes, one of 1,024 for each section, then the sections: lengths of the buckets that are not full, the centres of
-all buckets, and a row for each Gaussian. Rows are position, scales, rotation wxyz, red, green, blue and opacity in
-bytes, and harmonics of degree 0 to 2, channel by channel within a degree. Level 0 has 32-bit floats. Level 1 has
-halves, and positions in 16 bits from the centre of their bucket; full buckets come first. Level 2 has harmonics in
-bytes, between two numbers of the header. Axes are those of the PLY that it was made from.
+``.ksplat`` of mkkellogg's GaussianSplats3D, version 0.1, is uncompressed or has one of two compression levels. A header
+of 4,096 bytes is followed by a header of 1,024 bytes for each section, then by the sections. A section has the lengths
+of its partially filled buckets, the centres of all buckets, and a row for each Gaussian: position, scales, rotation
+wxyz, red, green, blue and opacity as bytes, and SH of degree 0 to 2, ordered by channel within a degree. Level 0 uses
+float32. Level 1 uses float16, and positions as 16-bit offsets from the bucket centre; full buckets come first. Level 2
+also stores SH as bytes, between two limits in the header. Axes are those of the original PLY.
 Layout: https://github.com/mkkellogg/GaussianSplats3D, src/loaders/SplatBuffer.js.
 """
 
@@ -33,7 +32,7 @@ def read_splat(path: PathLike) -> SplatColumns:
     """Reads a ``.splat``.
 
     Raises:
-        FormatError: The file cannot be read, or is no whole number of rows.
+        FormatError: The file cannot be read, or its size is not a multiple of 32 bytes.
     """
     data = read_bytes(path)
     if len(data) % _ROW.itemsize:
@@ -54,51 +53,52 @@ def read_splat(path: PathLike) -> SplatColumns:
 
 
 _HEADER = struct.Struct("<BB2xI4xI4xH14x2f")
-"""Version, numbers of sections and of Gaussians, level, least and largest coefficient of level 2."""
+"""Version, number of sections, number of Gaussians, compression level, smallest and largest SH coefficient of level 2.
+"""
 _HEADER_BYTES, _SECTION_BYTES = 4096, 1024
 _SECTION = struct.Struct("<4x3If4xI4x2IH")
-"""The fields of `_Section`, in their order."""
+"""Fields of `_Section`, in order."""
 _BUCKET_BYTES = 12
 
 _COMPONENTS = (0, 9, 24)
-"""Coefficients above DC of all channels, by degree."""
+"""Number of SH coefficients above DC over all channels, by degree."""
 _SCALE_RANGE = (1, 32767, 32767)
-"""Steps from the centre of a bucket to its side, by level, of files that do not say them."""
+"""Default number of quantisation steps from the centre of a bucket to its side, by level."""
 _HALF_RANGE = 1.5
-"""The least coefficient of level 2, negative, and the largest one, of files that do not say them."""
+"""Default magnitude of the SH limits of level 2."""
 
 
 class _File(NamedTuple):
-    """A file, and what its header says of all sections."""
+    """A file and the values of its header that apply to all sections."""
 
     path: PathLike
     data: bytes
     level: int
     limits: tuple[float, float]
-    """Least and largest coefficient of level 2."""
+    """Smallest and largest SH coefficient of level 2."""
 
 
 class _Section(NamedTuple):
-    """The header of a section."""
+    """Header of a section."""
 
     gaussians: int
     bucket_size: int
-    """Gaussians in a full bucket."""
+    """Number of Gaussians in a full bucket."""
     bucket_count: int
     block_size: float
-    """Side of a bucket's cube, scene units."""
+    """Edge length of a bucket's cube, scene units."""
     scale_range: int
     full_count: int
-    """Buckets that are full."""
+    """Number of full buckets."""
     partial_count: int
     degree: int
 
 
 def read_ksplat(path: PathLike) -> SplatColumns:
-    """Reads a ``.ksplat``; sections with harmonics of lower degrees than others have zeros for those they lack.
+    """Reads a ``.ksplat``. Sections with SH of lower degree than others are padded with zeros.
 
     Raises:
-        FormatError: The file cannot be read, is of another version or level, truncated or damaged.
+        FormatError: The file cannot be read, has an unknown version or level, or is truncated or damaged.
     """
     data = read_bytes(path)
     with parsing(path, "a .ksplat"):
@@ -124,7 +124,7 @@ def read_ksplat(path: PathLike) -> SplatColumns:
 
 
 def _read_section(file: _File, start: int, head: _Section) -> tuple[SplatColumns, int]:
-    """The Gaussians of a section that begins at a byte, and where it ends."""
+    """Reads the section that begins at byte ``start``. Returns its Gaussians and the byte at which it ends."""
     path, data, level, limits = file
     if head.degree >= len(_COMPONENTS):
         raise FormatError(path, f"has SH degree {head.degree}, expected 0, 1 or 2")
@@ -158,7 +158,7 @@ def _read_section(file: _File, start: int, head: _Section) -> tuple[SplatColumns
 
 
 def _row(level: int, degree: int) -> np.dtype[np.void]:
-    """How a Gaussian is stored."""
+    """Returns the data type of a stored Gaussian."""
     number, position, sh = (("<f4", "<f4", "<f4"), ("<f2", "<u2", "<f2"), ("<f2", "<u2", "u1"))[level]
     return np.dtype(
         [
@@ -172,7 +172,7 @@ def _row(level: int, degree: int) -> np.dtype[np.void]:
 
 
 def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
-    """The centre of each Gaussian's bucket, shape (N, 3)."""
+    """Returns the centre of each Gaussian's bucket, shape (N, 3)."""
     lengths = np.frombuffer(file.data, "<u4", head.partial_count, start).astype(np.int64)
     full = head.full_count * head.bucket_size
     if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:
@@ -185,6 +185,6 @@ def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
 
 
 def _degrees(stored: Floats) -> list[Floats]:
-    """Coefficients of each degree from 1 on, shape (N, 2 degree + 1, 3), which are stored channel by channel."""
+    """Splits stored SH by degree, from 1, each with shape (N, 2 degree + 1, 3). The file orders them by channel."""
     degrees = np.split(stored, [9], axis=1) if stored.shape[1] else []
     return [one.reshape(len(stored), 3, -1).transpose(0, 2, 1) for one in degrees]

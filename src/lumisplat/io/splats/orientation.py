@@ -1,9 +1,9 @@
-"""Up, first view and origin of a capture, as files state them: plain values of JSON, and comments of PLY headers.
+"""Reads and writes up direction, first view and origin of a capture, as JSON values or as PLY header comments.
 
-A file of any format has ``{"up": [x, y, z], "first_view": {"eye", "target", "up", "fov_y", "width", "height"}}``, in
-the axes in which its Gaussians are loaded. PLY headers have a comment for each: ``lumisplat up 0 0 1``, ``lumisplat
-first_view {...}`` and ``lumisplat origin 500000 4649000 0``, about which positions are; of other programs they
-understand nerfstudio's ``Vertical Axis: z``.
+Formats with JSON metadata store ``{"up": [x, y, z], "first_view": {"eye", "target", "up", "fov_y", "width",
+"height"}}``, in the axes of the loaded Gaussians. PLY headers have one comment for each: ``lumisplat up 0 0 1``,
+``lumisplat first_view {...}`` and ``lumisplat origin 500000 4649000 0``, to which positions are relative. nerfstudio's
+comment ``Vertical Axis: z`` is also read.
 """
 
 from __future__ import annotations
@@ -30,25 +30,25 @@ _UP = re.compile(r"\s*lumisplat\s+up\s+(?P<numbers>.*)", re.I)
 _FIRST_VIEW = re.compile(r"\s*lumisplat\s+first_view\s+(?P<values>\{.*)", re.I)
 _ORIGIN = re.compile(r"\s*lumisplat\s+origin\s+(?P<numbers>.*)", re.I)
 _VERTICAL_AXIS = re.compile(r"\s*(?:vertical|up)[ _-]*axis\s*[:=]?\s*(?P<sign>[+-]?)(?P<axis>[xyz])\b.*", re.I)
-"""The comment of nerfstudio's ``ns-export gaussian-splat``, and its like."""
+"""Matches the comment of nerfstudio's ``ns-export gaussian-splat`` and similar ones."""
 
 _DIGITS = 9
-"""Significant digits of numbers in files: those of float32, as Gaussians have."""
+"""Significant digits of written numbers: those of float32, in which Gaussians are stored."""
 
 
 class Orientation(NamedTuple):
-    """What a file states."""
+    """Up direction and first view that a file states, or None."""
 
     up: Vector | None = None
     first_view: Camera | None = None
 
 
 UNSTATED = Orientation()
-"""What files state that say nothing of it."""
+"""Orientation of a file that states neither."""
 
 
 def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]:
-    """Returns up and first view as values of JSON, those that are not None."""
+    """Converts up direction and first view to JSON values; None is omitted."""
     values: dict[str, Any] = {}
     if up is not None:
         values["up"] = _rounded(up)
@@ -66,11 +66,11 @@ def orientation_values(up: Vector | None, view: Camera | None) -> dict[str, Any]
 
 
 def orientation_of(path: PathLike, values: object) -> Orientation:
-    """Returns what values of JSON state; what is wrong in them is left out, with a log line.
+    """Parses up direction and first view from JSON values. Invalid ones are ignored, with a log line.
 
     Args:
-        path: The file that has them, named in log lines.
-        values: As of `orientation_values`, from anybody.
+        path: File to name in log lines.
+        values: Values as from `orientation_values`, not trusted.
     """
     stated: Mapping[str, Any] = cast("Mapping[str, Any]", values) if isinstance(values, Mapping) else {}
     up = view = None
@@ -89,7 +89,7 @@ def orientation_of(path: PathLike, values: object) -> Orientation:
 
 
 def orientation_of_text(path: PathLike, text: str | bytes) -> Orientation:
-    """Returns what a JSON text states; arguments and log lines as of `orientation_of`."""
+    """Parses up direction and first view from JSON text, as `orientation_of` does."""
     try:
         return orientation_of(path, json.loads(text))
     except (ValueError, TypeError, RecursionError):
@@ -98,7 +98,10 @@ def orientation_of_text(path: PathLike, text: str | bytes) -> Orientation:
 
 
 def orientation_of_comments(path: PathLike, comments: tuple[str, ...]) -> Orientation:
-    """Returns what comments of a PLY header state; the last one of a kind counts, our own before those of others."""
+    """Parses up direction and first view from PLY comments.
+
+    The last comment of each kind counts, and Lumisplat's own comments take precedence over nerfstudio's.
+    """
     axes = [match for match in map(_VERTICAL_AXIS.fullmatch, comments) if match]
     ups = [match["numbers"] for match in map(_UP.fullmatch, comments) if match]
     views = [match["values"] for match in map(_FIRST_VIEW.fullmatch, comments) if match]
@@ -120,12 +123,12 @@ def orientation_of_comments(path: PathLike, comments: tuple[str, ...]) -> Orient
 
 
 def without_orientation(comments: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns the comments without our own of up and first view, which fields of a capture hold."""
+    """Removes Lumisplat's comments of up direction and first view, which the fields of a capture hold instead."""
     return tuple(line for line in comments if not (_UP.fullmatch(line) or _FIRST_VIEW.fullmatch(line)))
 
 
 def origin_of_comments(path: PathLike, comments: tuple[str, ...]) -> Vector:
-    """Returns the origin that comments of a PLY header state, the last one; zero if there is none that can be read."""
+    """Returns the origin that the last such PLY comment states; zero if there is none or it is not three numbers."""
     stated = [match["numbers"] for match in map(_ORIGIN.fullmatch, comments) if match]
     try:
         return vector("origin", [float(number) for number in stated[-1].split()]) if stated else (0.0, 0.0, 0.0)
@@ -135,17 +138,20 @@ def origin_of_comments(path: PathLike, comments: tuple[str, ...]) -> Vector:
 
 
 def without_origin(comments: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns the comments without those that state an origin."""
+    """Removes comments that state an origin."""
     return tuple(line for line in comments if not _ORIGIN.fullmatch(line))
 
 
 def origin_text(origin: Vector) -> str:
-    """Returns an origin as comments and messages have it, to the bit."""
+    """Formats an origin for comments and messages so that it reads back exactly."""
     return " ".join(f"{value:.17g}" if float(f"{value:.12g}") != value else f"{value:.12g}" for value in origin)
 
 
 def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -> tuple[str, ...]:
-    """Returns comments that state up and first view of a capture; those of others that state another up are removed."""
+    """Adds comments of the capture's origin, up direction and first view.
+
+    Comments of other programs that state another up direction are removed.
+    """
     comments = without_origin(without_orientation(comments))
     if any(gaussians.origin):
         comments += (f"lumisplat origin {origin_text(gaussians.origin)}",)
@@ -160,7 +166,7 @@ def comments_with_orientation(gaussians: Gaussians, comments: tuple[str, ...]) -
 
 
 def _view_of(values: Any) -> Camera:
-    """Returns a first view."""
+    """Creates the camera of a first view from its JSON values."""
     return Camera.look_at(
         values["eye"],
         values["target"],

@@ -1,4 +1,4 @@
-"""Sequences: folders of Gaussian frames."""
+"""Reads sequences: folders with one file of Gaussians per frame."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import Scene
 
 _EXTENSIONS = (".compressed.ply", ".ply", ".spz", ".sog")
-"""Extensions of frames; the first one that a name ends with is its extension."""
+"""File extensions of frames. The first one that a file name ends with is its extension."""
 
 
 def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians | Mesh | Scene]) -> GaussianSequence:
-    """As `lumisplat.io.load_sequence`; ``load`` reads a frame."""
+    """Opens a sequence; see `lumisplat.io.load_sequence`. ``load`` reads one frame."""
     folder = Path(folder)
 
     def load_frame(path: Path) -> Gaussians:
@@ -33,7 +33,7 @@ def read_sequence(folder: PathLike, fps: float, load: Callable[[Path], Gaussians
 
 
 def _frame_paths(folder: Path) -> list[Path]:
-    """The frames in a folder, in the natural order of their names, in which numbers are compared as numbers."""
+    """Lists the frame files of a folder, sorted so that numbers in names compare as numbers."""
     with readable(folder):
         if not folder.exists():
             raise MissingFileError(folder, "no such folder")
@@ -54,6 +54,6 @@ def _extension(path: Path) -> str | None:
 
 
 def _natural_order(path: Path) -> list[tuple[int, int, str]]:
-    """A key that sorts ``frame_2`` before ``frame_10``."""
+    """Returns a sort key that puts ``frame_2`` before ``frame_10``."""
     parts = re.split(r"(\d+)", path.name)
     return [(1, int(part), part) if part.isdecimal() else (0, 0, part) for part in parts]

@@ -1,10 +1,9 @@
 """Reads and writes PlayCanvas SOG (spatially ordered Gaussians): lossless WebP images and a meta.json.
 
-A capture is a folder or a zip. Pixel i of each image, counted row by row, belongs to Gaussian i. Version 2 stores
-scales and SH as indices into codebooks of 256 values with little squared error (Max 1960, Lloyd 1982); version 1, which
-has no version number, maps bytes linearly to a range. Axes are those of the PLY that it was made from. Version 2 is
-written; its Gaussians are sorted along a Morton curve, by which images compress better, so that the order of the input
-is lost.
+A capture is a folder or a zip bundle. Pixel i of each image, counted row by row, belongs to Gaussian i. Version 2
+stores scales and SH as indices into codebooks of 256 values, fitted for a small squared error (Max 1960, Lloyd 1982).
+Version 1, which has no version number, maps bytes linearly to a range. Axes are those of the original PLY. Version 2 is
+written. Gaussians are sorted along a Morton curve, which compresses better, so their order changes.
 Specification: https://developer.playcanvas.com/user-manual/gaussian-splatting/formats/sog/
 """
 
@@ -48,7 +47,7 @@ from lumisplat.scene.ops.neighbours import morton_order
 _log = logging.getLogger("lumisplat")
 
 _ENTRIES = 256
-"""Numbers of a codebook, as many as a byte has values."""
+"""Number of entries in a codebook, one for each value of a byte."""
 
 _LLOYD_STEPS = 50
 
@@ -58,37 +57,37 @@ Bytes = npt.NDArray[np.uint8]
 Meta = dict[str, Any]
 
 LUMISPLAT_KEY = "lumisplat"
-"""Key of what only we read: up and first view."""
+"""Key in meta.json of Lumisplat's own metadata: up direction and first view."""
 
 _PALETTE_COLUMNS = 64
-"""SH palette entries in a row of the centroids image; an entry has one pixel per coefficient."""
+"""SH palette entries per row of the centroids image; an entry has one pixel per coefficient."""
 
 _QUATERNION_TAG = 252
-"""The alpha of a rotation pixel minus this is the index of its largest component."""
+"""Alpha of a rotation pixel minus this is the index of the quaternion's largest component."""
 
 _DECODER_THREADS = 4
 Contents = dict[str, bytes]
 
 _PALETTE_ENTRIES_MAX = 2**16
-"""SH palette entries: labels have 16 bits."""
+"""Largest number of SH palette entries, because labels have 16 bits."""
 
 _COMPRESSION = 1
-"""Effort of Pillow's lossless WebP, 0 to 6, see docs/adr/0065-sog-written.md."""
+"""Effort of Pillow's lossless WebP encoder, 0 to 6; see docs/adr/0065-sog-written.md."""
 
 _IMAGE_SIDE_MAX = 16_380
-"""Largest width and height of a WebP that is a multiple of 4."""
+"""Largest width and height of a WebP image that is a multiple of 4."""
 
 _FILE_TIME = (1980, 1, 1, 0, 0, 0)
-"""Time of all files in a bundle, the earliest that zip has: the same capture makes the same bytes."""
+"""Timestamp of all files in a bundle, the earliest that zip supports. Equal captures thus give equal bytes."""
 
 _THREADS = 4
 
 
 def fit_codebook(values: Floats) -> npt.NDArray[np.float32]:
-    """256 numbers in ascending order that stand for ``values``; if these are fewer different ones, the last repeats.
+    """Fits a codebook of 256 ascending numbers to ``values``. For fewer distinct values, the last entry repeats.
 
-    The range is divided 255 times where that lowers the squared error most, so that a number far from all others gets
-    an entry of its own; then entries and the borders between them are moved in turn.
+    The range is split 255 times where a split lowers the squared error most, so that outliers get an entry of their
+    own. Then Lloyd's algorithm updates entries and borders in turn.
 
     Args:
         values: Finite numbers of any shape, at least one.
@@ -108,13 +107,13 @@ def fit_codebook(values: Floats) -> npt.NDArray[np.float32]:
 
 
 def encode(values: Floats, codebook: npt.NDArray[np.float32]) -> npt.NDArray[np.uint8]:
-    """The nearest entry of a codebook to each number."""
+    """Returns the index of the nearest codebook entry for each number."""
     borders = 0.5 * (codebook[:-1].astype(np.float64) + codebook[1:])
     return np.searchsorted(borders, values, side="left").astype(np.uint8)
 
 
 class _PrefixSums:
-    """Sums and squared errors of runs of ascending numbers."""
+    """Prefix sums of ascending numbers, for means and squared errors of runs in constant time."""
 
     def __init__(self, ordered: Doubles) -> None:
         self._center = ordered.mean()
@@ -123,11 +122,11 @@ class _PrefixSums:
         self._squares = np.concatenate([[0.0], np.cumsum(centered * centered)])
 
     def means(self, borders: npt.NDArray[np.intp]) -> Doubles:
-        """Means of the runs between borders."""
+        """Returns the mean of each run between consecutive borders."""
         return np.diff(self._sum[borders]) / np.diff(borders) + self._center
 
     def best_cut(self, start: int, end: int) -> tuple[float, int]:
-        """By how much one cut of a run lowers its squared error at most, and where."""
+        """Finds the split of a run that lowers its squared error most. Returns that gain and the index of the split."""
         if end - start < 2:
             return 0.0, start
         cuts = np.arange(start + 1, end)
@@ -138,12 +137,12 @@ class _PrefixSums:
         return float(gains[best]), start + 1 + best
 
     def least_gain(self) -> float:
-        """What is rounding, and no gain."""
+        """Returns the gain below which a split is only rounding error."""
         return 1e-12 * float(self._squares[-1])
 
 
 def _split_runs(sums: _PrefixSums, count: int) -> npt.NDArray[np.intp]:
-    """Borders of at most 256 runs of so many numbers, first and last included."""
+    """Splits ``count`` ascending numbers greedily into at most 256 runs. Returns all borders, including both ends."""
 
     def entry(start: int, end: int) -> tuple[float, int, int, int]:
         gain, cut = sums.best_cut(start, end)
@@ -166,7 +165,7 @@ def read_sog(path: PathLike) -> SplatColumns:
         path: A bundled ``.sog``, a folder that holds ``meta.json``, or that ``meta.json``.
 
     Raises:
-        FormatError: A file is missing or damaged, the version is unknown, or images are too small for the count.
+        FormatError: A file is missing or damaged, the version is unknown, or images have fewer pixels than Gaussians.
     """
     with _open_source(path) as read_file, parsing(path, "a SOG capture"):
         meta = json.loads(read_file("meta.json"))
@@ -183,10 +182,10 @@ def read_sog(path: PathLike) -> SplatColumns:
 
 
 def read_meta(path: PathLike) -> Meta:
-    """Reads the ``meta.json`` of a SOG capture alone.
+    """Reads only the ``meta.json`` of a SOG capture.
 
     Raises:
-        FormatError: It is missing or damaged.
+        FormatError: The file is missing or damaged.
     """
     with _open_source(path) as read_file, parsing(path, "a SOG capture"):
         return json.loads(read_file("meta.json"))
@@ -194,7 +193,7 @@ def read_meta(path: PathLike) -> Meta:
 
 @contextmanager
 def _open_source(path: PathLike) -> Generator[Callable[[str], bytes]]:
-    """Yields a function that reads a file of the capture by its name."""
+    """Opens a bundle or folder. Yields a function that reads a file of the capture by its name."""
     if Path(path).is_dir() or Path(path).name == "meta.json":
         folder = Path(path) if Path(path).is_dir() else Path(path).parent
         yield lambda name: read_bytes(folder / name, referrer=path)
@@ -217,14 +216,14 @@ def _read_member(path: PathLike, bundle: zipfile.ZipFile, name: str) -> bytes:
 
 
 def _plain_name(path: PathLike, name: str) -> str:
-    """The name of a file, refused if it has a folder."""
+    """Returns the file name, or raises `FormatError` if it contains a folder."""
     if Path(name).name != name:
         raise FormatError(path, f"refers to {name!r}, expected the name of a file beside its meta.json")
     return name
 
 
 def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]:
-    """RGBA pixels of each image, shape (height, width, 4)."""
+    """Decodes images to RGBA pixels, shape (height, width, 4), in several threads."""
 
     def decoded(name: str) -> Bytes:
         with _decoding(path, name):
@@ -246,7 +245,7 @@ def _decode_images(path: PathLike, stored: dict[str, bytes]) -> dict[str, Bytes]
 
 @contextmanager
 def _decoding(path: PathLike, name: str) -> Generator[None]:
-    """What an image raises inside of the block becomes a `FormatError` that names it."""
+    """Converts errors of Pillow's decoders to `FormatError` that names the image."""
     try:
         yield
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
@@ -288,7 +287,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
 
 def _values(stored: Bytes, field: Meta) -> Floats:
-    """Converts bytes to numbers, by the codebook of a field or, in version 1, by its range."""
+    """Decodes bytes to numbers with the codebook of a field or, in version 1, with its range."""
     if "codebook" not in field:
         return _scale_to_range(stored / np.float32(255.0), field)
     codebook = np.array(field["codebook"], dtype=np.float32)
@@ -298,15 +297,15 @@ def _values(stored: Bytes, field: Meta) -> Floats:
 
 
 def _scale_to_range(unit: Floats, field: Meta) -> Floats:
-    """Values of 0..1 scaled to the range of a field."""
+    """Scales values from 0..1 to the range of a field."""
     low, high = (np.asarray(field[name], dtype=np.float32) for name in ("mins", "maxs"))
     return low + unit * (high - low)
 
 
 def _rotations(pixels: Bytes) -> Floats:
-    """Quaternions wxyz, shape (N, 4), from their smallest three components, one byte each.
+    """Decodes quaternions wxyz, shape (N, 4), from their smallest three components, one byte each.
 
-    Where the tag is invalid the quaternion is zero, which is refused later.
+    A pixel with an invalid tag gives a zero quaternion, which is refused later.
     """
     smallest = (pixels[:, :3] / np.float32(255.0) - np.float32(0.5)) * np.float32(np.sqrt(2.0))
     largest = pixels[:, 3].astype(np.int64) - _QUATERNION_TAG
@@ -314,7 +313,7 @@ def _rotations(pixels: Bytes) -> Floats:
 
 
 def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Callable[[str], Bytes]) -> Floats:
-    """SH coefficients from degree 1, looked up in a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
+    """Looks up SH coefficients from degree 1 in a palette of at most 65,536 entries, shape (N, K - 1, 3)."""
     # Writers list the centroids first, the specification lists the labels first: only the names are reliable.
     centroids_name, labels_name = sorted(field["files"][:2], key=lambda name: "label" in name)
     centroids = images[centroids_name][..., :3]
@@ -327,11 +326,11 @@ def _palette_sh(path: PathLike, field: Meta, images: dict[str, Bytes], rows: Cal
 
 
 def write_sog(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes a SOG bundle, or a folder with its files if ``path`` is its ``meta.json``.
+    """Writes a SOG bundle, or a folder of files if ``path`` is a ``meta.json``.
 
-    Values are quantised: positions to 16 bits of sign(x) log(1 + abs(x)) between their least and largest, rotations to
-    8 bits a component, log scales and DC to 256 values that suit them best, opacities to 8 bits. Other SH become one of
-    up to 65,536 sets, whose coefficients are of 256 values.
+    Values are quantised. Positions have 16 bits of sign(x) log(1 + abs(x)) over their range, and rotations 8 bits per
+    component. Log scales and DC use codebooks of 256 values, opacities 8 bits. SH above degree 0 are replaced by one of
+    up to 65,536 palette entries, whose coefficients use a codebook of 256 values.
 
     Raises:
         FormatError: There are too many Gaussians for an image, or a file cannot be written.
@@ -352,10 +351,10 @@ def write_sog(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def remove_file(path: Path) -> None:
-    """Removes a file, if it is there.
+    """Removes a file if it exists.
 
     Raises:
-        FormatError: It cannot be removed.
+        FormatError: The file cannot be removed.
     """
     try:
         path.unlink(missing_ok=True)
@@ -366,13 +365,13 @@ def remove_file(path: Path) -> None:
 def write_folder(meta: Path, contents: Contents, written: list[Path]) -> None:
     """Writes the files of a capture into a folder.
 
-    The old ``meta.json`` goes first and the new one comes last: a folder without one is no capture, so that none is
-    half old and half new.
+    The old ``meta.json`` is removed first and the new one written last. A folder without it is no capture, so an
+    interrupted write never leaves a mix of old and new files that loads.
 
     Args:
         meta: Path of the ``meta.json``.
-        contents: What the files hold, by their names.
-        written: Receives the files.
+        contents: Contents of the files, by name.
+        written: List to which the written files are appended.
 
     Raises:
         FormatError: A file cannot be written.
@@ -385,7 +384,7 @@ def write_folder(meta: Path, contents: Contents, written: list[Path]) -> None:
 
 
 def sog_contents(gaussians: Gaussians) -> Contents:
-    """The files of a capture by their names, ``meta.json`` first."""
+    """Encodes a capture. Returns the contents of its files by name, ``meta.json`` first."""
     side = 4 * math.ceil(math.sqrt(gaussians.count) / 4)
     images: dict[str, Bytes] = {}
     meta: dict[str, Any] = {
@@ -419,10 +418,10 @@ def sog_contents(gaussians: Gaussians) -> Contents:
 
 
 def coarse_steps(gaussians: Gaussians) -> Floats:
-    """Returns the steps in which positions are stored, scene units, of the Gaussians that are smaller than them.
+    """Returns the position steps, scene units, of the Gaussians that are smaller than their step.
 
-    A step is 1 / 65535 of the range of the logarithms, or the rounding of these in single precision, in which engines
-    decode them, whichever is larger, times the derivative 1 + abs(x).
+    A step is 1 / 65535 of the range of the log-encoded positions, or their float32 rounding (engines decode in single
+    precision), whichever is larger, times the derivative 1 + abs(x).
     """
     means = gaussians.means.astype(np.float64)
     logs = np.log1p(np.abs(means))
@@ -433,12 +432,12 @@ def coarse_steps(gaussians: Gaussians) -> Floats:
 
 
 def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
-    """Logs that some Gaussians are smaller than the steps of their positions, if any are.
+    """Logs that some Gaussians are smaller than the step of their quantised positions; nothing if ``count`` is 0.
 
     Args:
         path: The file.
-        count: Number of these.
-        step: The largest step, scene units.
+        count: Number of such Gaussians.
+        step: Largest step, scene units.
     """
     if count:
         _log.warning(
@@ -452,7 +451,7 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
 
 
 def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, Any]:
-    """The entry of the positions, and their images of low and high bytes."""
+    """Encodes positions as two images, of low and high bytes. Returns their meta.json entry."""
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = logs.min(axis=0), logs.max(axis=0)
     size = np.where(high > low, high - low, 1.0)
@@ -462,19 +461,19 @@ def _mean_images(means: Floats, add: Callable[[str, Bytes], str]) -> dict[str, A
 
 
 def _rotation_image(wxyz: Floats) -> Bytes:
-    """The smallest three components as bytes, and which one is left out."""
+    """Encodes quaternions as bytes: the smallest three components and the tag of the largest one."""
     largest, smallest = pack_smallest_three(wxyz)
     unit = np.clip(smallest * np.sqrt(0.5) + 0.5, 0.0, 1.0)
     return np.column_stack([np.floor(255.0 * unit + 0.5), largest + _QUATERNION_TAG]).astype(np.uint8)
 
 
 def palette_size(count: int) -> int:
-    """Entries of the SH palette for so many Gaussians: a power of two, which PlayCanvas's tools choose so, too."""
+    """Returns the number of SH palette entries for ``count`` Gaussians, a power of two as in PlayCanvas's tools."""
     return min(_PALETTE_ENTRIES_MAX, 2 ** int(math.log2(max(count, 1))))
 
 
 def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
-    """The entry of the SH above degree 0, and their images."""
+    """Encodes SH above degree 0 as two images, palette and labels. Returns their meta.json entry."""
     # Imported here: nothing else in files needs kernels.
     from lumisplat.palette import fit_palette
 
@@ -496,9 +495,9 @@ def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
 
 
 def _image(values: Bytes, width: int) -> Bytes:
-    """Values, shape (N, 1 to 4), as rows of opaque pixels, shape (height, width, 4); the rest is 0.
+    """Arranges values, shape (N, 1 to 4), in rows of opaque pixels, shape (height, width, 4); unused channels are 0.
 
-    Its height is a multiple of 4, as the width is.
+    The height is a multiple of 4, like the width.
     """
     height = 4 * -(-len(values) // (4 * width))
     pixels = np.zeros((height * width, 4), dtype=np.uint8)
@@ -508,7 +507,7 @@ def _image(values: Bytes, width: int) -> Bytes:
 
 
 def _webp(pixels: Bytes) -> bytes:
-    """A lossless WebP of exactly these pixels; without ``exact``, those of alpha 0 would lose their colours."""
+    """Encodes pixels as lossless WebP. Without ``exact``, pixels of alpha 0 would lose their colours."""
     buffer = io.BytesIO()
     opaque = bool((pixels[..., 3] == 255).all())
     image = Image.fromarray(np.ascontiguousarray(pixels[..., :3]) if opaque else pixels)

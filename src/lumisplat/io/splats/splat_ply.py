@@ -1,6 +1,6 @@
-"""Reads and writes Gaussian PLY as INRIA's trainer does, with or without further properties.
+"""Reads and writes Gaussian PLY in the layout of INRIA's trainer, with optional further properties.
 
-Also writes the columns of Relightable 3D Gaussians (Gao et al. 2024), which their programs read.
+Also writes the columns of Relightable 3D Gaussians (R3DG, Gao et al. 2024), for the programs of that paper.
 """
 
 from __future__ import annotations
@@ -54,43 +54,43 @@ _log = logging.getLogger("lumisplat")
 _REQUIRED = ("means", "rotations_wxyz", "log_scales", "opacities")
 
 _ANTIALIASED_COMMENT = "SplatRenderMode: mip"
-"""The comment of Brush, which PlayCanvas's tools also write."""
+"""Comment of Brush for antialiased captures, which PlayCanvas's tools also write."""
 
 _KERNEL_DEGREE_COMMENT = "lumisplat kernel_degree {}"
-"""Our own comment: no trainer writes the degree to its files."""
+"""Lumisplat's own comment of the kernel degree; no trainer writes the degree to its files."""
 
 _COLOR_OF_DC = {"f_dc_0": "red", "f_dc_1": "green", "f_dc_2": "blue"}
-"""Properties that give the colour of a capture without f_dc."""
+"""Colour properties that replace missing DC coefficients."""
 
 _CACHED_ROWS = 4096
-"""Rows whose columns are separated at once."""
+"""Rows whose columns are separated at once, few enough to stay in the CPU cache."""
 
 _ANTIALIASED = re.compile(r"\s*(?:antialiased\s+(?P<postshot>[01])|SplatRenderMode:\s*(?P<brush>\w+))\s*", re.I)
 _KERNEL_DEGREE = re.compile(r"\s*lumisplat\s+kernel_degree\s+(-?\d{1,9})\s*", re.I)
 
 _COEFFICIENTS = (SH_DEGREE_MAX + 1) ** 2
-"""Of each channel; their programs refuse files of another degree."""
+"""SH coefficients per channel in R3DG files; R3DG's programs refuse any other number."""
 
 
 def antialiased_from_comments(comments: tuple[str, ...]) -> bool:
-    """Whether header comments state that the capture was trained with Mip-Splatting; the last one counts.
+    """Returns whether header comments say that the capture was trained with Mip-Splatting; the last comment counts.
 
-    Knows the comments of Brush (``SplatRenderMode: mip``) and Postshot (``antialiased 1``).
+    Comments of Brush (``SplatRenderMode: mip``) and Postshot (``antialiased 1``) are recognised.
     """
     flags = [match for match in map(_ANTIALIASED.fullmatch, comments) if match]
     return bool(flags) and (flags[-1]["postshot"] == "1" or (flags[-1]["brush"] or "").lower() == "mip")
 
 
 def kernel_degree_from_comments(comments: tuple[str, ...]) -> int:
-    """The kernel degree that header comments state, in range or not; the last one counts, 2 if there is none."""
+    """Returns the kernel degree of the last comment that states one, not range-checked; 2 if there is none."""
     degrees = [int(match[1]) for match in map(_KERNEL_DEGREE.fullmatch, comments) if match]
     return degrees[-1] if degrees else KERNEL_DEGREE
 
 
 def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
-    """The comments of a capture, changed where needed to state its antialiased flag, kernel degree, up and first view.
+    """Returns the capture's comments, updated to state its antialiasing, kernel degree, up direction and first view.
 
-    Comments that state another value are removed; usual values need no comment.
+    Comments that state another value are removed. Default values get no comment.
     """
     comments = gaussians.comments
     if antialiased_from_comments(comments) != gaussians.antialiased:
@@ -105,13 +105,13 @@ def comments_with_settings(gaussians: Gaussians) -> tuple[str, ...]:
 
 
 def _comments_as_stored(gaussians: Gaussians, columns: SplatColumns) -> tuple[str, ...]:
-    """Returns `comments_with_settings`, and that of logits where readers would take the columns for other values."""
+    """Returns the comments to write, with `LOGITS_COMMENT` if readers would otherwise misjudge the encoding."""
     unsure = any(stored_activated(columns))
     return (*comments_with_settings(gaussians), *([LOGITS_COMMENT] if unsure else []))
 
 
 def is_gaussian_element(vertex: PlyElement) -> bool:
-    """Whether a vertex element has properties of a Gaussian capture, complete or not."""
+    """Returns whether a vertex element has any property of a Gaussian capture."""
     return bool({"opacity", "scale_0", "rot_0"}.intersection(vertex.names))
 
 
@@ -123,7 +123,7 @@ def read_splat_ply(
     Args:
         header: Header of the file.
         progress: Called with the fraction read, 0..1.
-        incident: Whether to read incident light, too, if there is any.
+        incident: Whether to read incident light, if the file has any.
 
     Raises:
         FormatError: The file is not a Gaussian capture, lacks a property, or is truncated.
@@ -149,7 +149,7 @@ def read_splat_ply(
 
 
 def splat_element(header: PlyHeader) -> tuple[PlyElement, int]:
-    """The element of the Gaussians of an uncompressed PLY, and its number of SH coefficients per channel.
+    """Returns the element with the Gaussians of an uncompressed PLY, and its number of SH coefficients per channel.
 
     Raises:
         FormatError: The file is not a Gaussian capture, or lacks a property.
@@ -163,14 +163,14 @@ def splat_element(header: PlyHeader) -> tuple[PlyElement, int]:
 def columns_of_rows(
     header: PlyHeader, vertex: PlyElement, coefficients: int, rows: PlyRows, activated: tuple[bool, bool]
 ) -> SplatColumns:
-    """Returns some rows of an uncompressed PLY, without materials.
+    """Converts some rows of an uncompressed PLY to columns, without materials.
 
     Args:
         header: Header of the file.
-        vertex: As of `splat_element`.
-        coefficients: Likewise.
+        vertex: Element from `splat_element`.
+        coefficients: SH coefficients per channel, from `splat_element`.
         rows: The rows.
-        activated: As of `stored_activated`.
+        activated: Whether scales and opacities are stored directly, from `stored_activated`.
     """
     columns = _allocate(replace(header, comments=()), replace(vertex, count=len(rows), properties=()), coefficients)
     columns.antialiased = antialiased_from_comments(header.comments)
@@ -185,7 +185,7 @@ def columns_of_rows(
 
 
 def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
-    """Stores rows in columns, from row ``start`` of these on."""
+    """Copies PLY rows into the columns, beginning at row ``start``."""
     assert rows.dtype.names is not None
     with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
         for name, target in _column_views(columns):
@@ -196,13 +196,13 @@ def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
 
 
 def _unit(color: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """A display-referred colour channel as 0..1, whether it is stored as an integer or as a float of that range."""
+    """Converts a display-referred colour channel to 0..1, from integers of any width or from floats in 0..1."""
     largest = np.iinfo(color.dtype).max if color.dtype.kind in "iu" else 1
     return color.astype(np.float32) / np.float32(largest)
 
 
 def _about_origin(path: PathLike, columns: SplatColumns) -> None:
-    """Moves means that float32 cannot hold to an origin next to them, as a log line says."""
+    """Makes means relative to a nearby origin if float32 cannot hold them, and logs it."""
     if columns.means.dtype == np.float32:
         return
     with np.errstate(all="ignore"):
@@ -222,12 +222,12 @@ def _about_origin(path: PathLike, columns: SplatColumns) -> None:
 
 
 def scale_columns(vertex: PlyElement) -> int:
-    """Returns the number of scales: 2D Gaussians have two."""
+    """Returns the number of scales per Gaussian: 2 for 2D Gaussians, else 3."""
     return 3 if "scale_2" in vertex.names else 2
 
 
 def _flatten_2d(columns: SplatColumns, vertex: PlyElement) -> None:
-    """Gives 2D Gaussians their third scale."""
+    """Sets the third scale of 2D Gaussians to a small fraction of their smaller scale."""
     if scale_columns(vertex) == 2:
         smaller = columns.log_scales[:, :2].min(axis=1)
         is_logarithm = columns.scales_are_logarithms
@@ -235,7 +235,7 @@ def _flatten_2d(columns: SplatColumns, vertex: PlyElement) -> None:
 
 
 def _check_properties(path: PathLike, vertex: PlyElement) -> int:
-    """Number of SH coefficients per channel, after checking that all required properties are present."""
+    """Checks that all required properties are present. Returns the number of SH coefficients per channel."""
     rest = sum(name.startswith("f_rest_") for name in vertex.names)
     degree = {3 * ((n + 1) ** 2 - 1): n for n in range(8)}.get(rest)
     if degree is None:
@@ -251,7 +251,7 @@ def _check_properties(path: PathLike, vertex: PlyElement) -> int:
 
 
 def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident: bool = False) -> SplatColumns:
-    """Columns of the right shapes, not yet filled."""
+    """Allocates uninitialised columns of the right shapes."""
 
     def empty(*shape: int) -> FloatArray:
         return np.empty((vertex.count, *shape), dtype=np.float32)
@@ -286,7 +286,7 @@ def _allocate(header: PlyHeader, vertex: PlyElement, coefficients: int, incident
 
 
 def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
-    """Name and column, a view of shape (N,), of every property that ``columns`` has."""
+    """Returns the name and a view of shape (N,) of every property in ``columns``."""
     targets: list[tuple[str, Floats]] = []
     for field in (*_REQUIRED, "sh", *OPTIONAL):
         values = getattr(columns, field)
@@ -296,7 +296,7 @@ def _column_views(columns: SplatColumns) -> list[tuple[str, Floats]]:
 
 
 def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
-    """Logs which materials are not read because a column of them is missing."""
+    """Logs which materials are not read because one of their columns is missing."""
     for field, names in columns.material_columns.properties.items():
         missing = [name for name in names if name not in vertex.names]
         if 0 < len(missing) < len(names):
@@ -304,10 +304,11 @@ def _warn_incomplete_materials(header: PlyHeader, vertex: PlyElement, columns: S
 
 
 def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: SplatColumns) -> None:
-    """Removes materials whose meaning nobody knows, and logs why.
+    """Drops materials of unknown encoding, and logs why.
 
-    Several trainers use our names for values before their activation. Without our comment, columns are ours if the file
-    has no others than we write, and all values are in range.
+    Several trainers use Lumisplat's property names for values before their activation. Without `LINEAR_COMMENT`,
+    columns are accepted only if the file has no property that Lumisplat does not write, and all material values are
+    within 0..1.
     """
     fields = [field for field in FIELDS[1:] if getattr(columns, field) is not None]
     if columns.material_columns is not LINEAR or not fields or has_linear_comment(header.comments):
@@ -335,7 +336,7 @@ def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: Spla
 
 
 def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes an uncompressed Gaussian PLY, little endian, float32, as INRIA's trainer does.
+    """Writes an uncompressed Gaussian PLY in INRIA's layout, little endian, float32.
 
     Raises:
         FormatError: The file cannot be written.
@@ -353,13 +354,13 @@ def write_splat_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _inria_names(coefficients: int) -> list[str]:
-    """The properties of INRIA's files, in their order."""
+    """Returns the property names of INRIA's files, in order."""
     names = ["x", "y", "z", "nx", "ny", "nz", *_sh_names_in_file_order("f", coefficients), "opacity"]
     return [*names, *PROPERTY_NAMES["log_scales"], *PROPERTY_NAMES["rotations_wxyz"]]
 
 
 def _sh_names_in_file_order(prefix: str, coefficients: int, channels: int = 3) -> list[str]:
-    """The names of `sh_names` in the order of files."""
+    """Returns the property names of `sh_names` in the order of files."""
     rest = [f"{prefix}_rest_{i}" for i in range(channels * (coefficients - 1))]
     return [*(f"{prefix}_dc_{channel}" for channel in range(channels)), *rest]
 
@@ -367,7 +368,7 @@ def _sh_names_in_file_order(prefix: str, coefficients: int, channels: int = 3) -
 def _write_columns(
     path: PathLike, comments: tuple[str, ...], names: list[str], values: Mapping[str, Floats], count: int
 ) -> None:
-    """Writes a PLY of these properties; those that have no values are zeros."""
+    """Writes a PLY with these properties; properties without values are zero."""
     header = ply_header_bytes(comments, [("vertex", count, "float", names)])
     step = 4096
     with atomic_write(path) as temporary, temporary.open("wb") as file:
@@ -381,11 +382,10 @@ def _write_columns(
 
 
 def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes a capture with materials as R3DG's second stage does.
+    """Writes a capture with materials in the columns of R3DG's second training stage.
 
-    Base colours outside 0.03..0.8 and roughness outside 0.09..0.99 become the nearest value that their columns can
-    hold, which is logged, as is metalness, for which there is no column. Incident light is 0 where there is none, and
-    visibility always: their programs trace it.
+    Base colours outside 0.03..0.8 and roughness outside 0.09..0.99 are clamped, and metallic has no column; log lines
+    report both. Missing incident light is written as 0. Visibility is always 0, as R3DG's programs trace it.
 
     Raises:
         FormatError: The capture lacks albedo, roughness or normals, or the file cannot be written.
@@ -424,12 +424,12 @@ def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _padded(sh: Floats) -> Floats:
-    """Harmonics up to the degree of their files."""
+    """Pads SH coefficients with zeros to the degree of R3DG files."""
     return np.pad(sh, ((0, 0), (0, _COEFFICIENTS - sh.shape[1]), (0, 0)))
 
 
 def _warn_if_outside(path: PathLike, name: str, values: Floats) -> None:
-    """Logs how many values their columns cannot hold."""
+    """Logs how many values are outside the range that R3DG's columns can represent."""
     low, high = R3DG.limits(name)
     beyond = np.maximum(low - values, values - high)
     count = np.count_nonzero(beyond > 0.0)

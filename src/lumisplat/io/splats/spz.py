@@ -1,7 +1,7 @@
-"""Reads and writes Niantic SPZ, versions 1 to 4. Layout: https://github.com/nianticlabs/spz.
+"""Reads Niantic SPZ, versions 1 to 4, and writes version 4. Layout: https://github.com/nianticlabs/spz.
 
 Versions 1 to 3 are a gzip stream of a 16-byte header and six packed sections (positions, alphas, colours, scales,
-rotations, SH), then extension records; version 4 compresses each section by Zstandard.
+rotations, SH), followed by extension records. Version 4 compresses each section separately with Zstandard.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ _FRACTIONAL_BITS_MAX = 24
 _HEADER = struct.Struct("<IIIBBBB")
 
 _COLOR_SCALE = 0.15
-"""A colour byte is 255 (0.5 + 0.15 DC): a range wider than 0..1, so that hardly a coefficient is clipped."""
+"""Scale of colour bytes, 255 (0.5 + 0.15 DC): a range wider than 0..1, so that hardly any coefficient is clipped."""
 _DC_MAX = 0.5 / _COLOR_SCALE
-"""Largest DC, of either sign."""
+"""Largest magnitude of DC that SPZ can store."""
 
 _LOG_SCALE_MIN = -10.0
-"""Smallest logarithm of a scale that SPZ can store; a byte is 16 (log scale - this)."""
+"""Smallest log scale that SPZ can store; a byte is 16 (log scale - this)."""
 _LOG_SCALE_MAX = _LOG_SCALE_MIN + 255.0 / 16.0
-"""Largest."""
+"""Largest log scale that SPZ can store."""
 
 _SECTIONS = ("positions", "alphas", "colours", "scales", "rotations", "SH")
 
@@ -62,34 +62,37 @@ _EXTENSION_BYTES_MAX = 2**16
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS
 
 _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
-"""The fields of all versions, the last of which is the number of streams, then the offset of the table of contents."""
+"""Header of version 4: the fields of all versions, number of streams, and offset of the table of contents."""
 
 _ZSTD_LEVEL = 12
-"""Level of the zstd streams, see docs/adr/0064-spz-by-numpy-and-zstandard.md."""
+"""Compression level of the zstd streams; see docs/adr/0064-spz-by-numpy-and-zstandard.md."""
 
 _SIZE_UNKNOWN = -1
-"""What zstandard says of streams whose writer did not know their size when it began."""
+"""Size that zstandard reports for streams written without a stated size."""
 
 _EXTENSION_COORDINATES = 0xADBE0003
 """Extension SPZ_ADOBE_coordinate_system: one u32 that names the axes."""
 
 _EXTENSION_ORIENTATION = 0x4C530001
-"""Our own extension: up and first view as JSON (`lumisplat.io.splats.orientation`), in our axes. Others skip it."""
+"""Lumisplat's extension: up and first view as JSON (`lumisplat.io.splats.orientation`), in Lumisplat's axes.
+
+Other readers skip unknown extensions."""
 
 _COORDINATES = ("RUB", "LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF")
-"""Axes by that number: right or left, up or down, back or front; 0 is unspecified. Numbers 9 to 16 exchange y and z and
-are not supported."""
+"""Axes by the number in the extension: right or left, up or down, back or front; 0 is unspecified.
+
+Numbers 9 to 16 exchange y and z and are not supported."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpzHeader:
-    """The fields that all versions have."""
+    """Header fields that all versions have."""
 
     version: int
     count: int
     sh_degree: int
     fractional_bits: int
-    """Fractional bits of the fixed-point positions; version 1 has floating-point positions."""
+    """Fractional bits of the fixed-point positions. Version 1 has floating-point positions instead."""
     flags: int
 
     @property
@@ -99,17 +102,17 @@ class SpzHeader:
 
     @property
     def section_sizes(self) -> tuple[int, int, int, int, int, int]:
-        """Bytes of positions, alphas, colours, scales, rotations and SH."""
+        """Sizes of positions, alphas, colours, scales, rotations and SH, bytes."""
         n = self.count
         position, rotation = (6 if self.version == 1 else 9), (4 if self.version >= 3 else 3)
         return position * n, n, 3 * n, 3 * n, rotation * n, 3 * (self.sh_coefficients - 1) * n
 
 
 def _parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes: int) -> SpzHeader:
-    """The header at the start of ``data``, with its count checked against the size of the file.
+    """Parses the header, and checks its Gaussian count against the size of the file.
 
     Args:
-        path: Named in errors.
+        path: File to name in errors.
         data: Bytes that begin with the header.
         versions: Versions that this container may have.
         stored_bytes: Size of the file.
@@ -131,11 +134,11 @@ def _parse_spz_header(path: PathLike, data: bytes, versions: range, stored_bytes
 
 
 def _decode_sections(header: SpzHeader, sections: Sequence[Bytes]) -> SplatColumns:
-    """Gaussians in the axes of the file.
+    """Decodes the sections to Gaussians, in the axes of the file.
 
     Args:
-        header: What the file says about them.
-        sections: One array of bytes for each of `_SECTIONS`, of the sizes that the header calls for.
+        header: Header of the file.
+        sections: Bytes of each section in `_SECTIONS`, of the sizes that the header implies.
     """
     positions, alphas, colors, scales, rotations, sh = sections
     n = header.count
@@ -158,7 +161,7 @@ def _half_positions(section: Bytes) -> Floats:
 
 
 def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
-    """24-bit two's complement, shape (N, 3)."""
+    """Decodes 24-bit two's complement positions, shape (N, 3)."""
     parts = section.reshape(-1, 3, 3).astype(np.int32)
     # Shifted to the high bytes of an int32 first, so that shifting back down extends the sign.
     fixed = (parts[..., 0] << 8 | parts[..., 1] << 16 | parts[..., 2] << 24) >> 8
@@ -166,13 +169,16 @@ def _fixed_positions(section: Bytes, fractional_bits: int) -> Floats:
 
 
 def _byte_rotations(section: Bytes) -> Floats:
-    """x, y and z as bytes; w is positive and follows from the unit length. Shape (N, 4), wxyz."""
+    """Decodes quaternions wxyz, shape (N, 4), from x, y and z as bytes; w >= 0 follows from the unit length."""
     xyz = section.reshape(-1, 3) / np.float32(127.5) - np.float32(1.0)
     return unpack_smallest_three(np.zeros(len(xyz), dtype=np.int64), xyz)
 
 
 def _packed_rotations(section: Bytes) -> Floats:
-    """Smallest three of xyzw: a 2-bit index, then three times a sign and 9 bits of magnitude. Shape (N, 4), wxyz."""
+    """Decodes quaternions wxyz, shape (N, 4), from their smallest three components in the order xyzw.
+
+    A 32-bit word has a 2-bit index of the largest component, then three times a sign bit and a 9-bit magnitude.
+    """
     packed = section.view("<u4")
     fields = np.stack([packed >> np.uint32(shift) & np.uint32(0x3FF) for shift in (20, 10, 0)], axis=1)
     magnitude = (fields & np.uint32(0x1FF)) * np.float32(np.sqrt(0.5) / 511.0)
@@ -181,14 +187,14 @@ def _packed_rotations(section: Bytes) -> Floats:
 
 
 def _encode_sections(columns: SplatColumns, fractional_bits: int) -> list[bytes]:
-    """The sections of versions 3 and 4, each value rounded to the nearest that can be stored.
+    """Encodes the sections of versions 3 and 4, each value rounded to the nearest one that can be stored.
 
     Args:
-        columns: Gaussians in the axes of the file, with unit rotations, and opacities in 0..1.
-        fractional_bits: Fractional bits of the positions, with which all of them fit into 24 bits.
+        columns: Gaussians in the axes of the file, with unit rotations and opacities in 0..1.
+        fractional_bits: Fractional bits of the positions, few enough that all positions fit into 24 bits.
 
     Returns:
-        The bytes of each of `_SECTIONS`; those of SH are none at degree 0.
+        Bytes of each section in `_SECTIONS`; SH is empty at degree 0.
     """
     # Clamped, as the largest coordinate that fits may round to the first that does not.
     fixed = np.clip(np.floor(columns.means * np.float64(2.0**fractional_bits) + 0.5), -(2**23), 2**23 - 1).astype("<i4")
@@ -203,12 +209,12 @@ def _encode_sections(columns: SplatColumns, fractional_bits: int) -> list[bytes]
 
 
 def _rounded(values: Floats) -> bytes:
-    """Bytes, rounded and clamped."""
+    """Rounds values to bytes, clamped to 0..255."""
     return np.clip(np.floor(values + 0.5), 0, 255).astype(np.uint8).tobytes()
 
 
 def _pack_rotations(wxyz: Floats) -> npt.NDArray[np.uint32]:
-    """The inverse of `_packed_rotations`."""
+    """Encodes quaternions wxyz, the inverse of `_packed_rotations`."""
     largest, smallest = pack_smallest_three(np.roll(wxyz, -1, axis=1))
     packed = largest.astype("<u4")
     for component in smallest.T:
@@ -218,10 +224,10 @@ def _pack_rotations(wxyz: Floats) -> npt.NDArray[np.uint32]:
 
 
 def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
-    """Decodes a gzip container.
+    """Decodes a gzip container, versions 1 to 3.
 
     Args:
-        path: Named in errors.
+        path: File to name in errors.
         data: The whole file.
 
     Returns:
@@ -242,7 +248,7 @@ def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, 
 
 
 def _inflate(path: PathLike, data: bytes, size: int) -> bytes:
-    """The first ``size`` bytes of a gzip stream, or all of them if it is shorter."""
+    """Decompresses the first ``size`` bytes of a gzip stream, or all of it if it is shorter."""
     try:
         return zlib.decompressobj(_GZIP_WINDOW).decompress(data, size)
     except zlib.error as error:
@@ -271,7 +277,7 @@ def read_spz(path: PathLike) -> SplatColumns:
 
 
 def read_spz_orientation(path: PathLike) -> Orientation:
-    """Reads up and first view alone; those of versions before 4, which we never write, are not looked for.
+    """Reads only up direction and first view. Versions before 4, which Lumisplat never writes, have none.
 
     Raises:
         FormatError: The file is damaged.
@@ -285,7 +291,7 @@ def read_spz_orientation(path: PathLike) -> Orientation:
 
 
 def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, bytes]:
-    """Header, Gaussians in the axes of the file, and the bytes of extension records."""
+    """Decodes version 4: header, Gaussians in the axes of the file, and the bytes of extension records."""
     header = _parse_spz_header(path, data, range(4, 5), len(data))
     if len(data) < _HEADER_V4.size:
         raise FormatError(path, "truncated: the SPZ header is incomplete")
@@ -309,7 +315,7 @@ def _read_v4(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, byte
 
 
 def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArray[np.uint8]:
-    """The bytes of a zstd stream that holds ``size`` of them; no more is unpacked, however long it is."""
+    """Decompresses a zstd stream that must hold exactly ``size`` bytes; never decompresses more."""
     try:
         stated = zstandard.frame_content_size(stream)
         if stated not in (size, _SIZE_UNKNOWN):
@@ -323,13 +329,13 @@ def _unpacked(path: PathLike, name: str, stream: bytes, size: int) -> npt.NDArra
 
 
 def _rdf_signs(axes: str) -> tuple[int, int, int]:
-    """Signs of x, y and z that convert right/left, up/down, back/front axes, such as ``"RUB"``, to ours."""
+    """Returns signs of x, y and z that convert axes such as ``"RUB"`` (right, up, back) to right, down, front."""
     x, y, z = axes
     return (1 if x == "R" else -1, 1 if y == "D" else -1, 1 if z == "F" else -1)
 
 
 def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
-    """Extension records: their kinds and what they hold; the last may be cut off."""
+    """Yields the kind and contents of each extension record; the last one may be truncated."""
     start = 0
     while start + 8 <= len(extensions):
         kind, size = struct.unpack_from("<II", extensions, start)
@@ -338,7 +344,7 @@ def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
-    """The axes that an extension record names, RUB if none does."""
+    """Returns the axes that an extension record states, or RUB without such a record."""
     stored = records.get(_EXTENSION_COORDINATES, b"")
     if len(stored) != 4:
         return "RUB"
@@ -349,16 +355,16 @@ def _stored_axes(path: PathLike, records: dict[int, bytes]) -> str:
 
 
 def _stored_orientation(path: PathLike, records: dict[int, bytes]) -> Orientation:
-    """Up and first view, of our own extension record."""
+    """Returns up direction and first view from Lumisplat's extension record."""
     return orientation_of_text(path, records.get(_EXTENSION_ORIENTATION, b"{}"))
 
 
 def write_spz(path: PathLike, gaussians: Gaussians) -> None:
     """Writes SPZ version 4 in RUB axes.
 
-    Values are quantised: positions by `position_bits`, log scales to 1/16 within -10..5.94, opacities to 8 bits, DC to
-    8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Gaussians of which
-    anything is outside are counted in a warning, and clamped.
+    Values are quantised: positions as `position_bits` says, log scales to 1/16 within -10..5.94, opacities to 8 bits,
+    DC to 8 bits within +-3.33, other SH to 8 bits within -1..1, rotations to 10 bits per component. Values outside
+    these ranges are clamped, and a warning counts their Gaussians.
 
     Raises:
         FormatError: A position does not fit into 24-bit fixed point, or the file cannot be written.
@@ -386,7 +392,7 @@ def write_spz(path: PathLike, gaussians: Gaussians) -> None:
 
 
 def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
-    """Says of how many Gaussians a file keeps less than they have."""
+    """Logs how many Gaussians have scales or SH coefficients outside the range of SPZ."""
     least, most = f"{math.exp(_LOG_SCALE_MIN):.2g}", f"{math.exp(_LOG_SCALE_MAX):.3g}"
     remedy = "clipped, save as .ply to keep them"
     clamped = (
@@ -402,9 +408,9 @@ def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
 
 
 def position_bits(path: PathLike, largest: float) -> int:
-    """Fractional bits of the 24-bit positions: usually 12, more for small scenes, fewer for large ones.
+    """Returns the fractional bits of the 24-bit positions: usually 12, more for small scenes, fewer for large ones.
 
-    A step is 2^-bits scene units. 12 bits reach 2048 units, but are too coarse for small objects: a scene below 32
+    A step is 2^-bits scene units. 12 bits reach 2048 units but are too coarse for small objects, so a scene below 32
     units gets steps of at most 2^-17 of its largest coordinate.
 
     Raises:

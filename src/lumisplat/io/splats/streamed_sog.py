@@ -1,6 +1,6 @@
-"""Reads and writes streamed SOG: a ``lod-meta.json`` divides space among leaves with levels of detail in SOG captures.
+"""Reads and writes streamed SOG: a ``lod-meta.json`` with a tree whose leaves have several levels of detail.
 
-Written, each leaf is decimated to half again and again.
+Each level of a leaf is a range of rows in a SOG capture. The writer halves the Gaussians of a leaf from level to level.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ from lumisplat.scene.gaussians import Gaussians, merge_gaussians
 from lumisplat.scene.ops.neighbours import sort_morton
 
 SOG_CHUNK_COUNT = 512 * 1024
-"""Gaussians of a capture of a streamed SOG, about, and at most of a leaf: what splat-transform takes, 7 MB."""
+"""Approximate number of Gaussians per SOG capture, and largest number per leaf; as in splat-transform, 7 MB."""
 
 SOG_CHUNK_EXTENT = 16.0
-"""Largest extent of a leaf, scene units, again splat-transform's: viewers choose the level of a leaf as a whole."""
+"""Largest extent of a leaf, scene units, as in splat-transform. Viewers choose one level for a whole leaf."""
 
 SOG_LEAF_MIN = 8192
-"""Gaussians of a leaf that is not divided any more, however large: scenes need not be in metres."""
+"""Leaves of at most this many Gaussians are not divided, however large they are, as scene units may not be metres."""
 
 SOG_LEVEL_MIN = 20_000
-"""Gaussians that the coarsest level has at least, of a capture that has as many: they are loaded in an instant."""
+"""Smallest number of Gaussians in the coarsest level, if the capture has as many: few enough to load at once."""
 
 _log = logging.getLogger("lumisplat")
 
 _LEVELS_MAX = 64
-"""Levels of a file; writers halve the Gaussians from one to the next."""
+"""Largest number of levels in a file; writers halve the Gaussians from level to level."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Rows:
-    """Rows of a capture."""
+    """A range of rows in a capture."""
 
     file: int
     offset: int
@@ -65,21 +65,21 @@ class _Rows:
 
 
 Leaf = dict[int, _Rows]
-"""The rows of a leaf, by level."""
+"""Rows of a leaf by level."""
 
 
 def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None = None) -> SplatColumns:
-    """Reads one level of a streamed SOG, the same for all leaves.
+    """Reads one level of detail of a streamed SOG, the same level for all leaves.
 
     Args:
         path: A ``lod-meta.json``, or the folder that holds it.
-        lod: The level, 0 the finest; a leaf that lacks it shows the nearest coarser level that it has, else its
-            coarsest. None: 0, or what ``budget`` says.
-        budget: The finest level of no more Gaussians than this is read; if all have more, the coarsest, which is
-            logged. None: no limit.
+        lod: The level, 0 the finest. A leaf without this level uses the next coarser level that it has, or else its
+            coarsest one. None: 0, or the level that ``budget`` chooses.
+        budget: Read the finest level with at most this many Gaussians. If all levels have more, the coarsest one is
+            read, and a log line says so. None: no limit.
 
     Raises:
-        FormatError: A file is missing or damaged, there is no such level, or rows are not in their capture.
+        FormatError: A file is missing or damaged, there is no such level, or a capture lacks the rows of a leaf.
     """
     path = Path(path) / STREAMED_SOG if Path(path).is_dir() else Path(path)
     with parsing(path, "a streamed SOG"):
@@ -109,7 +109,7 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
 
 
 def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """The levels of all leaves, in the order of the file."""
+    """Yields the levels of each leaf, in the order of the file."""
     waiting = [tree]
     while waiting:
         node = waiting.pop()
@@ -119,7 +119,7 @@ def _leaves(tree: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _leaf(path: Path, lods: dict[str, Any], files: int, levels: int) -> Leaf:
-    """The rows of a leaf."""
+    """Parses and checks the rows of a leaf."""
     leaf: Leaf = {}
     for name, entry in lods.items():
         rows = _Rows(*(int(entry[key]) for key in ("file", "offset", "count")))
@@ -132,7 +132,7 @@ def _leaf(path: Path, lods: dict[str, Any], files: int, levels: int) -> Leaf:
 
 
 def _level(path: Path, leaves: list[Leaf], levels: int, lod: int | None, budget: int | None) -> int:
-    """The level to read."""
+    """Chooses the level to read."""
     if lod is not None and not 0 <= lod < levels:
         raise FormatError(path, f"has no level {lod}: its levels are 0 (finest) to {levels - 1}")
     if budget is None:
@@ -153,12 +153,12 @@ def _level(path: Path, leaves: list[Leaf], levels: int, lod: int | None, budget:
 
 
 def _at_level(leaf: Leaf, level: int) -> _Rows:
-    """The rows of the nearest level that is no finer, or of the coarsest."""
+    """Returns the rows of a leaf at ``level``, or else at the next coarser level, or else at its coarsest level."""
     return leaf[min((held for held in leaf if held >= level), default=max(leaf))]
 
 
 def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumns]:
-    """Rows of a capture; no row is read twice."""
+    """Yields ranges of rows of a capture; overlapping ranges are an error."""
     columns = read_sog(capture)
     end = 0
     for row in sorted(rows, key=lambda row: row.offset):
@@ -174,7 +174,7 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
 
 @dataclass(slots=True)
 class _OpenCapture:
-    """A capture that is being filled with rows of leaves."""
+    """A SOG capture that is being filled with rows of leaves."""
 
     name: str
     parts: list[Gaussians] = field(default_factory=list[Gaussians])
@@ -182,21 +182,21 @@ class _OpenCapture:
 
 
 class _OpenCaptures:
-    """The captures of all levels, written when they are full; ``written`` receives the files."""
+    """One open capture per level. A full capture is written, and its files are appended to ``written``."""
 
     def __init__(self, folder: Path, levels: int, written: list[Path]) -> None:
         self._folder, self._written = folder, written
         self._open = [_OpenCapture(f"{level}_0") for level in range(levels)]
         self._number = [0] * levels
         self.names: list[str] = []
-        """As leaves refer to them."""
+        """Paths of all captures, in the order of their indices in the tree."""
         self.counts = [0] * levels
-        """Gaussians of each level."""
+        """Number of Gaussians of each level."""
         self.coarse: tuple[int, float] = (0, 0.0)
-        """As of `warn_coarse_positions`, of the finest level."""
+        """Count and step for `warn_coarse_positions`, of the finest level."""
 
     def add(self, level: int, part: Gaussians) -> dict[str, int]:
-        """Rows for a level of a leaf; where they are, as the tree says it."""
+        """Adds a leaf's Gaussians at a level. Returns their file, offset and count for the tree."""
         capture = self._open[level]
         name = f"{capture.name}/meta.json"
         if not capture.parts:
@@ -210,7 +210,7 @@ class _OpenCaptures:
         return location
 
     def close(self) -> None:
-        """Writes those that are not full."""
+        """Writes the captures that are not full."""
         for level, capture in enumerate(self._open):
             if capture.parts:
                 self._write(level)
@@ -228,10 +228,10 @@ class _OpenCaptures:
 
 
 def write_streamed_sog(path: PathLike, gaussians: Gaussians) -> None:
-    """Writes a streamed SOG into the folder of its ``lod-meta.json``, which goes first if it is there, and comes last.
+    """Writes a streamed SOG into the folder of its ``lod-meta.json``, which is removed first and written last.
 
-    Each level has half the Gaussians of the one before; the coarsest has some `SOG_LEVEL_MIN`. Values are quantised
-    as by `write_sog`.
+    Each level has half the Gaussians of the previous one; the coarsest has about `SOG_LEVEL_MIN`. Values are quantised
+    as in `write_sog`.
 
     Raises:
         FormatError: A file cannot be written.
@@ -265,12 +265,12 @@ def _write_all(path: Path, gaussians: Gaussians, written: list[Path]) -> None:
 
 
 def level_count(count: int) -> int:
-    """Levels of detail of so many Gaussians, the finest included."""
+    """Returns the number of levels of detail for ``count`` Gaussians, including the finest."""
     return 1 + max(0, int(math.log2(max(count, 1) / SOG_LEVEL_MIN)))
 
 
 def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[str, Any]:
-    """A node of the tree, whose rows are added to the captures."""
+    """Builds a node of the tree recursively, and adds the Gaussians of its leaves to the captures."""
     low, high = gaussians.bounds()
     axis = int((high - low).argmax())
     most = SOG_LEAF_MIN if high[axis] - low[axis] > SOG_CHUNK_EXTENT else SOG_CHUNK_COUNT
@@ -289,14 +289,14 @@ def _node(captures: _OpenCaptures, gaussians: Gaussians, levels: int) -> dict[st
 
 
 def _lower_half(values: FloatArray) -> Flags:
-    """Which numbers are below their median, neither none nor all of them."""
+    """Returns a mask of the numbers below the median; never none or all of them."""
     median = np.median(values)
     below = values < median
     return below if below.any() else values <= median
 
 
 def _levels(gaussians: Gaussians, levels: int) -> Iterator[Gaussians]:
-    """A leaf at each level, at least one Gaussian."""
+    """Yields the Gaussians of a leaf at each level, at least one per level."""
     yield gaussians
     for _ in range(levels - 1):
         gaussians = decimate(gaussians, max(1, gaussians.count // 2))
@@ -304,7 +304,7 @@ def _levels(gaussians: Gaussians, levels: int) -> Iterator[Gaussians]:
 
 
 def _extent(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
-    """Corners of a box around the ellipsoids of one standard deviation, by which PlayCanvas's engine chooses levels."""
+    """Returns the AABB of the one-sigma ellipsoids, which PlayCanvas's engine uses to choose levels."""
     axes = np.abs(matrices_from_quaternions(gaussians.rotations_wxyz))
     reach = np.einsum("nij,nj->ni", axes, gaussians.scales)
     return (gaussians.means - reach).min(axis=0), (gaussians.means + reach).max(axis=0)

@@ -1,1 +1,1 @@
-"""Training images with poses: which a folder holds, their pixels as pinholes see them, and poses from images alone."""
+"""Loads training images with camera poses, extracts them from videos, and finds their poses with COLMAP."""

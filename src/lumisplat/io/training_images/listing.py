@@ -1,6 +1,6 @@
-"""Lists training images and their cameras: ``transforms.json``, and sparse models of COLMAP.
+"""Lists the images, masks and cameras that a ``transforms.json`` or a COLMAP sparse model refers to.
 
-nerfstudio's ``transforms.json`` also names points of the scene, and which frames are for what.
+Also reads the train and test splits and the point cloud that nerfstudio's ``transforms.json`` may name.
 """
 
 from __future__ import annotations
@@ -34,36 +34,37 @@ from lumisplat.scene.camera import Camera
 _log = logging.getLogger("lumisplat")
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
-"""Extensions of images, and of masks."""
+"""File extensions of images and masks."""
 
 _MASK_ENDINGS = (".mask", "_mask", "-mask")
-"""Ends of names, before the extension, that say that a file is a mask."""
+"""Endings of a file stem that mark the file as a mask."""
 
 _NAMES_LISTED = 3
-"""How many names a message lists."""
+"""Largest number of file names that a message lists."""
 
 
 @dataclass(frozen=True, slots=True)
 class ListedImage:
-    """A photograph that a file lists, and that is there."""
+    """An image that a transforms file or a COLMAP model lists, and that exists on disk."""
 
     camera: Camera
-    """With its lens, of the size that the file says."""
+    """Camera of the image, with lens distortion and with the image size that the file states."""
     image: Path
     mask: Path | None
     name: str = ""
-    """The ``file_path`` of its frame, in its shortest spelling."""
+    """Normalised ``file_path`` of the frame; empty for COLMAP models."""
 
 
 def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedImage]:
-    """Lists the images of a ``transforms.json``; those that are missing are left out, and a log line names them.
+    """Lists the images of a ``transforms.json``. Missing images are skipped, and a log line names them.
 
     Args:
-        path: The file.
-        may_lack_all: Whether none of them has to be there; then nothing is logged of such a file.
+        path: The ``transforms.json``.
+        may_lack_all: Return an empty list, without a log line, if every image of the file is missing.
 
     Raises:
-        FormatError: The file is malformed, a frame has no valid pose or intrinsics, or no image is there.
+        FormatError: The file is malformed, a frame has no valid pose or intrinsics, or all images are missing and
+            ``may_lack_all`` is False.
     """
     with parsing(path, "a transforms.json of photographs"):
         content = parse_json(path)
@@ -93,19 +94,20 @@ def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedI
 
 
 def _shortest_name(name: str) -> str:
-    """Returns the shortest spelling of a ``file_path``, by which frames are told apart."""
+    r"""Normalises a ``file_path`` (``./a\b`` to ``a/b``), so that names of the same frame compare equal."""
     return str(PurePosixPath(name.replace("\\", "/")))
 
 
 def colmap_images(model: Path, folder: Path) -> list[ListedImage]:
-    """The photographs of a sparse model; those that are missing are left out, and a log line names them.
+    """Lists the images of a COLMAP sparse model. Missing images are skipped, and a log line names them.
 
     Args:
-        model: The folder of the model.
-        folder: The one whose ``images`` the model is of; without it, the images are in the folder itself.
+        model: Folder of the model.
+        folder: Folder of the image set. Image names are relative to its ``images`` subfolder, or to the folder itself
+            if it has no ``images``.
 
     Raises:
-        FormatError: The model is damaged, or no image is there.
+        FormatError: The model is damaged, or all images are missing.
     """
     images = folder / "images" if (folder / "images").is_dir() else folder
     found: list[ListedImage] = []
@@ -125,12 +127,13 @@ def colmap_images(model: Path, folder: Path) -> list[ListedImage]:
 
 
 def report_without_pose(file: Path, folder: Path, listed: Sequence[ListedImage]) -> None:
-    """Logs how many images lie beside those of a file without being listed in it, so that they have no pose.
+    """Logs how many images of the folder are not listed in the file, and so have no pose.
 
     Args:
-        file: The file, or the folder of the model, that lists images.
-        folder: The folder of the set; its images are in ``images``, without that in the folder itself.
-        listed: What the file lists.
+        file: The transforms file or the model folder, named in the log line.
+        folder: Folder of the image set. Images are searched in its ``images`` subfolder, or in the folder itself if it
+            has no ``images``.
+        listed: The images that the file lists.
     """
     images = folder / "images"
     files = _files_below(images) if images.is_dir() else [path for path in folder.iterdir() if path.is_file()]
@@ -148,7 +151,7 @@ def report_without_pose(file: Path, folder: Path, listed: Sequence[ListedImage])
 
 
 def _listed_mask(path: Path, name: object) -> Path | None:
-    """The mask that a frame names."""
+    """Returns the mask that a frame's ``mask_path`` names, or None if the frame has no ``mask_path``."""
     if name is None:
         return None
     mask = referenced_file(path, str(name))
@@ -158,14 +161,14 @@ def _listed_mask(path: Path, name: object) -> Path | None:
 
 
 class Masks:
-    """Finds the masks of a set: files of ``masks`` (or ``mask``) that are named after images, as several programs do.
+    """Finds mask files in the ``masks`` (or ``mask``) subfolder by the names of their images.
 
-    For ``images/a/1.jpg`` in ``masks/a``: ``1.png`` and ``1.jpg.png`` (COLMAP, nerfstudio), ``1.jpg.mask.png``
-    (RealityScan, also beside the image), ``1.mask.png``, ``1_mask.png`` and ``1-mask.png``, with any extension of
-    images.
+    Recognised names for ``images/a/1.jpg``, in ``masks/a``: ``1.png`` and ``1.jpg.png`` (COLMAP, nerfstudio),
+    ``1.jpg.mask.png`` (RealityScan, also beside the image), ``1.mask.png``, ``1_mask.png`` and ``1-mask.png``, with any
+    image extension in place of ``.png``.
 
     Args:
-        folder: The folder of the set.
+        folder: Folder of the image set.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -179,7 +182,7 @@ class Masks:
         }
 
     def of(self, image: Path) -> Path | None:
-        """Returns the mask of an image; None: it has none."""
+        """Returns the mask file of an image, or None if the image has no mask."""
         relative = image.relative_to(self._images) if image.is_relative_to(self._images) else Path(image.name)
         for key in (relative, relative.with_suffix("")):
             if (found := self._by_key.get(str(key).lower())) is not None:
@@ -188,7 +191,7 @@ class Masks:
         return beside if beside.is_file() else None
 
     def report(self, listed: Sequence[ListedImage]) -> None:
-        """Logs a line if a folder of masks has none for any of the images, or for some of them only."""
+        """Logs a line if the mask folder has masks for only some of the images, or for none."""
         masked = sum(one.mask is not None for one in listed)
         if not self._files or masked == len(listed):
             return
@@ -209,7 +212,7 @@ class Masks:
 
 
 def _mask_key(name: Path) -> str:
-    """Returns the name of the image that a mask is named after, in lower case; with its extension if that is in it."""
+    """Returns the lower-case image name that a mask file refers to, with or without the image's extension."""
     stem = name.with_suffix("")
     for ending in _MASK_ENDINGS:
         if stem.name.lower().endswith(ending) and len(stem.name) > len(ending):
@@ -223,12 +226,12 @@ def _is_mask_name(path: Path) -> bool:
 
 
 def _files_below(folder: Path) -> list[Path]:
-    """Returns all files of a folder and its folders."""
+    """Lists all files in a folder and its subfolders."""
     return [Path(place) / name for place, _, names in os.walk(folder) for name in names]
 
 
 def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) -> None:
-    """Logs which images are missing."""
+    """Logs the missing images, or raises `FormatError` if all of them are missing."""
     if not missing:
         return
     names = some_names(missing)
@@ -238,7 +241,7 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) 
 
 
 def some_names(names: Sequence[str]) -> str:
-    """The first few names, for a message."""
+    """Joins the first few names for a message, with "..." if there are more."""
     # Names of files may be bytes that are no text: such a line could not be printed.
     shown = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_NAMES_LISTED])
     return ", ".join(shown) + (", ..." if len(names) > _NAMES_LISTED else "")
@@ -246,17 +249,17 @@ def some_names(names: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Splits:
-    """The frames to learn from and to measure with, by their file paths; None: the file does not say."""
+    """Train and evaluation splits of a ``transforms.json``: sets of ``file_path``, or None if the file has no split."""
 
     training: frozenset[str] | None
     held_out: frozenset[str] | None
 
     @classmethod
     def of(cls, path: Path) -> Splits:
-        """Those of a file: ``train_filenames``, and ``test_filenames``, else ``val_filenames``.
+        """Reads ``train_filenames`` and ``test_filenames`` (or ``val_filenames`` if there is no test split) of a file.
 
         Raises:
-            FormatError: One of them is no list of names.
+            FormatError: One of them is not a list of names.
         """
         content = _content(path)
         training, test, validation = (_names(path, content, f"{part}_filenames") for part in ("train", "test", "val"))
@@ -265,15 +268,18 @@ class Splits:
     def divide(
         self, path: Path, listed: list[ListedImage], *, holds_out: bool
     ) -> tuple[list[ListedImage], list[ListedImage] | None]:
-        """Frames to learn from, and to measure with; None: the file does not say which.
+        """Divides frames into training frames and held-out frames.
 
         Args:
-            path: The file.
-            listed: All of its frames.
-            holds_out: Whether any are wanted to measure with.
+            path: The file, named in errors.
+            listed: All frames of the file.
+            holds_out: Whether to return held-out frames; False returns an empty list for them.
+
+        Returns:
+            Training frames and held-out frames. The second is None if the file has no splits.
 
         Raises:
-            FormatError: No frame is left to learn from.
+            FormatError: No training frame is left.
         """
         if self.training is None and self.held_out is None:
             return listed, None
@@ -289,10 +295,13 @@ class Splits:
 
 
 def nerfstudio_points(path: Path) -> tuple[Doubles, FloatArray] | None:
-    """The points of ``ply_file_path``; None: it names none, or they are not there, of which a log line tells.
+    """Reads the point cloud that ``ply_file_path`` names, or returns None if there is none or the file is missing.
+
+    A log line reports a missing file.
 
     Returns:
-        Positions in world space, shape (N, 3), and display-referred colours, 0..1, shape (N, 3), grey without any.
+        Positions in world space, shape (N, 3), and display-referred colours, 0..1, shape (N, 3). Colours are grey if
+        the file has none.
 
     Raises:
         FormatError: The file is damaged, or has a position that is not finite.

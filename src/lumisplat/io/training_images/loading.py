@@ -1,6 +1,6 @@
-"""Loads folders of training images with poses: what they hold, which are held out, and the extent of the scene.
+"""Loads folders of posed training images: splits, masks, point cloud, scene extent and decoded pixels.
 
-Pixels are decoded when they are needed: made smaller, straightened to a pinhole, and cached in bounded memory.
+Pixels are decoded on demand: downscaled, undistorted to a pinhole camera, and cached in bounded memory.
 """
 
 from __future__ import annotations
@@ -41,18 +41,17 @@ from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.local_frame import camera_extent
 
 IMAGE_CACHE_BYTES = 1 << 30
-"""Memory for photographs that have been decoded, by default: 520 of 960 x 720, and more would not fit beside a trainer
-on small machines."""
+"""Default memory limit of decoded images, bytes. It holds 520 images of 960 x 720 and fits beside a training run on
+small machines."""
 
 HOLD_OUT = 8
-"""One photograph of so many is not trained with, as Mip-NeRF 360 and those after it do."""
+"""Every 8th image is held out for evaluation by default, as in Mip-NeRF 360 and later work."""
 
 SAME_POSITION = 1e-3
-"""Distance of two cameras, as a share of the extent of all, up to which they stand in one place: between them, hardly
-anything moves in the picture."""
+"""Two cameras closer than this fraction of the camera extent count as one position: their parallax is negligible."""
 
 SAME_ROTATION = 1e-3
-"""Angle between two cameras, radians, up to which they are turned alike: a pixel or two."""
+"""Two cameras whose rotations differ by less than this angle, radians, count as equally rotated: a pixel or two."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -60,9 +59,9 @@ _EXPECTED = "transforms.json (nerfstudio), transforms_train.json (Blender) or a 
 
 
 def camera_target(cameras: Sequence[Camera]) -> Doubles:
-    """The point nearest to the optical axes in the sense of least squares, shape (3,).
+    """Returns the least-squares nearest point to all optical axes, shape (3,).
 
-    Of several, as where all axes are parallel, it is the one nearest to the mean of the positions.
+    If the point is not unique, such as for parallel axes, the solution nearest to the mean camera position is returned.
     """
     eyes = np.stack([camera.eye for camera in cameras])
     axes = np.stack([camera.camera_from_world[2, :3] for camera in cameras])
@@ -73,17 +72,17 @@ def camera_target(cameras: Sequence[Camera]) -> Doubles:
 
 
 def count_positions(cameras: Sequence[Camera]) -> int:
-    """From how many places cameras see, those that are as good as the same counted once."""
+    """Counts distinct camera positions; positions within `SAME_POSITION` of each other count once."""
     return len(_distinct(cameras, with_rotation=False))
 
 
 def count_poses(cameras: Sequence[Camera]) -> int:
-    """How many poses cameras have, those that are as good as the same counted once."""
+    """Counts distinct camera poses; poses within `SAME_POSITION` and `SAME_ROTATION` of each other count once."""
     return len(_distinct(cameras, with_rotation=True))
 
 
 def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
-    """Numbers of cameras that are in another place than all of these before them, or if ``turned`` otherwise turned."""
+    """Returns indices of cameras that differ from all earlier ones in position or, if ``with_rotation``, rotation."""
     eyes = np.stack([camera.eye for camera in cameras])
     rotations = np.stack([camera.camera_from_world[:3, :3] for camera in cameras])
     near = SAME_POSITION * max(camera_extent(cameras), COINCIDENT_EXTENT / SAME_POSITION * float(np.abs(eyes).max()))
@@ -100,24 +99,25 @@ def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingImage:
-    """A photograph as its camera sees it. Its pixels are decoded when they are asked for, and kept for a while.
+    """An image with its camera, name and mask. Pixels are decoded on demand and cached for a while.
 
-    Every method reads the files if their contents are no longer kept, and raises `FormatError` if that fails.
+    Every method rereads the files if the pixels are no longer cached, and raises `FormatError` if that fails.
     """
 
     name: str
-    """That of the image without its extension; each of a set has its own."""
+    """File name without its extension, made unique within the image set."""
     camera: Camera
-    """Of the size of the pixels: a pinhole without distortion, unless lenses were to stay as they are."""
+    """Camera at the size of the pixels: an undistorted pinhole, or the original lens if ``straighten`` was False."""
     path: Path
-    """The image."""
+    """The image file."""
     background: Color | None
-    """Display-referred sRGB, 0..1, behind the transparent pixels; None: they stay premultiplied, as over black."""
+    """Display-referred sRGB background behind transparent pixels, 0..1; None leaves colours premultiplied (over
+    black)."""
     _source: ImageSource = field(repr=False)
     _cache: _PixelCache = field(repr=False)
 
     def pixels(self) -> FloatArray:
-        """Display-referred sRGB, 0..1, over the background, shape (H, W, 3)."""
+        """Returns display-referred sRGB, 0..1, composited over the background, shape (H, W, 3)."""
         decoded = self._decoded()
         color = _unit_range(decoded.color)
         if decoded.alpha is None or self.background is None:
@@ -126,22 +126,22 @@ class TrainingImage:
         return (color + behind).astype(np.float32)
 
     def alpha(self) -> FloatArray | None:
-        """How much of each pixel shows something, 0..1, shape (H, W); None: the image has no transparency."""
+        """Returns alpha of the image, 0..1, shape (H, W), or None if the image has no transparency."""
         alpha = self._decoded().alpha
         return None if alpha is None else _unit_range(alpha)
 
     def mask(self) -> FloatArray | None:
-        """How much of each pixel counts, 0..1, shape (H, W); None: all of it.
+        """Returns the training weight of each pixel, 0..1, shape (H, W), or None if all pixels have weight 1.
 
-        It is 0 where the mask of the photograph is black, and where its lens does not show what the pinhole sees; of
-        lenses that stay as they are, where there is no ray.
+        The weight is 0 where the mask file is black and where the undistorted pinhole looks past the edge of the
+        original image. If lenses are not straightened, the weight is 0 where the lens model has no ray.
         """
         mask = self._decoded().mask
         return None if mask is None else _unit_range(mask)
 
     @property
     def fingerprint(self) -> str:
-        """What tells it from others without decoding it: its camera and lens, and the bytes of its image and mask."""
+        """SHA-256 of the camera, the lens and the bytes of the image and mask files, computed without decoding."""
         digest = hashlib.sha256(f"{self.name} {self.background}".encode())
         try:
             for file in (self.path, self._source.mask):
@@ -158,10 +158,10 @@ class TrainingImage:
 
 @dataclass(frozen=True, slots=True)
 class ReadFrom:
-    """The arguments of `load_training_images` that read the same images again."""
+    """The arguments of `load_training_images` that load the same images again."""
 
     folder: Path
-    """Its absolute path."""
+    """Absolute path of the folder."""
     scale: float
     hold_out: int
     background: Color | None
@@ -171,31 +171,32 @@ class ReadFrom:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingImages:
-    """Images of a scene with poses, as `load_training_images` reads them."""
+    """Posed images of a scene, as `load_training_images` returns them."""
 
     training: tuple[TrainingImage, ...]
-    """Those to learn from, at least one, ordered by name."""
+    """Images to train with, ordered by name; at least one."""
     held_out: tuple[TrainingImage, ...]
-    """Those to measure with, ordered by name; there may be none."""
+    """Images held out for evaluation, ordered by name; may be empty."""
     points: Doubles | None
-    """Points of the scene that COLMAP has found, world space, shape (N, 3); None: there are none."""
+    """Sparse points in world space, shape (N, 3), from COLMAP or nerfstudio's ``ply_file_path``; None if there are
+    none."""
     point_colors: FloatArray | None
-    """Their display-referred sRGB, 0..1, shape (N, 3)."""
+    """Display-referred sRGB of the points, 0..1, shape (N, 3)."""
     extent: float
-    """1.1 times the largest distance of a training camera from the mean of their positions, scene units; 0: all of
-    them stand in one place."""
+    """1.1 times the largest distance of a training camera from the mean camera position, scene units; 0 if all cameras
+    are at one position."""
     target: Doubles
-    """What the training cameras look at: the point nearest to their optical axes in the sense of least squares, shape
-    (3,). Where all axes are parallel it is the mean of the positions."""
+    """Point that the training cameras look at, shape (3,): the least-squares nearest point to their optical axes. For
+    parallel axes it is the mean camera position."""
     read_from: ReadFrom | None = None
-    """From where, and how; None: a program has put them together."""
+    """Arguments that loaded these images; None if a program built the object itself."""
 
     @property
     def fingerprint(self) -> str:
-        """What tells those to learn from, and the points, from others.
+        """SHA-256 of the training images and the points.
 
         Raises:
-            FormatError: A file is no longer there.
+            FormatError: A file no longer exists.
         """
         digest = hashlib.sha256("".join(image.fingerprint for image in self.training).encode())
         for array in (self.points, self.point_colors):
@@ -204,7 +205,7 @@ class TrainingImages:
 
 
 def _camera_bytes(camera: Camera) -> bytes:
-    """All that a camera is."""
+    """Serialises all fields of a camera for hashing."""
     values = (getattr(camera, one.name) for one in fields(camera))
     return b" ".join(value.tobytes() if isinstance(value, np.ndarray) else str(value).encode() for value in values)
 
@@ -215,19 +216,19 @@ def _unit_range(plane: Plane) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _FolderContents:
-    """What a folder holds."""
+    """Image lists and points found in a folder."""
 
     file: Path
-    """The one that lists the photographs."""
+    """File or model folder that lists the images."""
     images: list[ListedImage]
     held_out: list[ListedImage] | None = None
-    """Photographs that have a file of their own; None: there is none."""
+    """Held-out images that the folder defines itself; None if it defines no split."""
     points: tuple[Doubles, FloatArray] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _ImageSettings:
-    """How photographs are to be."""
+    """Settings that apply to all images of a set."""
 
     scale: float
     background: Color | None
@@ -244,39 +245,42 @@ def load_training_images(
     cache_bytes: int = IMAGE_CACHE_BYTES,
     allow_outside: bool = False,
 ) -> TrainingImages:
-    """Finds the photographs of a folder and their poses; pixels are decoded when they are asked for.
+    """Loads the posed images of a folder; pixels are decoded on demand.
 
-    The first that is there counts: ``transforms_train.json`` (Blender, NeRF-synthetic; what is held out are the
-    photographs of ``transforms_test.json``, else of ``transforms_val.json``), ``transforms.json`` (nerfstudio,
-    instant-ngp), or a sparse model of COLMAP in ``sparse`` (of several there, the one with most photographs), or in the
-    folder itself, with its photographs in ``images``. The ``train_filenames`` and ``test_filenames`` (else
-    ``val_filenames``) of a ``transforms.json``, where it has these, say what is held out, and its ``ply_file_path`` has
-    points. Where the file names a mask, or ``masks`` holds one that is named after a photograph, only what is not black
-    there counts. Log lines count what is left out: photographs that are missing or have no pose, models, and masks.
+    The folder may hold one of these, tried in this order:
 
-    Lenses that distort, and fisheyes, are straightened, unless they are to stay: the cameras are pinholes of the same
-    focal lengths and size, whose pixels are resampled by Catmull-Rom's cubics; a log line says so. What the pinhole
-    sees beyond the picture of the lens is masked out, what it does not see is left out. Smaller photographs are means
-    over areas, of display-referred values, for captures blend in these; they are made smaller before they are
-    straightened.
+    - ``transforms_train.json`` (Blender, NeRF-synthetic). The images of ``transforms_test.json``, or else of
+      ``transforms_val.json``, are held out.
+    - ``transforms.json`` (nerfstudio, instant-ngp). Its ``train_filenames`` and ``test_filenames`` (or
+      ``val_filenames``) define the split, and its ``ply_file_path`` names points.
+    - A COLMAP sparse model in ``sparse`` (the one with most images if there are several) or in the folder itself, with
+      its images in ``images``.
+
+    Masks come from the file or from a ``masks`` folder with files named after the images; only pixels that are not
+    black in the mask are used. Log lines count skipped images, images without a pose, unused models and unused masks.
+
+    Distorted and fisheye lenses are resampled to pinholes with the same focal lengths and size by Catmull-Rom
+    interpolation, unless ``straighten`` is False; a log line says so. Pinhole pixels outside the original image are
+    masked out. Downscaling takes area means of display-referred values, the space in which captures blend, before
+    undistortion.
 
     Args:
         folder: The folder.
-        scale: Size of the photographs, as a share of that of the files, above 0, at most 1.
-        hold_out: The first of the photographs in the order of their names, and each so many after it, are held out, at
-            least 2; 0: none is, also of a test file.
-        background: Behind transparent pixels, as of `RenderConfig`: three numbers in 0..1, a name or ``"#rrggbb"``;
-            None or ``"transparent"``: they stay premultiplied by alpha.
-        straighten: Whether lenses that distort, and fisheyes, become pinholes; else their cameras are what they are,
-            which `Pipeline.TRACE` and `Projection.UNSCENTED` draw, and pixels that they have no ray for are masked out.
-        cache_bytes: Memory for decoded photographs, 8 bits a value, at least 0; what does not fit is decoded again.
-        allow_outside: Whether the file may name photographs outside of its own folder, as files that you trust do.
+        scale: Factor on the image size, above 0, at most 1.
+        hold_out: Hold out the first image in the order of names and every ``hold_out``-th after it, at least 2; 0 holds
+            out none, also none of a test file.
+        background: Colour behind transparent pixels, as in `RenderConfig`: three numbers in 0..1, a name or
+            ``"#rrggbb"``. None or ``"transparent"`` leaves colours premultiplied by alpha.
+        straighten: Whether to resample distorted and fisheye lenses to pinholes. If False, cameras keep their lens,
+            which `Pipeline.TRACE` and `Projection.UNSCENTED` render, and pixels without a ray are masked out.
+        cache_bytes: Memory for decoded images, 8 bits per value, at least 0. Images beyond it are decoded again.
+        allow_outside: Whether the file may refer to images outside its own folder. Only for files that you trust.
 
     Raises:
-        ConfigError: A setting is out of its range.
-        FormatError: The folder holds none of these, or fewer than two photographs; a file is damaged; a pose is not
-            rigid or not finite; a photograph has another size than its camera says, or cannot be read; a mask is black
-            everywhere, or has another size; a camera is orthographic. Names the file.
+        ConfigError: A setting is out of range.
+        FormatError: The folder holds none of these layouts, or fewer than two images; a file is damaged; a pose is not
+            rigid or not finite; an image cannot be read or differs in size from its camera; a mask is black everywhere
+            or has another size; a camera is orthographic. The message names the file.
         MissingFileError: There is no such folder.
     """
     if not is_number(scale) or not 0.0 < scale <= 1.0:
@@ -314,7 +318,7 @@ def load_training_images(
 
 
 def _find(folder: Path, with_held_out: bool) -> _FolderContents:
-    """What a folder holds, its files read."""
+    """Detects the layout of a folder and reads its lists of images."""
     if not folder.exists():
         raise MissingFileError(folder, "no such folder")
     if not folder.is_dir():
@@ -341,9 +345,9 @@ def _find(folder: Path, with_held_out: bool) -> _FolderContents:
 
 
 def _held_out(folder: Path) -> list[ListedImage] | None:
-    """Returns the images of ``transforms_test.json``, else of ``transforms_val.json``; None: there are none.
+    """Lists the images of ``transforms_test.json``, or else ``transforms_val.json``; None if neither has an image.
 
-    Some exporters write a test file and leave its images to be rendered: a log line says what is held out then.
+    Some exporters write a test file without its images. A log line then says which images are held out instead.
     """
     files = [path for name in ("test", "val") if (path := folder / f"transforms_{name}.json").is_file()]
     lists = [transforms_images(path, may_lack_all=True) for path in files]
@@ -356,7 +360,10 @@ def _held_out(folder: Path) -> list[ListedImage] | None:
 
 
 def find_model(folder: Path) -> Path | None:
-    """Returns the folder of a sparse model; of several in ``sparse``, the one with most images, as a line says."""
+    """Finds the folder of a COLMAP sparse model, or returns None.
+
+    If ``sparse`` holds several models, the one with most images is returned, and a log line says so.
+    """
     sparse = folder / "sparse"
     inside = [path for path in sparse.iterdir() if path.is_dir()] if sparse.is_dir() else []
     models = sorted((path for path in inside if is_colmap(path)), key=lambda path: (len(path.name), path.name))
@@ -381,7 +388,7 @@ def find_model(folder: Path) -> Path | None:
 def _views(
     file: Path, settings: _ImageSettings, cache: _PixelCache, listed: Sequence[ListedImage]
 ) -> list[TrainingImage]:
-    """The photographs of a file, in the order of their names, smaller by a factor."""
+    """Builds the training images of a file, in the order of their paths, at the scaled size."""
     for entry in listed:
         _check(file, entry)
     ordered = sorted(listed, key=lambda entry: entry.image)
@@ -401,7 +408,7 @@ def _views(
 
 
 def _check(file: Path, entry: ListedImage) -> None:
-    """Refuses a photograph that is not what its camera says."""
+    """Raises `FormatError` if an image does not match its camera or mask, or is damaged."""
     camera, size = entry.camera, image_size(entry.image)
     if camera.model is CameraModel.ORTHOGRAPHIC:
         raise FormatError(file, f"{camera.name} is of an orthographic camera, expected a pinhole or a fisheye")
@@ -423,46 +430,46 @@ def _check(file: Path, entry: ListedImage) -> None:
 
 
 def _scaled(camera: Camera, scale: float) -> Camera:
-    """The camera at a share of its size, in whole pixels."""
+    """Returns the camera at a fraction of its size, rounded to whole pixels."""
     return camera.scaled(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
 
 
 Plane = npt.NDArray[np.uint8]
 
 _COVERAGE_MIN = 1e-3
-"""Share of a pixel that counts, below which it is rounding."""
+"""Unmasked fraction of a pixel's area below which the rest is rounding error."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """A photograph in 8 bits, as a pinhole sees it."""
+    """A decoded image, 8 bits per value, downscaled and undistorted."""
 
     color: Plane
     """Display-referred sRGB, premultiplied by alpha, shape (H, W, 3)."""
     alpha: Plane | None
-    """How much of the pixel shows something, shape (H, W); None: all of it everywhere."""
+    """Alpha, shape (H, W); None if the image is opaque."""
     mask: Plane | None
-    """How much of the pixel counts, shape (H, W); None: all of it everywhere."""
+    """Training weight of each pixel, shape (H, W); None if all weights are 1."""
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """Memory of all planes, bytes."""
         return sum(plane.nbytes for plane in (self.color, self.alpha, self.mask) if plane is not None)
 
 
 @dataclass(slots=True, eq=False)
 class _PixelCache:
-    """Keeps what was decoded last, up to a number of bytes. May be used by several threads."""
+    """LRU cache of decoded images with a limit in bytes. Safe to use from several threads."""
 
     limit: int
-    """Bytes."""
+    """Largest total size, bytes."""
     held: int = field(default=0, init=False)
-    """Bytes that are in use."""
+    """Current total size, bytes."""
     _entries: OrderedDict[Path, Pixels] = field(default_factory=OrderedDict[Path, Pixels], init=False)
     _lock: Lock = field(default_factory=Lock, init=False)
 
     def get(self, key: Path, decode: Callable[[], Pixels]) -> Pixels:
-        """What is kept under a key, else what ``decode`` returns."""
+        """Returns the cached image of a key, or stores and returns what ``decode`` returns."""
         with self._lock:
             if key in self._entries:
                 self._entries.move_to_end(key)
@@ -478,24 +485,24 @@ class _PixelCache:
 
 
 def is_curvilinear(camera: Camera) -> bool:
-    """Whether straight lines are not straight in the pictures of a camera."""
+    """Returns whether the camera bends straight lines: a distorted or fisheye lens."""
     return camera.is_distorted or camera.model is CameraModel.FISHEYE
 
 
 def pinhole_of(camera: Camera) -> Camera:
-    """The pinhole of the same pose, focal lengths, principal point and size."""
+    """Returns the undistorted pinhole with the same pose, focal lengths, principal point and size."""
     return replace(camera, model=CameraModel.PINHOLE, distortion=(0.0,) * 6)
 
 
 def lens_points(camera: Camera) -> tuple[Doubles, Flags]:
-    """Where a camera shows what its pinhole sees.
+    """Maps each pixel of the camera's undistorted pinhole to a position in the original image.
 
     Args:
         camera: A pinhole or fisheye camera with a lens.
 
     Returns:
-        Columns and rows in the picture of the camera, for the pixels of the pinhole, shape (H, W, 2), and whether they
-        lie in that picture, shape (H, W).
+        Positions in the original image (column, row), shape (H, W, 2), and whether each position lies inside of the
+        image, shape (H, W).
     """
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     center, focal = np.array([camera.cx, camera.cy]), np.array([camera.fx, camera.fy])
@@ -510,15 +517,15 @@ def lens_points(camera: Camera) -> tuple[Doubles, Flags]:
 
 
 def _straightened(plane: Plane, points: Doubles, covered: Flags) -> Plane:
-    """A picture of a lens as its pinhole sees it.
+    """Resamples a plane of the original image to the undistorted pinhole.
 
     Args:
-        plane: Shape (H, W, C).
-        points: As from `lens_points`.
-        covered: Likewise; 0 elsewhere.
+        plane: Plane of the original image, shape (H, W, C).
+        points: Positions in the original image, from `lens_points`.
+        covered: Whether each position is inside of the image, from `lens_points`; other pixels become 0.
 
     Returns:
-        Shape (H, W, C).
+        Resampled plane, shape (H, W, C).
     """
     resampled = cubic_samples(plane.astype(np.float32), np.where(covered[..., None], points, 0.5))
     return np.where(covered[..., None], resampled + 0.5, 0.0).astype(np.uint8)
@@ -526,23 +533,23 @@ def _straightened(plane: Plane, points: Doubles, covered: Flags) -> Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSource:
-    """What a photograph is made of."""
+    """The files and the lens from which `decode` makes the pixels of a training image."""
 
     camera: Camera
-    """With its lens, at the size that is wanted."""
+    """Camera with its original lens, at the scaled size."""
     image: Path
     mask: Path | None = None
     straightens: bool = True
-    """Whether a lens that distorts, or a fisheye, is made a pinhole."""
+    """Whether a distorted or fisheye lens is resampled to a pinhole."""
 
 
 def decode(source: ImageSource) -> Pixels:
-    """The pixels of a photograph.
+    """Decodes, downscales and undistorts an image.
 
-    Means over areas are those of display-referred values, as captures blend in them.
+    Area means are taken of display-referred values, the space in which captures blend.
 
     Raises:
-        FormatError: A file cannot be read, or all of the image is transparent.
+        FormatError: A file cannot be read, or the image is transparent everywhere.
     """
     texels = read_texture(source.image)
     planes = {"color": texels[..., :3]}
@@ -574,9 +581,9 @@ def decode(source: ImageSource) -> Pixels:
 
 
 def _read_mask(path: Path) -> Plane:
-    """Reads a mask: 255 where the image counts, which is wherever it is not black, or transparent; shape (H, W, 1).
+    """Reads a mask, shape (H, W, 1): 255 where pixels are used, 0 where they are black or transparent.
 
-    Of a JPEG, what is darker than half is black: its black is not exact beside white.
+    For a JPEG the threshold is half brightness, because compression makes black inexact beside white.
     """
     texels = read_texture(path)
     counts = texels[..., 3:] if texels.shape[2] == 4 else texels.max(axis=2, keepdims=True)
@@ -589,11 +596,11 @@ def _read_mask(path: Path) -> Plane:
 
 
 def _masked_means(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[str, Plane]:
-    """Smaller planes that are means over what counts of their areas: what does not is not mixed in.
+    """Downscales planes by area means over unmasked pixels only, so that masked pixels do not bleed in.
 
     Args:
-        planes: Of the size of the file.
-        smaller: Means over all of the areas, which stay where nothing counts, and those of the mask.
+        planes: Planes at the size of the file, among them the mask.
+        smaller: The same planes downscaled without regard to the mask. They fill areas that are masked entirely.
     """
     height, width = smaller["mask"].shape[:2]
     counts = planes["mask"] > 0
@@ -606,7 +613,7 @@ def _masked_means(planes: dict[str, Plane], smaller: dict[str, Plane]) -> dict[s
 
 
 def _area_reduced(plane: Plane, width: int, height: int) -> Plane:
-    """The mean over the area of each pixel; by whole factors as Pillow reduces, which is the same and fast."""
+    """Downscales a plane by area means. Whole factors use Pillow's ``reduce``, which gives the same result faster."""
     from PIL import Image
 
     rows, columns, channels = plane.shape

@@ -1,7 +1,7 @@
-"""Finds poses of images from their contents alone, by COLMAP (Schoenberger and Frahm 2016), with the extra ``poses``.
+"""Estimates camera poses of images with COLMAP (Schoenberger and Frahm 2016); needs the extra ``poses``.
 
-Features, pairs and poses are kept in a folder and not computed again. A report lists what is missing, and what is
-likely to be wrong.
+Features, matches and models are stored in a work folder, so that an interrupted run continues. A report warns of
+missing images and of signs that poses are wrong.
 """
 
 from __future__ import annotations
@@ -30,81 +30,84 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.progress import Progress
 
 COMPARED_FEATURES = 2048
-"""Features of a photograph that COLMAP compares, at most; docs/adr/0056-poses-of-films.md has what more cost."""
+"""Largest number of SIFT features per image. docs/adr/0056-poses-of-films.md has the cost of more."""
 
 COMPARED_PIXELS = 1000
-"""Longer side that photographs have for COLMAP, pixels, at most: features of larger ones cost time and add nothing."""
+"""Longer image side at which features are extracted, pixels. Larger images cost time and add nothing."""
 
 DOUBLED_PIXELS = 800
-"""Longer side of photographs that COLMAP sees at twice their size, at most: small ones have too few features else, and
-large ones take three times as long for as many."""
+"""Images up to this longer side, pixels, are upsampled to twice their size for feature extraction.
+
+Smaller images have too few features otherwise; larger ones would take three times as long for as many features."""
 
 LENS_MODEL = "RADIAL"
-"""Lens of photographs whose poses are found, as COLMAP calls it: one focal length, and two terms of distortion. Pixels
-are square, and with two focal lengths, what shows little depth leaves their quotient open."""
+"""COLMAP camera model of the images: one focal length and two radial distortion terms.
+
+Pixels are square. With two focal lengths, scenes of little depth leave the ratio of the two undetermined."""
 
 NEXT_FRAMES = 10
-"""With how many of the next frames of a film a frame is compared."""
+"""Each video frame is matched with this many following frames."""
 
 ALL_PAIRS_UP_TO = 40
-"""So many photographs in any order are all compared with each other."""
+"""Up to this many unordered images, all pairs are matched."""
 
 SIMILAR_IMAGES = 5
-"""With how many photographs that look like it each one is compared, beside its neighbours in a film."""
+"""Each image is matched with this many images of similar content, besides its neighbours in a video."""
 
 SIMILARITY_FEATURES = 128
-"""Largest features of a photograph, by which those that look like it are found."""
+"""Similar images are found by matching this many features of each image, the largest ones."""
 
 SIMILARITY_MATCHES_MIN = 4
-"""Fewer of these in common are chance (Wu 2013, section 4)."""
+"""Fewest matches that make two images similar; fewer occur by chance (Wu 2013, section 4)."""
 
 LOWE_RATIO = 0.8
-"""Features match if their angle is below this share of that to the next best one (Lowe 2004, section 7.1)."""
+"""Ratio test: largest quotient of the angles to the nearest and second nearest descriptor (Lowe 2004, section 7.1)."""
 
 MODEL_IMAGES_MIN = 3
-"""Photographs of a model, at least: with two, nothing tells a right pose from a wrong one."""
+"""Fewest images of a model: with two, nothing distinguishes right poses from wrong ones."""
 
 POINTS_PER_IMAGE_MIN = 50
-"""Points that a photograph shows, in the mean, below which poses are likely to be wrong: COLMAP asks for 30."""
+"""Mean number of points seen by an image below which poses are likely wrong. COLMAP itself asks for 30."""
 
 REPROJECTION_ERROR_MAX = 1.5
-"""Mean distance of points from where their photographs show them, in pixels of `COMPARED_PIXELS`, above which poses are
-likely to be wrong: 0.4 to 1 is usual, and COLMAP leaves out what is beyond 4."""
+"""Mean reprojection error, pixels at `COMPARED_PIXELS`, above which poses are likely wrong.
+
+0.4 to 1 is usual, and COLMAP filters points above 4."""
 
 WITHOUT_POSE_MAX = 0.25
-"""Share of photographs without a pose above which a film wants to be taken anew."""
+"""Fraction of images without a pose above which the user is told to record the video again."""
 
 USUAL_FOV_DEGREES = 15.0, 130.0
-"""Angles of view along the longer side that lenses of telephones and cameras have."""
+"""Usual range of the field of view of phones and cameras along the longer image side, degrees."""
 
 _log = logging.getLogger("lumisplat")
 
 Pairs = list[tuple[int, int]]
-"""Indices of photographs, the smaller one first, each pair once, in order."""
+"""Pairs of image indices, the smaller index first, sorted, without duplicates."""
 
 _BATCH = 4
-"""Photographs whose features are found between two reports of progress."""
+"""Images between two progress reports of feature extraction."""
 _PAIR_BATCH = 32
-"""Pairs that are compared between two reports."""
+"""Image pairs between two progress reports of matching."""
 _INTERRUPT_POLL_S = 0.2
-"""How often is looked for Ctrl C, seconds."""
+"""Interval at which a running COLMAP step is checked for Ctrl C, seconds."""
 
 _WORK = "poses.unfinished"
-"""Folder of what has been found until poses are."""
+"""Name of the work folder, which is removed once poses are found."""
 
 
 def compared_pairs(
     count: int, descriptors: Callable[[], Sequence[FloatArray]], ordered: bool, report: Callable[[float], None]
 ) -> Pairs:
-    """The pairs of photographs whose features are matched.
+    """Selects the image pairs whose features are matched.
 
-    A few are all compared. Of a film, each frame is compared with the next ones; beside that, each photograph is with
-    those that are most like it: where a walk comes by again, its loop is closed.
+    Few images are matched exhaustively. A video frame is matched with the next frames. In either case each image is
+    also matched with the most similar ones, which closes loops where the camera returns to an earlier position.
 
     Args:
-        count: How many photographs there are.
-        descriptors: Gives the largest features of each, as of `similar_pairs`, where they are needed.
-        ordered: The photographs are frames of a film, in their order.
+        count: Number of images.
+        descriptors: Returns the largest features of each image, as for `similar_pairs`; called only if needed.
+        ordered: Whether the images are consecutive video frames.
         report: Called with the fraction done, 0..1.
     """
     if count <= (NEXT_FRAMES if ordered else ALL_PAIRS_UP_TO):
@@ -115,14 +118,14 @@ def compared_pairs(
 
 
 def similar_pairs(descriptors: Sequence[FloatArray], neighbors: int, report: Callable[[float], None]) -> Pairs:
-    """For each photograph the `SIMILAR_IMAGES` others that share most of their largest features with it.
+    """Pairs each image with the `SIMILAR_IMAGES` others that match most of its largest features.
 
-    Large features are few, and are found again from elsewhere: pairs whose largest ones do not match seldom match at
-    all (Wu 2013, "Towards Linear-Time Incremental Structure from Motion", section 4, preemptive matching).
+    Large features are few, and are found again from other viewpoints. Pairs whose largest features do not match seldom
+    match at all (Wu 2013, "Towards Linear-Time Incremental Structure from Motion", section 4, preemptive matching).
 
     Args:
-        descriptors: Of the largest features of each photograph, of length 1, shape (at most `SIMILARITY_FEATURES`, D).
-        neighbors: Photographs whose indices differ by no more are left out.
+        descriptors: Unit-length descriptors of each image's largest features, shape (at most `SIMILARITY_FEATURES`, D).
+        neighbors: Images whose indices differ by at most this are not paired.
         report: Called with the fraction done, 0..1.
     """
     count = len(descriptors)
@@ -139,7 +142,7 @@ def similar_pairs(descriptors: Sequence[FloatArray], neighbors: int, report: Cal
 
 
 def _matching_features(a: FloatArray, b: FloatArray) -> int:
-    """How many features of two photographs are each other's nearest, and much nearer than the second one."""
+    """Counts features of two images that are mutual nearest neighbours and pass the ratio test."""
     if min(len(a), len(b)) < 2:
         return 0
     cosines = a @ b.T
@@ -153,12 +156,12 @@ def _matching_features(a: FloatArray, b: FloatArray) -> int:
 
 
 def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) -> FloatArray:
-    """The descriptors of the largest features of a photograph, of length 1, shape (at most `SIMILARITY_FEATURES`, D).
+    """Returns unit-length descriptors of an image's largest features, shape (at most `SIMILARITY_FEATURES`, D).
 
     Args:
-        keypoints: As COLMAP has them: x, y and an affine shape, shape (N, 6), of which the determinant is the squared
-            size; or x, y, size and direction, shape (N, 4).
-        descriptors: Shape (N, D).
+        keypoints: COLMAP keypoints: x, y and an affine shape whose determinant is the squared size, shape (N, 6); or x,
+            y, size and orientation, shape (N, 4).
+        descriptors: Descriptors of the keypoints, shape (N, D).
     """
     if keypoints.shape[1] == 6:
         size = np.abs(keypoints[:, 2] * keypoints[:, 5] - keypoints[:, 3] * keypoints[:, 4])
@@ -170,29 +173,29 @@ def largest_features(keypoints: FloatArray, descriptors: npt.NDArray[np.uint8]) 
 
 @dataclass(frozen=True, slots=True)
 class ColmapRun:
-    """Poses of photographs in the making; each step reads what the ones before have written."""
+    """A COLMAP reconstruction in progress. Each step reads what earlier steps wrote to the work folder."""
 
     pycolmap: Any
     images: Path
-    """The folder of the photographs."""
+    """Folder of the images."""
     names: Sequence[str]
-    """In their order."""
+    """File names of the images, sorted."""
     work: Path
-    """The folder of what is found; is made by `prepare`."""
+    """Work folder; created by `prepare`."""
     report: Progress
 
     @property
     def _database(self) -> Path:
-        """The file of features and matches."""
+        """COLMAP database file with features and matches."""
         return self.work / "database.db"
 
     @property
     def _links(self) -> list[str]:
-        """Names without spaces, which divide those in COLMAP's lists of pairs."""
+        """Names of symbolic links to the images. They have no spaces, which separate names in COLMAP's pair lists."""
         return [f"{index:06d}{Path(name).suffix}" for index, name in enumerate(self.names)]
 
     def prepare(self) -> None:
-        """Makes the folder, unless what an interrupted call has found of the same photographs is in it."""
+        """Creates the work folder, or keeps it if an interrupted run of the same images and settings left it."""
         stats = [(self.images / name).stat() for name in self.names]
         known = {
             "features": [COMPARED_FEATURES, COMPARED_PIXELS, DOUBLED_PIXELS, LENS_MODEL],
@@ -211,7 +214,7 @@ class ColmapRun:
         listed.write_text(json.dumps(known))
 
     def summary(self) -> str:
-        """What is in the folder, in words."""
+        """Describes for a message how many features and matches the work folder holds."""
         if not self._database.is_file():
             return "nothing yet"
         with self.pycolmap.Database.open(self._database) as database:
@@ -219,7 +222,7 @@ class ColmapRun:
         return f"features of {features:,} of {len(self.names):,} photographs, {pairs:,} compared pairs"
 
     def extract(self) -> None:
-        """Finds features. Photographs of one size are taken for those of one lens."""
+        """Extracts SIFT features. Images of one size are assumed to share one lens."""
         extraction = self.pycolmap.FeatureExtractionOptions(max_image_size=COMPARED_PIXELS)
         extraction.sift.max_num_features = COMPARED_FEATURES
         sizes = {image_size(self.images / name) for name in self.names}
@@ -243,7 +246,7 @@ class ColmapRun:
         self.report("finding features", 1.0)
 
     def match(self, ordered: bool) -> None:
-        """Compares features of pairs; `compared_pairs` says of which."""
+        """Matches the features of the pairs that `compared_pairs` selects."""
         pairs = compared_pairs(
             len(self.names), self._largest_features, ordered, lambda share: self.report("choosing pairs", share)
         )
@@ -259,7 +262,7 @@ class ColmapRun:
         self.report("comparing photographs", 1.0)
 
     def _largest_features(self) -> list[FloatArray]:
-        """Of each photograph, in the order of their names."""
+        """Reads the largest features of each image from the database, in the order of the images."""
         with self.pycolmap.Database.open(self._database) as database:
             number = {image.name: image.image_id for image in database.read_all_images()}
             return [
@@ -268,7 +271,7 @@ class ColmapRun:
             ]
 
     def estimate_poses(self) -> list[Any]:
-        """Finds poses: models of COLMAP that do not join, the one of most photographs first; there may be none."""
+        """Runs incremental mapping. Returns disjoint COLMAP models, the one with most images first; may be empty."""
         finished, with_pose = 0, 0
 
         def first_pair() -> None:
@@ -305,7 +308,7 @@ class ColmapRun:
         return sorted(models.values(), key=lambda model: -model.num_reg_images())
 
     def failure_reason(self) -> str:
-        """What photographs without poses lack."""
+        """Describes for a message why no model was found: too few features, too few matching pairs, or no parallax."""
         with self.pycolmap.Database.open(self._database) as database:
             features = database.num_keypoints() / len(self.names)
             pairs = sum(shared > 0 for shared in database.read_two_view_geometry_num_inliers()[1])
@@ -316,7 +319,7 @@ class ColmapRun:
         return "they must be taken from different places: walk around things, rather than turn on the spot"
 
     def _call(self, step: Callable[..., Any], *args: Any, **options: Any) -> Any:
-        """Runs a step of COLMAP so that Ctrl C ends it soon, and what it has found by then stays."""
+        """Runs a COLMAP step in a thread, so that Ctrl C cancels the step soon and keeps its results so far."""
         token = self.pycolmap.CancellationToken()
         with ThreadPoolExecutor(1) as pool:
             running = pool.submit(step, *args, cancellation_token=token, **options)
@@ -331,25 +334,26 @@ class ColmapRun:
 
 @dataclass(frozen=True, slots=True)
 class PoseReport:
-    """A model of COLMAP, in figures."""
+    """Quality figures of a COLMAP reconstruction."""
 
     names: Sequence[str]
-    """Of all photographs."""
+    """Names of all images."""
     with_pose: Sequence[str]
-    """Of those that have a pose."""
+    """Names of the images with a pose."""
     model_sizes: Sequence[int]
-    """Photographs of the model that is taken, and those that only another one has, if they are more than a pair."""
+    """Number of images of the chosen model, then of images that only another model has, for each other model of three
+    or more."""
     points: int
     points_per_image: float
-    """Points that a photograph shows, in the mean."""
+    """Mean number of points that an image observes."""
     error: float
-    """Mean distance of points from where photographs show them, pixels of the size that was compared."""
+    """Mean reprojection error, pixels at the size used for matching."""
     fov_degrees: float
-    """Angle of view along the longer side, the one that is least usual."""
+    """Least usual field of view of all cameras along the longer image side, degrees."""
 
     @classmethod
     def of(cls, names: Sequence[str], models: Sequence[Any]) -> PoseReport:
-        """The figures of models of COLMAP, of which the first is taken."""
+        """Computes the figures of COLMAP models, of which the first is the chosen one."""
         best = models[0]
         names_of = [{model.image(index).name for index in model.reg_image_ids()} for model in models]
         others = [len(other - names_of[0]) for other in names_of[1:]]
@@ -370,7 +374,7 @@ class PoseReport:
         )
 
     def remarks(self) -> list[str]:
-        """What a user has to know, a line each; none: all is well."""
+        """Returns warnings for the user, one line each; empty if the poses look right."""
         low, high = USUAL_FOV_DEGREES
         remarks: list[str] = []
         if len(self.model_sizes) > 1:
@@ -410,26 +414,27 @@ class PoseReport:
 
 
 def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | None = None) -> Path:
-    """Finds where photographs were taken from, and writes a sparse model of COLMAP beside them.
+    """Estimates camera poses of the images in a folder, and writes a COLMAP sparse model beside them.
 
-    Photographs of one size are taken for those of one lens, with one focal length. COLMAP sees large ones at a
-    thousand pixels; the poses are of the files as they are, which `load_training_images` makes smaller itself. What has
-    been found is kept in ``poses.unfinished`` in the folder until all is: after an interruption, the same call goes on.
+    Images of one size are assumed to share one lens and focal length. Features are extracted at `COMPARED_PIXELS`, but
+    poses and intrinsics are those of the full-size files; `load_training_images` can downscale them. Intermediate
+    results are stored in the subfolder ``poses.unfinished`` until the poses are found: after an interruption the same
+    call continues.
 
     Args:
-        folder: Its photographs are in ``images``; without that, in the folder itself.
-        ordered: The photographs are frames of a film in the order of their names: each is compared with the next ones,
-            and with those that look like it. Else those that look alike are compared, of few photographs all.
-        progress: Called with what is being done and the fraction done, 0..1.
+        folder: Folder with the images in its ``images`` subfolder, or directly in it if it has no ``images``.
+        ordered: Whether the images, sorted by name, are consecutive video frames. Each frame is then matched with the
+            next ones and with similar ones. Otherwise similar images are matched, or all pairs if there are few images.
+        progress: Called with the name of the current step and the fraction done, 0..1.
 
     Returns:
-        The folder of the model, ``sparse/0``. Photographs without a pose are not in it. Log lines say how many these
-        are, and what speaks against the poses: pieces that do not join, few points, large errors, an odd lens.
+        Folder of the model, ``sparse/0``. Images without a pose are not in it. Log lines count these images, and warn
+        of signs that poses are wrong: disjoint models, few points, large errors, an unusual field of view.
 
     Raises:
-        FormatError: There are fewer than two photographs, one cannot be read, there is a model already, or no poses
-            were found: photographs must overlap, show texture, and be taken from different places.
-        KeyboardInterrupt: With what has been found, in words.
+        FormatError: There are fewer than two images, an image cannot be read, a model already exists, or no poses were
+            found. Images need overlap, texture and different camera positions.
+        KeyboardInterrupt: The message says what the work folder holds so far.
         MissingFileError: There is no such folder.
         MissingExtraError: pycolmap is not installed.
     """
@@ -467,7 +472,7 @@ def _image_folder(folder: Path) -> Path:
 
 
 def _image_names(folder: Path) -> Sequence[str]:
-    """The names of the photographs of a folder, in order."""
+    """Lists the image files of a folder, sorted by name; raises `FormatError` if there are fewer than two."""
     if not folder.is_dir():
         raise MissingFileError(folder, "no such folder")
     images = _image_folder(folder)
@@ -480,7 +485,7 @@ def _image_names(folder: Path) -> Sequence[str]:
 
 @contextmanager
 def _colmap_errors(pycolmap: Any, run: ColmapRun, folder: Path) -> Generator[None]:
-    """COLMAP's own lines stay off the terminal, and its errors become ours, after which nothing is left."""
+    """Silences COLMAP's log, and converts its errors to `FormatError` after removing the work folder."""
     level = pycolmap.logging.minloglevel
     pycolmap.logging.minloglevel = 3
     try:

@@ -1,4 +1,4 @@
-"""Extracts frames of a video as training images: the sharpest one of each stretch of time, by PyAV."""
+"""Extracts the sharpest frame of each time interval of a video as training images, with PyAV."""
 
 from __future__ import annotations
 
@@ -25,41 +25,42 @@ _log = logging.getLogger("lumisplat")
 
 _JPEG_QUALITY = 95
 _COMPARED_SIZE = 480
-"""Longer side of the pictures whose sharpness is compared, pixels: noise of single pixels is no detail."""
+"""Longer image side at which sharpness is measured, pixels. At full size, noise of single pixels would count as
+detail."""
 _HDR_TRANSFERS = {16: "PQ", 18: "HLG"}
-"""Transfer functions whose values are not display-referred sRGB (ITU-T H.273), and what they are called."""
+"""Names of HDR transfer functions by their code (ITU-T H.273); their values are not display-referred sRGB."""
 _ROTATIONS = (None, Image.Transpose.ROTATE_90, Image.Transpose.ROTATE_180, Image.Transpose.ROTATE_270)
-"""By quarters of a turn to the left."""
+"""Pillow operations by the number of quarter rotations to the left."""
 
 _STILL_SIZE = 16
-"""Longer side of the pictures by which is seen whether anything moves: noise is averaged away."""
+"""Longer image side at which motion is detected, pixels; noise is averaged away."""
 _STILL_DIFFERENCE = 0.5
-"""Mean difference of grey values, 0..255, below which two of them show the same from the same place."""
+"""Mean difference of grey values, 0..255, below which two frames count as the same view."""
 _BLACK_LEVEL = 16
-"""Grey values that show nothing, 0..255: as dark as the black of a film is, and its noise."""
+"""Largest grey value, 0..255, of a black frame: video black, which is 16, and its noise."""
 
 
 def extract_frames(
     video: PathLike, folder: PathLike, *, every: float = 0.5, size: int = 1600, progress: Progress | None = None
 ) -> list[Path]:
-    """Takes photographs from a film: of each stretch of time its sharpest frame, upright.
+    """Extracts training images from a video: the sharpest frame of each time interval, rotated upright.
 
-    They are in ``images`` of the folder, as `find_poses` and COLMAP expect them, or none is.
+    Images are written to the subfolder ``images``, as `find_poses` and COLMAP expect. If anything fails, none is
+    written.
 
     Args:
         video: A file that FFmpeg reads: .mp4, .mov, .webm, ...
-        folder: Is made if need be; there must be no ``images`` in it.
-        every: Length of a stretch, seconds: neighbours should overlap by two thirds.
-        size: Longer side of photographs, pixels; larger frames are made smaller.
-        progress: Called with what is being done and the fraction done, 0..1.
+        folder: Output folder, created if needed; it must not contain ``images``.
+        every: Length of an interval, seconds. Neighbouring images should overlap by two thirds.
+        size: Longer side of the images, pixels; larger frames are downscaled.
+        progress: Called with the name of the current step and the fraction done, 0..1.
 
     Returns:
-        The files, ``0001.jpg`` and so on, in their order in time.
+        The image files, ``0001.jpg`` and so on, in temporal order.
 
     Raises:
         ConfigError: ``every`` or ``size`` is out of range.
-        FormatError: The file is no video that can be read, all of it is black, nothing moves in it, or there are images
-            already.
+        FormatError: The video cannot be read, is black throughout or shows no motion, or ``images`` already exists.
         MissingExtraError: PyAV is not installed.
         MissingFileError: There is no such file.
     """
@@ -96,14 +97,14 @@ def extract_frames(
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """The sharpest frame so far of a stretch."""
+    """Sharpest frame of the current interval so far."""
 
     sharpness: float
     image: Image.Image
 
 
 def _sharpest_frames(av: Any, video: Path, every: float, progress: Progress | None) -> Generator[Image.Image]:
-    """The sharpest frame of each stretch, upright; stretches without frames have none."""
+    """Yields the sharpest frame of each interval, upright; intervals without frames yield nothing."""
     with av.open(str(video)) as container:
         if not container.streams.video:
             raise FormatError(video, "has no pictures")
@@ -133,7 +134,7 @@ def _sharpest_frames(av: Any, video: Path, every: float, progress: Progress | No
 
 
 class _FrameCheck:
-    """What the photographs of a film show, small and grey."""
+    """Detects videos that are black or show no motion, from small grey versions of the extracted frames."""
 
     def __init__(self) -> None:
         self._first: NDArray[np.float32] | None = None
@@ -142,7 +143,7 @@ class _FrameCheck:
         self._moved = 0.0
 
     def add(self, image: Image.Image) -> None:
-        """Looks at the next one."""
+        """Accounts for the next extracted frame."""
         small = image.convert("L")
         small.thumbnail((_STILL_SIZE, _STILL_SIZE), Image.Resampling.BOX)
         grey = np.asarray(small, np.float32)
@@ -154,7 +155,7 @@ class _FrameCheck:
         self._brightest = max(self._brightest, float(grey.max()))
 
     def problem(self) -> str | None:
-        """Why no capture can be made of them."""
+        """Describes why the video is unusable, or returns None if it is usable."""
         if self._count == 0:
             return "has no frames"
         if self._brightest <= _BLACK_LEVEL:
@@ -167,7 +168,7 @@ class _FrameCheck:
 
 
 def sharpness(image: Image.Image) -> float:
-    """Variance of the Laplacian of its grey values (Pech-Pacheco et al. 2000), at a size of some hundred pixels."""
+    """Returns the variance of the Laplacian of the grey values (Pech-Pacheco et al. 2000), at `_COMPARED_SIZE`."""
     small = image.convert("L")
     small.thumbnail((_COMPARED_SIZE, _COMPARED_SIZE), Image.Resampling.BOX)
     grey = np.asarray(small, np.float32)
@@ -177,7 +178,7 @@ def sharpness(image: Image.Image) -> float:
 
 
 def _upright(frame: Any) -> Image.Image:
-    """A frame as it is meant to be seen: telephones store films on their side, and say so."""
+    """Converts a video frame to an image, rotated as its metadata says; phones store portrait videos rotated."""
     image = Image.fromarray(frame.to_ndarray(format="rgb24"))
     rotation = _ROTATIONS[round(float(frame.rotation) / 90.0) % 4]
     return image if rotation is None else image.transpose(rotation)
@@ -190,7 +191,7 @@ def _warn_if_hdr(video: Path, frame: Any) -> None:
 
 
 def _save(image: Image.Image, path: Path, size: int) -> str:
-    """Writes a photograph of at most such a size; its name."""
+    """Writes an image as JPEG, downscaled to a longer side of at most ``size`` pixels. Returns the file name."""
     shrink = min(size / max(image.size), 1.0)
     if shrink < 1.0:
         width, height = (max(math.floor(side * shrink + 0.5), 1) for side in image.size)
