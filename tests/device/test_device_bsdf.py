@@ -194,7 +194,7 @@ def test_nothing_below_the_horizon(number: int) -> None:
     assert below.sum() > 1000
     assert not values[below].any()
     assert not densities[below].any()
-    assert not picks(material, -NORMAL, np.random.default_rng(0).random((50, 3)))["density"].any()
+    assert not picks(material, -NORMAL, np.random.default_rng(0).random((50, 3)))["pdf"].any()
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
@@ -216,7 +216,7 @@ def test_finite(number: int) -> None:
     randoms = np.stack(np.meshgrid(ends, ends, ends), axis=-1).reshape(-1, 3)
     for view in special:
         samples = picks(material, view, randoms)
-        for name in ("direction", "weight", "density"):
+        for name in ("direction", "weight", "pdf"):
             assert np.isfinite(samples[name]).all()
         np.testing.assert_allclose(np.linalg.norm(samples["direction"], axis=1), 1.0, atol=1e-5)
         assert (samples["weight"] >= 0.0).all()
@@ -356,7 +356,7 @@ def compared(material: Material, said: Material, cos: float, alpha: float) -> fl
     axis = unit(mirrored(NORMAL, view))
     count, rings, sectors, fine = 200_000, 20, 12, 20
     samples = picks(material, view, np.random.default_rng(5).random((count, 3), dtype=np.float32))
-    kept = samples["density"] > 0.0
+    kept = samples["pdf"] > 0.0
     assert (samples["direction"][kept] @ NORMAL > -1e-6).all()
     vectors, size = bins(axis, alpha, rings, sectors, fine)
     _, densities = on_device(said, NORMAL, view[None], vectors.reshape(-1, 3))
@@ -403,14 +403,14 @@ def test_weights(number: int) -> None:
     material = MATERIALS[number]
     view = direction(0.6, 0.4)
     samples = picks(material, view, np.random.default_rng(6).random((100_000, 3), dtype=np.float32))
-    kept = samples[samples["density"] > 0.0]
+    kept = samples[samples["pdf"] > 0.0]
     values, densities = on_device(material, NORMAL, view[None], kept["direction"])
     cosines = kept["direction"].astype(np.float64) @ NORMAL.astype(np.float32).astype(np.float64)
     clear = cosines > 1e-3
-    np.testing.assert_allclose(kept["density"], densities, rtol=1e-6)
+    np.testing.assert_allclose(kept["pdf"], densities, rtol=1e-6)
     expected = (values * (cosines / densities)[:, None])[clear]
     np.testing.assert_allclose(kept["weight"][clear], expected, rtol=1e-3, atol=1e-6)
-    assert not samples["weight"][samples["density"] <= 0.0].any()
+    assert not samples["weight"][samples["pdf"] <= 0.0].any()
     mean = samples["weight"][:, 1].mean(dtype=np.float64)
     error = float(samples["weight"][:, 1].std()) / math.sqrt(len(samples))
     if material["model"] == "simple":

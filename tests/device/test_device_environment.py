@@ -191,8 +191,8 @@ def test_samples_are_consistent() -> None:
     np.testing.assert_allclose(np.linalg.norm(samples["direction"], axis=1), 1.0, atol=1e-6)
     radiances, densities = sky.seen(samples["direction"])
     # On the borders of cells, rounding decides to which one a direction belongs.
-    assert np.mean(np.abs(densities / samples["density"] - 1.0) > 1e-5) < 1e-3
-    expected = radiances / samples["density"][:, None]
+    assert np.mean(np.abs(densities / samples["pdf"] - 1.0) > 1e-5) < 1e-3
+    expected = radiances / samples["pdf"][:, None]
     np.testing.assert_allclose(samples["irradiance"], expected, rtol=1e-3, atol=1e-3 * expected.mean())
     u, v = np.meshgrid((np.arange(1024) + 0.5) / 1024, (np.arange(512) + 0.5) / 512)
     values = 0.5 * lookup(image, u.ravel(), v.ravel()) * np.sin(np.pi * v.ravel())[:, None] * 2.0 * np.pi**2
@@ -233,7 +233,7 @@ def test_dark_images() -> None:
     assert not densities.any()
     samples = sky.picks(np.random.default_rng(0).random((100, 2)))
     assert not samples["irradiance"].any()
-    assert not samples["density"].any()
+    assert not samples["pdf"].any()
     np.testing.assert_allclose(np.linalg.norm(samples["direction"], axis=1), 1.0)
 
 
@@ -246,7 +246,7 @@ def test_no_environment() -> None:
     assert not densities.any()
     samples = sky.picks(np.random.default_rng(0).random((100, 2)))
     assert not samples["irradiance"].any()
-    assert not samples["density"].any()
+    assert not samples["pdf"].any()
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -259,9 +259,9 @@ def test_finite(shape: tuple[int, int], device: str) -> None:
         sky = Sky(image, device, intensity=1e30)
         ends = np.array([0.0, 1e-7, 0.5, 1.0 - 2.0**-24, 1.0])
         samples = sky.picks(np.stack(np.meshgrid(ends, ends), axis=-1).reshape(-1, 2))
-        for name in ("direction", "irradiance", "density"):
+        for name in ("direction", "irradiance", "pdf"):
             assert np.isfinite(samples[name]).all()
-        assert (samples["density"] > 0.0).all()
+        assert (samples["pdf"] > 0.0).all()
         axes = np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3)), [[1e-30, 1.0, 0.0], [-1e-30, 0.0, 1.0]]])
         for found in sky.seen(axes):
             assert np.isfinite(found).all()

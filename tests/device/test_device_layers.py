@@ -77,7 +77,7 @@ def test_directions_are_as_dense_as_said(layers: dict[str, Any] | None, base: ls
     row = bsdf_row(replace(base, **(layers or {})), compensates=layers is None)
     view, rows, columns, fine, count = direction(0.6, 1.0), 12, 12, 24, 100_000
     found = samples_of(row, view, count)
-    kept = found["density"] > 0.0
+    kept = found["pdf"] > 0.0
     d = found["direction"][kept].astype(np.float64)
     ring = np.clip((d[:, 2] * rows).astype(int), 0, rows - 1)
     column = (np.arctan2(d[:, 1], d[:, 0]) % (2.0 * np.pi) / (2.0 * np.pi) * columns).astype(int) % columns

@@ -96,7 +96,7 @@ def test_inverse_square() -> None:
     np.testing.assert_allclose(samples["irradiance"], [(2.0, 1.0, 0.0), (32.0, 16.0, 0.0)], rtol=1e-6)
     np.testing.assert_allclose(samples["direction"], [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)], atol=1e-7)
     np.testing.assert_allclose(samples["distance"], (2.0, 0.5), rtol=1e-6)
-    assert not samples["density"].any()
+    assert not samples["pdf"].any()
 
 
 def test_range() -> None:
@@ -164,7 +164,7 @@ def test_hard_rectangles() -> None:
     expected = 3.0 * np.array([1.0 / 6.0, 1.0 / 12.0, 0.0, 0.0, math.pi])
     np.testing.assert_allclose(samples["irradiance"][:, 0], expected, rtol=1e-5)
     np.testing.assert_allclose(samples["distance"][:2], 6.0, rtol=1e-6)
-    assert not samples["density"].any()
+    assert not samples["pdf"].any()
 
 
 def test_hard_lights_have_no_extent() -> None:
@@ -203,7 +203,7 @@ def test_directions_meet_the_sphere(ratio: float, device: str) -> None:
     middle = np.abs(first_hit(point, directions, np.array(POSITION), radius) - samples["distance"])
     assert np.nanmedian(middle) < 1e-6 * distance
     size = cap(math.asin(ratio))
-    np.testing.assert_allclose(samples["density"], 1.0 / size, rtol=2e-3 if ratio > 0.99 else 1e-4)
+    np.testing.assert_allclose(samples["pdf"], 1.0 / size, rtol=2e-3 if ratio > 0.99 else 1e-4)
     radiance = np.array([3.0, 2.0, 1.0]) / (math.pi * radius**2)
     expected = np.tile(radiance * size, (5000, 1))
     np.testing.assert_allclose(samples["irradiance"], expected, rtol=2e-3 if ratio > 0.99 else 1e-4)
@@ -253,7 +253,7 @@ def test_suns(angle: float) -> None:
     assert np.mean(off**2) == pytest.approx(2.0 * math.sin(0.5 * angle) ** 2, rel=1e-2)
     mean = samples["direction"].mean(axis=0, dtype=np.float64)
     np.testing.assert_allclose(mean @ np.array([AXIS, ACROSS, np.cross(AXIS, ACROSS)]).T[:, 1:], 0.0, atol=2e-5)
-    np.testing.assert_allclose(samples["density"], 1.0 / cap(angle), rtol=1e-4)
+    np.testing.assert_allclose(samples["pdf"], 1.0 / cap(angle), rtol=1e-4)
     assert np.isinf(samples["distance"]).all()
 
 
@@ -277,7 +277,7 @@ def test_rectangles_give_what_lambert_says(seed: int) -> None:
     u = grid(128) - 0.5
     points = position + u[:, :1] * edge_u + u[:, 1:] * edge_v
     np.testing.assert_allclose(samples["distance"][:, None] * samples["direction"], points, atol=1e-5)
-    np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["density"], 3.0, rtol=1e-5)
+    np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["pdf"], 3.0, rtol=1e-5)
     # Nothing on its other side.
     behind = seen(there, 2.0 * position, True, grid(4))
     assert not behind["irradiance"].any()
@@ -301,7 +301,7 @@ def test_disks_give_what_lambert_says(seed: int) -> None:
     samples = seen(there, (0.0, 0.0, 0.0), True, grid(128))
     expected = abs(polygon_irradiance(corners, np.zeros(3), normal))
     np.testing.assert_allclose(gathered(samples, normal), expected * np.array([3.0, 2.0, 1.0]), rtol=2e-4)
-    np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["density"], 3.0, rtol=1e-5)
+    np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["pdf"], 3.0, rtol=1e-5)
     offsets = samples["distance"][:, None] * samples["direction"].astype(np.float64) - position
     np.testing.assert_allclose(offsets @ axis, 0.0, atol=2e-6)
     shares = (offsets**2).sum(axis=1) / 0.49
@@ -339,13 +339,13 @@ def test_rays_cross_lights_where_samples_lie(kind: Any) -> None:
     crossings = crossed(there, point, samples["direction"])
     assert np.isfinite(crossings["t"]).all()
     np.testing.assert_allclose(crossings["t"], samples["distance"], rtol=1e-3 if kind == LIGHT_POINT else 1e-5)
-    np.testing.assert_allclose(crossings["density"], samples["density"], rtol=1e-4)
+    np.testing.assert_allclose(crossings["pdf"], samples["pdf"], rtol=1e-4)
     cells = grid(1200)
     height, turn = 2.0 * cells[:, 0] - 1.0, 2.0 * math.pi * cells[:, 1]
     around = np.stack(
         [np.sqrt(1.0 - height**2) * np.cos(turn), height, np.sqrt(1.0 - height**2) * np.sin(turn)], axis=1
     )
-    densities = crossed(there, point, around)["density"].astype(np.float64)
+    densities = crossed(there, point, around)["pdf"].astype(np.float64)
     assert 4.0 * math.pi * densities.mean() == pytest.approx(1.0, rel=3e-3)
     assert np.isinf(crossed(there, point, -samples["direction"])["t"]).all()
 
@@ -385,7 +385,7 @@ def test_finite(kind: Any, soft: bool, device: str) -> None:
                 )
                 for u in ((0.0, 0.0), (0.5, 0.5), (1.0, 1.0)):
                     samples = seen(there, points, soft, np.tile(np.array([u]), (len(points), 1)), device)
-                    for name in ("direction", "irradiance", "density"):
+                    for name in ("direction", "irradiance", "pdf"):
                         assert np.isfinite(samples[name]).all(), (name, size, power, reach, u)
                     assert not np.isnan(samples["distance"]).any()
                     assert (samples["distance"] >= 0.0).all()

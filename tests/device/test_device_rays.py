@@ -10,7 +10,7 @@ import warp as wp
 
 import lumisplat as ls
 from lumisplat.constants import SUBPIXEL_STEPS
-from lumisplat.device.camera.camera import camera_ray, disk_point, turned
+from lumisplat.device.camera.camera import camera_ray, disk_point, rotated
 from lumisplat.device.splat.blending import pixel_ray
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
@@ -336,8 +336,8 @@ def test_turned_is_a_rotation() -> None:
     vector = wp.vec3(0.3, -0.2, 0.9)
     axis = np.array([1.0, 2.0, -2.0]) / 3.0
     expected = rotation((1.0, 2.0, -2.0), 2.0)[:3, :3] @ np.array(vector)
-    np.testing.assert_allclose(np.array(turned(vector, wp.vec3(*axis), 2.0)), expected, atol=1e-6)
-    np.testing.assert_array_equal(np.array(turned(vector, wp.vec3(0.0, 0.0, 0.0), 0.0)), np.array(vector))
+    np.testing.assert_allclose(np.array(rotated(vector, wp.vec3(*axis), 2.0)), expected, atol=1e-6)
+    np.testing.assert_array_equal(np.array(rotated(vector, wp.vec3(0.0, 0.0, 0.0), 0.0)), np.array(vector))
 
 
 def test_the_table_is_the_struct() -> None:

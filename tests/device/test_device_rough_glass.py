@@ -151,7 +151,7 @@ def chi_square(sampled: npt.NDArray[Any], said: npt.NDArray[Any], view: Doubles)
     """How far directions sampled for one material are from the density of another, standard deviations."""
     rows, columns, fine, count = 24, 12, 24, 200_000
     found = samples_of(sampled, view, count)
-    kept = found["density"] > 0.0
+    kept = found["pdf"] > 0.0
     d = found["direction"][kept].astype(np.float64)
     row = np.clip(((1.0 - d[:, 2]) / 2.0 * rows).astype(int), 0, rows - 1)
     column = (np.arctan2(d[:, 1], d[:, 0]) % (2.0 * np.pi) / (2.0 * np.pi) * columns).astype(int) % columns

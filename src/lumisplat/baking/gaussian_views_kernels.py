@@ -97,12 +97,12 @@ def store_hit(
     """
     eye = gaussians.means[k] - direction
     color = wp.vec3(0.0)
-    if instance.own_colors != 0:
+    if instance.shows_albedo != 0:
         color = gaussians.albedo[k]
     else:
         color = gaussian_color(gaussians, k, eye, wp.min(sh_degree, instance.sh_degree))
     normal = gaussian_facing(gaussians, k, eye)
-    if instance.own_normals != 0:
+    if instance.stored_normals != 0:
         normal = towards(gaussians.normals[k], -direction, 0.0)
     hits.color[i] = color
     hits.normal[i] = instance.world_from_object * normal
@@ -248,11 +248,11 @@ def add_views(
     arrived = wp.vec3(0.0)
     own_sent = wp.vec3(0.0)
     own_arrived = wp.vec3(0.0)
-    if wave[0].radiance.sent:
-        sent = wave[0].radiance.sent[i]
-        arrived = wave[0].radiance.arrived[i]
-        own_sent = wave[0].radiance.own_sent[i]
-        own_arrived = wave[0].radiance.own_arrived[i]
+    if wave[0].radiance.unshadowed:
+        sent = wave[0].radiance.unshadowed[i]
+        arrived = wave[0].radiance.shadowed[i]
+        own_sent = wave[0].radiance.emitted_unshadowed[i]
+        own_arrived = wave[0].radiance.emitted_shadowed[i]
     if not (is_finite(light) and is_finite(sent + own_sent) and is_finite(arrived + own_arrived)):
         return
     sums_inout.count[i] += 1

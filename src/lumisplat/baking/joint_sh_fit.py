@@ -503,7 +503,7 @@ def reflected_colors(instance: SplatInstance) -> Doubles:
     By the colours that they are shaded with: those that were captured, of sets that shine by them, whatever their
     albedo. What the surface of a dielectric mirrors is white, so that black ones that are glossy are not black.
     """
-    (by_albedo,) = shading_overrides(Scene([instance]), lit=True)["own_colors"]
+    (by_albedo,) = shading_overrides(Scene([instance]), lit=True)["shows_albedo"]
     gaussians = instance.gaussians if by_albedo else replace(instance.gaussians, albedo=None)
     colors, material = base_colors(gaussians), material_of(instance)
     if not isinstance(material, MaterialPbr):

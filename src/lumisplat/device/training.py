@@ -141,9 +141,9 @@ class LossMaps:
     """Of its squares; then of the derivatives by these."""
     product: wp.array[wp.vec3]
     """Of its products with the photograph; then of the derivatives by these."""
-    wanted: wp.array[wp.vec3]
+    target: wp.array[wp.vec3]
     """Of the photograph."""
-    wanted_squared: wp.array[wp.vec3]
+    target_squared: wp.array[wp.vec3]
 
 
 @struct
@@ -201,7 +201,7 @@ class MaterialGradient:
 
 
 @wp.func
-def share_of(target: TargetImage, i: int) -> float:
+def pixel_weight(target: TargetImage, i: int) -> float:
     """How much a pixel counts, 0..1."""
     if target.weight.shape[0] > 0:
         return target.weight[i]
@@ -209,12 +209,12 @@ def share_of(target: TargetImage, i: int) -> float:
 
 
 @wp.func
-def counted(shown: wp.vec3, target: TargetImage, i: int) -> wp.vec3:
+def masked_color(shown: wp.vec3, target: TargetImage, i: int) -> wp.vec3:
     """What a frame shows where it counts, the target elsewhere."""
-    return wp.lerp(target.color[i], shown, share_of(target, i))
+    return wp.lerp(target.color[i], shown, pixel_weight(target, i))
 
 
 @wp.func
-def light_on(light: DirectionalLight, i: int, k: int) -> wp.vec3:
+def incident_radiance(light: DirectionalLight, i: int, k: int) -> wp.vec3:
     """Radiance that reaches Gaussian ``i`` from direction ``k``."""
     return light.open[i, k] * light.sky[k] + light.seen[i, k]

@@ -472,7 +472,7 @@ class RayProfiles:
         listed = self._buffers.struct("profile.listed", ListedRays, count)
         padded = np.full(count, -1, np.int32)
         padded[: len(ray_indices)] = ray_indices
-        device_array(listed.place).assign(padded)
+        device_array(listed.ray).assign(padded)
         device_array(listed.sample).fill_(sample)
         device_array(listed.offset).assign(np.full((count, 2), offset, np.float32))
         return self._camera_rays.start(scene, listed)

@@ -501,7 +501,7 @@ class Renderer:
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
         """The hits of the camera's rays of the current sample, rasterised or traced; on CUDA by a captured graph."""
-        count = 0 if listed is None else len(listed.place)
+        count = 0 if listed is None else len(listed.ray)
 
         def find() -> PrimaryHits:
             rays = self._camera_rays.start(self._scene, listed)

@@ -12,7 +12,7 @@ import math
 import warp as wp
 
 from lumisplat.constants import FUSED_FLAGS, SSIM_SIGMA_PX, SSIM_WINDOW_PX
-from lumisplat.device.training import LossGrid, LossMaps, LossWeights, TargetImage, counted, share_of
+from lumisplat.device.training import LossGrid, LossMaps, LossWeights, TargetImage, masked_color, pixel_weight
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -87,7 +87,7 @@ def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: Targ
         wanted_squared = wp.vec3(0.0)
         for k in range(TAPS):
             i = row + mirrored(x + k - REACH, width)
-            p = counted(color[i], target, i)
+            p = masked_color(color[i], target, i)
             q = target.color[i]
             w = WINDOW[k]
             shown += w * p
@@ -98,8 +98,8 @@ def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: Targ
         maps_out.shown[row + x] = shown
         maps_out.squared[row + x] = squared
         maps_out.product[row + x] = product
-        maps_out.wanted[row + x] = wanted
-        maps_out.wanted_squared[row + x] = wanted_squared
+        maps_out.target[row + x] = wanted
+        maps_out.target_squared[row + x] = wanted_squared
 
 
 @wp.kernel
@@ -121,8 +121,8 @@ def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps,
             mp += w * maps.shown[i]
             pp += w * maps.squared[i]
             pq += w * maps.product[i]
-            mq += w * maps.wanted[i]
-            qq += w * maps.wanted_squared[i]
+            mq += w * maps.target[i]
+            qq += w * maps.target_squared[i]
         by_mean = wp.vec3(0.0)
         by_square = wp.vec3(0.0)
         by_product = wp.vec3(0.0)
@@ -194,9 +194,9 @@ def differentiate_rows(
             by_product += w * maps.product[i]
         i = y * width + x
         q = target.color[i]
-        p = counted(color[i], target, i)
+        p = masked_color(color[i], target, i)
         by_ssim = by_mean + 2.0 * wp.cw_mul(p, by_square) + wp.cw_mul(q, by_product)
-        share = share_of(target, i)
+        share = pixel_weight(target, i)
         error = color[i] - q
         gradient = weights.l1 * wp.vec3(sign(error[0]), sign(error[1]), sign(error[2])) - weights.ssim * by_ssim
         by_color_out[i] = share * gradient

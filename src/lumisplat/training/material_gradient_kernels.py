@@ -7,8 +7,8 @@ other kernel of the module has called them: they would be 0.
 import warp as wp
 
 from lumisplat.device.material.microfacets import reflected_dot
-from lumisplat.device.math.directions import seen_from
-from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient, light_on
+from lumisplat.device.math.directions import flipped_to_front
+from lumisplat.device.training import DirectionalLight, GaussianMaterials, MaterialGradient, incident_radiance
 
 wp.set_module_options({"enable_backward": False})
 
@@ -31,11 +31,11 @@ def differentiate(
     if wp.dot(given, given) > 0.0:
         normal = materials.normals[i]
         albedo = materials.albedo[i]
-        view = seen_from(wp.normalize(eye - materials.means[i]), normal)
+        view = flipped_to_front(wp.normalize(eye - materials.means[i]), normal)
         for k in range(light.directions.shape[0]):
             direction = light.directions[k]
             if wp.dot(normal, direction) > 0.0:
-                weighted = light.solid_angle * wp.cw_mul(given, light_on(light, i, k))
+                weighted = light.solid_angle * wp.cw_mul(given, incident_radiance(light, i, k))
                 by_diffuse = wp.dot(albedo, weighted)
                 by_highlight = weighted[0] + weighted[1] + weighted[2]
                 normal_part, roughness_part, _view, _direction, _spread, diffuse, _highlight = wp.grad(reflected_dot)(

@@ -9,10 +9,10 @@ from lumisplat.constants import SH_C0, SKY_CHUNK
 from lumisplat.device.camera.pixels import is_listed
 from lumisplat.device.material.microfacets import diffuse_factor, highlight_factor
 from lumisplat.device.math.color import encode_srgb
-from lumisplat.device.math.directions import seen_from
+from lumisplat.device.math.directions import flipped_to_front
 from lumisplat.device.structs.gradients import SplatGradient
 from lumisplat.device.structs.raster import TileRect
-from lumisplat.device.training import DirectionalLight, GaussianMaterials, light_on
+from lumisplat.device.training import DirectionalLight, GaussianMaterials, incident_radiance
 
 wp.set_module_options({"enable_backward": False})
 
@@ -48,7 +48,7 @@ def shade(
     i = start + wp.tid()
     normal = materials.normals[i]
     roughness = materials.roughness[i]
-    view = seen_from(wp.normalize(eye - materials.means[i]), normal)
+    view = flipped_to_front(wp.normalize(eye - materials.means[i]), normal)
     cos_view = wp.dot(normal, view)
     wide = widened_alpha(roughness, light.spread)
     diffuse = wp.vec3(0.0)
@@ -57,7 +57,7 @@ def shade(
         direction = light.directions[k]
         cosine = wp.dot(normal, direction)
         if cosine > 0.0:
-            arriving = (cosine * light.solid_angle) * light_on(light, i, k)
+            arriving = (cosine * light.solid_angle) * incident_radiance(light, i, k)
             diffuse += diffuse_factor(cos_view, cosine, roughness * roughness) * arriving
             highlight += highlight_factor(normal, view, direction, wide) * arriving
     radiance = wp.cw_mul(materials.albedo[i], diffuse) + highlight
@@ -108,7 +108,7 @@ def differentiate_environment(
         if wp.dot(given, given) > 0.0:
             normal = materials.normals[i]
             roughness = materials.roughness[i]
-            view = seen_from(wp.normalize(eye - materials.means[i]), normal)
+            view = flipped_to_front(wp.normalize(eye - materials.means[i]), normal)
             cos_view = wp.dot(normal, view)
             wide = widened_alpha(roughness, light.spread)
             by_diffuse = wp.cw_mul(given, materials.albedo[i])

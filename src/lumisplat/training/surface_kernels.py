@@ -14,7 +14,7 @@ from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.gradients import GaussianGradient
 from lumisplat.device.structs.raster import TileRect
 from lumisplat.device.structs.scene import GaussianData
-from lumisplat.device.training import SmoothnessMaps, SplatRecord, SurfaceMaps, SurfaceTerms, TargetImage, share_of
+from lumisplat.device.training import SmoothnessMaps, SplatRecord, SurfaceMaps, SurfaceTerms, TargetImage, pixel_weight
 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
@@ -129,7 +129,7 @@ def compare_surfaces(
     view = camera[0]
     x = i % view.width
     y = i // view.width
-    share = share_of(target, i)
+    share = pixel_weight(target, i)
     a = alpha[i]
     by_depth = float(0.0)
     by_square = float(0.0)
@@ -322,7 +322,7 @@ def compare_smoothness(
                 down += sobel_weight(dy, dx) * normal
                 color_across += sobel_weight(dx, dy) * color
                 color_down += sobel_weight(dy, dx) * color
-        share = weight * share_of(target, i) / 3.0
+        share = weight * pixel_weight(target, i) / 3.0
         along_x = share * edge_weight(color_across)
         along_y = share * edge_weight(color_down)
         term = along_x * l1_norm(across) + along_y * l1_norm(down)

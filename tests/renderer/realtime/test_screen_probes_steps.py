@@ -184,7 +184,7 @@ def test_all_probes_are_refreshed_in_turn() -> None:
     for frame in range(12):
         sequence.render(seen)
         assert len(sequence.rays[0]) == 15 * CELLS
-        rounds = device_array(sequence.probes.probes.rounds).numpy().reshape(6, 10)
+        rounds = device_array(sequence.probes.probes.refresh_count).numpy().reshape(6, 10)
         assert rounds.sum() == 15 * (frame + 1)
         if frame == 0:
             blocks = rounds.reshape(3, 2, 5, 2).sum(axis=(1, 3))
@@ -263,7 +263,7 @@ def test_surfaces_that_tiles_miss_get_probes() -> None:
         sequence.render(seen)
     again = device_array(sequence.probes.adaptive_of).numpy()
     np.testing.assert_array_equal(first >= 0, again >= 0)
-    assert (device_array(sequence.probes.probes.rounds).numpy()[again[again >= 0]] > 2).all()
+    assert (device_array(sequence.probes.probes.refresh_count).numpy()[again[again >= 0]] > 2).all()
     few = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.1, refreshed=1.0)
     few.render(seen)
     assert (device_array(few.probes.adaptive_of).numpy() >= 0).sum() == 6

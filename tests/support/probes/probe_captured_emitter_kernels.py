@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_density, point_in, total_weight
+from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_pdf, point_in, total_weight
 
 wp.set_module_options({"enable_backward": False})
 
@@ -23,4 +23,4 @@ def sample_boxes(
     box = boxes[chosen_box(random[i][0], total, point, boxes)]
     place = point_in(box, wp.vec2(random[i][1], random[i][2]), random[i][3])
     directions_out[i] = wp.normalize(place - point)
-    densities_out[i] = direction_density(point, directions_out[i], total, boxes)
+    densities_out[i] = direction_pdf(point, directions_out[i], total, boxes)

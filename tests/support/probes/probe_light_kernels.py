@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.gi.surfaces import diffuse_albedo, glossy_albedo, transmitted_albedo
-from lumisplat.device.light.emitters import environment_density, environment_radiance, sample_environment
+from lumisplat.device.light.emitters import environment_pdf, environment_radiance, sample_environment
 from lumisplat.device.light.interaction import bsdf_of
 from lumisplat.device.light.light import light_crossing, sample_light
 from lumisplat.device.material.bsdf import BsdfSample, bsdf_eval, bsdf_pdf, bsdf_sample
@@ -87,7 +87,7 @@ def probe_environment(
     """What comes from directions, and how densely they are picked."""
     i = wp.tid()
     radiances[i] = environment_radiance(environment, directions[i])
-    densities[i] = environment_density(environment, directions[i])
+    densities[i] = environment_pdf(environment, directions[i])
 
 
 @wp.kernel

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.camera.camera import camera_ray, seen_at
+from lumisplat.device.camera.camera import camera_ray, pixel_of_point
 from lumisplat.device.gi.probe_placement import ProbeData, ProbeGrid, ProbeLight
 from lumisplat.device.gi.screen_probes import gathered_light
 from lumisplat.device.gi.surfaces import SurfacePixels
@@ -73,4 +73,4 @@ def probe_seen(
     i = wp.tid()
     camera = cameras[0]
     ray = camera_ray(camera, samples[0], i % camera.width, i // camera.width)
-    pixels_out[i] = seen_at(camera, ray.origin + 3.0 * ray.direction)
+    pixels_out[i] = pixel_of_point(camera, ray.origin + 3.0 * ray.direction)

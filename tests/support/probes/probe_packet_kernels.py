@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.bvh.packet import empty_list, keep_hit, push_children
+from lumisplat.device.bvh.packet import buffer_hit, empty_list, push_children
 from lumisplat.device.structs.bvh import ChildLinks, Children, Hit, HitList, Node, WaitingNode
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 4})
@@ -21,7 +21,7 @@ def probe_hit_list(
     i = wp.tid()
     kept = empty_list(3)
     for step in range(added.shape[1]):
-        dropped[i, step] = keep_hit(hits[i], kept, slots[i], added[i, step])
+        dropped[i, step] = buffer_hit(hits[i], kept, slots[i], added[i, step])
         kept.head = wp.min(kept.head + blended[i, step], kept.tail)
     lists[i] = kept
 

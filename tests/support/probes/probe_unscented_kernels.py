@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.camera.camera import seen_point
+from lumisplat.device.camera.camera import pixel_at_row_time
 from lumisplat.device.splat.ray_bounds import ImageMoments, WorldGaussian, projected_moments
 from lumisplat.device.structs.camera import CameraData
 
@@ -30,4 +30,4 @@ def probe_points(
 ):
     """Where the image has points."""
     i = wp.tid()
-    pixels_out[i] = seen_point(camera[0], field, points[i])
+    pixels_out[i] = pixel_at_row_time(camera[0], field, points[i])

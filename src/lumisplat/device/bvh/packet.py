@@ -32,8 +32,8 @@ from lumisplat.device.structs.bvh import (
     Hit,
     HitList,
     Node,
-    PacketPlace,
     PacketRays,
+    PacketTree,
     SceneBvh,
     Slabs,
     WaitingNode,
@@ -55,15 +55,15 @@ def is_before(t: float, index: int, other_t: float, other_index: int) -> bool:
 @wp.func
 def empty_list(begin: int) -> HitList:
     """A list without hits, whose first slot is ``begin``."""
-    kept = HitList()
-    kept.begin = begin
-    kept.head = begin
-    kept.tail = begin
-    return kept
+    hit_list = HitList()
+    hit_list.begin = begin
+    hit_list.head = begin
+    hit_list.tail = begin
+    return hit_list
 
 
 @wp.func
-def keep_hit(hits: wp.array[Hit], kept: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
+def buffer_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
     """Adds a hit to a list; if that is full, the farthest hit is dropped.
 
     ``slots``: how many hits the list may hold.
@@ -71,40 +71,40 @@ def keep_hit(hits: wp.array[Hit], kept: wp.ref[HitList], slots: int, hit: Hit) -
     Returns:
         The hit that was dropped; its distance is FAR if none was.
     """
-    if kept.tail == kept.begin + slots:
-        move_to_begin(hits, kept)
+    if hit_list.tail == hit_list.begin + slots:
+        move_to_begin(hits, hit_list)
     dropped = Hit()
     dropped.t = FAR
-    if kept.tail == kept.begin + slots:
-        dropped = hits[kept.tail - 1]
+    if hit_list.tail == hit_list.begin + slots:
+        dropped = hits[hit_list.tail - 1]
         if not is_before(hit.t, hit.index, dropped.t, dropped.index):
             return hit
-        kept.tail -= 1
-    insert_hit(hits, kept, hit)
+        hit_list.tail -= 1
+    insert_hit(hits, hit_list, hit)
     return dropped
 
 
 @wp.func
-def move_to_begin(hits: wp.array[Hit], kept: wp.ref[HitList]):
+def move_to_begin(hits: wp.array[Hit], hit_list: wp.ref[HitList]):
     """Moves the hits of a list to its first slots."""
-    shift = kept.head - kept.begin
+    shift = hit_list.head - hit_list.begin
     if shift > 0:
-        for j in range(kept.head, kept.tail):
+        for j in range(hit_list.head, hit_list.tail):
             hits[j - shift] = hits[j]
-        kept.head -= shift
-        kept.tail -= shift
+        hit_list.head -= shift
+        hit_list.tail -= shift
 
 
 @wp.func
-def insert_hit(hits: wp.array[Hit], kept: wp.ref[HitList], hit: Hit):
+def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
     """Puts a hit in its place in a list that has a free slot."""
-    head = kept.head
-    j = int(kept.tail)
+    head = hit_list.head
+    j = int(hit_list.tail)
     while j > head and is_before(hit.t, hit.index, hits[j - 1].t, hits[j - 1].index):
         hits[j] = hits[j - 1]
         j -= 1
     hits[j] = hit
-    kept.tail += 1
+    hit_list.tail += 1
 
 
 # --- Threads of a CUDA warp that traverse the trees in step, as the lanes of a packet do on a CPU ---
@@ -463,7 +463,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def enter_instance(
-        place: wp.ref[PacketPlace],
+        tree: wp.ref[PacketTree],
         packet: PacketRays,
         number: int,
         scene: SceneBvh,
@@ -475,17 +475,17 @@ def packet_of(lanes: int) -> RayPacket:
         ``place`` becomes the tree of instance ``number``, or of WORLD, and ``packet`` receives the origins and
         directions in its space.
         """
-        place.number = number
+        tree.number = number
         object_from_world = wp.identity(n=3, dtype=wp.float32)
         offset = wp.vec3(0.0)
         footprint = scene.footprint
         scale = float(1.0)
         if number != WORLD:
-            place.instance = scene.instances[number]
-            object_from_world = place.instance.object_from_world
-            offset = place.instance.object_from_world_offset
-            footprint = place.instance.footprint
-            scale = place.instance.scale
+            tree.instance = scene.instances[number]
+            object_from_world = tree.instance.object_from_world
+            offset = tree.instance.object_from_world_offset
+            footprint = tree.instance.footprint
+            scale = tree.instance.scale
         for lane in range(LANES):
             packet.footprint[lane] = footprint_of_ray(footprint, packet.spread[lane], scale)
             o = object_from_world * rays.origin[first + lane] + offset
@@ -493,14 +493,14 @@ def packet_of(lanes: int) -> RayPacket:
             for k in range(3):
                 packet.origin[k, lane] = o[k]
                 packet.direction[k, lane] = d[k]
-        place.slabs = slabs_of(packet)
+        tree.slabs = slabs_of(packet)
 
     @wp.func
     def visit_node(
         stack: wp.array[WaitingNode],
         top: wp.ref[int],
         leaves: wp.ref[ChildLinks],
-        place: wp.ref[PacketPlace],
+        tree: wp.ref[PacketTree],
         scene: SceneBvh,
         begin: float,
         reach: float,
@@ -518,15 +518,15 @@ def packet_of(lanes: int) -> RayPacket:
         """
         link = stack[top].link
         nodes = scene.tlas_nodes
-        if place.number != WORLD:
-            nodes = scene.assets[place.instance.asset].nodes
+        if tree.number != WORLD:
+            nodes = scene.assets[tree.instance.asset].nodes
         node = Node()
         load_node(nodes, link, node)
         is_by_mean = hit_distance == HIT_MEAN
-        entries = enter_children(node, place.slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
+        entries = enter_children(node, tree.slabs, wp.where(is_by_mean, 0.0, larger(begin, 0.0)))
         if is_by_mean:
-            entries = mean_entries(node, place.slabs, entries, begin, end)
-        return push_children(stack, top, leaves, node, place.number, entries, reach, order)
+            entries = mean_entries(node, tree.slabs, entries, begin, end)
+        return push_children(stack, top, leaves, node, tree.number, entries, reach, order)
 
     return RayPacket(
         *(Floats, Ints, Vec3s, RaysStorage, packet_rays),

@@ -8,7 +8,7 @@ import math
 import warp as wp
 
 from lumisplat.constants import DISTORTION_STEPS
-from lumisplat.device.camera.pixels import picture_index
+from lumisplat.device.camera.pixels import full_image_index
 from lumisplat.device.math.random import LENS_ANGLE, LENS_RADIUS, draw, sample_key_of
 from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
@@ -100,7 +100,7 @@ def disk_point(u: float, v: float) -> wp.vec2:
 
 
 @wp.func
-def turned(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
+def rotated(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
     """A vector rotated about a unit axis by an angle in radians (Rodrigues); exactly the vector for an angle of 0."""
     across = wp.cross(axis, vector)
     half = wp.sin(0.5 * angle)
@@ -161,7 +161,7 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
         direction = wp.normalize(wp.vec3(u, v, 1.0))
 
     if camera.aperture > 0.0:
-        sample_key = sample_key_of(picture_index(camera, x, y), sample.index, sample.seed)
+        sample_key = sample_key_of(full_image_index(camera, x, y), sample.index, sample.seed)
         point = camera.aperture * disk_point(draw(sample_key, LENS_RADIUS), draw(sample_key, LENS_ANGLE))
         shift = point[0] * right + point[1] * down
         sharp = camera.focus_distance
@@ -176,12 +176,12 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
     ray.origin = camera.eye + camera.world_from_camera * start
     ray.direction = camera.world_from_camera * direction
     if camera.shutter != 0:
-        time = (float(y) + 0.5) / float(camera.picture_height)
-        angle = time * camera.turn_angle
+        time = (float(y) + 0.5) / float(camera.full_height)
+        angle = time * camera.rotation_angle
         ray.origin = (
-            camera.eye + time * camera.motion + turned(camera.world_from_camera * start, camera.turn_axis, angle)
+            camera.eye + time * camera.motion + rotated(camera.world_from_camera * start, camera.rotation_axis, angle)
         )
-        ray.direction = turned(ray.direction, camera.turn_axis, angle)
+        ray.direction = rotated(ray.direction, camera.rotation_axis, angle)
     ray.direction = wp.normalize(ray.direction)
     return ray
 
@@ -190,7 +190,7 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
 
 
 @wp.func
-def seen_at(camera: CameraData, point: wp.vec3) -> wp.vec2:
+def pixel_of_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
     """Where a camera sees a point of the world, pixels; NaN where it does not.
 
     Through the centre of its lens, and with a rolling shutter as the first row sees it.
@@ -250,19 +250,19 @@ def image_point(camera: CameraData, field: float, view: wp.vec3) -> wp.vec2:
 @wp.func
 def row_time(camera: CameraData, y: float) -> float:
     """When a place of the image is exposed, as a share of the time from the first row to the last."""
-    return wp.clamp(y / float(camera.picture_height), 0.0, 1.0)
+    return wp.clamp(y / float(camera.full_height), 0.0, 1.0)
 
 
 @wp.func
 def view_at(camera: CameraData, point: wp.vec3, time: float) -> wp.vec3:
     """A point in camera space, given from where the eye is at the start of the first row, world space."""
     if camera.shutter != 0:
-        point = turned(point - time * camera.motion, camera.turn_axis, -time * camera.turn_angle)
+        point = rotated(point - time * camera.motion, camera.rotation_axis, -time * camera.rotation_angle)
     return wp.transpose(camera.world_from_camera) * point
 
 
 @wp.func
-def seen_point(camera: CameraData, field: float, point: wp.vec3) -> wp.vec3:
+def pixel_at_row_time(camera: CameraData, field: float, point: wp.vec3) -> wp.vec3:
     """Where the image has a point, pixels, and by how much its row has moved in the last step.
 
     With a rolling shutter each row sees it elsewhere: it is where the row that it is in sees it.

@@ -45,7 +45,7 @@ def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
 
 
 @wp.func
-def is_shown(camera: CameraData, x: int, y: int) -> bool:
+def is_in_window(camera: CameraData, x: int, y: int) -> bool:
     """Whether a pixel, which is not left of the window or above it, is in it."""
     return x < camera.left + camera.width and y < camera.top + camera.height
 
@@ -63,22 +63,22 @@ def ray_index(camera: CameraData, x: int, y: int) -> int:
 
 
 @wp.func
-def shown_pixel(camera: CameraData, index: int) -> wp.vec2i:
+def full_pixel_of_index(camera: CameraData, index: int) -> wp.vec2i:
     """The pixel of the picture at a place of the image."""
     return wp.vec2i(camera.left + index % camera.width, camera.top + index // camera.width)
 
 
 @wp.func
-def seen_pixel(camera: CameraData, ray: int) -> wp.vec2i:
+def full_pixel_of_ray(camera: CameraData, ray: int) -> wp.vec2i:
     """The pixel of the picture that a ray is of; it may lie outside the window, to the right or below."""
     at = pixel_of_ray(camera.width, ray)
     return wp.vec2i(camera.left + at[0], camera.top + at[1])
 
 
 @wp.func
-def picture_index(camera: CameraData, x: int, y: int) -> int:
+def full_image_index(camera: CameraData, x: int, y: int) -> int:
     """Number of a pixel in the picture, from which its random numbers follow."""
-    return y * camera.picture_width + x
+    return y * camera.full_width + x
 
 
 # --- Tiles, and the strips of their rows ---

@@ -86,9 +86,13 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
     finite = is_finite(wave[0].radiance.captured[i]) and wp.isfinite(wave[0].radiance.alpha[i])
     if finite and film[0].lit.light:
         finite = is_finite(wave[0].radiance.light[i]) and wp.isfinite(wave[0].radiance.captured_weight[i])
-    if finite and film[0].captured_sent:
-        finite = is_finite(wave[0].radiance.sent[i]) and is_finite(wave[0].radiance.arrived[i])
-        finite = finite and is_finite(wave[0].radiance.own_sent[i]) and is_finite(wave[0].radiance.own_arrived[i])
+    if finite and film[0].captured_unshadowed:
+        finite = is_finite(wave[0].radiance.unshadowed[i]) and is_finite(wave[0].radiance.shadowed[i])
+        finite = (
+            finite
+            and is_finite(wave[0].radiance.emitted_unshadowed[i])
+            and is_finite(wave[0].radiance.emitted_shadowed[i])
+        )
     return finite
 
 
@@ -107,7 +111,7 @@ def captured_factor(
     part: wp.vec3,
     whole: wp.vec3,
     change: wp.vec3,
-    own_change: wp.vec3,
+    emitted_change: wp.vec3,
     blocked: wp.vec3,
     film: wp.array[FilmData],
 ) -> wp.vec3:
@@ -121,11 +125,11 @@ def captured_factor(
     for channel in range(3):
         if whole[channel] > 0.0:
             light = CatcherLight()
-            light.sent = film[0].captured_sent[pixel][channel]
-            light.own_sent = film[0].captured_own_sent[pixel][channel]
+            light.unshadowed = film[0].captured_unshadowed[pixel][channel]
+            light.emitted_unshadowed = film[0].captured_emitted_unshadowed[pixel][channel]
             light.ambient = film[0].captured_ambient[pixel][channel]
             light.change = change[channel]
-            light.own_change = own_change[channel]
+            light.emitted_change = emitted_change[channel]
             light.blocked = blocked[channel]
             light.least = PI * film[0].captured_received[pixel][channel] * radiance[channel]
             share = wp.clamp(part[channel] / whole[channel], 0.0, 1.0)
@@ -145,14 +149,14 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
         sample.light = wave[0].radiance.light[i]
         if film[0].capture_factor:
             sample.capture_factor = straight_factor(wave[0].radiance.capture_factor[i], sample.captured_weight)
-        if film[0].captured_sent:
+        if film[0].captured_unshadowed:
             sample.capture_factor = captured_factor(
                 pixel,
                 straight_radiance(sample.color, sample.captured_weight),
                 wave[0].radiance.captured_part[i],
                 wave[0].radiance.captured_all[i],
-                wave[0].radiance.arrived[i] - wave[0].radiance.sent[i],
-                wave[0].radiance.own_arrived[i] - wave[0].radiance.own_sent[i],
+                wave[0].radiance.shadowed[i] - wave[0].radiance.unshadowed[i],
+                wave[0].radiance.emitted_shadowed[i] - wave[0].radiance.emitted_unshadowed[i],
                 wave[0].radiance.ambient[i] - wave[0].radiance.open[i],
                 film,
             )
@@ -240,14 +244,14 @@ def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
     weight = film[0].lit.captured_weight[pixel]
     if film[0].capture_factor:
         return straight_factor(film[0].capture_factor[pixel], weight)
-    if film[0].captured_sent:
+    if film[0].captured_unshadowed:
         return captured_factor(
             pixel,
             straight_radiance(film[0].pixels.color[pixel], weight),
             film[0].captured_part[pixel],
             film[0].captured_all[pixel],
-            film[0].captured_arrived[pixel] - film[0].captured_sent[pixel],
-            film[0].captured_own_arrived[pixel] - film[0].captured_own_sent[pixel],
+            film[0].captured_shadowed[pixel] - film[0].captured_unshadowed[pixel],
+            film[0].captured_emitted_shadowed[pixel] - film[0].captured_emitted_unshadowed[pixel],
             film[0].captured_ambient[pixel] - film[0].captured_open[pixel],
             film,
         )

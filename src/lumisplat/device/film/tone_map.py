@@ -19,7 +19,7 @@ from lumisplat.constants import (
     WEIGHT_ROUNDING,
 )
 from lumisplat.device.math.color import captured_color, encode_srgb_color, is_black
-from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, PictureData
+from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, ToneMapData
 
 BRIGHTEST = wp.constant(wp.float32(RADIANCE_MAX))
 
@@ -93,47 +93,47 @@ def agx_curve(light: float) -> float:
 
 
 @wp.func
-def agx(light: wp.vec3, picture: PictureData) -> wp.vec3:
+def agx(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
     """AgX, linear to linear."""
-    inset = picture.agx_from_rec709 * light
-    shown = picture.rec2020_from_agx * wp.vec3(agx_curve(inset[0]), agx_curve(inset[1]), agx_curve(inset[2]))
+    inset = settings.agx_from_rec709 * light
+    shown = settings.rec2020_from_agx * wp.vec3(agx_curve(inset[0]), agx_curve(inset[1]), agx_curve(inset[2]))
     for k in range(3):
         shown[k] = wp.pow(wp.max(shown[k], 0.0), GAMMA)
-    return picture.rec709_from_rec2020 * shown
+    return settings.rec709_from_rec2020 * shown
 
 
 @wp.func
-def tone_mapped(light: wp.vec3, picture: PictureData) -> wp.vec3:
+def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
     """Display colour of linear light, 0 to the brightest."""
     color = light
-    if picture.tone_map == TONE_NEUTRAL:
+    if settings.tone_map == TONE_NEUTRAL:
         color = neutral(light)
-    elif picture.tone_map == TONE_AGX:
-        color = agx(light, picture)
+    elif settings.tone_map == TONE_AGX:
+        color = agx(light, settings)
     return encode_srgb_color(clamped(color, 1.0))
 
 
 @wp.func
-def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, picture: PictureData) -> wp.vec3:
+def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMapData) -> wp.vec3:
     """Display colour of a pixel that shows a capture, light, or both: ``lit_picture`` of the host."""
-    if picture.gain == 1.0 and weight >= WHOLE and is_black(light):
+    if settings.gain == 1.0 and weight >= WHOLE and is_black(light):
         return captured
     radiance = captured_color(captured, weight)
-    lit = clamped(picture.gain * (radiance + light), BRIGHTEST)
-    before = clamped(picture.gain * radiance, BRIGHTEST)
+    lit = clamped(settings.gain * (radiance + light), BRIGHTEST)
+    before = clamped(settings.gain * radiance, BRIGHTEST)
     largest = wp.max(wp.max(lit), wp.max(before))
     if largest == 0.0:
         return wp.vec3(0.0)
     captured_part = 1.0 - wp.max(wp.abs(lit - before)) / largest
-    untouched = encode_srgb_color(before)
-    shown = tone_mapped(lit, picture)
+    before_color = encode_srgb_color(before)
+    shown = tone_mapped(lit, settings)
     if captured_part > 0.0:  # else all is light: the curve is not needed twice
-        shown += captured_part * (untouched - tone_mapped(before, picture))
+        shown += captured_part * (before_color - tone_mapped(before, settings))
     for k in range(3):
         if lit[k] >= before[k]:
-            shown[k] = wp.max(shown[k], untouched[k])
+            shown[k] = wp.max(shown[k], before_color[k])
         else:
-            shown[k] = wp.min(shown[k], untouched[k])
+            shown[k] = wp.min(shown[k], before_color[k])
     return shown
 
 

@@ -167,7 +167,7 @@ def add_color(
 
     Returns ``motion`` with those by the rays: their eye moves with them.
     """
-    if instance.own_colors != 0:
+    if instance.shows_albedo != 0:
         return motion
     stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
     degree = wp.min(wp.min(view.sh_degree, instance.sh_degree), stored)

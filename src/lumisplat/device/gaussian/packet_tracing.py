@@ -11,7 +11,7 @@ import warp as wp
 
 from lumisplat.constants import HIT_BUFFER_CPU, HIT_BUFFER_CUDA
 from lumisplat.device.bvh.nodes import footprint_variance, larger, lesser
-from lumisplat.device.bvh.packet import empty_list, is_before, keep_hit, largest_of, least_of, packet_of
+from lumisplat.device.bvh.packet import buffer_hit, empty_list, is_before, largest_of, least_of, packet_of
 from lumisplat.device.gaussian.layers import is_other_layer, thin_axis, world_mean
 from lumisplat.device.gaussian.particle import alpha_of_degree, surface_peak
 from lumisplat.device.gaussian.ray_compositing import blend_hit, close_pass, load_pixel, record_hit, store_pixel
@@ -223,7 +223,7 @@ REWIND = wp.constant(wp.float32(PASS_REWIND))
 class RayProgress:
     """How far a ray has been blended."""
 
-    kept: HitList
+    hit_list: HitList
     """Hits that are not final yet."""
     next_t: float
     """Distance of the first of them; FAR: there is none."""
@@ -252,7 +252,7 @@ class TracedPacket:
 @wp.func
 def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
     """Empties the list; hits count from behind the last one that was blended."""
-    progress.kept = empty_list(first_slot)
+    progress.hit_list = empty_list(first_slot)
     progress.next_t = FAR
     progress.start_t = progress.last_t
     progress.start_index = progress.last_index
@@ -306,8 +306,8 @@ def blend_hits(
         ray.t_min = 0.0  # small Gaussians count before it
     pixel = load_pixel(radiance, i)
     is_opaque = bool(False)
-    head = int(progress.kept.head)
-    tail = int(progress.kept.tail)
+    head = int(progress.hit_list.head)
+    tail = int(progress.hit_list.tail)
     while head < tail and hits[head].t < bound:
         t = hits[head].t
         index = hits[head].index
@@ -335,12 +335,12 @@ def blend_hits(
             is_opaque = True
             head = tail
     store_pixel(radiance, i, pixel)
-    progress.kept.head = head
+    progress.hit_list.head = head
     progress.next_t = FAR
     if head < tail:
         progress.next_t = hits[head].t
     else:
-        progress.kept = empty_list(progress.kept.begin)
+        progress.hit_list = empty_list(progress.hit_list.begin)
     return is_opaque
 
 
@@ -437,7 +437,7 @@ class PacketTracing(NamedTuple):
     storage: Any
     """The type of a variable in which a TracedPacket lies."""
     traced_packet: Any
-    keep_hits: Any
+    buffer_hits: Any
 
 
 @functools.cache
@@ -491,7 +491,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         return t
 
     @wp.func
-    def keep_hits(
+    def buffer_hits(
         traced: TracedPacket,
         packet: PacketRays,
         particle: Particle,
@@ -523,11 +523,11 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
                 hit.t = t[lane]
                 hit.alpha = alpha[lane]
                 hit.index = index
-                dropped = keep_hit(traced.hits, traced.rays[lane].kept, config.hits_kept, hit)
+                dropped = buffer_hit(traced.hits, traced.rays[lane].hit_list, config.hit_buffer_size, hit)
                 if dropped.t < FAR:
                     traced.cut_t[lane] = dropped.t
                     traced.cut_index[lane] = dropped.index
-                next_hit = traced.hits[traced.rays[lane].kept.head]
+                next_hit = traced.hits[traced.rays[lane].hit_list.head]
                 traced.rays[lane].next_t = next_hit.t
                 nearest = lesser(nearest, next_hit.t)
                 if config.strategy == STRATEGY_HIT:
@@ -535,4 +535,4 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
                     traced.cut_index[lane] = next_hit.index
         return nearest
 
-    return PacketTracing(TracedStorage, traced_packet, keep_hits)
+    return PacketTracing(TracedStorage, traced_packet, buffer_hits)

@@ -41,7 +41,7 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 @wp.func
 def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
     """What Gaussian ``i`` of an instance shows to an eye in object space."""
-    if instance.own_colors != 0:
+    if instance.shows_albedo != 0:
         return gaussians.albedo[i]
     return gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
 
@@ -69,7 +69,7 @@ def blend_hit(
     eye = origin - ray.path_length * direction
     color = hit_color(view, instance, gaussians, i, eye)
     normal = wp.vec3()
-    if instance.own_normals != 0:
+    if instance.stored_normals != 0:
         normal = towards(gaussians.normals[i], -direction, wp.where(ray.spread > 0.0, BEYOND_MAX, 0.0))
     elif view.ellipsoid_normal != 0:
         normal = ellipsoid_normal(instance, gaussians, i, origin, direction, ray)

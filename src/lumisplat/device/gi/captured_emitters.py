@@ -57,8 +57,8 @@ def chosen_box(u: float, total: float, point: wp.vec3, boxes: wp.array[EmitterBo
 @wp.func
 def point_in(box: EmitterBox, u: wp.vec2, v: float) -> wp.vec3:
     """Returns a point of a box, evenly distributed by random numbers in 0..1."""
-    place = wp.cw_mul(box.half, wp.vec3(2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0, 2.0 * v - 1.0))
-    return box.center + wp.transpose(box.box_from_world) * place
+    local = wp.cw_mul(box.half, wp.vec3(2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0, 2.0 * v - 1.0))
+    return box.center + wp.transpose(box.box_from_world) * local
 
 
 @wp.func
@@ -80,12 +80,12 @@ def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
 
 
 @wp.func
-def direction_density(point: wp.vec3, direction: wp.vec3, total: float, boxes: wp.array[EmitterBox]) -> wp.vec2:
+def direction_pdf(point: wp.vec3, direction: wp.vec3, total: float, boxes: wp.array[EmitterBox]) -> wp.vec2:
     """Returns the density of a direction, per steradian, and where its ray leaves the last box.
 
     In a box of volume V, the points between distances a and b have the density (b^3 - a^3) / (3 V).
     """
-    density = float(0.0)
+    pdf = float(0.0)
     end = float(0.0)
     for k in range(boxes.shape[0]):
         box = boxes[k]
@@ -94,6 +94,6 @@ def direction_density(point: wp.vec3, direction: wp.vec3, total: float, boxes: w
             volume = 8.0 * box.half[0] * box.half[1] * box.half[2]
             squares = ends[0] * ends[0] + ends[0] * ends[1] + ends[1] * ends[1]
             share = box_weight(box, point) / total
-            density += share * (ends[1] - ends[0]) * squares / (3.0 * volume)
+            pdf += share * (ends[1] - ends[0]) * squares / (3.0 * volume)
             end = wp.max(end, ends[1])
-    return wp.vec2(density, end)
+    return wp.vec2(pdf, end)

@@ -11,9 +11,9 @@ from lumisplat.device.light.direct_light import (
     CHOICE_BRANCH,
     chosen_light,
     light_importance,
-    place_of,
     sample_choice,
     vertex_at,
+    vertex_without_importance,
 )
 from lumisplat.device.light.light import LIGHT_ENVIRONMENT, light_bound
 from lumisplat.device.math.directions import PI
@@ -125,8 +125,8 @@ def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.i
         offset = v[0]
         if axis < 2:
             offset = u[axis]
-        place = int(wp.floor(scaled[axis] + offset - 0.5)) + COORDINATES
-        key = (key << BITS_18) | (wp.int64(wp.clamp(place, 0, 2 * COORDINATES - 1)) & LOW_18)
+        coordinate = int(wp.floor(scaled[axis] + offset - 0.5)) + COORDINATES
+        key = (key << BITS_18) | (wp.int64(wp.clamp(coordinate, 0, 2 * COORDINATES - 1)) & LOW_18)
     return key
 
 
@@ -136,8 +136,8 @@ def grid_cell(key: wp.int64) -> GridCell:
     width = width_of(int(key >> (wp.int64(3) * BITS_18 + BITS_2)) - LEVEL_LAST)
     cell = GridCell()
     for axis in range(3):
-        place = int((key >> (wp.int64(2 - axis) * BITS_18)) & LOW_18) - COORDINATES
-        cell.center[axis] = width * (float(place) + 0.5)
+        coordinate = int((key >> (wp.int64(2 - axis) * BITS_18)) & LOW_18) - COORDINATES
+        cell.center[axis] = width * (float(coordinate) + 0.5)
     cell.half = 0.5 * ROOT_3 * width
     return cell
 
@@ -198,24 +198,24 @@ def grid_light(
     choice.number = -1
     if cell < 0:
         return choice
-    place = place_of(interaction)
+    vertex = vertex_without_importance(interaction)
     numbers = grid.numbers
     chances = grid.chances
-    sent = grid_values()
+    importance = grid_values()
     total = float(0.0)
     for slot in range(SLOTS):
         chance = chances[cell * SLOTS + slot]
         if chance > 0.0:
-            sent[slot] = light_importance(numbers[cell * SLOTS + slot], place.position, place.normal, scene)
-            total += sent[slot] / chance
+            importance[slot] = light_importance(numbers[cell * SLOTS + slot], vertex.position, vertex.normal, scene)
+            total += importance[slot] / chance
     if not (total > 0.0 and total < wp.inf):
         return choice
     rest = u * total
     for slot in range(SLOTS):
-        if sent[slot] > 0.0 and rest >= 0.0:
+        if importance[slot] > 0.0 and rest >= 0.0:
             choice.number = numbers[cell * SLOTS + slot]
-            choice.probability = sent[slot] / total
-            rest -= sent[slot] / chances[cell * SLOTS + slot]
+            choice.probability = importance[slot] / total
+            rest -= importance[slot] / chances[cell * SLOTS + slot]
     return choice
 
 

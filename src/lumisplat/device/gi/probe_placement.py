@@ -5,7 +5,7 @@ The equations are in docs/method/realtime.md#screen-probes.
 
 import warp as wp
 
-from lumisplat.device.camera.camera import ORTHOGRAPHIC, seen_at
+from lumisplat.device.camera.camera import ORTHOGRAPHIC, pixel_of_point
 from lumisplat.device.gi.surfaces import SurfacePixels
 from lumisplat.device.math.random import reversed_bits
 from lumisplat.device.structs import struct
@@ -57,7 +57,7 @@ class ProbeData:
     """As of `SurfacePixels`: 0 for meshes."""
     source: wp.array[int]
     """Probe of the frame before that it continues; -1: none."""
-    rounds: wp.array[int]
+    refresh_count: wp.array[int]
     """How often it has been refreshed."""
     refreshed: wp.array[int]
     """Last frame in which it was; undefined if never."""
@@ -83,7 +83,7 @@ class ProbeLight:
     """1: the probe has light; one element a probe."""
     radiance: wp.array[wp.vec3]
     """Of cells, as `ProbeCells`."""
-    harmonics: wp.array[wp.vec3]
+    sh: wp.array[wp.vec3]
     """Nine coefficients a probe, of the order of ``lumisplat.math.sh``."""
 
 
@@ -100,7 +100,7 @@ class TileNeeds:
 
 
 @struct
-class ProbePlace:
+class ProbePlacement:
     """A pixel for a probe."""
 
     pixel: int
@@ -121,7 +121,7 @@ class Match:
     """Scene units; more for one that should rather not be continued."""
 
 
-LOOKED_AT = wp.constant(8)
+SEARCH_ROWS = wp.constant(8)
 """Rows and columns of a tile whose pixels are looked at."""
 
 COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
@@ -138,7 +138,7 @@ POORER = wp.constant(wp.float32(1e12))
 SECOND = wp.constant(wp.float32(1e6))
 """Added to the distance of an adaptive probe that a tile's own would continue: the two must not change places."""
 
-LOOKS = wp.constant(4)
+CUT_OFF_STEPS = wp.constant(4)
 """Parts of the way from a pixel to a probe, between which it is looked whether a nearer surface cuts the probe off."""
 
 NEARER = wp.constant(wp.float32(0.95))
@@ -177,10 +177,10 @@ def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: f
 def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels, probes: ProbeData) -> bool:
     """Whether a nearer surface, such as the end of a wall, is between a pixel and a probe in the image."""
     start = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
-    way = probes.pixel[probe] - start
+    to_probe = probes.pixel[probe] - start
     nearer = NEARER * wp.min(surfaces.distance[pixel], probes.distance[probe])
-    for k in range(1, LOOKS):
-        at = start + (float(k) / float(LOOKS)) * way
+    for k in range(1, CUT_OFF_STEPS):
+        at = start + (float(k) / float(CUT_OFF_STEPS)) * to_probe
         between = int(at[1]) * grid.width + int(at[0])
         if surfaces.share[between] > 0.0 and surfaces.distance[between] < nearer:
             return True
@@ -246,18 +246,18 @@ def match_of(
     match.probe = -1
     match.distance = wp.inf
     position = surfaces.previous[pixel]
-    seen = seen_at(camera, position)
-    if not (seen[0] >= 0.0 and seen[1] >= 0.0 and seen[0] < float(grid.width) and seen[1] < float(grid.height)):
+    at = pixel_of_point(camera, position)
+    if not (at[0] >= 0.0 and at[1] >= 0.0 and at[0] < float(grid.width) and at[1] < float(grid.height)):
         return match
-    tile = tile_of(grid, int(seen[0]) // grid.tile, int(seen[1]) // grid.tile)
+    tile = tile_of(grid, int(at[0]) // grid.tile, int(at[1]) // grid.tile)
     reach = reach_of(grid, camera, wp.length(position - camera.eye))
     for adaptive in range(2):
         i = probe_of_tile(tile, adaptive, adaptive_of)
         if fits(probes, i, position, surfaces.normal[pixel], reach, surfaces.extent[pixel]):
-            distance = wp.length(seen_at(camera, probes.position[i]) - seen)
+            distance = wp.length(pixel_of_point(camera, probes.position[i]) - at)
             if adaptive == 1 and not of_adaptive:
                 distance += SECOND
-            if probes.rounds[i] > 0 and distance < match.distance:
+            if probes.refresh_count[i] > 0 and distance < match.distance:
                 match.probe = i
                 match.distance = distance
     return match
@@ -287,7 +287,7 @@ def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: Su
 
 
 @wp.func
-def place_among(
+def choose_pixel_among(
     rows: int,
     tile: int,
     only_uncovered: bool,
@@ -298,16 +298,16 @@ def place_among(
     probes: ProbeData,
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
-) -> ProbePlace:
+) -> ProbePlacement:
     """The pixel of a tile for a probe: nearest to one of the frame before, else to where a new one is wanted.
 
     ``rows`` x ``rows`` pixels of the tile are looked at; with ``only_uncovered``, those count that no probe of this
     frame covers.
     """
-    place = ProbePlace()
-    place.pixel = -1
-    place.source = -1
-    place.uncovered = 0
+    placement = ProbePlacement()
+    placement.pixel = -1
+    placement.source = -1
+    placement.uncovered = 0
     corner_y = tile // grid.tiles_x * grid.tile
     corner_x = tile % grid.tiles_x * grid.tile
     wanted = wanted_pixel(grid, tile) * float(grid.tile)
@@ -324,26 +324,26 @@ def place_among(
             if counts and only_uncovered:
                 counts = not is_covered(grid, camera, x, y, surfaces, probes)
             if counts:
-                place.uncovered += 1
+                placement.uncovered += 1
                 poorer = wp.where(surfaces.share[pixel] < SHARE_MIN, POORER, 0.0)
                 cost = poorer + wp.length_sq(wp.vec2(float(across), float(down)) - wanted)
                 if cost < fresh_cost:
                     fresh_cost = cost
-                    if place.source < 0:
-                        place.pixel = pixel
+                    if placement.source < 0:
+                        placement.pixel = pixel
                 if grid.has_history != 0:
                     match = match_of(
                         grid, camera_before, pixel, only_uncovered, surfaces, probes_before, adaptive_before
                     )
                     if match.probe >= 0 and poorer + match.distance < match_cost:
                         match_cost = poorer + match.distance
-                        place.pixel = pixel
-                        place.source = match.probe
-    return place
+                        placement.pixel = pixel
+                        placement.source = match.probe
+    return placement
 
 
 @wp.func
-def place_in_tile(
+def choose_pixel_in_tile(
     tile: int,
     grid: ProbeGrid,
     camera: CameraData,
@@ -351,13 +351,13 @@ def place_in_tile(
     surfaces: SurfacePixels,
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
-) -> ProbePlace:
+) -> ProbePlacement:
     """The pixel for a tile's own probe, as ``place_among``: if those looked at show nothing, one of all others."""
-    place = place_among(
-        LOOKED_AT, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
+    placement = choose_pixel_among(
+        SEARCH_ROWS, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
     )
-    if place.pixel < 0:
-        place = place_among(
+    if placement.pixel < 0:
+        placement = choose_pixel_among(
             grid.tile, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
         )
-    return place
+    return placement

@@ -210,7 +210,7 @@ class CellLight:
     """Of lamps and sky."""
     indirect: wp.vec3
     """Of other surfaces."""
-    is_known: bool
+    is_valid: bool
     """Whether anything is known of that."""
 
 
@@ -255,8 +255,8 @@ def with_coordinate(key: wp.int64, coordinate: int) -> wp.int64:
 @wp.func
 def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> CacheCell:
     """The cell of a level at a position on a surface with this normal; ``is_near``: of short rays."""
-    place = CacheCell()
-    place.key = NO_TILE
+    cell = CacheCell()
+    cell.key = NO_TILE
     scaled = position / width_of(level)
     # False for infinities and NaN, too.
     if wp.max(wp.abs(scaled)) < float(COORDINATE_MASK // 2) and wp.isfinite(normal):
@@ -266,9 +266,9 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
         v = int(wp.floor(scaled[(axis + 2) % 3]))
         w = int(wp.floor(scaled[axis] + SHIFT))
         head = wp.int64(2 * (8 * (level + LEVEL_LAST) + face) + int(is_near))
-        place.key = with_coordinate(with_coordinate(with_coordinate(head, u >> 3), v >> 3), w)
-        place.cell = 8 * (v & 7) + (u & 7)
-    return place
+        cell.key = with_coordinate(with_coordinate(with_coordinate(head, u >> 3), v >> 3), w)
+        cell.cell = 8 * (v & 7) + (u & 7)
+    return cell
 
 
 @wp.func
@@ -313,17 +313,17 @@ def mean_index(slot: int, cell: int, mip: int) -> int:
 
 
 @wp.func
-def well_known(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: float, known: wp.vec4) -> wp.vec4:
+def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: float, best: wp.vec4) -> wp.vec4:
     """What is known, if it is of enough samples; else the finest mean around a cell that is, or that of the most."""
-    if known[3] >= samples_min or slot < 0:
-        return known
+    if best[3] >= samples_min or slot < 0:
+        return best
     for mip in range(TILE_MIPS):
         mean = means[mean_index(slot, cell, mip)]
-        if mean[3] > known[3]:
-            known = mean
-        if known[3] >= samples_min:
+        if mean[3] > best[3]:
+            best = mean
+        if best[3] >= samples_min:
             break
-    return known
+    return best
 
 
 @wp.func
@@ -339,7 +339,7 @@ def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3
 
 
 @wp.func
-def far_radiance(
+def long_ray_radiance(
     tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, position: wp.vec3, level: int
 ) -> CellLight:
     """Direct and indirect radiance of a sample, at a place that is its own or in its plane beside it.
@@ -353,16 +353,16 @@ def far_radiance(
     for step in range(3):
         if direct[3] < grid.samples_min or indirect[3] < grid.samples_min:
             # 0, 1, -1
-            place = cell_at(position, samples.normal[i], level + (step & 1) - (step >> 1), False)
-            slot = slot_of(tiles, place.key)
-            direct = well_known(tiles.direct, slot, place.cell, grid.samples_min, direct)
-            indirect = well_known(tiles.indirect, slot, place.cell, grid.samples_min, indirect)
+            cell = cell_at(position, samples.normal[i], level + (step & 1) - (step >> 1), False)
+            slot = slot_of(tiles, cell.key)
+            direct = reliable_mean(tiles.direct, slot, cell.cell, grid.samples_min, direct)
+            indirect = reliable_mean(tiles.indirect, slot, cell.cell, grid.samples_min, indirect)
     light = CellLight()
     light.direct = samples.radiance[i]
     if direct[3] > 0.0:
         light.direct = color_of(direct)
     light.indirect = reflected_light(samples, i, indirect)
-    light.is_known = indirect[3] > 0.0
+    light.is_valid = indirect[3] > 0.0
     return light
 
 
@@ -375,12 +375,12 @@ def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i
     """
     level = level_of(grid, samples.position[i], samples.from_eye[i])
     if is_near(samples, i, level):
-        place = cell_at(samples.position[i], samples.normal[i], level - NEAR_LEVELS, True)
-        near = well_known(tiles.indirect, slot_of(tiles, place.key), place.cell, 1.0, wp.vec4())
+        cell = cell_at(samples.position[i], samples.normal[i], level - NEAR_LEVELS, True)
+        near = reliable_mean(tiles.indirect, slot_of(tiles, cell.key), cell.cell, 1.0, wp.vec4())
         if near[3] > 0.0:
             return samples.radiance[i] + reflected_light(samples, i, near)
-        return samples.radiance[i] + far_radiance(tiles, grid, samples, i, samples.position[i], level).indirect
-    far = far_radiance(tiles, grid, samples, i, samples.position[i], level)
+        return samples.radiance[i] + long_ray_radiance(tiles, grid, samples, i, samples.position[i], level).indirect
+    far = long_ray_radiance(tiles, grid, samples, i, samples.position[i], level)
     return far.direct + far.indirect
 
 

@@ -30,14 +30,14 @@ from lumisplat.device.structs.rays import RayData
 
 
 @struct
-class Ballot:
+class ProbeSum:
     """What probes say of a pixel, weighted."""
 
     total: wp.vec3
     weight: float
 
 
-HARMONICS = wp.constant(9)
+SH_COUNT = wp.constant(9)
 
 C0 = wp.constant(wp.float32(SH_C0))
 
@@ -64,14 +64,14 @@ def probe_irradiance(light: ProbeLight, i: int, normal: wp.vec3) -> wp.vec3:
     x = normal[0]
     y = normal[1]
     z = normal[2]
-    first = HARMONICS * i
-    sum = (COSINE_0 * C0) * light.harmonics[first]
-    sum += (COSINE_1 * C1) * (z * light.harmonics[first + 2] - y * light.harmonics[first + 1])
-    sum -= (COSINE_1 * C1 * x) * light.harmonics[first + 3]
-    sum += (COSINE_2 * C2_XY * x) * (y * light.harmonics[first + 4] - z * light.harmonics[first + 7])
-    sum -= (COSINE_2 * C2_XY * y * z) * light.harmonics[first + 5]
-    sum += (COSINE_2 * C2_ZZ * (3.0 * z * z - 1.0)) * light.harmonics[first + 6]
-    sum += (COSINE_2 * C2_XX * (x * x - y * y)) * light.harmonics[first + 8]
+    first = SH_COUNT * i
+    sum = (COSINE_0 * C0) * light.sh[first]
+    sum += (COSINE_1 * C1) * (z * light.sh[first + 2] - y * light.sh[first + 1])
+    sum -= (COSINE_1 * C1 * x) * light.sh[first + 3]
+    sum += (COSINE_2 * C2_XY * x) * (y * light.sh[first + 4] - z * light.sh[first + 7])
+    sum -= (COSINE_2 * C2_XY * y * z) * light.sh[first + 5]
+    sum += (COSINE_2 * C2_ZZ * (3.0 * z * z - 1.0)) * light.sh[first + 6]
+    sum += (COSINE_2 * C2_XX * (x * x - y * y)) * light.sh[first + 8]
     return sum
 
 
@@ -112,14 +112,16 @@ def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
 
 
 @wp.func
-def cast_vote(ballot: Ballot, weight: float, i: int, cells: int, direction: wp.vec3, glossy: bool, light: ProbeLight):
+def add_probe(
+    probe_sum: ProbeSum, weight: float, i: int, cells: int, direction: wp.vec3, glossy: bool, light: ProbeLight
+):
     """Adds what a probe says: radiance along ``direction`` or, not ``glossy``, irradiance of a surface facing it."""
     if glossy:
-        ballot.total += weight * probe_radiance(light, i, cells, direction)
+        probe_sum.total += weight * probe_radiance(light, i, cells, direction)
     else:
-        ballot.total += weight * probe_irradiance(light, i, direction)
-    ballot.weight += weight
-    return ballot
+        probe_sum.total += weight * probe_irradiance(light, i, direction)
+    probe_sum.weight += weight
+    return probe_sum
 
 
 @wp.func
@@ -134,9 +136,9 @@ def near_probes(
     probes: ProbeData,
     adaptive_of: wp.array[int],
     light: ProbeLight,
-) -> Ballot:
+) -> ProbeSum:
     """What the probes on a pixel's surface say, of the four tiles around ``point``."""
-    ballot = Ballot()
+    probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     distance = surfaces.distance[pixel]
     reach = reach_of(grid, camera, distance)
@@ -151,10 +153,10 @@ def near_probes(
             if fits(probes, i, surfaces.position[pixel], normal, reach, surfaces.extent[pixel]):
                 if light.exists[i] != 0 and not is_cut_off(pixel, i, grid, surfaces, probes):
                     apart = (probes.pixel[i] - point) / float(grid.tile)
-                    vote = nearness_weight(distance, probes.distance[i]) / (wp.length_sq(apart) + APART_MIN)
-                    vote *= facing_weight(normal, probes.normal[i])
-                    ballot = cast_vote(ballot, vote, i, grid.cells, direction, glossy, light)
-    return ballot
+                    weight = nearness_weight(distance, probes.distance[i]) / (wp.length_sq(apart) + APART_MIN)
+                    weight *= facing_weight(normal, probes.normal[i])
+                    probe_sum = add_probe(probe_sum, weight, i, grid.cells, direction, glossy, light)
+    return probe_sum
 
 
 @wp.func
@@ -167,9 +169,9 @@ def wider_probes(
     probes: ProbeData,
     adaptive_of: wp.array[int],
     light: ProbeLight,
-) -> Ballot:
+) -> ProbeSum:
     """What all probes of the pixel's tile and of the eight around it say that face the same side."""
-    ballot = Ballot()
+    probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     column = pixel % grid.width // grid.tile
     row = pixel // grid.width // grid.tile
@@ -179,12 +181,12 @@ def wider_probes(
             i = probe_of_tile(tile, adaptive, adaptive_of)
             if i >= 0:
                 if probes.is_placed[i] != 0 and light.exists[i] != 0:
-                    vote = nearness_weight(surfaces.distance[pixel], probes.distance[i])
-                    vote *= wp.max(wp.dot(normal, probes.normal[i]), 0.0)
+                    weight = nearness_weight(surfaces.distance[pixel], probes.distance[i])
+                    weight *= wp.max(wp.dot(normal, probes.normal[i]), 0.0)
                     if is_cut_off(pixel, i, grid, surfaces, probes):
-                        vote *= CUT_OFF_WEIGHT
-                    ballot = cast_vote(ballot, vote, i, grid.cells, direction, glossy, light)
-    return ballot
+                        weight *= CUT_OFF_WEIGHT
+                    probe_sum = add_probe(probe_sum, weight, i, grid.cells, direction, glossy, light)
+    return probe_sum
 
 
 @wp.func
@@ -199,20 +201,20 @@ def gathered_light(
     probes: ProbeData,
     adaptive_of: wp.array[int],
     light: ProbeLight,
-) -> Ballot:
+) -> ProbeSum:
     """What probes say of a pixel's surface, as a mean; without weight where none says anything.
 
     ``point`` is where the nearest tiles are looked up, pixels: in the pixel, or jittered by up to half a tile.
     ``direction`` is the surface's normal or, ``glossy``, the unit direction whose radiance is asked for instead of
     irradiance.
     """
-    ballot = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
-    if not ballot.weight > WEIGHT_MIN:
-        ballot = wider_probes(pixel, direction, glossy, grid, surfaces, probes, adaptive_of, light)
-    if not ballot.weight > WEIGHT_MIN:
-        return Ballot()
-    ballot.total = wp.max(ballot.total / ballot.weight, wp.vec3(0.0))
-    return ballot
+    probe_sum = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
+    if not probe_sum.weight > WEIGHT_MIN:
+        probe_sum = wider_probes(pixel, direction, glossy, grid, surfaces, probes, adaptive_of, light)
+    if not probe_sum.weight > WEIGHT_MIN:
+        return ProbeSum()
+    probe_sum.total = wp.max(probe_sum.total / probe_sum.weight, wp.vec3(0.0))
+    return probe_sum
 
 
 # --- Rays of probes, and how the cells of neighbouring probes agree ---
@@ -242,7 +244,7 @@ def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
         return NEVER
     tile = i % (grid.tiles_x * grid.tiles_y)
     turn = BAYER[tile // grid.tiles_x % 4 * 4 + tile % grid.tiles_x % 4]
-    if probes.rounds[i] == 0:
+    if probes.refresh_count[i] == 0:
         return turn
     return 16 * (STALEST + 1 - wp.clamp(grid.frame - probes.refreshed[i], 0, STALEST)) + turn
 
@@ -253,7 +255,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
     seed = wp.bit_xor(grid.seed, PROBE_SEED)
     number = i * grid.cells * grid.cells + cell
     key = pixel_key_of(number, seed)
-    sample = probes.rounds[i]
+    sample = probes.refresh_count[i]
     direction = direction_in_cell(cell, grid.cells, sobol_2d(key, sample))
     normal = probes.normal[i]
     position = probes.position[i]
@@ -295,5 +297,5 @@ def shows_the_same(i: int, j: int, cell: int, grid: ProbeGrid, probes: ProbeData
         return True
     nearness = wp.max(cells.nearness[j * count + cell], cells.nearness[i * count + cell])
     direction = direction_in_cell(cell, grid.cells, wp.vec2(0.5, 0.5))
-    way = direction + nearness * (probes.position[j] - probes.position[i])
-    return wp.dot(direction, wp.normalize(way)) > wp.cos(ANGLE_MAX * cell_width(grid.cells))
+    to_hit = direction + nearness * (probes.position[j] - probes.position[i])
+    return wp.dot(direction, wp.normalize(to_hit)) > wp.cos(ANGLE_MAX * cell_width(grid.cells))

@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.gi.surfaces import SurfacePixels, is_same_surface, least_cosine, tolerance
-from lumisplat.device.light.direct_light import environment_number, light_importance, meets_rays
+from lumisplat.device.light.direct_light import environment_number, light_importance, uses_mis
 from lumisplat.device.light.emitters import environment_radiance
 from lumisplat.device.light.interaction import mesh_emission
 from lumisplat.device.light.light import light_crossing
@@ -43,7 +43,7 @@ class LobeRays:
     """Number of the ray."""
     weight: wp.array[wp.vec3]
     """Of what the ray sees, in what the highlight reflects over its albedo."""
-    seen: wp.array[wp.vec3]
+    radiance: wp.array[wp.vec3]
     """Radiance, one element a ray; linear."""
 
 
@@ -51,7 +51,7 @@ class LobeRays:
 class BouncedRays:
     """What rays that leave surfaces see, but for the light that the surfaces which they meet reflect."""
 
-    seen: wp.array[wp.vec3]
+    emitted: wp.array[wp.vec3]
     """Radiance of captures, and of what shines and is no light; linear."""
     share: wp.array[wp.vec3]
     """Of the surface that the ray meets, in the radiance of the ray; 0: it meets none."""
@@ -67,7 +67,7 @@ class OnwardRays:
     """Where the next wave begins; a ray that has met its surface is not active."""
     goes_on: wp.array[int]
     """1: the ray is active."""
-    way: wp.array[float]
+    length_before: wp.array[float]
     """Its length before, scene units."""
     mirrored: wp.array[int]
     """1: a mirror has reflected it, in whose light it sees lamps."""
@@ -128,7 +128,7 @@ def lobe_radiance(
     normal = surfaces.normal[pixel]
     if not is_same_surface(position, normal, tolerated, least_cosine(extent), lobes.pixel[square], surfaces):
         return wp.vec4(0.0)
-    light = wp.cw_mul(lobes.weight[square], lobes.seen[lobes.ray[square]])
+    light = wp.cw_mul(lobes.weight[square], lobes.radiance[lobes.ray[square]])
     return wp.vec4(light[0], light[1], light[2], 1.0)
 
 
@@ -207,7 +207,7 @@ def at_most(radiance: wp.vec3, most: float) -> wp.vec3:
 
 @wp.func
 def mirrored_light(
-    i: int, way: float, no_shadows: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
+    i: int, length_before: float, no_shadows: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
     """Linear radiance of lights that paths meet, too, of ray ``i`` that a mirror has reflected.
 
@@ -223,16 +223,16 @@ def mirrored_light(
     if wave[0].meshes.face[i] < 0:
         number = environment_number(scene)
         if number >= 0:
-            if meets_rays(number, no_shadows, scene):
+            if uses_mis(number, no_shadows, scene):
                 most = light_importance(number, origin, direction, scene) / SMALLEST
                 total += at_most(environment_radiance(scene[0].environment, direction), most)
-    elif scene[0].emitters.ends.shape[0] > 0 and meets_rays(count, no_shadows, scene):
+    elif scene[0].emitters.ends.shape[0] > 0 and uses_mis(count, no_shadows, scene):
         if scene[0].emitters.first[wave[0].meshes.instance[i]] >= 0:
-            start = origin - way * direction  # as far from the light as where the ray left a surface
+            start = origin - length_before * direction  # as far from the light as where the ray left a surface
             total += at_most(mesh_emission(i, scene, wave), light_importance(count, start, direction, scene) / SMALLEST)
     for number in range(count):
-        if scene[0].lights[number].visible != 0 and meets_rays(number, no_shadows, scene):
+        if scene[0].lights[number].visible != 0 and uses_mis(number, no_shadows, scene):
             crossing = light_crossing(scene[0].lights[number], origin, direction)
             if crossing.t < end:
-                total += crossing.radiance / wp.max(1.0, crossing.density * SMALLEST)
+                total += crossing.radiance / wp.max(1.0, crossing.pdf * SMALLEST)
     return wave[0].gaussians.transmittance[i] * total

@@ -69,7 +69,7 @@ class SurfacePixels:
 class InstanceMotion:
     """Where an instance was in the frame before: one a splat or mesh instance, in the order of the scene's."""
 
-    is_known: int
+    existed: int
     """0: it was not there."""
     deforms: int
     """1: its Gaussians or vertices have moved on their own."""
@@ -136,7 +136,7 @@ class FilteredLight:
 
 
 @struct
-class ShownPixels:
+class TemporalPixels:
     """What the pixels of a frame show, before and while it is averaged with the frames before; row by row."""
 
     color: wp.array[wp.vec3]
@@ -145,14 +145,14 @@ class ShownPixels:
     """In pixels, of the surface that ends the pixel or of the background, and its distance; NaN: it was not there."""
     instance: wp.array[int]
     """Of that surface, as ``FirstSurface``; -1: the background."""
-    place: wp.array[wp.vec2]
+    previous_pixel: wp.array[wp.vec2]
     """Where the pixel was in the frame before, in pixels from the centre of the first."""
     weight: wp.array[float]
     """Of this frame in the mean, 0..1; 1: there is no history."""
 
 
 @struct
-class ShownHistory:
+class TemporalHistory:
     """What pixels have shown as means over frames, one element a pixel, row by row."""
 
     frames: wp.array[float]
@@ -173,7 +173,7 @@ BLOCK = wp.constant(RAY_BLOCK_PX)
 
 
 @wp.func
-def has_turn(x: int, y: int, interval: int, frame: int) -> bool:
+def is_sampled_in_frame(x: int, y: int, interval: int, frame: int) -> bool:
     """Whether a pixel has samples in this frame: all have in the first one, then every ``interval``-th block."""
     return frame == 0 or (x // BLOCK + y // BLOCK + frame) % interval == 0
 
@@ -194,7 +194,7 @@ def mean_weight(count: float, history: float) -> float:
 
 # --- Motion (docs/method/realtime.md#motion) ---
 
-STANDS = -1
+UNMOVED = -1
 """In place of the number of an instance: it is where it was."""
 
 GONE = -2
@@ -210,11 +210,11 @@ def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
     """
     if before < 0:
         return False
-    return moved_to[before] != wp.static(STANDS) and moved_to[before] != now
+    return moved_to[before] != wp.static(UNMOVED) and moved_to[before] != now
 
 
 @wp.func
-def was_nowhere() -> wp.vec3:
+def no_position() -> wp.vec3:
     """In place of a position: the surface is new."""
     return wp.vec3(wp.nan)
 
@@ -232,8 +232,8 @@ def splat_before(
 
     ``number``: the Gaussian's instance, whose asset has it.
     """
-    if motions[number].is_known == 0:
-        return was_nowhere()
+    if motions[number].existed == 0:
+        return no_position()
     if motions[number].deforms == 0:
         return motions[number].before_from_now * position + motions[number].before_from_now_offset
     asset = instances[number].asset
@@ -251,8 +251,8 @@ def mesh_before(
 
     ``face`` counts among those of all meshes, ``weights`` are barycentric, of its second and third corner.
     """
-    if motions[number].is_known == 0:
-        return was_nowhere()
+    if motions[number].existed == 0:
+        return no_position()
     if motions[number].deforms == 0:
         return motions[number].before_from_now * position + motions[number].before_from_now_offset
     corners = meshes.indices[face]
@@ -265,13 +265,13 @@ def mesh_before(
 @wp.func
 def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
     """Where a pinhole camera showed a point: x and y in pixels, centres at +0.5, and its distance; 0: nowhere."""
-    way = position - camera[0].eye
-    seen = wp.transpose(camera[0].world_from_camera) * way
-    if not seen[2] > camera[0].near:
+    from_eye = position - camera[0].eye
+    view = wp.transpose(camera[0].world_from_camera) * from_eye
+    if not view[2] > camera[0].near:
         return wp.vec3(0.0)
-    x = camera[0].focal[0] * seen[0] / seen[2] + camera[0].center[0]
-    y = camera[0].focal[1] * seen[1] / seen[2] + camera[0].center[1]
-    return wp.vec3(x, y, wp.length(way))
+    x = camera[0].focal[0] * view[0] / view[2] + camera[0].center[0]
+    y = camera[0].focal[1] * view[1] / view[2] + camera[0].center[1]
+    return wp.vec3(x, y, wp.length(from_eye))
 
 
 @wp.func
@@ -285,10 +285,10 @@ def motion_of(
     ``previous``: where the point was then; NaN: nowhere.
     """
     if wp.isnan(previous[0]):
-        return was_nowhere()
+        return no_position()
     before = pixel_before(previous, camera_before)
     if before[2] <= 0.0:
-        return was_nowhere()
+        return no_position()
     return pixel_before(position, camera) - before
 
 
@@ -336,8 +336,8 @@ def is_near(
     """
     if wp.dot(normal, other_normal) < cosine_min:
         return False
-    way = other_position - position
-    across = wp.max(wp.abs(wp.dot(way, normal)), wp.abs(wp.dot(way, other_normal)))
+    offset = other_position - position
+    across = wp.max(wp.abs(wp.dot(offset, normal)), wp.abs(wp.dot(offset, other_normal)))
     return across <= tolerated
 
 

@@ -14,7 +14,7 @@ import warp as wp
 
 from lumisplat.constants import LUMINANCE
 from lumisplat.device.light.emitters import (
-    environment_density,
+    environment_pdf,
     environment_radiance,
     sample_emitter,
     sample_environment,
@@ -47,7 +47,7 @@ class SampledLight:
 
     contribution: Contribution
     """Weighted against what the path's own ray meets of the light."""
-    sent: wp.vec3
+    unweighted: wp.vec3
     """Its colour, unweighted."""
 
 
@@ -102,7 +102,7 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 
 @wp.func
-def meets_rays(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
+def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
     """Whether rays that surfaces scatter show light ``number``, and its samples are weighted against them.
 
     Not those whose samples pass what would block the rays, or are shadowed otherwise, and those that have no extent.
@@ -144,7 +144,7 @@ def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[Shading
 
 
 @wp.func
-def place_of(interaction: Interaction) -> PathVertex:
+def vertex_without_importance(interaction: Interaction) -> PathVertex:
     """An interaction as the choice of a light reads it, but for what the lights send there."""
     vertex = PathVertex()
     vertex.position = interaction.position
@@ -157,7 +157,7 @@ def place_of(interaction: Interaction) -> PathVertex:
 @wp.func
 def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
     """An interaction as the choice of a light reads it."""
-    vertex = place_of(interaction)
+    vertex = vertex_without_importance(interaction)
     vertex.importance = total_importance(vertex.position, vertex.normal, scene)
     return vertex
 
@@ -237,11 +237,11 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 
 
 @wp.func
-def power_heuristic(density: float, other: float) -> float:
+def power_heuristic(pdf: float, other: float) -> float:
     """Weight of a sample of this density, if the direction might have been sampled with the other one as well."""
-    if density <= 0.0:
+    if pdf <= 0.0:
         return 0.0
-    ratio = other / density
+    ratio = other / pdf
     return 1.0 / (1.0 + ratio * ratio)
 
 
@@ -267,14 +267,14 @@ def environment_sample(
         sampled = bsdf_sample(bsdf, interaction.normal, interaction.wo, u, choice)
         sample.direction = sampled.direction
         sample.distance = wp.inf
-        if sampled.density > 0.0:
-            both = sampled.density + environment_density(environment, sampled.direction)
+        if sampled.pdf > 0.0:
+            both = sampled.pdf + environment_pdf(environment, sampled.direction)
             sample.irradiance = environment_radiance(environment, sampled.direction) / both
     else:
         sample = sample_environment(environment, u)
-        if sample.density > 0.0:
+        if sample.pdf > 0.0:
             other = bsdf_pdf(bsdf, interaction.normal, interaction.wo, sample.direction)
-            sample.irradiance = sample.irradiance * (sample.density / (sample.density + other))
+            sample.irradiance = sample.irradiance * (sample.pdf / (sample.pdf + other))
     return sample
 
 
@@ -366,7 +366,7 @@ def sample_chosen(
     interaction: Interaction,
     u: wp.vec2,
     which: float,
-    is_met: bool,
+    with_mis: bool,
     scene: wp.array[ShadingScene],
 ) -> SampledLight:
     """Contribution of the chosen light at an interaction, over the probability of the choice.
@@ -384,13 +384,13 @@ def sample_chosen(
         else:
             sample = sample_light(light, interaction.position, scene[0].settings[0].soft, u)
     weight = float(1.0)
-    if is_met and sample.density > 0.0:
-        density = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
-        weight = power_heuristic(choice.probability * sample.density, density)
+    if with_mis and sample.pdf > 0.0:
+        pdf = bsdf_pdf(interaction.bsdf, interaction.normal, interaction.wo, sample.direction)
+        weight = power_heuristic(choice.probability * sample.pdf, pdf)
     result = SampledLight()
     result.contribution = contribution_of(interaction, sample, 1.0 / choice.probability)
-    result.sent = result.contribution.color
-    result.contribution.color = weight * result.sent
+    result.unweighted = result.contribution.color
+    result.contribution.color = weight * result.unweighted
     return result
 
 
@@ -426,8 +426,8 @@ def sample_chosen_environment(
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     samples_lobe = u[0] >= 0.5
-    place = wp.vec2(2.0 * u[0] - wp.where(samples_lobe, 1.0, 0.0), u[1])
-    sample = environment_sample(samples_lobe, lobe, interaction, place, which, scene)
+    remapped = wp.vec2(2.0 * u[0] - wp.where(samples_lobe, 1.0, 0.0), u[1])
+    sample = environment_sample(samples_lobe, lobe, interaction, remapped, which, scene)
     return contribution_of(interaction, sample, 2.0 / choice.probability)
 
 

@@ -107,7 +107,7 @@ def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp
 
 
 @wp.func
-def environment_density(environment: EnvironmentData, direction: wp.vec3) -> float:
+def environment_pdf(environment: EnvironmentData, direction: wp.vec3) -> float:
     """Density with which ``sample_environment`` samples a direction, per steradian."""
     if environment.exists == 0:
         return 0.0
@@ -157,8 +157,8 @@ def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
     angle = TWO_PI * (across - 0.5)
     local = wp.vec3(sine * wp.sin(angle), y, -sine * wp.cos(angle))
     sample.direction = wp.normalize(environment.world_from_environment * local)
-    sample.density = share_row * share / cell_size(environment, height)
-    sample.irradiance = wp.min((1.0 / sample.density) * interpolate(environment, wp.vec2(across, v)), BRIGHTEST)
+    sample.pdf = share_row * share / cell_size(environment, height)
+    sample.irradiance = wp.min((1.0 / sample.pdf) * interpolate(environment, wp.vec2(across, v)), BRIGHTEST)
     return sample
 
 
@@ -174,7 +174,7 @@ def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
 
 
 @wp.func
-def area_density(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
+def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
     """Density, per steradian, of a point of a triangle that is sampled with probability ``share``.
 
     ``across``: cross product of two of its edges, world space; ``direction`` and ``distance2``, squared, lead to the
@@ -198,9 +198,9 @@ def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> 
         wp.max(weights[2], triangle.inside[2]),
     )
     scale = 1.0 / (inner[0] + inner[1] + inner[2])
-    place = triangle.corner + (scale * inner[1]) * triangle.edge1 + (scale * inner[2]) * triangle.edge2
-    lift = wp.where(wp.dot(triangle.across, place - point) > 0.0, -triangle.lift, triangle.lift)
-    return place + lift * triangle.across
+    position = triangle.corner + (scale * inner[1]) * triangle.edge1 + (scale * inner[2]) * triangle.edge2
+    lift = wp.where(wp.dot(triangle.across, position - point) > 0.0, -triangle.lift, triangle.lift)
+    return position + lift * triangle.across
 
 
 @wp.func
@@ -216,18 +216,18 @@ def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[Sha
     triangle = emitters.triangles[k]
     root = wp.sqrt(u[0])
     weights = wp.vec3(1.0 - root, root * (1.0 - u[1]), root * u[1])
-    way = point_above(triangle, weights, point) - point
-    distance2 = wp.dot(way, way)
+    to_light = point_above(triangle, weights, point) - point
+    distance2 = wp.dot(to_light, to_light)
     if distance2 <= 0.0:
         return sample
     sample.distance = wp.sqrt(distance2)
-    sample.direction = way / sample.distance
+    sample.direction = to_light / sample.distance
     sample.distance *= NEARER  # a shadow ray to there ends before the triangle, however its hit is rounded
-    sample.density = area_density(emitter_share(k, scene), triangle.across, sample.direction, distance2)
-    if sample.density > 0.0:
+    sample.pdf = area_pdf(emitter_share(k, scene), triangle.across, sample.direction, distance2)
+    if sample.pdf > 0.0:
         instance = scene[0].mesh_instances[number]
         corners = scene[0].meshes.indices[instance.face_first + k - emitters.first[number]]
         coverage = surface_alpha(instance, scene[0].meshes, corners, weights)
         radiance = coverage * emission_at(number, corners, weights, sample.direction, scene)
-        sample.irradiance = wp.min(radiance / sample.density, BRIGHTEST)
+        sample.irradiance = wp.min(radiance / sample.pdf, BRIGHTEST)
     return sample

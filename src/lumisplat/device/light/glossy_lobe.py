@@ -112,7 +112,7 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
     ray.normal = wave[0].interactions.geometric_normal[j]
     origin = wave[0].interactions.spawn_point[j] + spawn_lift(j, sampled.direction, wave)
     ray.origin = above_layer(origin, ray.normal, ray.t_min)
-    if sampled.density > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0:
+    if sampled.pdf > 0.0 and wp.dot(interaction.horizon_normal, sampled.direction) > 0.0:
         ray.weight = sampled.weight
     return ray
 

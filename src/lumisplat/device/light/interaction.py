@@ -51,10 +51,13 @@ START_COSINE = wp.constant(wp.float32(SMOOTH_START_COSINE))
 
 
 @wp.func
-def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, way: wp.vec3, normal: wp.vec3) -> float:
-    """Height along ``normal`` of the plane through a vertex, across its normal, above a point; ``way`` leads there."""
+def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vertex: wp.vec3, normal: wp.vec3) -> float:
+    """Height above a point, along ``normal``, of the plane through a vertex across the vertex normal.
+
+    ``to_vertex`` is the vector from the point to the vertex, world space.
+    """
     across = wp.normalize(instance.world_from_object_normal * meshes.normals[vertex])
-    return wp.dot(across, way) * wp.dot(across, normal)
+    return wp.dot(across, to_vertex) * wp.dot(across, normal)
 
 
 @wp.func
@@ -83,15 +86,15 @@ def smooth_height(
 
 
 @wp.func
-def seen_from_above(contribution: Contribution, lift: wp.vec3) -> Contribution:
+def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contribution:
     """Returns ``contribution`` with the way to the same point of the light from a start that is moved by ``lift``.
 
     With the old length, the ray would end behind a triangle that shines.
     """
     if contribution.distance < wp.inf and wp.length_sq(lift) > 0.0:
-        way = contribution.distance * contribution.direction - lift
-        contribution.distance = wp.length(way)
-        contribution.direction = wp.normalize(way)
+        to_light = contribution.distance * contribution.direction - lift
+        contribution.distance = wp.length(to_light)
+        contribution.direction = wp.normalize(to_light)
     return contribution
 
 

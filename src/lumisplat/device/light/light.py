@@ -78,7 +78,7 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
             sample.direction = around(sample.direction, 1.0 - lift, wp.sqrt(sine2), u[1])
             inside = wp.max((ratio - sine2 / ratio) * ratio, 0.0)
             sample.distance = distance * wp.max(1.0 - lift - wp.sqrt(inside), 0.0)
-            sample.density = 1.0 / wp.max(TWO_PI * edge, TINY)
+            sample.pdf = 1.0 / wp.max(TWO_PI * edge, TINY)
             share *= 2.0 / (1.0 + cosine)
         else:
             nearest2 = wp.max(nearest2, light.radius * light.radius)
@@ -104,7 +104,7 @@ def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
         sample.direction = around(-light.direction, 1.0 - lift, wp.sqrt(lift * (2.0 - lift)), u[1])
         # The cone's solid angle, 2 pi edge, over its projected solid angle, pi edge (2 - edge).
         sample.irradiance = (2.0 / (2.0 - edge)) * light.power
-        sample.density = 1.0 / wp.max(TWO_PI * edge, TINY)
+        sample.pdf = 1.0 / wp.max(TWO_PI * edge, TINY)
     return sample
 
 
@@ -160,7 +160,7 @@ def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
         return sample
     solid_angle = wp.min(cosine * flat_area(light) / wp.max(distance2, NEAREST2), 1.0 / NEAREST2)
     if soft != 0:
-        sample.density = 1.0 / wp.max(solid_angle, TINY)
+        sample.pdf = 1.0 / wp.max(solid_angle, TINY)
     else:
         # A hard light gives no more irradiance than a whole sky of its radiance.
         solid_angle = wp.min(solid_angle, PI)
@@ -205,7 +205,7 @@ def flat_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Ligh
     if t > 0.0 and flat_covers(light, offset):
         crossing.t = t
         crossing.radiance = light.power
-        crossing.density = wp.max(t * t, NEAREST2) / wp.max(cosine * flat_area(light), TINY)
+        crossing.pdf = wp.max(t * t, NEAREST2) / wp.max(cosine * flat_area(light), TINY)
     return crossing
 
 
@@ -225,7 +225,7 @@ def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Li
         edge = ratio2 / (1.0 + wp.sqrt(1.0 - ratio2))
         crossing.t = along - wp.sqrt(inside)
         crossing.radiance = light.power / wp.max(PI * radius2, TINY)
-        crossing.density = 1.0 / wp.max(TWO_PI * edge, TINY)
+        crossing.pdf = 1.0 / wp.max(TWO_PI * edge, TINY)
     return crossing
 
 

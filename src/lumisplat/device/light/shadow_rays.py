@@ -12,7 +12,7 @@ from lumisplat.constants import HIT_COUNTS
 from lumisplat.device.bvh.nodes import larger, lesser
 from lumisplat.device.bvh.packet import empty_list, insert_hit, is_before, packet_of
 from lumisplat.device.gaussian.packet_tracing import HIT_NONE, packet_hits_of
-from lumisplat.device.light.interaction import lift_of, mesh_spawn_point, seen_from_above
+from lumisplat.device.light.interaction import aimed_from_lifted_start, lift_of, mesh_spawn_point
 from lumisplat.device.material.microfacets import fresnel
 from lumisplat.device.math.color import decode_srgb_color, is_black
 from lumisplat.device.math.memory import storage_of
@@ -28,8 +28,8 @@ from lumisplat.device.structs.bvh import (
     WORLD,
     Hit,
     HitList,
-    PacketPlace,
     PacketRays,
+    PacketTree,
     Particle,
     SceneBvh,
     ShadowData,
@@ -83,7 +83,7 @@ def start_shadow_ray(
 ):
     """Starts a shadow ray from interaction ``j`` towards light ``number``; its keys are left to the caller."""
     origin = spawn_origin(j, contribution.direction, spawn_lift(j, contribution.direction, wave), scene, wave)
-    contribution = seen_from_above(contribution, origin - wave[0].interactions.position[j])
+    contribution = aimed_from_lifted_start(contribution, origin - wave[0].interactions.position[j])
     rays_out.is_active[ray] = True
     rays_out.origin[ray] = origin
     rays_out.direction[ray] = contribution.direction
@@ -209,12 +209,12 @@ def begin_first_hits(first_hits: FirstHits):
 
 
 @wp.func
-def end_rays(packet: PacketRays, place: PacketPlace, skips: wp.array[wp.bool], first: int) -> float:
+def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], first: int) -> float:
     """Lets the Gaussians of a tree count up to the rays' limits; on rays that skip its instance, none of them does.
 
     Returns the farthest distance at which one counts, at least -FAR: nodes farther away need not be visited.
     """
-    is_shadow_only = place.number != WORLD and place.instance.shadow_only != 0
+    is_shadow_only = tree.number != WORLD and tree.instance.shadow_only != 0
     reach = float(-FAR)
     for lane in range(packet.t_max.shape[0]):
         is_skipped = is_shadow_only and skips[first + lane]
@@ -239,11 +239,11 @@ def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
 
 
 @wp.func
-def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], kept: HitList) -> wp.vec3:
+def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit_list: HitList) -> wp.vec3:
     """Factor of the light that comes through the hits of a list."""
     transmittance = float(1.0)
     tint = wp.vec3()
-    for j in range(kept.head, kept.tail):
+    for j in range(hit_list.head, hit_list.tail):
         alpha = hits[j].alpha
         transmittance = transmittance * (1.0 - alpha)
         if config.color_strength > 0.0:
@@ -268,7 +268,7 @@ class PacketFirstHits(NamedTuple):
     storage: Any
     """The type of a variable in which FirstHits lie."""
     first_hits_of: Any
-    keep_first_hits: Any
+    buffer_first_hits: Any
 
 
 @functools.cache
@@ -371,7 +371,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
         return first_hits
 
     @wp.func
-    def keep_first_hits(
+    def buffer_first_hits(
         first_hits: FirstHits,
         packet: PacketRays,
         particle: Particle,
@@ -397,15 +397,15 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
                 hit.t = t[lane]
                 hit.alpha = alpha[lane]
                 # The farthest hit of a full list is the cut, so this one is nearer.
-                kept = first_hits.lists[lane]
-                end = kept.begin + config.hits
-                if kept.tail == end:
-                    kept.tail -= 1
-                insert_hit(first_hits.hits, kept, hit)
-                first_hits.lists[lane] = kept
-                if kept.tail == end:
+                hit_list = first_hits.lists[lane]
+                end = hit_list.begin + config.hits
+                if hit_list.tail == end:
+                    hit_list.tail -= 1
+                insert_hit(first_hits.hits, hit_list, hit)
+                first_hits.lists[lane] = hit_list
+                if hit_list.tail == end:
                     first_hits.cut_t[lane] = first_hits.hits[end - 1].t
                     first_hits.cut_index[lane] = first_hits.hits[end - 1].index
         return 1
 
-    return PacketFirstHits(FirstHitsStorage, first_hits_of, keep_first_hits)
+    return PacketFirstHits(FirstHitsStorage, first_hits_of, buffer_first_hits)

@@ -10,7 +10,7 @@ from lumisplat.device.gaussian.layers import is_flat
 from lumisplat.device.light.interaction import bsdf_of, mesh_spawn_point, unit_or
 from lumisplat.device.material.media import index_around, media_of_ray
 from lumisplat.device.math.color import captured_color, decode_srgb_color, over
-from lumisplat.device.math.directions import seen_from
+from lumisplat.device.math.directions import flipped_to_front
 from lumisplat.device.mesh.mesh_surface import face_normal
 from lumisplat.device.splat.blending import instance_of
 from lumisplat.device.structs.shading import (
@@ -23,10 +23,10 @@ from lumisplat.device.structs.shading import (
     WaveData,
 )
 
-KEPT_SHARE_MIN = 1.0e-6
+CAPTURED_SHARE_MIN = 1.0e-6
 """Share of a ray of Gaussians that keep their captured colour, below which it is rounding beside relit ones."""
 
-KEPT_MIN = wp.constant(wp.float32(KEPT_SHARE_MIN))
+CAPTURED_MIN = wp.constant(wp.float32(CAPTURED_SHARE_MIN))
 
 NEAR_MESH = wp.constant(wp.float32(0.999))
 """Share of the way to a mesh below which a point is certainly before it, however both are rounded."""
@@ -37,10 +37,10 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 
 @wp.func
-def sees_far(i: int, wave: wp.array[WaveData]) -> bool:
+def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
     """Whether ray ``i`` sees the environment and the background: those within highlights do not."""
-    if wave[0].sees_far:
-        return wave[0].sees_far[i]
+    if wave[0].sees_environment:
+        return wave[0].sees_environment[i]
     return True
 
 
@@ -51,7 +51,7 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
         return True
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_BACKGROUND
-    return wave[0].traces_paths != 0 or scene[0].environment.exists != 0 or not sees_far(i, wave)
+    return wave[0].traces_paths != 0 or scene[0].environment.exists != 0 or not sees_environment(i, wave)
 
 
 @wp.func
@@ -59,8 +59,8 @@ def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene
     """Distance along ray ``i`` to where it passes the mean of the surface's Gaussian."""
     instance = scene[0].splats[surface.instance]
     mean = scene[0].attributes[instance.asset].means[surface.gaussian] - instance.object_from_world_offset
-    way = instance.scale * (instance.world_from_object * mean) - wave[0].rays.origin[i]
-    return wp.max(wp.dot(way, wave[0].rays.direction[i]), 0.0)
+    to_mean = instance.scale * (instance.world_from_object * mean) - wave[0].rays.origin[i]
+    return wp.max(wp.dot(to_mean, wave[0].rays.direction[i]), 0.0)
 
 
 @wp.func
@@ -91,13 +91,13 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
     relit = float(0.0)
     if index >= 0:
         surface.instance = instance_of(scene[0].splats, index)
-        kept_surface = reflects_as_captured(surface, scene)
+        captured_surface = reflects_as_captured(surface, scene)
         relit_index = index
         if wave[0].gaussians.relit_weight:
             relit = wave[0].gaussians.relit_weight[i]
             relit_color = wave[0].gaussians.relit_color[i]
             relit_index = wave[0].gaussians.relit_gaussian[i]
-            if kept_surface and relit <= alpha - relit:
+            if captured_surface and relit <= alpha - relit:
                 # One surface a ray is lit: this one, and the few relit Gaussians on it show as captured.
                 relit = float(0.0)
         elif scene[0].materials[surface.instance].keeps_capture == 0:
@@ -113,11 +113,11 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
                 surface.depth = wave[0].gaussians.mean_depth[i]
             elif relit_index != index or not surface.depth < wp.inf:
                 surface.depth = distance_to_mean(i, surface, scene, wave)
-        elif kept_surface:
+        elif captured_surface:
             surface.gaussian = index - scene[0].splats[surface.instance].first
             surface.share = alpha
             surface.albedo = decode_srgb_color(wave[0].gaussians.color[i] / alpha)
-    surface.kept = alpha - relit
+    surface.captured_share = alpha - relit
     return with_captured(surface, wave[0].gaussians.color[i], relit_color, relit, over_light, scene)
 
 
@@ -137,15 +137,15 @@ def with_captured(
     """
     if relit > 0.0:
         color = color - relit_color
-        if surface.kept <= KEPT_MIN:
+        if surface.captured_share <= CAPTURED_MIN:
             color = wp.vec3(0.0)
-            surface.kept = 0.0
+            surface.captured_share = 0.0
     if over_light:
         surface.captured = color
-        surface.weight = surface.kept
+        surface.weight = surface.captured_share
     else:
         surface.captured = over(color, surface.transmittance, scene[0].settings[0].background)
-        surface.weight = wp.where(relit > 0.0, surface.kept + surface.transmittance, 1.0)
+        surface.weight = wp.where(relit > 0.0, surface.captured_share + surface.transmittance, 1.0)
     return surface
 
 
@@ -218,7 +218,7 @@ def splat_interaction(
     interaction.position = before_mesh(i, surface.depth, scene, wave)
     interaction.normal = unit_or(wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), to_eye)
     # What bends away at a silhouette is lit by its own normal, and seen from its own side.
-    interaction.wo = seen_from(to_eye, interaction.normal)
+    interaction.wo = flipped_to_front(to_eye, interaction.normal)
     interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
     finish = finish_of(surface.instance, surface.gaussian, scene)
@@ -254,8 +254,8 @@ def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[Shading
     if not is_flat(scene[0].attributes[asset].scales[surface.gaussian]):
         return wp.vec3(0.0)
     if scene[0].attributes[asset].normals:
-        own = scene[0].splats[instance].world_from_object * scene[0].attributes[asset].normals[surface.gaussian]
-        if wp.dot(own, normal) < 0.0:
+        stored = scene[0].splats[instance].world_from_object * scene[0].attributes[asset].normals[surface.gaussian]
+        if wp.dot(stored, normal) < 0.0:
             return wp.vec3(0.0)
     return normal
 
@@ -266,8 +266,8 @@ def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[Shading
 @wp.func
 def catcher_received(light: CatcherLight) -> float:
     """Irradiance of a shadow catcher without anything that was added, in one channel."""
-    rest = wp.where(light.ambient > 0.0, light.ambient, light.own_sent)
-    return light.sent + wp.max(rest, light.least - light.sent)
+    rest = wp.where(light.ambient > 0.0, light.ambient, light.emitted_unshadowed)
+    return light.unshadowed + wp.max(rest, light.least - light.unshadowed)
 
 
 @wp.func
@@ -279,13 +279,13 @@ def catcher_change(light: CatcherLight) -> float:
     change = light.change
     received = catcher_received(light)
     if light.ambient > 0.0:
-        ambient = received - light.sent
-        if light.own_sent > ambient:
-            change += light.own_change * ambient / light.own_sent
+        ambient = received - light.unshadowed
+        if light.emitted_unshadowed > ambient:
+            change += light.emitted_change * ambient / light.emitted_unshadowed
         else:
-            change += light.own_change - (ambient - light.own_sent) * light.blocked / light.ambient
+            change += light.emitted_change - (ambient - light.emitted_unshadowed) * light.blocked / light.ambient
     else:
-        change += light.own_change
+        change += light.emitted_change
     if change == 0.0 or received <= 0.0:
         return 0.0
     return change / received

@@ -42,7 +42,7 @@ class BsdfSample:
     """Unit, away from the surface."""
     weight: wp.vec3
     """BSDF times cosine over density; zero: no direction was found."""
-    density: float
+    pdf: float
     """Per steradian."""
 
 
@@ -460,16 +460,16 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
     It integrates to less than 1, by the share of samples below the horizon, or above it that were meant to transmit.
     """
-    density = base_pdf(bsdf, normal, view, light)
+    pdf = base_pdf(bsdf, normal, view, light)
     cos_view = wp.dot(normal, view)
     if not has_layers(bsdf) or cos_view <= 0.0:
-        return density
+        return pdf
     shares = layer_shares(bsdf, cos_view, base_albedo(bsdf, cos_view))
-    density *= wp.max(1.0 - shares[0] - shares[1], 0.0)
+    pdf *= wp.max(1.0 - shares[0] - shares[1], 0.0)
     cos_light = wp.dot(normal, light)
     if cos_light > 0.0:
-        density += shares[0] * coat_pdf(bsdf, normal, view, light) + shares[1] * INV_PI * cos_light
-    return density
+        pdf += shares[0] * coat_pdf(bsdf, normal, view, light) + shares[1] * INV_PI * cos_light
+    return pdf
 
 
 @wp.func
@@ -502,11 +502,11 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
     if is_black(found):
         return sample
     sample.direction = found
-    density = bsdf_pdf(bsdf, normal, view, sample.direction)
-    if density > 0.0:
+    pdf = bsdf_pdf(bsdf, normal, view, sample.direction)
+    if pdf > 0.0:
         value = bsdf_eval(bsdf, normal, view, sample.direction)
-        sample.weight = (wp.abs(wp.dot(normal, sample.direction)) / density) * value
-        sample.density = density
+        sample.weight = (wp.abs(wp.dot(normal, sample.direction)) / pdf) * value
+        sample.pdf = pdf
     return sample
 
 

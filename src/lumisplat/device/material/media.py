@@ -41,14 +41,14 @@ def entered(media: wp.vec4i, number: int) -> wp.vec4i:
 @wp.func
 def exited(media: wp.vec4i, number: int) -> wp.vec4i:
     """The media after mesh instance ``number`` is left, where it was last entered."""
-    place = int(-1)
+    slot = int(-1)
     for k in range(NESTED):
         if media[k] == number + 1:
-            place = k
-    if place < 0:
+            slot = k
+    if slot < 0:
         return media
     for k in range(NESTED - 1):
-        if k >= place:
+        if k >= slot:
             media[k] = media[k + 1]
     media[NESTED - 1] = 0
     return media
@@ -168,8 +168,8 @@ def passed_by_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
     """Share of the light that arrives along ray ``i``, from its surface, linear."""
     if scene[0].settings[0].absorbs == 0:
         return wp.vec3(1.0)
-    way = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
-    return passed(absorption_on_ray(i, scene, wave), way)
+    distance = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
+    return passed(absorption_on_ray(i, scene, wave), distance)
 
 
 @wp.func

@@ -353,13 +353,13 @@ def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
     if to_view <= 0.0:
         return 0.0
     alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
-    seen = 2.0 * ggx_d(normal, half, alpha) * smith_g1(wp.dot(normal, view), alpha) * to_view
+    facet_pdf = 2.0 * ggx_d(normal, half, alpha) * smith_g1(wp.dot(normal, view), alpha) * to_view
     chance = reflected_chance(bsdf, to_view)
     if wp.dot(normal, light) > 0.0:
-        return chance * seen * 0.25 / to_view
+        return chance * facet_pdf * 0.25 / to_view
     if to_light >= 0.0 and not bsdf.thin_walled:
         return 0.0
-    return (1.0 - chance) * seen * spread_of_facets(bsdf, to_view, to_light)
+    return (1.0 - chance) * facet_pdf * spread_of_facets(bsdf, to_view, to_light)
 
 
 @wp.func

@@ -37,7 +37,7 @@ def angle_of(y: float, x: float) -> float:
 
 
 @wp.func
-def seen_from(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
+def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
     """A unit direction to the eye, mirrored at the surface of a unit normal where it is below it.
 
     Silhouettes show Gaussians from a little beyond the horizon: they stand for what lies as far before it

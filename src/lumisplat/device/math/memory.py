@@ -18,20 +18,20 @@ def _on_cuda(wide: str, plain: str) -> str:
     return f"{check}\n#if defined(__CUDA_ARCH__)\n{wide};\n#else\n{plain};\n#endif\n"
 
 
-def aligned_load_of(noun: Any) -> Any:
+def aligned_load_of(struct_type: Any) -> Any:
     """The function that reads a struct from a contiguous array into a variable."""
 
     @wp.func_native(_on_cuda(f"item = {_ELEMENT}", "item = items.data[i]"))
-    def load_aligned(items: wp.array[noun], i: int, item: wp.ref[noun]): ...
+    def load_aligned(items: wp.array[struct_type], i: int, item: wp.ref[struct_type]): ...
 
     return load_aligned
 
 
-def aligned_store_of(noun: Any) -> Any:
+def aligned_store_of(struct_type: Any) -> Any:
     """The function that writes a struct from a variable to a contiguous array."""
 
     @wp.func_native(_on_cuda(f"{_ELEMENT} = item", "items.data[i] = item"))
-    def store_aligned(items: wp.array[noun], i: int, item: wp.ref[noun]): ...
+    def store_aligned(items: wp.array[struct_type], i: int, item: wp.ref[struct_type]): ...
 
     return store_aligned
 
@@ -43,9 +43,9 @@ def aligned_store_of(noun: Any) -> Any:
 # arrays, of ``wp.zeros``, hide from the optimiser where they lie: with them kernels take twice as long.
 
 
-def storage_of(noun: Any, count: int) -> Any:
+def storage_of(struct_type: Any, count: int) -> Any:
     """The type of a variable that has room for ``count`` structs, and their alignment, that of 4-byte numbers."""
-    return wp.types.vector(length=count * wp.types.type_size_in_bytes(noun) // 4, dtype=wp.int32)
+    return wp.types.vector(length=count * wp.types.type_size_in_bytes(struct_type) // 4, dtype=wp.int32)
 
 
 # --- Sums over the threads of each CUDA warp of a block, in memory that the block shares, without barriers ---

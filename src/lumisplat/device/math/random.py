@@ -40,7 +40,7 @@ LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
 """Dimension of the direction from it."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
 """Dimension of branch 0 of a key; those of the other branches count down from it."""
-KEPT_OR_RELIT = wp.constant(wp.uint32(0x80000000))
+CAPTURED_OR_RELIT = wp.constant(wp.uint32(0x80000000))
 """Dimension of the choice between what kept and relit splat sets show on a ray: the first behind the Gaussians'."""
 
 
@@ -102,9 +102,9 @@ def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
     The 16 samples begin with a multiple of 16, and share a key; different dimensions are independent.
     """
     word = mix(key + mix(wp.uint32(dimension)))
-    place = wp.bit_and(wp.uint32(sample), LOW_4)
-    within = wp.rshift(mix(word + mix(place)), BITS_12)
-    return float(int(wp.lshift(shuffled_16(place, word), BITS_20) + within)) * UNIT
+    stratum = wp.bit_and(wp.uint32(sample), LOW_4)
+    within = wp.rshift(mix(word + mix(stratum)), BITS_12)
+    return float(int(wp.lshift(shuffled_16(stratum, word), BITS_20) + within)) * UNIT
 
 
 @wp.func

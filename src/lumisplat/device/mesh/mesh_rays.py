@@ -11,7 +11,7 @@ import warp as wp
 
 from lumisplat.constants import RAY_START_BACK
 from lumisplat.device.bvh.nodes import enter_boxes, inverse_or_large, larger, lesser, load_node, push_entered, push_link
-from lumisplat.device.mesh.mesh_surface import hit_weights, meets_alpha
+from lumisplat.device.mesh.mesh_surface import hit_weights, passes_alpha_test
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.bvh import MeshBvh, MeshTriangle, Node, WaitingLink
 from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
@@ -218,7 +218,7 @@ def keep_nearest(
         if scene.instances[number].alpha.mode != ALPHA_OPAQUE:
             face = scene.instances[number].face_first + triangle.face
             where = hit_weights(hit.weights)
-            if not meets_alpha(scene.instances[number], scene.meshes, face, where, sample_key):
+            if not passes_alpha_test(scene.instances[number], scene.meshes, face, where, sample_key):
                 return
         nearest.t = t
         nearest.local_t = hit.t

@@ -152,7 +152,7 @@ def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 
 
 @wp.func
-def meets_alpha(
+def passes_alpha_test(
     instance: MeshInstanceData, meshes: MeshData, face: int, weights: wp.vec3, sample_key: wp.uint32
 ) -> bool:
     """Whether a ray meets a surface at a point of triangle ``face``: by chance, or wherever alpha is above 0.
@@ -161,8 +161,8 @@ def meets_alpha(
     """
     alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
     if instance.alpha.is_drawn != 0 and alpha < 1.0:
-        own = wp.uint32(instance.first + face - instance.face_first)
-        return draw(branch_key(sample_key, ALPHA_BRANCH), own) < alpha
+        triangle = wp.uint32(instance.first + face - instance.face_first)
+        return draw(branch_key(sample_key, ALPHA_BRANCH), triangle) < alpha
     return alpha > 0.0
 
 
@@ -222,9 +222,9 @@ def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) ->
 def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
     """The albedo of sheen of some roughness, between those of a table that is denser where roughness is low."""
     last = curves.shape[0] - 1
-    place = wp.sqrt((roughness - SHEEN_MIN) / (1.0 - SHEEN_MIN)) * float(last)
-    k = wp.min(int(place), last - 1)
-    return wp.lerp(curves[k], curves[k + 1], place - float(k))
+    position = wp.sqrt((roughness - SHEEN_MIN) / (1.0 - SHEEN_MIN)) * float(last)
+    k = wp.min(int(position), last - 1)
+    return wp.lerp(curves[k], curves[k + 1], position - float(k))
 
 
 @wp.func

@@ -7,7 +7,7 @@ of a subtraction: shared edges would leak.
 import warp as wp
 
 from lumisplat.device.math.random import sample_key_of
-from lumisplat.device.mesh.mesh_surface import meets_alpha
+from lumisplat.device.mesh.mesh_surface import passes_alpha_test
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import RasterMeshes, Triangle
 from lumisplat.device.structs.scene import ALPHA_OPAQUE
@@ -106,9 +106,9 @@ def has_alpha(triangle: Triangle, scene: RasterMeshes) -> bool:
 
 
 @wp.func
-def pixel_meets(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshes) -> bool:
+def pixel_passes_alpha_test(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshes) -> bool:
     """Whether the triangle is there where the ray of a pixel, camera space, hits it."""
     sample = scene.sample[0]
     key = sample_key_of(pixel, sample.index, sample.seed)
     instance = scene.instances[triangle.instance - scene.splat_instance_count]
-    return meets_alpha(instance, scene.meshes, triangle.face, barycentric(triangle, ray), key)
+    return passes_alpha_test(instance, scene.meshes, triangle.face, barycentric(triangle, ray), key)

@@ -13,12 +13,12 @@ from lumisplat.device.light.direct_light import (
     choice_probability,
     chosen_light,
     environment_number,
-    meets_rays,
     power_heuristic,
     sample_chosen,
     start_chosen_ray,
+    uses_mis,
 )
-from lumisplat.device.light.emitters import area_density, emitter_share, environment_density, environment_radiance
+from lumisplat.device.light.emitters import area_pdf, emitter_share, environment_pdf, environment_radiance
 from lumisplat.device.light.interaction import mesh_emission
 from lumisplat.device.light.light import light_crossing
 from lumisplat.device.material.bsdf import diffuse_share
@@ -54,7 +54,7 @@ class PathShadowRays:
     """Number of the light."""
     diffuse: wp.array[wp.vec3]
     """As of `PathData`, after this surface; without elements in frames without layers."""
-    sent: wp.array[wp.vec3]
+    unshadowed: wp.array[wp.vec3]
     """What the light alone would contribute, by its own samples; without elements unless frames ask for ``lights``."""
     reaching: wp.array[wp.vec3]
     """The same, less what the medium absorbs on a way that glass ends; so, too."""
@@ -86,21 +86,21 @@ class PathImages:
     """By PART_DIRECT_DIFFUSE and so on: row after row of one element a ray, like the next ones."""
     bounces: wp.array[wp.vec3]
     """By how often surfaces have scattered it: at most once more than paths bounce."""
-    lights_sent: wp.array[wp.vec3]
+    lights_unshadowed: wp.array[wp.vec3]
     """By light: what the first surface would reflect of it, unshadowed, by samples of the light alone."""
-    lights_arrived: wp.array[wp.vec3]
+    lights_shadowed: wp.array[wp.vec3]
     """What arrives of these samples."""
     lights_total: wp.array[wp.vec3]
     """All of each light; the last row is what shines and is no light."""
     received: wp.array[wp.vec3]
     """1 where a path finds the next two, else 0."""
-    sent: wp.array[wp.vec3]
+    unshadowed: wp.array[wp.vec3]
     """Irradiance of shadow catchers by lights, as captured; without elements in frames without such sets."""
-    arrived: wp.array[wp.vec3]
+    shadowed: wp.array[wp.vec3]
     """The same with all that was added."""
-    own_sent: wp.array[wp.vec3]
+    emitted_unshadowed: wp.array[wp.vec3]
     """Irradiance of shadow catchers by the captures around them, as captured."""
-    own_arrived: wp.array[wp.vec3]
+    emitted_shadowed: wp.array[wp.vec3]
     """The same with all that was added, and what added surfaces emit."""
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of shadow catchers."""
@@ -137,7 +137,7 @@ def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, imag
 @wp.func
 def add_light(
     root: int,
-    receives: bool,
+    for_catcher: bool,
     value: wp.vec3,
     bounces: int,
     light: int,
@@ -150,11 +150,11 @@ def add_light(
     ``value`` is linear radiance times the throughput; ``light`` may be one more than the number of the last one: it is
     none, but shines. ``diffuse``: share that the first surface has scattered diffusely.
     """
-    if receives:
+    if for_catcher:
         if light < light_count:
-            images[0].arrived[root] += value
+            images[0].shadowed[root] += value
         else:
-            images[0].own_arrived[root] += value
+            images[0].emitted_shadowed[root] += value
         return
     images[0].light[root] += value
     count = images[0].light.shape[0]
@@ -163,7 +163,7 @@ def add_light(
     if images[0].bounces:
         add_to_row(images[0].bounces, bounces, count, root, value)
     if images[0].lights_total:
-        lights = images[0].lights_arrived.shape[0] // count
+        lights = images[0].lights_shadowed.shape[0] // count
         add_to_row(images[0].lights_total, wp.min(light, lights), count, root, value)
 
 
@@ -173,23 +173,23 @@ def add_first_light(root: int, sent: wp.vec3, arrived: wp.vec3, light: int, imag
 
     ``sent``: what the surface would reflect of it unshadowed, linear.
     """
-    if images[0].lights_sent:
+    if images[0].lights_unshadowed:
         count = images[0].light.shape[0]
-        if light < images[0].lights_sent.shape[0] // count:
-            add_to_row(images[0].lights_sent, light, count, root, sent)
-            add_to_row(images[0].lights_arrived, light, count, root, arrived)
+        if light < images[0].lights_unshadowed.shape[0] // count:
+            add_to_row(images[0].lights_unshadowed, light, count, root, sent)
+            add_to_row(images[0].lights_shadowed, light, count, root, arrived)
 
 
 @wp.func
-def add_sent_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
+def add_unshadowed_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
     """Adds irradiance of a shadow catcher by lights, as it was captured."""
-    images[0].sent[root] += value
+    images[0].unshadowed[root] += value
 
 
 @wp.func
-def add_own_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
+def add_emitted_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
     """Adds irradiance of a shadow catcher by the captures around it, as it was captured."""
-    images[0].own_sent[root] += value
+    images[0].emitted_unshadowed[root] += value
 
 
 # --- Light that rays show ---
@@ -206,16 +206,16 @@ def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
 
 
 @wp.func
-def leaves_receiver(i: int, paths: wp.array[PathData]) -> bool:
+def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
     """Whether the ray of path ``i`` leaves a shadow-only surface, whose lights all count by their own samples.
 
     But for an environment that rays meet: of that, it sees as much as its own set leaves open.
     """
-    return paths[0].density[i] < 0.0
+    return paths[0].pdf[i] < 0.0
 
 
 @wp.func
-def far_light(
+def escaped_radiance(
     i: int, direction: wp.vec3, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene]
 ) -> wp.vec3:
     """Linear radiance that path ``i`` sees infinitely far away, weighted against samples of the environment.
@@ -231,12 +231,12 @@ def far_light(
         return radiance
     number = environment_number(scene)
     if number >= 0:
-        if not meets_rays(number, no_shadows, scene):
+        if not uses_mis(number, no_shadows, scene):
             return wp.vec3(0.0)
-        if paths[0].density[i] > 0.0:
+        if paths[0].pdf[i] > 0.0:
             other = choice_probability(number, vertex_of(i, paths), scene)
-            other *= environment_density(scene[0].environment, direction)
-            radiance *= power_heuristic(paths[0].density[i], other)
+            other *= environment_pdf(scene[0].environment, direction)
+            radiance *= power_heuristic(paths[0].pdf[i], other)
     return radiance
 
 
@@ -245,26 +245,26 @@ def emitted_share(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> float:
     """Weight of the emission of the mesh that the ray of path ``i`` hits, against samples of what shines."""
-    density = paths[0].density[i]
+    pdf = paths[0].pdf[i]
     number = wave[0].meshes.instance[i]
     if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
         return 1.0
-    if leaves_receiver(i, paths) or not meets_rays(scene[0].settings[0].light_count, no_shadows, scene):
+    if leaves_catcher(i, paths) or not uses_mis(scene[0].settings[0].light_count, no_shadows, scene):
         return 0.0
-    if density <= 0.0:
+    if pdf <= 0.0:
         return 1.0
     face = wave[0].meshes.face[i]
     k = scene[0].emitters.first[number] + face - scene[0].mesh_instances[number].face_first
     across = scene[0].emitters.triangles[k].across
     vertex = vertex_of(i, paths)
-    way = wave[0].rays.origin[i] + wave[0].meshes.t[i] * wave[0].rays.direction[i] - vertex.position
-    other = area_density(emitter_share(k, scene), across, wave[0].rays.direction[i], wp.dot(way, way))
+    to_emitter = wave[0].rays.origin[i] + wave[0].meshes.t[i] * wave[0].rays.direction[i] - vertex.position
+    other = area_pdf(emitter_share(k, scene), across, wave[0].rays.direction[i], wp.dot(to_emitter, to_emitter))
     other *= choice_probability(scene[0].settings[0].light_count, vertex, scene)
-    return power_heuristic(density, other)
+    return power_heuristic(pdf, other)
 
 
 @wp.func
-def shown_light(
+def hit_light(
     i: int,
     number: int,
     no_shadows: bool,
@@ -275,39 +275,39 @@ def shown_light(
     """Where the ray of path ``i`` meets light ``number``, and its radiance, weighted likewise; inf: it shows none."""
     crossing = LightCrossing()
     crossing.t = wp.inf
-    is_shown = not leaves_receiver(i, paths) and (paths[0].is_specular[i] or meets_rays(number, no_shadows, scene))
+    is_shown = not leaves_catcher(i, paths) and (paths[0].is_specular[i] or uses_mis(number, no_shadows, scene))
     if scene[0].lights[number].visible == 0 or not is_shown:
         return crossing
     crossing = light_crossing(scene[0].lights[number], wave[0].rays.origin[i], wave[0].rays.direction[i])
-    density = paths[0].density[i]
-    if density > 0.0 and crossing.t < wp.inf:
-        other = choice_probability(number, vertex_of(i, paths), scene) * crossing.density
-        crossing.radiance = power_heuristic(density, other) * crossing.radiance
+    pdf = paths[0].pdf[i]
+    if pdf > 0.0 and crossing.t < wp.inf:
+        other = choice_probability(number, vertex_of(i, paths), scene) * crossing.pdf
+        crossing.radiance = power_heuristic(pdf, other) * crossing.radiance
     if crossing.t < wp.inf and scene[0].settings[0].absorbs != 0:
         crossing.radiance = wp.cw_mul(crossing.radiance, passed(absorption_on_ray(i, scene, wave), crossing.t))
     return crossing
 
 
 @wp.func
-def own_light(
+def emitted_radiance(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
     """Linear radiance that path ``i`` sees of captures, and of what meshes shine by themselves."""
-    seen = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
+    radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     if not paths[0].is_specular[i]:
-        seen *= scene[0].settings[0].capture_gain
-    seen += wave[0].radiance.light[i]
+        radiance *= scene[0].settings[0].capture_gain
+    radiance += wave[0].radiance.light[i]
     if wave[0].meshes.face[i] >= 0:
         share = emitted_share(i, no_shadows, paths, scene, wave)
         if share < 1.0:
             reached = wave[0].gaussians.transmittance[i] * mesh_coverage(i, scene, wave)
-            seen += (share - 1.0) * reached * mesh_emission(i, scene, wave)
-    return seen
+            radiance += (share - 1.0) * reached * mesh_emission(i, scene, wave)
+    return radiance
 
 
 # --- Samples of lights, and lights that rays show behind blended Gaussians ---
 
-SHOWN_BRANCH = wp.constant(4)
+HIT_LIGHT_BRANCH = wp.constant(4)
 """Branch of a ray's key: how Gaussians hide a light that the ray itself shows. See also light/direct_light.py."""
 
 
@@ -346,7 +346,7 @@ def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveDa
 
 
 @wp.func
-def start_shown_ray(
+def start_hit_light_ray(
     i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: wp.array[PathShadowRays]
 ):
     """Starts the shadow ray along ray ``i``, up to a light that it shows at distance ``t``."""
@@ -354,11 +354,11 @@ def start_shown_ray(
     shadows[0].contributions[j] = value
     shadows[0].lights[j] = light
     shadows[0].rays.is_active[j] = True
-    start_along(i, j, t, SHOWN_BRANCH, wave, shadows[0].rays)
+    start_along(i, j, t, HIT_LIGHT_BRANCH, wave, shadows[0].rays)
 
 
 @wp.func
-def add_shown_lights(
+def add_hit_lights(
     i: int,
     number: int,
     no_shadows: bool,
@@ -374,21 +374,21 @@ def add_shown_lights(
     """
     is_hazy = shadows[0].contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
-    key = branch_key(wave[0].rays.sample_key[i], SHOWN_BRANCH)
-    met = int(0)
+    key = branch_key(wave[0].rays.sample_key[i], HIT_LIGHT_BRANCH)
+    hit_count = int(0)
     for light in range(scene[0].settings[0].light_count):
-        crossing = shown_light(i, light, no_shadows, paths, scene, wave)
+        crossing = hit_light(i, light, no_shadows, paths, scene, wave)
         value = wp.cw_mul(paths[0].throughput[i], crossing.radiance)
         if number == 0 and crossing.t < end:
             wave[0].radiance.alpha[i] = 1.0
         if is_hazy and crossing.t < wp.inf:
-            met += 1
-            if draw(key, wp.uint32(light)) * float(met) < 1.0:
-                start_shown_ray(i, light, crossing.t, value, wave, shadows)
+            hit_count += 1
+            if draw(key, wp.uint32(light)) * float(hit_count) < 1.0:
+                start_hit_light_ray(i, light, crossing.t, value, wave, shadows)
         elif crossing.t < end:
             add_light(
                 paths[0].root[i],
-                paths[0].receives[i],
+                paths[0].for_catcher[i],
                 value,
                 number,
                 light,
@@ -396,9 +396,9 @@ def add_shown_lights(
                 diffuse_of(i, number, paths),
                 images,
             )
-    if met > 1:
+    if hit_count > 1:
         j = wave[0].rays.is_active.shape[0] + i
-        shadows[0].contributions[j] = float(met) * shadows[0].contributions[j]
+        shadows[0].contributions[j] = float(hit_count) * shadows[0].contributions[j]
 
 
 @wp.func
@@ -425,23 +425,23 @@ def light_surface(
     choice = chosen_light(which[0], vertex, scene)
     if choice.number < 0:
         return
-    is_met = meets_rays(choice.number, no_shadows, scene)
-    shadows[0].opaque[i] = is_met
+    with_mis = uses_mis(choice.number, no_shadows, scene)
+    shadows[0].opaque[i] = with_mis
     if interaction.shadow_only:
         # Rays that leave it show of all lights only the environment, which they alone find.
-        if is_met and choice.number == environment_number(scene):
+        if with_mis and choice.number == environment_number(scene):
             return
         shadows[0].skips[i] = True
-        is_met = False
-    light = sample_chosen(choice, interaction, u, which[1], is_met, scene)
+        with_mis = False
+    light = sample_chosen(choice, interaction, u, which[1], with_mis, scene)
     shadows[0].contributions[i] = wp.cw_mul(factor, light.contribution.color)
     direction = light.contribution.direction
-    reaching = wp.cw_mul(factor, light.sent)
-    if shadows[0].sent:
-        shadows[0].sent[i] = reaching
+    reaching = wp.cw_mul(factor, light.unweighted)
+    if shadows[0].unshadowed:
+        shadows[0].unshadowed[i] = reaching
     if shadows[0].media:
         media = scattered_media(i, slot == BRANCH_MESH, direction, interaction.normal, scene, wave)
-        if is_met:  # Glass blocks this way, so that all of it is in one medium.
+        if with_mis:  # Glass blocks this way, so that all of it is in one medium.
             share = passed(absorption_in(media, scene[0].mesh_instances), light.contribution.distance)
             shadows[0].contributions[i] = wp.cw_mul(shadows[0].contributions[i], share)
             reaching = wp.cw_mul(reaching, share)
@@ -458,7 +458,7 @@ def light_surface(
 
 
 @wp.func
-def add_sent(
+def add_unshadowed_samples(
     i: int,
     number: int,
     visible: wp.vec3,
@@ -474,7 +474,7 @@ def add_sent(
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:
         if light < scene[0].settings[0].light_count:
-            add_sent_light(paths[0].root[i], shadows[0].contributions[i], images)
-    elif number == 0 and shadows[0].sent:
+            add_unshadowed_light(paths[0].root[i], shadows[0].contributions[i], images)
+    elif number == 0 and shadows[0].unshadowed:
         arrived = wp.cw_mul(shadows[0].reaching[i], visible)
-        add_first_light(paths[0].root[i], shadows[0].sent[i], arrived, light, images)
+        add_first_light(paths[0].root[i], shadows[0].unshadowed[i], arrived, light, images)

@@ -26,7 +26,7 @@ ROULETTE_BOUNCE = 3
 ROULETTE_RANGE = (0.05, 0.95)
 """Probability with which they go on: their largest throughput, clamped to this."""
 
-LEAVES_RECEIVER: float = wp.constant(-1.0)
+LEAVES_CATCHER: float = wp.constant(-1.0)
 """In place of a density: the ray leaves a shadow-only surface, whose lights all count by their own samples."""
 
 
@@ -38,7 +38,7 @@ class PathData:
     """The ray of the first wave that the path began with."""
     throughput: wp.array[wp.vec3]
     """Factor of what the ray sees in the colour of that ray."""
-    density: wp.array[float]
+    pdf: wp.array[float]
     """With which the direction of the ray was sampled, per steradian; 0: it was the only one; LEAVES_RECEIVER."""
     position: wp.array[wp.vec3]
     """Of the surface where the ray begins, as ``PathVertex``."""
@@ -46,7 +46,7 @@ class PathData:
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
     """Whether all surfaces before were smooth: the path shows what the camera sees in mirrors."""
-    receives: wp.array[wp.bool]
+    for_catcher: wp.array[wp.bool]
     """Whether it brings what a shadow-only surface receives, in place of what its first ray sees."""
     diffuse: wp.array[wp.vec3]
     """Share of what it brings that the first surface has scattered diffusely; without elements in frames without
@@ -61,7 +61,7 @@ class PathSteps:
 
     goes_on: wp.array[int]
     """0: the path ends here, and the other fields are undefined."""
-    places: wp.array[int]
+    next_ends: wp.array[int]
     """Inclusive sum of these: one more than the place of the ray in the next wave."""
     rays: RayData
     """Their origins, directions and widths; its other fields are without elements."""
@@ -84,7 +84,7 @@ class PathStep:
     spread: float
     weight: wp.vec3
     """Factor of the throughput, but for the probability of the branch."""
-    density: float
+    pdf: float
     """With which the direction was sampled, per steradian; 0: it is the only one."""
     diffuse: wp.vec3
     """Share of the weight that is diffuse."""
@@ -123,7 +123,7 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 
 @wp.func
-def scattering_share(j: int, receives_light: bool, wave: wp.array[WaveData]) -> float:
+def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
     """About the share of a ray that interaction ``j`` scatters; above 0 wherever it scatters any.
 
     A shadow-only surface scatters for the paths that find what it receives, if there are such.
@@ -132,7 +132,7 @@ def scattering_share(j: int, receives_light: bool, wave: wp.array[WaveData]) -> 
         return 0.0
     weight = wave[0].interactions.weight[j]
     if wave[0].interactions.shadow_only[j]:
-        return wp.where(receives_light, weight, 0.0)
+        return wp.where(may_find_catcher, weight, 0.0)
     albedo = mean_of(wave[0].interactions.diffuse[j])
     if wave[0].interactions.model[j] != BSDF_SIMPLE and wave[0].interactions.alpha[j] <= 0.0:
         # Smooth: what it mirrors goes another way.
@@ -148,13 +148,13 @@ def scattering_share(j: int, receives_light: bool, wave: wp.array[WaveData]) -> 
 
 
 @wp.func
-def branch_of(i: int, u: float, receives_light: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
+def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
     """By which surface a path goes on, in proportion to what about each reflects.
 
     ``u`` is random, 0..1; ``receives_light``: whether the path finds what a shadow-only surface receives.
     """
     transmittance = wave[0].gaussians.transmittance[i]
-    splats = scattering_share(i, receives_light, wave)
+    splats = scattering_share(i, may_find_catcher, wave)
     mesh = scattering_share(wave[0].rays.is_active.shape[0] + i, False, wave)
     reflected = transmittance * wp.max(bounce.reflected)
     refracted = transmittance * wp.max(bounce.refracted)
@@ -212,16 +212,16 @@ def scattered_step(
     """
     step = PathStep()
     sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
-    if not (sampled.density > 0.0 and arrives(interaction, sampled.direction)):
+    if not (sampled.pdf > 0.0 and arrives(interaction, sampled.direction)):
         return step
     j = branch.kind * wave[0].rays.is_active.shape[0] + i
     step.direction = sampled.direction
     step.media = scattered_media(i, branch.kind == BRANCH_MESH, sampled.direction, interaction.normal, scene, wave)
     step.weight = interaction.weight * sampled.weight
-    step.density = sampled.density
+    step.pdf = sampled.pdf
     if interaction.shadow_only:
         step.weight = wp.vec3(PI)  # irradiance over radiance
-        step.density = LEAVES_RECEIVER
+        step.pdf = LEAVES_CATCHER
     if splits:
         step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.t_min = wave[0].interactions.spawn_t_min[j]

@@ -129,7 +129,7 @@ def unit_from_texels(atlas: Atlas, x: float, y: float) -> wp.vec2:
 @wp.func
 def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
     """The place of a direction, of any length, in the atlas of a point light; its distance is 0."""
-    place = AtlasPoint()
+    position = AtlasPoint()
     if atlas.layout == OCTAHEDRAL:
         at = texels_from_unit(atlas, octahedral_from_direction(direction))
     else:
@@ -139,12 +139,12 @@ def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
             axis = 1
         if size[2] > size[axis]:
             axis = 2
-        place.face = wp.where(direction[axis] < 0.0, axis + 3, axis)
+        position.face = wp.where(direction[axis] < 0.0, axis + 3, axis)
         along = wp.vec2(direction[(axis + 1) % 3], direction[(axis + 2) % 3]) / size[axis]
         at = texels_from_unit(atlas, along)
-    place.x = at[0]
-    place.y = at[1]
-    return place
+    position.x = at[0]
+    position.y = at[1]
+    return position
 
 
 @wp.func
@@ -153,17 +153,17 @@ def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
     offset = point - atlas.origin
     if atlas.layout == PARALLEL:
         local = wp.transpose(atlas.axes) * offset
-        place = AtlasPoint()
-        place.x = local[0] / atlas.texel_length - 0.5
-        place.y = local[1] / atlas.texel_length - 0.5
-        place.distance = local[2]
-        return place
+        position = AtlasPoint()
+        position.x = local[0] / atlas.texel_length - 0.5
+        position.y = local[1] / atlas.texel_length - 0.5
+        position.distance = local[2]
+        return position
     distance = wp.length(offset)
     if distance == 0.0:
         offset = wp.vec3(0.0, 0.0, 1.0)
-    place = atlas_from_direction(atlas, offset)
-    place.distance = distance
-    return place
+    position = atlas_from_direction(atlas, offset)
+    position.distance = distance
+    return position
 
 
 @wp.func
@@ -204,10 +204,10 @@ def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
                 x = size - 1 - x
         else:
             beyond = direction_from_cube(face, unit_from_texels(atlas, float(x), float(y)))
-            place = atlas_from_direction(atlas, beyond)
-            face = place.face
-            x = wp.clamp(int(wp.floor(place.x + 0.5)), 0, size - 1)
-            y = wp.clamp(int(wp.floor(place.y + 0.5)), 0, size - 1)
+            position = atlas_from_direction(atlas, beyond)
+            face = position.face
+            x = wp.clamp(int(wp.floor(position.x + 0.5)), 0, size - 1)
+            y = wp.clamp(int(wp.floor(position.y + 0.5)), 0, size - 1)
     tiles = size // TILE
     return ((face * tiles + y // TILE) * tiles + x // TILE) * TILE_TEXELS + (y % TILE) * TILE + x % TILE
 

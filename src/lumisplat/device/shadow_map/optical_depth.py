@@ -253,19 +253,19 @@ def loss_at(atlas: Atlas, table: Table, point: wp.vec3) -> float:
 
     The loss is interpolated, not the transmittance: an unblocked receiver gets exactly 0, however weights are rounded.
     """
-    place = atlas_from_world(atlas, point)
-    at = bin_below(atlas, place.distance)
+    position = atlas_from_world(atlas, point)
+    at = bin_below(atlas, position.distance)
     number = int(wp.floor(at))
-    left = wp.floor(place.x)
-    top = wp.floor(place.y)
+    left = wp.floor(position.x)
+    top = wp.floor(position.y)
     loss = float(0.0)
     for corner in range(4):
         x = corner % 2
         y = corner // 2
-        column = column_number(table, texel_number(atlas, place.face, int(left) + x, int(top) + y))
+        column = column_number(table, texel_number(atlas, position.face, int(left) + x, int(top) + y))
         near = loss_in(table, column, number)
         far = loss_in(table, column, wp.min(number + 1, atlas.bins - 1))
-        across = wp.where(x == 1, place.x - left, 1.0 - (place.x - left))
-        down = wp.where(y == 1, place.y - top, 1.0 - (place.y - top))
+        across = wp.where(x == 1, position.x - left, 1.0 - (position.x - left))
+        down = wp.where(y == 1, position.y - top, 1.0 - (position.y - top))
         loss += across * down * wp.lerp(near, far, at - float(number))
     return loss

@@ -45,7 +45,7 @@ class Footprint(NamedTuple):
     """Struct of the rasteriser's settings: at least ``transmittance_min`` and ``depth_iso_transmittance``."""
     splat: Any
     """Struct of a Gaussian: at least ``depth``, ``color``, ``normal`` and ``index``."""
-    surroundings: Any
+    pixel_limits: Any
     """Struct of what ends it at each pixel: meshes, or rays."""
     at: Any
     """Struct of a splat at a pixel: at least its ``alpha`` and the logarithm of that."""
@@ -67,15 +67,15 @@ class Footprint(NamedTuple):
     # Single pixels: the schedules of CUDA.
     pixel: Any
     """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite before a mesh."""
-    look: Any
+    pixel_at: Any
     """``(view, surroundings, x, y) -> pixel``."""
     covers: Any
     """``(splat, pixel) -> bool``: whether a splat may be visible at a pixel, a quick test."""
-    meet: Any
+    evaluate: Any
     """``(splat, pixel) -> at``: a splat at a pixel; ``alpha`` is not filled in."""
     item: Any
     """Struct of what a block keeps of a splat in the memory that it shares; one field is ``index``."""
-    take: Any
+    fetch: Any
     """``(splats, index, item)``: fills in an item."""
     splat_of: Any
     """``(splats, item) -> splat``."""
@@ -146,7 +146,7 @@ def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileF
 
 def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
     """Returns the function that shows a visitor the splats of a tile."""
-    Settings, Splat, Surroundings, Tile = footprint.settings, footprint.splat, footprint.surroundings, footprint.tile
+    Settings, Splat, PixelLimits, Tile = footprint.settings, footprint.splat, footprint.pixel_limits, footprint.tile
     Pixels, Sums, Arrays, IS_SORTED = visitor.pixels, visitor.sums, visitor.arrays, visitor.is_sorted
     begin_limit, rows_of, row_of = footprint.begin_pixel, footprint.rows_of, footprint.row_of
     touches_strip, at_pixel = footprint.touches_strip, footprint.at_pixel
@@ -173,7 +173,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
         splats: wp.array[Splat],
         tile_starts: wp.array[int],
         tile_splats: wp.array[int],
-        surroundings: Surroundings,
+        pixel_limits: PixelLimits,
         arrays: Arrays,
     ):
         corner = tile_corner(view, tile)
@@ -186,7 +186,7 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
         pixels.transmittance = TileFloats(-1.0)  # pixels outside the window count as finished
         for y in range(rows):
             for x in range(columns):
-                limit = begin_limit(limits, y * TILE + x, view, surroundings, left + x, top + y)
+                limit = begin_limit(limits, y * TILE + x, view, pixel_limits, left + x, top + y)
                 if limit > 0.0:
                     set_at(pixels.transmittance, y * TILE + x, 1.0)
                     begin_pixel(pixels, y * TILE + x, view, left + x, top + y, limit, arrays)
@@ -253,13 +253,13 @@ class PixelVisitor(NamedTuple):
 def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
     """Returns the function that shows a visitor the splats of a tile at a pixel."""
     Settings, SplatType, Pixel = footprint.settings, footprint.splat, footprint.pixel
-    covers, meet = footprint.covers, footprint.meet
+    covers, evaluate = footprint.covers, footprint.evaluate
     State, Arrays, wants, visit, ENDS_BY_DEPTH = visitor
 
     @wp.func
     def walk(
         tile: int,
-        seen: Pixel,
+        pixel: Pixel,
         settings: Settings,
         splats: wp.array[SplatType],
         tile_starts: wp.array[int],
@@ -272,10 +272,10 @@ def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
         while j < end and state.transmittance > 0.0:
             splat = splats[tile_splats[j]]
             j += 1
-            if ENDS_BY_DEPTH and splat.depth >= seen.limit_z:
+            if ENDS_BY_DEPTH and splat.depth >= pixel.limit_z:
                 break
-            if wants(state, splat) and covers(splat, seen):
-                log_alpha = meet(splat, seen).log_alpha
+            if wants(state, splat) and covers(splat, pixel):
+                log_alpha = evaluate(splat, pixel).log_alpha
                 if log_alpha >= LOG_ALPHA_MIN:
                     visit(state, splat, log_alpha, settings, arrays)
 
@@ -294,9 +294,9 @@ WARP_OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "bl
 
 def backward_walk(footprint: Footprint) -> Any:
     """Returns the function that writes the records of a tile's splats, which all threads of a block call."""
-    Settings, SplatType, Surroundings = footprint.settings, footprint.splat, footprint.surroundings
-    Item, take, splat_of = footprint.item, footprint.take, footprint.splat_of
-    look, covers, meet = footprint.look, footprint.covers, footprint.meet
+    Settings, SplatType, PixelLimits = footprint.settings, footprint.splat, footprint.pixel_limits
+    Item, fetch, splat_of = footprint.item, footprint.fetch, footprint.splat_of
+    pixel_at, covers, evaluate = footprint.pixel_at, footprint.covers, footprint.evaluate
     Sums, part_of, gradient_of, Gradient = footprint.sums, footprint.part_of, footprint.gradient_of, footprint.gradient
     Arrays = backward_arrays(footprint)
     add_up, sum_of = warp_sums(Sums, TILE_WARPS, TILE_THREADS)
@@ -310,7 +310,7 @@ def backward_walk(footprint: Footprint) -> Any:
         splats: wp.array[SplatType],
         tile_starts: wp.array[int],
         tile_splats: wp.array[int],
-        surroundings: Surroundings,
+        pixel_limits: PixelLimits,
         arrays: Arrays,
     ):
         tile_x = tile % view.tiles_x
@@ -328,15 +328,15 @@ def backward_walk(footprint: Footprint) -> Any:
         for k in range(ROWS):
             y = top + k * STRIDE
             if x < view.width and y < view.height:
-                seen = look(view, surroundings, x, y)
-                limit_z[k] = seen.limit_z
-                if seen.limit_z > 0.0:
-                    pixel = y * view.width + x
+                pixel = pixel_at(view, pixel_limits, x, y)
+                limit_z[k] = pixel.limit_z
+                if pixel.limit_z > 0.0:
+                    i = y * view.width + x
                     transmittance[k] = 1.0
-                    red[k] = arrays.gradient.color[pixel][0]
-                    green[k] = arrays.gradient.color[pixel][1]
-                    blue[k] = arrays.gradient.color[pixel][2]
-                    behind[k] = behind_pixel(arrays.pixels, arrays.gradient, pixel, seen.limit)
+                    red[k] = arrays.gradient.color[i][0]
+                    green[k] = arrays.gradient.color[i][1]
+                    blue[k] = arrays.gradient.color[i][2]
+                    behind[k] = behind_pixel(arrays.pixels, arrays.gradient, i, pixel.limit)
 
         batch = wp.tile_empty(shape=TILE_THREADS, dtype=Item, storage="shared")
         begin = int(tile_starts[tile])
@@ -344,18 +344,18 @@ def backward_walk(footprint: Footprint) -> Any:
         unfinished = int(1)
         while begin < end and unfinished > 0:
             count = wp.min(end - begin, THREADS)
-            own = Item()
+            fetched = Item()
             if thread < count:
-                take(splats, tile_splats[begin + thread], own)
-            wp.tile_scatter_masked(batch, thread, own, thread < count)
+                fetch(splats, tile_splats[begin + thread], fetched)
+            wp.tile_scatter_masked(batch, thread, fetched, thread < count)
             for j in range(count):
                 splat = splat_of(splats, batch[j])
                 part = Sums(0.0)
                 has_part = bool(False)
                 for k in range(ROWS):
-                    seen = look(view, surroundings, x, top + k * STRIDE)
-                    if transmittance[k] > 0.0 and splat.depth < limit_z[k] and covers(splat, seen):
-                        at = meet(splat, seen)
+                    pixel = pixel_at(view, pixel_limits, x, top + k * STRIDE)
+                    if transmittance[k] > 0.0 and splat.depth < limit_z[k] and covers(splat, pixel):
+                        at = evaluate(splat, pixel)
                         if at.log_alpha >= LOG_ALPHA_MIN:
                             alpha = alpha_from_log(at.log_alpha)
                             weight = transmittance[k] * alpha
@@ -373,9 +373,9 @@ def backward_walk(footprint: Footprint) -> Any:
                 add_up(j, part, has_part)
             unfinished = wp.tile_sum(wp.tile(wp.where(wp.max(transmittance) > 0.0, 1, 0)))[0]
             if thread < count:
-                rect = arrays.rects[own.index]
-                record = gradient_of(splat_of(splats, own), sum_of(thread))
-                arrays.pairs_out[pair_slot(rect, arrays.pair_starts[own.index], tile_x, tile_y)] = record
+                rect = arrays.rects[fetched.index]
+                record = gradient_of(splat_of(splats, fetched), sum_of(thread))
+                arrays.pairs_out[pair_slot(rect, arrays.pair_starts[fetched.index], tile_x, tile_y)] = record
             begin += THREADS
         # What lies behind pixels that are all opaque has no part in them.
         for k in range(begin + thread, end, THREADS):

@@ -140,34 +140,34 @@ class EllipsePixel:
 
 
 @wp.func
-def look(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePixel:
+def pixel_at(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePixel:
     """A pixel of the picture."""
-    seen = EllipsePixel()
-    seen.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
-    seen.limit_z = meshes.depth_z[image_index(view, x, y)]
-    seen.limit = seen.limit_z
-    return seen
+    pixel = EllipsePixel()
+    pixel.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
+    pixel.limit_z = meshes.depth_z[image_index(view, x, y)]
+    pixel.limit = pixel.limit_z
+    return pixel
 
 
 @wp.func
-def covers(splat: Splat, seen: EllipsePixel) -> bool:
+def covers(splat: Splat, pixel: EllipsePixel) -> bool:
     """There is no test that is quicker than ``meet``."""
     return True
 
 
 @wp.func
-def meet(splat: Splat, seen: EllipsePixel) -> EllipseAt:
+def evaluate(splat: Splat, pixel: EllipsePixel) -> EllipseAt:
     """A splat at a pixel, whatever is around it; ``alpha`` is left to who needs it."""
     at = EllipseAt()
-    at.dy = seen.center[1] - splat.center[1]
-    at.dx = seen.center[0] - splat.center[0] - splat.shear * at.dy
+    at.dy = pixel.center[1] - splat.center[1]
+    at.dx = pixel.center[0] - splat.center[0] - splat.shear * at.dy
     at.log_alpha = splat.log_opacity - splat.across * at.dy * at.dy - splat.along * at.dx * at.dx
     return at
 
 
 @wp.func
 def first_touching(
-    splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, seen: EllipsePixel, is_marked: bool
+    splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, pixel: EllipsePixel, is_marked: bool
 ) -> int:
     """The first splat of a sorted list that shows at a pixel; -1: none does.
 
@@ -176,8 +176,8 @@ def first_touching(
     for j in range(begin, end):
         index = tile_splats[j]
         splat = splats[index]
-        if splat.depth < seen.limit_z and (not is_marked or splat.normal[0] > 0.0):
-            if meet(splat, seen).log_alpha >= LOG_ALPHA_MIN:
+        if splat.depth < pixel.limit_z and (not is_marked or splat.normal[0] > 0.0):
+            if evaluate(splat, pixel).log_alpha >= LOG_ALPHA_MIN:
                 return index
     return -1
 
@@ -243,7 +243,7 @@ def gradient_of(splat: Splat, sums: PairFloats) -> SplatGradient:
 
 
 @wp.func
-def take(splats: wp.array[Splat], index: int, item: wp.ref[Splat]):
+def fetch(splats: wp.array[Splat], index: int, item: wp.ref[Splat]):
     """Fetches a splat for the memory that a block shares."""
     load_splat(splats, index, item)
 
@@ -257,7 +257,7 @@ def splat_of(splats: wp.array[Splat], item: Splat) -> Splat:
 ELLIPSE = Footprint(
     settings=RasterData,
     splat=Splat,
-    surroundings=MeshPixels,
+    pixel_limits=MeshPixels,
     tile=EllipseTile,
     begin_pixel=begin_pixel,
     rows_of=rows_of,
@@ -266,11 +266,11 @@ ELLIPSE = Footprint(
     at_pixel=at_pixel,
     at=EllipseAt,
     pixel=EllipsePixel,
-    look=look,
+    pixel_at=pixel_at,
     covers=covers,
-    meet=meet,
+    evaluate=evaluate,
     item=Splat,
-    take=take,
+    fetch=fetch,
     splat_of=splat_of,
     sums=PairFloats,
     part_of=part_of,

@@ -112,7 +112,7 @@ def shown_color(
     sh_degree: int, instance: SplatInstanceData, gaussians: GaussianData, i: int, to_eye: wp.vec3
 ) -> wp.vec3:
     """Display-referred colour of Gaussian ``i`` of an instance; ``to_eye`` from its mean, object space."""
-    if instance.own_colors != 0:
+    if instance.shows_albedo != 0:
         return gaussians.albedo[i]
     stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
     degree = wp.min(wp.min(sh_degree, instance.sh_degree), stored)
@@ -124,7 +124,7 @@ def shown_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, rotation: wp.mat33, to_eye: wp.vec3
 ) -> wp.vec3:
     """Unit normal of Gaussian ``i`` of an instance, world space: its own, or that of its max-density plane."""
-    if instance.own_normals != 0:
+    if instance.stored_normals != 0:
         return instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
     return instance.world_from_object * gaussian_normal(rotation, gaussians.scales[i], to_eye)
 

@@ -7,7 +7,7 @@ import math
 
 import warp as wp
 
-from lumisplat.device.camera.camera import FISHEYE, row_time, seen_point, turned
+from lumisplat.device.camera.camera import FISHEYE, pixel_at_row_time, rotated, row_time
 from lumisplat.device.structs import struct
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelBox
@@ -110,13 +110,13 @@ def projected_moments(camera: CameraData, field: float, gaussian: WorldGaussian)
     """Mean and covariance of a Gaussian in the image: exact where the camera sees lines as lines, evenly divided."""
     points = OuterPoints()
     moments = ImageMoments()
-    first = seen_point(camera, field, gaussian.point)
+    first = pixel_at_row_time(camera, field, gaussian.point)
     moments.error = first[2]
     outer = wp.vec2(0.0, 0.0)
     for k in range(3):
         axis = SPREAD * gaussian.scale[k] * wp.vec3(gaussian.axes[0, k], gaussian.axes[1, k], gaussian.axes[2, k])
         for side in range(2):
-            at = seen_point(camera, field, gaussian.point + (1.0 - 2.0 * float(side)) * axis)
+            at = pixel_at_row_time(camera, field, gaussian.point + (1.0 - 2.0 * float(side)) * axis)
             # Sums are of offsets from the first point, which do not cancel.
             points[2 * k + side, 0] = at[0] - first[0]
             points[2 * k + side, 1] = at[1] - first[1]
@@ -253,7 +253,7 @@ def outline_bounds(
         angle = float(k) * STEP
         touching = middle + radius * (wp.cos(angle) * right + wp.sin(angle) * down)
         offset = gaussian.axes * wp.cw_mul(gaussian.scale, touching)
-        found = seen_point(camera, field, gaussian.point + offset)
+        found = pixel_at_row_time(camera, field, gaussian.point + offset)
         at = wp.vec2(found[0], found[1])
         behind = wp.dot(gaussian.point + offset - time * camera.motion, backward)
         if k > 0 and wp.min(behind, behind_before) > 0.0:
@@ -279,11 +279,13 @@ def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, r
     """Bounds of the pixels whose rays come within ``reach`` of a Gaussian; pixels are where their samples are."""
     time = float(0.0)
     if camera.shutter != 0:
-        time = row_time(camera, seen_point(camera, field, gaussian.point)[1])
+        time = row_time(camera, pixel_at_row_time(camera, field, gaussian.point)[1])
     point = gaussian.point - time * camera.motion
-    backward = turned(camera.world_from_camera * wp.vec3(0.0, 0.0, -1.0), camera.turn_axis, time * camera.turn_angle)
+    backward = rotated(
+        camera.world_from_camera * wp.vec3(0.0, 0.0, -1.0), camera.rotation_axis, time * camera.rotation_angle
+    )
     room = leeway(camera, point, backward)
-    wander = wp.abs(camera.turn_angle) * wp.length(point) + wp.length(camera.motion)
+    wander = wp.abs(camera.rotation_angle) * wp.length(point) + wp.length(camera.motion)
     if camera.shutter != 0 and camera.model == FISHEYE and reach * wp.max(gaussian.scale) + wander >= room:
         return everywhere()  # the direction against the axis may come across it
     if reach * wp.max(gaussian.scale) <= SINE_MAX * room:

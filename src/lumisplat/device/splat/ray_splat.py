@@ -5,7 +5,7 @@ The equations are in docs/method/unscented.md.
 
 import warp as wp
 
-from lumisplat.device.camera.camera import FISHEYE, row_time, seen_point, turned, view_at
+from lumisplat.device.camera.camera import FISHEYE, pixel_at_row_time, rotated, row_time, view_at
 from lumisplat.device.camera.pixels import STRIP, TILE, TileFloats, float_at, ray_index, set_at
 from lumisplat.device.splat.compositor import Footprint
 from lumisplat.device.splat.projection import (
@@ -41,28 +41,28 @@ def pixel_variance(camera: CameraData, view: wp.vec3) -> float:
 
 
 @wp.func
-def seen_gaussian(
+def widened_gaussian(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int, time: float
 ) -> WorldGaussian:
     """Gaussian ``i`` of an instance, widened as a pixel that sees its mean at that time is wide."""
-    seen = WorldGaussian()
-    seen.point = instance.scale * (instance.world_from_object * (gaussians.means[i] - instance.eye))
-    seen.axes = instance.world_from_object * wp.quat_to_matrix(gaussians.rotations[i])
-    seen.scale = instance.scale * gaussians.scales[i]
+    gaussian = WorldGaussian()
+    gaussian.point = instance.scale * (instance.world_from_object * (gaussians.means[i] - instance.eye))
+    gaussian.axes = instance.world_from_object * wp.quat_to_matrix(gaussians.rotations[i])
+    gaussian.scale = instance.scale * gaussians.scales[i]
     if instance.antialiased == 0:
-        variance = dilation * pixel_variance(camera, view_at(camera, seen.point, time))
+        variance = dilation * pixel_variance(camera, view_at(camera, gaussian.point, time))
         for k in range(3):
-            seen.scale[k] = wp.sqrt(seen.scale[k] * seen.scale[k] + variance)
-    return seen
+            gaussian.scale[k] = wp.sqrt(gaussian.scale[k] * gaussian.scale[k] + variance)
+    return gaussian
 
 
 @wp.func
-def seen_time(camera: CameraData, field: float, instance: SplatInstanceData, mean: wp.vec3) -> float:
+def exposure_time(camera: CameraData, field: float, instance: SplatInstanceData, mean: wp.vec3) -> float:
     """When the row that sees a mean is exposed, as a share of the shutter's time."""
     if camera.shutter == 0:
         return 0.0
     point = instance.scale * (instance.world_from_object * (mean - instance.eye))
-    return row_time(camera, seen_point(camera, field, point)[1])
+    return row_time(camera, pixel_at_row_time(camera, field, point)[1])
 
 
 @wp.func
@@ -74,11 +74,11 @@ def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.v
 
 
 @wp.func
-def is_too_near(camera: CameraData, seen: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
+def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
     """Whether all of a Gaussian is nearer than the near plane, or behind the eye; ``axes`` in camera space, columns."""
     if camera.model == FISHEYE:
-        return wp.length(view) + reach * wp.max(seen.scale) <= camera.near
-    return view[2] + reach * wp.length(wp.cw_mul(axes[2], seen.scale)) <= camera.near
+        return wp.length(view) + reach * wp.max(gaussian.scale) <= camera.near
+    return view[2] + reach * wp.length(wp.cw_mul(axes[2], gaussian.scale)) <= camera.near
 
 
 @wp.func
@@ -92,22 +92,22 @@ def ray_splat(
     if not opacity >= OPACITY_MIN:
         return splat
     mean = gaussians.means[i]
-    time = seen_time(camera, raster.field, instance, mean)
-    seen = seen_gaussian(camera, raster.dilation, instance, gaussians, i, time)
+    time = exposure_time(camera, raster.field, instance, mean)
+    gaussian = widened_gaussian(camera, raster.dilation, instance, gaussians, i, time)
     splat.log_opacity = wp.log(opacity)
     reach = wp.sqrt(wp.max(2.0 * (splat.log_opacity - LOG_ALPHA_MIN), 0.0))
-    view = view_at(camera, seen.point, time)
+    view = view_at(camera, gaussian.point, time)
     if camera.shutter == 0:
-        if is_too_near(camera, seen, view, wp.transpose(camera.world_from_camera) * seen.axes, reach):
+        if is_too_near(camera, gaussian, view, wp.transpose(camera.world_from_camera) * gaussian.axes, reach):
             return splat
-    splat.box = pixel_box(camera, gaussian_bounds(camera, raster.field, seen, reach))
+    splat.box = pixel_box(camera, gaussian_bounds(camera, raster.field, gaussian, reach))
     if splat.box.x0 >= splat.box.x1:
         return splat
 
-    splat.canonical_from_world = wp.transpose(seen.axes)
+    splat.canonical_from_world = wp.transpose(gaussian.axes)
     for k in range(3):
-        splat.canonical_from_world[k] = splat.canonical_from_world[k] / seen.scale[k]
-    splat.eye = -canonical(seen, seen.point)
+        splat.canonical_from_world[k] = splat.canonical_from_world[k] / gaussian.scale[k]
+    splat.eye = -canonical(gaussian, gaussian.point)
     depth = view[2]
     if camera.model == FISHEYE:
         depth = wp.length(view)
@@ -190,19 +190,19 @@ class RayAt:
 
 
 @wp.func
-def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, seen: PixelRays, x: int, y: int) -> float:
+def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> float:
     """Takes the ray of a pixel, and returns where it ends; 0: there is none."""
     ray = ray_index(view, x, y)
-    if not seen.rays.is_active[ray]:
+    if not pixel_rays.rays.is_active[ray]:
         return 0.0
-    direction = seen.rays.direction[ray]
+    direction = pixel_rays.rays.direction[ray]
     set_at(tile.limit_z, i, wp.inf)
     set_at(tile.x, i, direction[0])
     set_at(tile.y, i, direction[1])
     set_at(tile.z, i, direction[2])
-    set_at(tile.t_min, i, seen.rays.t_min[ray])
-    set_at(tile.t_max, i, seen.limits[ray])
-    return seen.limits[ray]
+    set_at(tile.t_min, i, pixel_rays.rays.t_min[ray])
+    set_at(tile.t_max, i, pixel_rays.limits[ray])
+    return pixel_rays.limits[ray]
 
 
 @wp.func
@@ -217,7 +217,7 @@ def row_of(splat: RaySplat, view: CameraData, left: int, top: int, y: int) -> Ra
     row = RayRow()
     row.eye = splat.eye
     if view.shutter != 0:
-        row.eye = eye_of_row(splat, view.motion, (float(top + y) + 0.5) / float(view.picture_height))
+        row.eye = eye_of_row(splat, view.motion, (float(top + y) + 0.5) / float(view.full_height))
     row.left = splat.box.x0 - left
     row.right = splat.box.x1 - left
     return row
@@ -278,45 +278,45 @@ class RayPixel:
 
 
 @wp.func
-def look(view: CameraData, around: PixelRays, x: int, y: int) -> RayPixel:
+def pixel_at(view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> RayPixel:
     """The ray of a pixel of the picture."""
     ray = ray_index(view, x, y)
-    seen = RayPixel()
-    seen.x = x
-    seen.y = y
-    seen.limit_z = wp.where(around.rays.is_active[ray], wp.inf, 0.0)
-    seen.motion = view.motion
+    pixel = RayPixel()
+    pixel.x = x
+    pixel.y = y
+    pixel.limit_z = wp.where(pixel_rays.rays.is_active[ray], wp.inf, 0.0)
+    pixel.motion = view.motion
     if view.shutter != 0:
-        seen.time = (float(y) + 0.5) / float(view.picture_height)
-    seen.direction = around.rays.direction[ray]
-    seen.t_min = around.rays.t_min[ray]
-    seen.limit = around.limits[ray]
-    return seen
+        pixel.time = (float(y) + 0.5) / float(view.full_height)
+    pixel.direction = pixel_rays.rays.direction[ray]
+    pixel.t_min = pixel_rays.rays.t_min[ray]
+    pixel.limit = pixel_rays.limits[ray]
+    return pixel
 
 
 @wp.func
-def covers(splat: RaySplat, seen: RayPixel) -> bool:
+def covers(splat: RaySplat, pixel: RayPixel) -> bool:
     """Whether a pixel is in a splat's box."""
     box = splat.box
-    return seen.x >= box.x0 and seen.x < box.x1 and seen.y >= box.y0 and seen.y < box.y1
+    return pixel.x >= box.x0 and pixel.x < box.x1 and pixel.y >= box.y0 and pixel.y < box.y1
 
 
 @wp.func
-def meet(splat: RaySplat, seen: RayPixel) -> RayAt:
+def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
     """A splat as the ray of a pixel in its box meets it; ``alpha`` is left to who needs it.
 
     The logarithm of the largest alpha along the ray is -inf unless that is between the ray's ends.
     """
     eye = splat.eye
-    if seen.time > 0.0:
-        eye = eye_of_row(splat, seen.motion, seen.time)
+    if pixel.time > 0.0:
+        eye = eye_of_row(splat, pixel.motion, pixel.time)
     at = RayAt()
-    at.along = splat.canonical_from_world * seen.direction
+    at.along = splat.canonical_from_world * pixel.direction
     at.across = wp.cross(eye, at.along)  # eye + t along would cancel for thin Gaussians
     at.length2 = wp.length_sq(at.along)
     peak = -wp.dot(eye, at.along)
     log_alpha = splat.log_opacity - 0.5 * wp.length_sq(at.across) / at.length2
-    is_between = peak > seen.t_min * at.length2 and peak < seen.limit * at.length2
+    is_between = peak > pixel.t_min * at.length2 and peak < pixel.limit * at.length2
     at.log_alpha = wp.where(is_between, log_alpha, -wp.inf)
     return at
 
@@ -391,7 +391,7 @@ class RayItem:
 
 
 @wp.func
-def take(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
+def fetch(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
     """Notes a splat for the memory that a block shares, which has no room for all of it."""
     item.index = index
 
@@ -405,7 +405,7 @@ def splat_of(splats: wp.array[RaySplat], item: RayItem) -> RaySplat:
 ALONG_RAYS = Footprint(
     settings=RayRasterData,
     splat=RaySplat,
-    surroundings=PixelRays,
+    pixel_limits=PixelRays,
     tile=RayTile,
     begin_pixel=begin_pixel,
     rows_of=rows_of,
@@ -414,11 +414,11 @@ ALONG_RAYS = Footprint(
     at_pixel=at_pixel,
     at=RayAt,
     pixel=RayPixel,
-    look=look,
+    pixel_at=pixel_at,
     covers=covers,
-    meet=meet,
+    evaluate=evaluate,
     item=RayItem,
-    take=take,
+    fetch=fetch,
     splat_of=splat_of,
     sums=RaySplatFloats,
     part_of=part_of,
@@ -452,15 +452,15 @@ def pixel_variance_gradient(camera: CameraData, view: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def scale_gradient(seen: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
+def scale_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
     """By the standard deviations of the widened Gaussian, each over itself: half of it is by their squares."""
-    return wp.cw_div(sums.squares, wp.cw_mul(seen.scale, seen.scale))
+    return wp.cw_div(sums.squares, wp.cw_mul(gaussian.scale, gaussian.scale))
 
 
 @wp.func
-def turn_gradient(seen: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
+def turn_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
     """By small turns about the Gaussian's own axes."""
-    s = seen.scale
+    s = gaussian.scale
     return wp.vec3(
         sums.products[0] * (s[1] / s[2] - s[2] / s[1]),
         sums.products[1] * (s[2] / s[0] - s[0] / s[2]),
@@ -470,19 +470,19 @@ def turn_gradient(seen: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
 
 @wp.func
 def mean_gradient(
-    camera: CameraData, variance_per_pixel: float, seen: WorldGaussian, time: float, sums: RaySplatGradient
+    camera: CameraData, variance_per_pixel: float, gaussian: WorldGaussian, time: float, sums: RaySplatGradient
 ) -> wp.vec3:
     """By the mean, world space, by way of where it is and of how wide a pixel is there.
 
     ``variance_per_pixel``: variance by which it is widened, in squared widths of a pixel; ``time``: of the shutter,
     when its mean is seen.
     """
-    by_mean = seen.axes * wp.cw_div(sums.point, seen.scale)
+    by_mean = gaussian.axes * wp.cw_div(sums.point, gaussian.scale)
     if variance_per_pixel > 0.0:
-        per_scale = scale_gradient(seen, sums)
+        per_scale = scale_gradient(gaussian, sums)
         by_variance = 0.5 * variance_per_pixel * (per_scale[0] + per_scale[1] + per_scale[2])
-        slope = camera.world_from_camera * pixel_variance_gradient(camera, view_at(camera, seen.point, time))
+        slope = camera.world_from_camera * pixel_variance_gradient(camera, view_at(camera, gaussian.point, time))
         if camera.shutter != 0:
-            slope = turned(slope, camera.turn_axis, time * camera.turn_angle)
+            slope = rotated(slope, camera.rotation_axis, time * camera.rotation_angle)
         by_mean += by_variance * slope
     return by_mean

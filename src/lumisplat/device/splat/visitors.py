@@ -18,9 +18,9 @@ from lumisplat.device.camera.pixels import (
     add_int_at,
     elements_of,
     float_at,
+    full_image_index,
     int_at,
     pair_slot,
-    picture_index,
     ray_index,
     set_at,
 )
@@ -36,7 +36,7 @@ from lumisplat.device.splat.blending import (
     to_surface,
 )
 from lumisplat.device.splat.compositor import Footprint, PixelVisitor, TileVisitor, backward_arrays
-from lumisplat.device.splat.ellipse import EllipseAt, first_touching, look
+from lumisplat.device.splat.ellipse import EllipseAt, first_touching, pixel_at
 from lumisplat.device.splat.projection import ALPHA_LIMIT, alpha_from_log, visible_alpha
 from lumisplat.device.splat.ray_splat import RayAt
 from lumisplat.device.structs import struct
@@ -173,7 +173,7 @@ def store_ellipses(
     begin = arrays.tile_starts[tile]
     end = arrays.tile_starts[tile + 1]
     if arrays.for_rays and pixel.surface < 0 and pixel.transmittance != 1.0:
-        seen = look(view, arrays.meshes, x, y)
+        seen = pixel_at(view, arrays.meshes, x, y)
         pixel.first = first_touching(arrays.splats, arrays.tile_splats, begin, end, seen, False)
     store_result(
         view,
@@ -300,7 +300,7 @@ def begin_sample(
 ):
     """The mesh is the nearest at first."""
     set_at(pixels.nearest, i, limit)
-    set_word_at(pixels.keys, i, sample_key_of(picture_index(view, x, y), arrays.sample.index, arrays.sample.seed))
+    set_word_at(pixels.keys, i, sample_key_of(full_image_index(view, x, y), arrays.sample.index, arrays.sample.seed))
 
 
 @wp.func

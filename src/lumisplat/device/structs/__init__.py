@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, TypeVar
 import warp as wp
 
 if TYPE_CHECKING:
-    Noun = TypeVar("Noun")
+    Struct = TypeVar("Struct")
 
-    def struct(noun: type[Noun]) -> type[Noun]:
+    def struct(struct_type: type[Struct]) -> type[Struct]:
         """Type checkers see a plain class, which is how host code uses it."""
-        return noun
+        return struct_type
 else:
     struct = wp.struct

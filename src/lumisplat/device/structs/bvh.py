@@ -181,7 +181,7 @@ class TraceData:
     """One of the constants above."""
     hits_per_pass: int
     """Of the stochastic pass."""
-    hits_kept: int
+    hit_buffer_size: int
     """How many of its nearest hits a ray keeps sorted while it traverses the trees."""
     ellipsoid_normal: int
     """1: normals are those of that ellipsoid."""
@@ -248,7 +248,7 @@ class PacketRays:
 
 
 @struct
-class PacketPlace:
+class PacketTree:
     """Which of the trees of a scene a packet traverses."""
 
     number: int

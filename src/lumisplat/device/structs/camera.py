@@ -33,9 +33,9 @@ class CameraData:
     left: int
     """Of the window in the picture, pixels. Coordinates and random numbers are those of the picture."""
     top: int
-    picture_width: int
+    full_width: int
     """Of the whole picture, pixels."""
-    picture_height: int
+    full_height: int
     tiles_x: int
     tiles_y: int
     near: float
@@ -52,9 +52,9 @@ class CameraData:
     """Radius up to which the distortion is one to one, before it is applied."""
     shutter: int
     """1: a rolling shutter, the pose changes from row to row by the next three."""
-    turn_axis: wp.vec3
+    rotation_axis: wp.vec3
     """Axis of the rotation while the rows are exposed, world space, unit."""
-    turn_angle: float
+    rotation_angle: float
     """Its angle at the end of the last row, radians."""
     motion: wp.vec3
     """Translation of the eye until then, world space."""
@@ -73,7 +73,7 @@ class SampleData:
 class ListedRays:
     """The rays of those pixels that a sample is drawn for, in the order of all; without elements: all pixels' rays."""
 
-    place: wp.array[int]
+    ray: wp.array[int]
     """Of the ray among those of all pixels; -1: there is none."""
     sample: wp.array[int]
     """Number of the sample in its pixel."""
@@ -172,13 +172,13 @@ class FilmData:
     """The part of it that is a shadow-only surface's."""
     captured_received: wp.array[wp.vec3]
     """Share of the samples that found the next two."""
-    captured_sent: wp.array[wp.vec3]
+    captured_unshadowed: wp.array[wp.vec3]
     """Irradiance of the surface by lights, as it was captured, a mean in which the other samples count as 0."""
-    captured_arrived: wp.array[wp.vec3]
+    captured_shadowed: wp.array[wp.vec3]
     """The same with all that was added."""
-    captured_own_sent: wp.array[wp.vec3]
+    captured_emitted_unshadowed: wp.array[wp.vec3]
     """Irradiance by the captures around it, as of `RayRadiance.own_sent`."""
-    captured_own_arrived: wp.array[wp.vec3]
+    captured_emitted_shadowed: wp.array[wp.vec3]
     captured_ambient: wp.array[wp.vec3]
     """Ambient irradiance."""
     captured_open: wp.array[wp.vec3]
@@ -194,7 +194,7 @@ class FilmData:
 
 
 @struct
-class PictureData:
+class ToneMapData:
     """How a lit frame becomes a picture."""
 
     straight: int

@@ -74,9 +74,9 @@ class SplatInstanceData:
     """Where rays hit Gaussians: one of HIT_PEAK, HIT_HULL, HIT_MEAN."""
     sh_degree: int
     """Highest that is evaluated."""
-    own_colors: int
+    shows_albedo: int
     """1: Gaussians show their albedo."""
-    own_normals: int
+    stored_normals: int
     """1: normals are those stored in the asset."""
     shadow_only: int
     """1: shadow rays that skip such instances pass through it."""

@@ -106,7 +106,7 @@ class LightSample:
     """inf: infinitely far."""
     irradiance: wp.vec3
     """Unshadowed, of a surface that faces it; an estimate if the sample is random."""
-    density: float
+    pdf: float
     """Probability density of the direction, per steradian; 0 if it is the only one."""
 
 
@@ -157,10 +157,10 @@ class Bsdf:
 class CatcherLight:
     """Irradiance of a shadow catcher in one channel, as `lumisplat.baking.gaussian_views.CatcherLight`."""
 
-    sent: float
+    unshadowed: float
     change: float
-    own_sent: float
-    own_change: float
+    emitted_unshadowed: float
+    emitted_change: float
     ambient: float
     blocked: float
     least: float
@@ -289,7 +289,7 @@ class SplatSurface:
     """Display-referred sRGB, premultiplied by ``weight``; over the background if nothing else is behind."""
     weight: float
     """Share of the ray's colour that was captured."""
-    kept: float
+    captured_share: float
     """Share of the ray of Gaussians that keep their captured colour."""
     albedo: wp.vec3
     """Linear, straight: the own colour of what lights change."""
@@ -401,13 +401,13 @@ class RayRadiance:
     """The part of it that is a shadow-only surface's."""
     received: wp.array[wp.vec3]
     """1 where the next two were found, else 0."""
-    sent: wp.array[wp.vec3]
+    unshadowed: wp.array[wp.vec3]
     """Irradiance of the shadow catcher by lights, as it was captured."""
-    arrived: wp.array[wp.vec3]
+    shadowed: wp.array[wp.vec3]
     """The same with all that was added."""
-    own_sent: wp.array[wp.vec3]
+    emitted_unshadowed: wp.array[wp.vec3]
     """Irradiance of the shadow catcher by the captures around it, as it was captured."""
-    own_arrived: wp.array[wp.vec3]
+    emitted_shadowed: wp.array[wp.vec3]
     """The same with all that was added, and what added surfaces emit."""
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of the shadow catcher, see `catcher_change`."""
@@ -450,7 +450,7 @@ class WaveData:
     waves, and in scenes without media."""
     spawns_lobes: int
     """1: rough surfaces send on a ray within their highlights."""
-    sees_far: wp.array[wp.bool]
+    sees_environment: wp.array[wp.bool]
     """Whether a ray sees the environment and the background; without elements if all do."""
     branches: wp.array[int]
     """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one, and
@@ -460,12 +460,12 @@ class WaveData:
 
 
 @struct
-class Arrivals:
+class CatcherIrradiance:
     """Irradiance of shadow-only surfaces; without elements in frames without them."""
 
-    sent: wp.array[wp.vec3]
+    unshadowed: wp.array[wp.vec3]
     """Unshadowed."""
-    arrived: wp.array[wp.vec3]
+    shadowed: wp.array[wp.vec3]
     """Shadowed."""
     open: wp.array[wp.vec3]
     """Sum over ambient rays of the share that nothing blocks."""
@@ -492,7 +492,7 @@ class LightCrossing:
     t: float
     """Distance; inf: it does not."""
     radiance: wp.vec3
-    density: float
+    pdf: float
     """With which samples of the light have this direction, per steradian."""
 
 

@@ -69,7 +69,7 @@ def list_rays(
     pixel = pixel_of_ray(width, ray)
     number = samples_before(sample, rates[pixel[1] * width + pixel[0]])
     i = ends[ray] - 1
-    listed_out.place[i] = ray
+    listed_out.ray[i] = ray
     listed_out.sample[i] = number
     listed_out.offset[i] = subpixel(wp.where(jitters, number, 0))
 

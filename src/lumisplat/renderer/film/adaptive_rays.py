@@ -74,7 +74,7 @@ class AdaptiveRays:
             run(kernels.mark_rays, count, sample, width, height, self.rates, is_drawn)
             prefix_sum(is_drawn, ends, inclusive=True)
             listed = self._listed(self._launcher.room(ends))
-            device_array(listed.place).fill_(-1)
+            device_array(listed.ray).fill_(-1)
             run(kernels.list_rays, count, sample, jitters, width, self.rates, is_drawn, ends, listed)
         return listed
 

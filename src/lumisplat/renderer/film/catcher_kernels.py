@@ -39,7 +39,7 @@ DEVIATION = wp.constant(wp.float32(math.sqrt(math.pi / 2.0) / 6.0))
 @wp.func
 def stride_of(camera: CameraData) -> int:
     """Returns the distance between the taps of differences, pixels; it scales with the full frame, as Gaussians do."""
-    return wp.max((wp.max(camera.picture_width, camera.picture_height) + STEPS // 2) // STEPS, 2)
+    return wp.max((wp.max(camera.full_width, camera.full_height) + STEPS // 2) // STEPS, 2)
 
 
 @wp.func

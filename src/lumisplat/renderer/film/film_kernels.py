@@ -35,8 +35,8 @@ def pixel_index(ray: int, film: wp.array[FilmData]) -> int:
     if film[0].in_blocks == 0:
         return ray
     frame_ray = ray
-    if film[0].listed.place:
-        frame_ray = film[0].listed.place[ray]
+    if film[0].listed.ray:
+        frame_ray = film[0].listed.ray[ray]
         if frame_ray < 0:
             return -1
     position = pixel_of_ray(film[0].width, frame_ray)

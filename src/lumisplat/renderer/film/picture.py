@@ -7,7 +7,7 @@ import numpy.typing as npt
 import warp as wp
 
 from lumisplat.config import ToneMap
-from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PictureData, PixelData
+from lumisplat.device.structs.camera import TONE_AGX, TONE_NEUTRAL, TONE_NONE, LitPixels, PixelData, ToneMapData
 from lumisplat.frame.frame import ReadPicture
 from lumisplat.math.tone_map import AGX_FROM_REC709, REC709_FROM_REC2020, REC2020_FROM_AGX, exposure_gain
 from lumisplat.renderer.film import picture_kernels
@@ -33,7 +33,7 @@ def encoded_lit_pixels(
     buffers: Buffers,
     pixels: PixelBuffers[PixelData],
     lit: PixelBuffers[LitPixels],
-    display: PictureData,
+    display: ToneMapData,
 ) -> DeviceArray:
     """Encodes a lit frame as ``encoded_pixels``. Bytes equal the host's, except for rounding between two values."""
     picture = _empty_picture(buffers, pixels)
@@ -42,9 +42,9 @@ def encoded_lit_pixels(
     return picture
 
 
-def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> PictureData:
+def picture_data(exposure: float, tone_map: ToneMap, *, transparent: bool) -> ToneMapData:
     """Returns the display transform of a lit frame: exposure, tone map and alpha mode."""
-    data = PictureData()
+    data = ToneMapData()
     data.straight, data.tone_map, data.gain = int(transparent), _TONE_MAPS[tone_map], exposure_gain(exposure)
     data.agx_from_rec709 = wp.mat33(*AGX_FROM_REC709.ravel())
     data.rec2020_from_agx = wp.mat33(*REC2020_FROM_AGX.ravel())

@@ -8,7 +8,7 @@ import warp as wp
 from lumisplat.device.camera.pixels import pixel_of_ray
 from lumisplat.device.film.tone_map import channels_finite, lit_color, packed_rgba, straightened
 from lumisplat.device.math.color import over
-from lumisplat.device.structs.camera import LitPixels, PictureData, PixelData
+from lumisplat.device.structs.camera import LitPixels, PixelData, ToneMapData
 from lumisplat.device.structs.rays import GaussianHits
 
 # No fused multiply-add, as on the host, so that the bytes are equal.
@@ -39,7 +39,7 @@ def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp
 
 @wp.kernel(module=LIT)
 def encode_lit_pixels(
-    start: int, picture: PictureData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
+    start: int, picture: ToneMapData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
 ):
     """Item = pixel: exposes and tone-maps a pixel of a lit frame, and packs it as ``encode_pixels``."""
     i = start + wp.tid()

@@ -12,13 +12,13 @@ from lumisplat.device.splat.compositor import TILE_OPTIONS, WARP_OPTIONS, backwa
 from lumisplat.device.splat.projection import color_dot, open_channels, sh_weights
 from lumisplat.device.splat.ray_splat import (
     ALONG_RAYS,
+    exposure_time,
     eye_at,
     mean_gradient,
     scale_gradient,
-    seen_gaussian,
-    seen_time,
     sum_of_records,
     turn_gradient,
+    widened_gaussian,
 )
 from lumisplat.device.splat.visitors import derivatives
 from lumisplat.device.structs.camera import CameraData, PixelData
@@ -153,8 +153,8 @@ def backward_ray_gaussians(
         if not is_listed(rects[index]):
             continue
         sums = gradients[index]
-        time = seen_time(view, raster.field, instance, gaussians.means[i])
-        seen = seen_gaussian(view, raster.dilation, instance, gaussians, i, time)
+        time = exposure_time(view, raster.field, instance, gaussians.means[i])
+        seen = widened_gaussian(view, raster.dilation, instance, gaussians, i, time)
         widening = wp.where(instance.antialiased == 0, raster.dilation, 0.0)
         by_point = mean_gradient(view, widening, seen, time, sums)
         by_instance_mean = instance.scale * (wp.transpose(instance.world_from_object) * by_point)
@@ -169,7 +169,7 @@ def backward_ray_gaussians(
         world_scale = instance.scale * gaussians.scales[i]
         by_scale += instance.scale * wp.cw_mul(scale_gradient(seen, sums), world_scale)
         by_opacity += sums.log_opacity / gaussians.opacities[i]
-        if instance.own_colors == 0:
+        if instance.shows_albedo == 0:
             stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
             degree = wp.min(wp.min(raster.sh_degree, instance.sh_degree), stored)
             by_color = open_channels(splats[index].color, sums.color)

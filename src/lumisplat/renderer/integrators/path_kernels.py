@@ -18,17 +18,17 @@ from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.path.contributions import (
     PathImages,
     PathShadowRays,
+    add_emitted_light,
+    add_hit_lights,
     add_light,
-    add_own_light,
-    add_sent,
-    add_sent_light,
-    add_shown_lights,
+    add_unshadowed_light,
+    add_unshadowed_samples,
     clear_shadow_ray,
     diffuse_of,
-    far_light,
-    leaves_receiver,
+    emitted_radiance,
+    escaped_radiance,
+    leaves_catcher,
     light_surface,
-    own_light,
     start_along,
 )
 from lumisplat.device.path.steps import (
@@ -66,12 +66,12 @@ def begin_paths(start: int, paths_out: wp.array[PathData]):
     i = start + wp.tid()
     paths_out[0].root[i] = i
     paths_out[0].throughput[i] = wp.vec3(1.0)
-    paths_out[0].density[i] = 0.0
+    paths_out[0].pdf[i] = 0.0
     paths_out[0].position[i] = wp.vec3(0.0)
     paths_out[0].normal[i] = wp.vec3(0.0)
     paths_out[0].importance[i] = 0.0
     paths_out[0].is_specular[i] = True
-    paths_out[0].receives[i] = False
+    paths_out[0].for_catcher[i] = False
     if paths_out[0].media:
         paths_out[0].media[i] = wp.vec4i(0)
 
@@ -81,7 +81,7 @@ def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathDa
     """Item = ray: where it ends, if it leaves a shadow-only surface and is traced without what was added, too."""
     i = start + wp.tid()
     ends_out[i] = -1.0
-    if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
+    if wave[0].rays.is_active[i] and leaves_catcher(i, paths):
         ends_out[i] = wp.inf
 
 
@@ -105,7 +105,7 @@ def start_ambient_rays(
     i = start + wp.tid()
     skips_out[i] = True
     rays_out.is_active[i] = False
-    if wave[0].rays.is_active[i] and leaves_receiver(i, paths):
+    if wave[0].rays.is_active[i] and leaves_catcher(i, paths):
         rays_out.is_active[i] = not is_black(images[0].ambient[paths[0].root[i]])
         start_along(i, i, wp.inf, AMBIENT_BRANCH, wave, rays_out)
 
@@ -147,14 +147,14 @@ def add_captured_light(
         images_inout: Where it is added.
     """
     i = start + wp.tid()
-    if not (wave[0].rays.is_active[i] and leaves_receiver(i, paths)):
+    if not (wave[0].rays.is_active[i] and leaves_catcher(i, paths)):
         return
     throughput = paths[0].throughput[i]
     emitted = scene[0].settings[0].capture_gain * captured_color(captured.color[i], 1.0 - captured.transmittance[i])
-    escaped = captured.transmittance[i] * far_light(i, wave[0].rays.direction[i], no_shadows, paths, scene)
+    escaped = captured.transmittance[i] * escaped_radiance(i, wave[0].rays.direction[i], no_shadows, paths, scene)
     # As ``add_seen_light`` does: where both are the same light, they are the same number.
-    add_own_light(paths[0].root[i], wp.cw_mul(throughput, emitted), images_inout)
-    add_sent_light(paths[0].root[i], wp.cw_mul(throughput, escaped), images_inout)
+    add_emitted_light(paths[0].root[i], wp.cw_mul(throughput, emitted), images_inout)
+    add_unshadowed_light(paths[0].root[i], wp.cw_mul(throughput, escaped), images_inout)
 
 
 @wp.func
@@ -171,7 +171,7 @@ def ray_escaped_radiance(
         return wp.vec3(0.0)
     direction = wave[0].rays.direction[i]
     if number > 0:
-        return far_light(i, direction, no_shadows, paths, scene)
+        return escaped_radiance(i, direction, no_shadows, paths, scene)
     if scene[0].settings[0].camera_sees == SEES_ENVIRONMENT:
         return environment_radiance(scene[0].environment, direction)
     return wp.vec3(0.0)
@@ -220,13 +220,15 @@ def add_hit_radiance(
         emitted = wave_inout[0].radiance.light[i] - escaped
         wave_inout[0].radiance.light[i] = wp.vec3(0.0)
     else:
-        emitted = own_light(i, no_shadows, paths, scene, wave_inout)
+        emitted = emitted_radiance(i, no_shadows, paths, scene, wave_inout)
     throughput = wp.cw_mul(paths[0].throughput[i], passed_by_ray(i, scene, wave_inout))
     diffuse = diffuse_of(i, number, paths)
-    root, receives = paths[0].root[i], paths[0].receives[i]
-    add_light(root, receives, wp.cw_mul(throughput, emitted), number, lights, lights, diffuse, images_inout)
-    add_light(root, receives, wp.cw_mul(throughput, escaped), number, environment_index, lights, diffuse, images_inout)
-    add_shown_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
+    root, for_catcher = paths[0].root[i], paths[0].for_catcher[i]
+    add_light(root, for_catcher, wp.cw_mul(throughput, emitted), number, lights, lights, diffuse, images_inout)
+    add_light(
+        root, for_catcher, wp.cw_mul(throughput, escaped), number, environment_index, lights, diffuse, images_inout
+    )
+    add_hit_lights(i, number, no_shadows, scene, wave_inout, paths, shadows_out, images_inout)
 
 
 @wp.func
@@ -239,7 +241,7 @@ def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveDa
     steps[0].rays.normal[i] = step.layer_normal
     steps[0].rays.path_length[i] = step.path_length
     steps[0].rays.spread[i] = step.spread
-    steps[0].paths.density[i] = step.density
+    steps[0].paths.pdf[i] = step.pdf
     steps[0].paths.position[i] = vertex.position
     steps[0].paths.normal[i] = vertex.normal
     steps[0].paths.importance[i] = vertex.importance
@@ -280,23 +282,23 @@ def continue_paths(
         return
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
-    receives_light = bool(False)  # only where the camera sees it
-    if images_inout[0].sent:
-        receives_light = number == 0
+    may_find_catcher = bool(False)  # only where the camera sees it
+    if images_inout[0].unshadowed:
+        may_find_catcher = number == 0
     bounce = bounce_at(i, scene, wave)
     u_surface = sobol_2d(branch_key(key, SURFACE_BRANCH), sample)
-    branch = branch_of(i, u_surface[0], receives_light, bounce, wave)
+    branch = branch_of(i, u_surface[0], may_find_catcher, bounce, wave)
     if branch.kind == BRANCH_NONE:
         return
 
     factor = wp.cw_mul(paths[0].throughput[i], passed_by_ray(i, scene, wave)) / branch.probability
     vertex = PathVertex()
     step = PathStep()
-    receives = paths[0].receives[i]
+    for_catcher = paths[0].for_catcher[i]
     if is_scattering(branch):
         interaction = scattering_interaction(i, branch, wave)
         if interaction.shadow_only:
-            receives = True
+            for_catcher = True
             factor = wp.vec3(1.0)
             images_inout[0].received[paths[0].root[i]] = wp.vec3(1.0)
             images_inout[0].ambient[paths[0].root[i]] = catcher_ambient(i, scene, wave)
@@ -316,7 +318,7 @@ def continue_paths(
     store_step(i, step, vertex, wave, steps_out)
     steps_out[0].paths.throughput[i] = throughput / chance
     steps_out[0].paths.is_specular[i] = paths[0].is_specular[i] and not is_scattering(branch)
-    steps_out[0].paths.receives[i] = receives
+    steps_out[0].paths.for_catcher[i] = for_catcher
     if steps_out[0].paths.diffuse and number > 0:
         steps_out[0].paths.diffuse[i] = paths[0].diffuse[i]
 
@@ -341,20 +343,20 @@ def add_sampled_light(
         j = slot * count + i
         arrived = shadows[0].contributions[j]
         if not is_black(arrived):
-            receives = paths[0].receives[i] or shadows[0].skips[j]
+            for_catcher = paths[0].for_catcher[i] or shadows[0].skips[j]
             diffuse = diffuse_of(i, number, paths)
             visible = wp.vec3(1.0)
             if shadows[0].rays.is_active[j]:
                 visible = visibility[j]
             if slot == 0:
-                add_sent(i, number, visible, scene, paths, shadows, images_inout)
+                add_unshadowed_samples(i, number, visible, scene, paths, shadows, images_inout)
                 if number == 0 and shadows[0].diffuse:
                     diffuse = shadows[0].diffuse[i]
             arrived = wp.cw_mul(arrived, visible)
             lights = scene[0].settings[0].light_count
             bounces = number + 1 - slot
             root = paths[0].root[i]
-            add_light(root, receives, arrived, bounces, shadows[0].lights[j], lights, diffuse, images_inout)
+            add_light(root, for_catcher, arrived, bounces, shadows[0].lights[j], lights, diffuse, images_inout)
 
 
 @wp.kernel
@@ -370,7 +372,7 @@ def spawn_paths(
     i = start + wp.tid()
     if steps[0].goes_on[i] == 0:
         return
-    child = steps[0].places[i] - 1
+    child = steps[0].next_ends[i] - 1
     rays_out.is_active[child] = True
     rays_out.origin[child] = steps[0].rays.origin[i]
     rays_out.direction[child] = steps[0].rays.direction[i]
@@ -384,12 +386,12 @@ def spawn_paths(
     rays_out.sample[child] = wave[0].rays.sample[i]
     paths_out[0].root[child] = paths[0].root[i]
     paths_out[0].throughput[child] = steps[0].paths.throughput[i]
-    paths_out[0].density[child] = steps[0].paths.density[i]
+    paths_out[0].pdf[child] = steps[0].paths.pdf[i]
     paths_out[0].position[child] = steps[0].paths.position[i]
     paths_out[0].normal[child] = steps[0].paths.normal[i]
     paths_out[0].importance[child] = steps[0].paths.importance[i]
     paths_out[0].is_specular[child] = steps[0].paths.is_specular[i]
-    paths_out[0].receives[child] = steps[0].paths.receives[i]
+    paths_out[0].for_catcher[child] = steps[0].paths.for_catcher[i]
     if paths_out[0].media:
         paths_out[0].media[child] = steps[0].paths.media[i]
     if paths_out[0].diffuse:

@@ -73,7 +73,7 @@ class PathIntegrator:
         images = self._layers.begin(plan, first, lights=len(scene.lights.names))
         steps = self._extend(scene, plan, 0, wave=wave, paths=paths, images=images)
         for number in range(1, plan.max_bounces + 2):
-            capacity = self._launcher.room(device_array(steps.places))
+            capacity = self._launcher.room(device_array(steps.next_ends))
             if capacity == 0:
                 break
             rays = self._buffers.struct(f"path.rays{number % 2}", RayData, capacity)
@@ -168,7 +168,7 @@ class PathIntegrator:
                     incoherent=True,
                 )
         run(kernels.add_sampled_light, count, number, scene.shading, wave.data, *rows[:2], visibility, rows[2])
-        prefix_sum(device_array(steps.goes_on), device_array(steps.places), inclusive=True)
+        prefix_sum(device_array(steps.goes_on), device_array(steps.next_ends), inclusive=True)
         return steps
 
     def _spawn(
@@ -205,7 +205,7 @@ class PathIntegrator:
         total = 2 * count if plan.shows_lights_in_haze else count
         without = {"rays", *unused_fields(plan)}
         if "lights" not in plan.aovs:
-            without |= {"sent", "reaching"}
+            without |= {"unshadowed", "reaching"}
         if not plan.absorbs:
             without.add("media")
         shadows = self._buffers.struct("path.shadows", PathShadowRays, total, without)
@@ -250,11 +250,19 @@ class PathLayers:
         if "bounces" in plan.aovs:
             images.bounces = self._rows("bounces", plan.max_bounces + 2, count)
         if "lights" in plan.aovs:
-            images.lights_sent = self._rows("lights_sent", lights, count)
-            images.lights_arrived = self._rows("lights_arrived", lights, count)
+            images.lights_unshadowed = self._rows("lights_unshadowed", lights, count)
+            images.lights_shadowed = self._rows("lights_shadowed", lights, count)
             images.lights_total = self._rows("lights_total", lights + 1, count)
         if plan.has_receivers:
-            for name in ("received", "sent", "arrived", "own_sent", "own_arrived", "ambient", "open"):
+            for name in (
+                "received",
+                "unshadowed",
+                "shadowed",
+                "emitted_unshadowed",
+                "emitted_shadowed",
+                "ambient",
+                "open",
+            ):
                 setattr(images, name, getattr(first.row.radiance, name))
         return images
 
@@ -269,7 +277,7 @@ class PathLayers:
         if "lights" not in plan.aovs:
             return LightImages(layers=layers)
         layers |= {f"total{number}": image for number, image in enumerate(self._images_of(images.lights_total))}
-        return LightImages(self._images_of(images.lights_sent), self._images_of(images.lights_arrived), layers)
+        return LightImages(self._images_of(images.lights_unshadowed), self._images_of(images.lights_shadowed), layers)
 
     def _rows(self, name: str, rows: int, count: int) -> DeviceArray:
         """Rows of zeros, end to end."""

@@ -7,7 +7,7 @@ import warp as wp
 from lumisplat.config import RenderConfig, Shadows
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Arrivals
+from lumisplat.device.structs.shading import CatcherIrradiance
 from lumisplat.renderer.light import direct_light_kernels as kernels, unshadowed_light_kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -87,11 +87,11 @@ class DirectLight:
     def _add_one_by_one(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, *, also_unshadowed: bool) -> None:
         """Adds each shadowed light, and each unshadowed one if images of lights or shadow catchers need it."""
         images = self.images(scene, plan, wave.count) if self._wants_images(plan, wave) else None
-        arrivals = Arrivals()
+        arrivals = CatcherIrradiance()
         if plan.has_shadow_catchers:
-            arrivals = self._buffers.struct("light.arrivals", Arrivals, wave.count)
-            arrivals.sent.zero_()
-            arrivals.arrived.zero_()
+            arrivals = self._buffers.struct("light.arrivals", CatcherIrradiance, wave.count)
+            arrivals.unshadowed.zero_()
+            arrivals.shadowed.zero_()
             arrivals.open.zero_()
         for number in range(len(scene.lights.names)):
             light = scene.lights.lights[number] if scene.lights.lights else None
@@ -127,7 +127,7 @@ class DirectLight:
         """Light of one light at the shadow catchers of a wave, first unshadowed, then shadowed."""
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
-    def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: Arrivals) -> None:
+    def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: CatcherIrradiance) -> None:
         """Finds the share of ambient light that reaches shadow catchers."""
         rays, media = self._shadow_rays(wave), self._media(plan, wave)
         for number in range(plan.ambient_rays):

@@ -22,7 +22,7 @@ from lumisplat.device.math.color import is_black
 from lumisplat.device.math.directions import around
 from lumisplat.device.math.random import branch_key, sobol_2d
 from lumisplat.device.structs.rays import RayData
-from lumisplat.device.structs.shading import Arrivals, CatcherLight, Contribution, ShadingScene, WaveData
+from lumisplat.device.structs.shading import CatcherIrradiance, CatcherLight, Contribution, ShadingScene, WaveData
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -74,7 +74,7 @@ def add_light(
     contributions: wp.array[wp.vec3],
     visibility: wp.array[wp.vec3],
     wave_inout: wp.array[WaveData],
-    arrivals_inout: Arrivals,
+    arrivals_inout: CatcherIrradiance,
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
     catcher_light_inout: wp.array[wp.vec3],
@@ -94,8 +94,8 @@ def add_light(
             if shadowed:
                 arrived = wp.cw_mul(sent, visibility[j])
             if wave_inout[0].interactions.shadow_only[j]:
-                arrivals_inout.sent[i] += sent
-                arrivals_inout.arrived[i] += arrived
+                arrivals_inout.unshadowed[i] += sent
+                arrivals_inout.shadowed[i] += arrived
                 if catcher_light_inout:
                     catcher_light_inout[i] += sent
                     catcher_light_inout[stride + i] += arrived
@@ -139,7 +139,7 @@ def spawn_ambient_rays(
 
 
 @wp.kernel
-def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: Arrivals):
+def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: CatcherIrradiance):
     """Item = ray: adds the visibility of ambient light along an ambient ray."""
     i = start + wp.tid()
     if rays.is_active[i]:
@@ -151,7 +151,7 @@ def darken_captured(
     start: int,
     ambient_rays: int,
     scene: wp.array[ShadingScene],
-    arrivals_inout: Arrivals,
+    arrivals_inout: CatcherIrradiance,
     wave_inout: wp.array[WaveData],
 ):
     """Item = ray: factor of captured colours in shadow (differential rendering, Debevec 1998).
@@ -166,7 +166,7 @@ def darken_captured(
         wave_inout: The wave.
     """
     i = start + wp.tid()
-    sent = arrivals_inout.sent[i]
+    sent = arrivals_inout.unshadowed[i]
     arrivals_inout.reflectance[i] = wp.vec3(0.0)
     if not wave_inout[0].rays.is_active[i] or not wave_inout[0].interactions.exists[i]:
         return
@@ -180,8 +180,8 @@ def darken_captured(
     reflectance = wp.vec3(0.0)
     for k in range(3):
         light = CatcherLight()
-        light.sent = sent[k]
-        light.change = arrivals_inout.arrived[i][k] - sent[k]
+        light.unshadowed = sent[k]
+        light.change = arrivals_inout.shadowed[i][k] - sent[k]
         light.ambient = wp.PI * scene[0].materials[surface.instance].ambient[k]
         light.least = wp.PI * surface.albedo[k]
         if ambient_rays > 0:
@@ -193,13 +193,13 @@ def darken_captured(
     wave_inout[0].radiance.capture_factor[i] = factor
     arrivals_inout.reflectance[i] = reflectance
     if wave_inout[0].radiance.emission:
-        wave_inout[0].radiance.emission[i] -= wp.cw_mul(reflectance, arrivals_inout.arrived[i])
+        wave_inout[0].radiance.emission[i] -= wp.cw_mul(reflectance, arrivals_inout.shadowed[i])
 
 
 @wp.kernel
 def add_catcher_light(
     start: int,
-    arrivals: Arrivals,
+    arrivals: CatcherIrradiance,
     catcher_light: wp.array[wp.vec3],
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],

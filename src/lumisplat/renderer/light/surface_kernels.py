@@ -15,7 +15,7 @@ from lumisplat.device.light.splat_surface import (
     is_over_light,
     layer_normal,
     reflects_light,
-    sees_far,
+    sees_environment,
     shadow_offset,
     shown_share,
     splat_interaction,
@@ -62,7 +62,7 @@ def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[Wave
     """Whether the environment is visible to ray ``i``; paths add it when they continue."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
-    return wave[0].traces_paths == 0 and sees_far(i, wave)
+    return wave[0].traces_paths == 0 and sees_environment(i, wave)
 
 
 @wp.func
@@ -142,7 +142,7 @@ def store_layers(
     """Writes the albedo and the emission of the surfaces on a ray."""
     albedo = surface.share * surface.albedo
     emission = wp.vec3(0.0)
-    shows_captured = surface.kept > 0.0
+    shows_captured = surface.captured_share > 0.0
     if reflects_light(surface):
         material = scene[0].materials[surface.instance]
         shows_captured = shows_captured and material.keeps_capture == 0
@@ -217,7 +217,7 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
             if branches[0] == 0 and not is_black(bounce.reflected):
                 escaped = untraced_radiance(reflect(wave[0].rays.direction[i], bounce.normal), scene)
                 beyond += surface.transmittance * wp.cw_mul(bounce.reflected, escaped)
-            if branches[1] == 0 and not is_black(bounce.refracted) and sees_far(i, wave):
+            if branches[1] == 0 and not is_black(bounce.refracted) and sees_environment(i, wave):
                 escaped = untraced_radiance(refract(wave[0].rays.direction[i], bounce.normal, bounce.eta), scene)
                 beyond += surface.transmittance * wp.cw_mul(bounce.refracted, escaped)
     elif over_light and shows_environment(i, scene, wave):
@@ -234,9 +234,9 @@ def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     wave[0].radiance.light[i] = light + beyond
     if wave[0].radiance.reflection:
         wave[0].radiance.reflection[i] = beyond
-    sees_environment = from_camera and camera_sees == SEES_ENVIRONMENT
+    camera_sees_environment = from_camera and camera_sees == SEES_ENVIRONMENT
     wave[0].radiance.alpha[i] = wp.where(
-        wave[0].meshes.face[i] >= 0 or sees_environment, 1.0, 1.0 - surface.transmittance
+        wave[0].meshes.face[i] >= 0 or camera_sees_environment, 1.0, 1.0 - surface.transmittance
     )
     if wave[0].radiance.captured_part:
         if reflects_light(surface) and scene[0].materials[surface.instance].shadow_only != 0:
@@ -274,10 +274,10 @@ def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[Wav
     if wave[0].radiance.captured_part:
         wave[0].radiance.captured_part[i] = wp.vec3(0.0)
         wave[0].radiance.received[i] = wp.vec3(0.0)
-        wave[0].radiance.sent[i] = wp.vec3(0.0)
-        wave[0].radiance.arrived[i] = wp.vec3(0.0)
-        wave[0].radiance.own_sent[i] = wp.vec3(0.0)
-        wave[0].radiance.own_arrived[i] = wp.vec3(0.0)
+        wave[0].radiance.unshadowed[i] = wp.vec3(0.0)
+        wave[0].radiance.shadowed[i] = wp.vec3(0.0)
+        wave[0].radiance.emitted_unshadowed[i] = wp.vec3(0.0)
+        wave[0].radiance.emitted_shadowed[i] = wp.vec3(0.0)
         wave[0].radiance.ambient[i] = wp.vec3(0.0)
         wave[0].radiance.open[i] = wp.vec3(0.0)
     if wave[0].radiance.albedo:

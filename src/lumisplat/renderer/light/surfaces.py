@@ -24,7 +24,17 @@ LAYER_FIELDS = {"rescattered", "coat", "coat_alpha", "sheen", "sheen_alpha", "sh
 """Fields of interactions that only clearcoat, sheen and multiple scattering need."""
 
 RECEIVED_FIELDS = frozenset(
-    {"captured_all", "captured_part", "received", "sent", "arrived", "own_sent", "own_arrived", "ambient", "open"}
+    {
+        "captured_all",
+        "captured_part",
+        "received",
+        "unshadowed",
+        "shadowed",
+        "emitted_unshadowed",
+        "emitted_shadowed",
+        "ambient",
+        "open",
+    }
 )
 """Fields of the radiance of rays for light on shadow catchers, which paths find."""
 
@@ -106,8 +116,8 @@ class Surfaces:
             row.unentered = self._unentered
         if carried.media is not None:
             row.media = carried.media
-        if carried.sees_far is not None:
-            row.sees_far = carried.sees_far
+        if carried.sees_environment is not None:
+            row.sees_environment = carried.sees_environment
         row.spawns_lobes = int(plan.has_lobes and may_branch and number == 0)
         slots = (3 if plan.has_lobes else 2) * count
         row.branches = get(f"wave.{number}.branches", wp.int32, slots)

@@ -7,11 +7,11 @@ from lumisplat.device.camera.pixels import (
     RowFloats,
     TileFloats,
     TileInts,
+    full_image_index,
+    full_pixel_of_index,
+    full_pixel_of_ray,
     image_index,
-    is_shown,
-    picture_index,
-    seen_pixel,
-    shown_pixel,
+    is_in_window,
     tile_corner,
 )
 from lumisplat.device.math.color import encode_srgb_color
@@ -20,7 +20,7 @@ from lumisplat.device.mesh.triangle_raster import (
     barycentric,
     depth_at,
     has_alpha,
-    pixel_meets,
+    pixel_passes_alpha_test,
     setup_triangle,
     triangle_box,
 )
@@ -144,7 +144,7 @@ def raster_tiles(
                     ray = wp.vec3(ray_x[x], ray_y, 1.0)
                     z = depth_at(triangle, ray)
                     if z > view.near and z < nearest[i]:
-                        if pixel_meets(triangle, ray, picture_index(view, left + x, top + y), scene):
+                        if pixel_passes_alpha_test(triangle, ray, full_image_index(view, left + x, top + y), scene):
                             winner[i] = index
                             nearest[i] = z
     for y in range(wp.min(TILE, view.top + view.height - top)):
@@ -212,7 +212,7 @@ def raster_pairs(
             if z > view.near:
                 key = (wp.int64(wp.cast(z, wp.int32)) << INDEX_BITS) | wp.int64(index)
                 if key < nearest_inout[pixel] and (
-                    is_whole or pixel_meets(triangle, ray, picture_index(view, x, y), scene)
+                    is_whole or pixel_passes_alpha_test(triangle, ray, full_image_index(view, x, y), scene)
                 ):
                     wp.atomic_min(nearest_inout, pixel, key)
 
@@ -249,10 +249,10 @@ def find_ray_hits(
     view = camera[0]
     hits_out.t[i] = rays.t_max[i]
     hits_out.face[i] = -1
-    position = seen_pixel(view, i)
+    position = full_pixel_of_ray(view, i)
     x = position[0]
     y = position[1]
-    if not is_shown(view, x, y):
+    if not is_in_window(view, x, y):
         return
     pixel = image_index(view, x, y)
     index = triangle_of_pixel[pixel]
@@ -289,7 +289,7 @@ def shade_pixels(
     view = camera[0]
     triangle = triangles[index]
     instance = instances[triangle.instance - splat_instance_count]
-    at = shown_pixel(view, i)
+    at = full_pixel_of_index(view, i)
     ray = pixel_ray(view, at[0], at[1])
     weights = barycentric(triangle, ray)
     corners = meshes.indices[triangle.face]

@@ -6,11 +6,11 @@ Each schedule is a Warp module of its own, as those of ``splat_kernels``. The eq
 import warp as wp
 
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
-from lumisplat.device.camera.pixels import TILE_PIXELS, is_shown, ray_index, ray_of_pixel, tile_pixel
+from lumisplat.device.camera.pixels import TILE_PIXELS, is_in_window, ray_index, ray_of_pixel, tile_pixel
 from lumisplat.device.gaussian.particle import surface_peak
 from lumisplat.device.splat.blending import begin_relit, empty_pixel, instance_of
 from lumisplat.device.splat.compositor import TILE_OPTIONS, pixel_walk, tile_walk
-from lumisplat.device.splat.ray_splat import ALONG_RAYS, is_finite, look, ray_splat, tiles_of
+from lumisplat.device.splat.ray_splat import ALONG_RAYS, is_finite, pixel_at, ray_splat, tiles_of
 from lumisplat.device.splat.visitors import RAY_COLOR, RAY_COLORS, RelitHits
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import PixelRays, RayRasterData, RaySplat, TileRect
@@ -135,7 +135,7 @@ def composite_pixels(
     i = start + wp.tid()
     view = camera[0]
     at = tile_pixel(view, i)
-    if not is_shown(view, at[0], at[1]):
+    if not is_in_window(view, at[0], at[1]):
         return
     around = PixelRays()
     around.rays = rays
@@ -146,7 +146,7 @@ def composite_pixels(
     relit.ray = ray_index(view, at[0], at[1])
     begin_relit(hits_out, relit.ray)
     pixel = empty_pixel()
-    seen = look(view, around, at[0], at[1])
+    seen = pixel_at(view, around, at[0], at[1])
     if seen.limit_z == 0.0:
         pixel.transmittance = -1.0  # there is no ray, and nothing on it
     blend_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, pixel, relit)

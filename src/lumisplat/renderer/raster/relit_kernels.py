@@ -6,10 +6,17 @@ in docs/adr/0021-captured-and-relit.md and docs/method/rasterisation.md#weighted
 
 import warp as wp
 
-from lumisplat.device.camera.pixels import TILE_PIXELS, is_listed, is_shown, ray_index, shown_pixel, tile_pixel
+from lumisplat.device.camera.pixels import (
+    TILE_PIXELS,
+    full_pixel_of_index,
+    is_in_window,
+    is_listed,
+    ray_index,
+    tile_pixel,
+)
 from lumisplat.device.light.splat_surface import finish_of
 from lumisplat.device.splat.blending import instance_of, pixel_ray
-from lumisplat.device.splat.ellipse import first_touching, look
+from lumisplat.device.splat.ellipse import first_touching, pixel_at
 from lumisplat.device.splat.projection import depth_plane
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import MeshPixels, RasterData, Splat, TileRect
@@ -113,7 +120,7 @@ def find_relit(
     position = tile_pixel(view, i)
     x = position[0]
     y = position[1]
-    if not is_shown(view, x, y):
+    if not is_in_window(view, x, y):
         return
     ray = ray_index(view, x, y)
     tile = i // TILE_PIXELS
@@ -128,7 +135,7 @@ def find_relit(
             if hits_inout.depth[ray] < wp.inf and splats[surface].normal[0] > 0.0:
                 gaussian = surface
             else:
-                gaussian = first_touching(splats, tile_splats, begin, end, look(view, meshes, x, y), True)
+                gaussian = first_touching(splats, tile_splats, begin, end, pixel_at(view, meshes, x, y), True)
         if gaussian >= 0:
             color = relit.color[ray]
             weight = relit.normal[ray][0]
@@ -196,7 +203,7 @@ def store_means(
         hits_inout: Of the rays; receives the means.
     """
     i = start + wp.tid()
-    at = shown_pixel(camera[0], i)
+    at = full_pixel_of_index(camera[0], i)
     ray = ray_index(camera[0], at[0], at[1])
     weight = sums.normal[ray][2]
     depth = float(wp.inf)

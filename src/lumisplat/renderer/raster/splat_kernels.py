@@ -9,11 +9,11 @@ import warp as wp
 from lumisplat.constants import DEPTH_KEY_CULLED, DEPTH_KEY_NONFINITE, FUSED_FLAGS
 from lumisplat.device.camera.pixels import (
     TILE_PIXELS,
+    full_image_index,
+    full_pixel_of_index,
     image_index,
-    is_shown,
-    picture_index,
+    is_in_window,
     ray_index,
-    shown_pixel,
     tile_pixel,
 )
 from lumisplat.device.gaussian.particle import surface_distance
@@ -31,10 +31,10 @@ from lumisplat.device.splat.compositor import TILE_OPTIONS, pixel_walk, tile_wal
 from lumisplat.device.splat.ellipse import (
     ELLIPSE,
     EllipsePixel,
+    evaluate,
     is_finite,
     load_splat,
-    look,
-    meet,
+    pixel_at,
     store_splat,
     tile_range,
 )
@@ -108,7 +108,7 @@ def set_pixel_depth(
     i = start + wp.tid()
     gaussian = pixels_inout.gaussian[i]
     if gaussian >= 0:
-        at = shown_pixel(camera[0], i)
+        at = full_pixel_of_index(camera[0], i)
         ray = pixel_ray(camera[0], at[0], at[1])
         number = pixels_inout.instance[i]
         distance = pixels_inout.depth[i]
@@ -127,7 +127,7 @@ def set_hit_depth(
 ):
     """``set_pixel_depth`` for the hits of the pixels' rays."""
     i = start + wp.tid()
-    at = shown_pixel(camera[0], i)
+    at = full_pixel_of_index(camera[0], i)
     hit = ray_index(camera[0], at[0], at[1])
     if hits_inout.depth[hit] < wp.inf:
         ray = pixel_ray(camera[0], at[0], at[1])
@@ -227,7 +227,7 @@ def composite_blocks(
     position = tile_pixel(view, tile * TILE_PIXELS + lane)
     x = position[0]
     y = position[1]
-    is_inside = is_shown(view, x, y)
+    is_inside = is_in_window(view, x, y)
     pixel = empty_pixel()
     seen = EllipsePixel()
     seen.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
@@ -248,7 +248,7 @@ def composite_blocks(
         j = wp.where(pixel.transmittance > 0.0, 0, count)
         while j < count:
             near = batch[j]
-            log_alpha = meet(near, seen).log_alpha
+            log_alpha = evaluate(near, seen).log_alpha
             j += 1
             if log_alpha >= LOG_ALPHA_MIN:
                 if near.depth < seen.limit_z:
@@ -291,10 +291,10 @@ def composite_pixels(
     view = camera[0]
     raster = settings[0]
     at = tile_pixel(view, i)
-    if not is_shown(view, at[0], at[1]):
+    if not is_in_window(view, at[0], at[1]):
         return
     pixel = empty_pixel()
-    seen = look(view, meshes, at[0], at[1])
+    seen = pixel_at(view, meshes, at[0], at[1])
     blend_pixel(i // TILE_PIXELS, seen, raster, splats, tile_starts, tile_splats, pixel, NoArrays())
     store_result(view, raster, instances, splats, meshes, pixel, at[0], at[1], for_rays, pixels_out, hits_out)
 
@@ -315,11 +315,11 @@ def sample_pixels(
     i = start + wp.tid()
     view = camera[0]
     at = tile_pixel(view, i)
-    if not is_shown(view, at[0], at[1]):
+    if not is_in_window(view, at[0], at[1]):
         return
-    seen = look(view, meshes, at[0], at[1])
+    seen = pixel_at(view, meshes, at[0], at[1])
     sample = Sample()
-    sample.key = sample_key_of(picture_index(view, at[0], at[1]), samples[0].index, samples[0].seed)
+    sample.key = sample_key_of(full_image_index(view, at[0], at[1]), samples[0].index, samples[0].seed)
     sample.nearest = seen.limit_z
     sample.winner = -1
     sample.transmittance = 1.0

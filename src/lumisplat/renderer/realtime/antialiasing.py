@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from lumisplat.constants import SHADE_BANDS_PER_THREAD
-from lumisplat.device.gi.surfaces import ShownHistory, ShownPixels
+from lumisplat.device.gi.surfaces import TemporalHistory, TemporalPixels
 from lumisplat.renderer.realtime import antialiasing_kernels as kernels
 from lumisplat.renderer.scene.device_scene import DeviceScene
 from lumisplat.renderer.scene.frame_plan import FramePlan
@@ -39,7 +39,7 @@ class Antialiasing:
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance
-        shown = self._buffers.struct("antialiasing.shown", ShownPixels, width * height)
+        shown = self._buffers.struct("antialiasing.shown", TemporalPixels, width * height)
         shares = self._buffers.get("antialiasing.shares", wp.vec3, wave.count)
         before, now = (self._history(scene, number) for number in (frame - 1, frame))
         if not self._has_history:
@@ -64,9 +64,9 @@ class Antialiasing:
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernel, count, *inputs, bands=bands)
 
-    def _history(self, scene: DeviceScene, frame: int) -> ShownHistory:
+    def _history(self, scene: DeviceScene, frame: int) -> TemporalHistory:
         width, height = scene.image_size
-        return self._buffers.struct(f"antialiasing.history{frame % 2}", ShownHistory, width * height)
+        return self._buffers.struct(f"antialiasing.history{frame % 2}", TemporalHistory, width * height)
 
     def _mean(self, scene: DeviceScene, name: str, frame: int) -> DeviceArray:
         width, height = scene.image_size

@@ -7,8 +7,8 @@ from lumisplat.device.camera.pixels import pixel_number
 from lumisplat.device.film.samples import first_surface, is_finite
 from lumisplat.device.gi.surfaces import (
     InstanceMotion,
-    ShownHistory,
-    ShownPixels,
+    TemporalHistory,
+    TemporalPixels,
     has_left,
     mesh_before,
     motion_of,
@@ -56,7 +56,7 @@ def store_pixels(
     splat_motions: wp.array[InstanceMotion],
     mesh_motions: wp.array[InstanceMotion],
     wave: wp.array[WaveData],
-    shown_out: ShownPixels,
+    shown_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
     """Item = ray: writes colour, surface and motion of its pixel, and captured weight and alpha to ``shares_out``.
@@ -157,7 +157,7 @@ def is_noise(
     size: wp.vec2i,
     colors: wp.array[wp.vec3],
     motions: wp.array[wp.vec3],
-    history: ShownHistory,
+    history: TemporalHistory,
 ) -> bool:
     """Returns whether the 3 x 3 pixels around stand still and their samples differ from their means only by noise."""
     means = history.color
@@ -208,9 +208,9 @@ def weight_history(
     size: wp.vec2i,
     history_weight: float,
     moved_to: wp.array[int],
-    history: ShownHistory,
-    shown_inout: ShownPixels,
-    history_out: ShownHistory,
+    history: TemporalHistory,
+    shown_inout: TemporalPixels,
+    history_out: TemporalHistory,
 ):
     """Item = pixel: computes its position in the previous frame and the weight of the new sample against its history.
 
@@ -268,7 +268,7 @@ def weight_history(
         position = wp.vec2(float(x), float(y))
         mean = color
     weight = 1.0 / (frames + 1.0)
-    shown_inout.place[pixel] = position
+    shown_inout.previous_pixel[pixel] = position
     shown_inout.weight[pixel] = weight
     history_out.frames[pixel] = wp.min(frames + 1.0, FRAMES)
     history_out.color[pixel] = mean + weight * (color - mean)
@@ -282,7 +282,7 @@ def blend(
     start: int,
     size: wp.vec2i,
     camera: wp.array[CameraData],
-    shown: ShownPixels,
+    shown: TemporalPixels,
     before: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
@@ -295,7 +295,7 @@ def blend(
     value = image_inout[i]
     weight = shown.weight[pixel]
     if weight < 1.0:
-        mean = image_at(before, size, shown.place[pixel])
+        mean = image_at(before, size, shown.previous_pixel[pixel])
         value = mean + weight * (value - mean)
     image_inout[i] = value
     after_out[pixel] = value

@@ -6,7 +6,7 @@ The method is in docs/method/realtime.md#captured-emitters.
 import warp as wp
 
 from lumisplat.constants import EMITTER_OPAQUE, LIGHT_POWER_MAX
-from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_density, point_in, total_weight
+from lumisplat.device.gi.captured_emitters import EmitterBox, chosen_box, direction_pdf, point_in, total_weight
 from lumisplat.device.gi.secondary_rays import lobe_share
 from lumisplat.device.gi.surfaces import PixelLight, highlight_width
 from lumisplat.device.light.direct_light import contribution_of
@@ -69,7 +69,7 @@ def start_captured_rays(
     box = boxes[chosen_box(which[0], total, point, boxes)]
     sample = LightSample()
     sample.direction = wp.normalize(point_in(box, sobol_2d(branch_key(key, POINT_BRANCH), number), which[1]) - point)
-    pdf_and_distance = direction_density(point, sample.direction, total, boxes)
+    pdf_and_distance = direction_pdf(point, sample.direction, total, boxes)
     if not (pdf_and_distance[0] > 0.0 and pdf_and_distance[0] < wp.inf):
         return
     sample.distance = pdf_and_distance[1]

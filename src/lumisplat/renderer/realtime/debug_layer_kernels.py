@@ -81,7 +81,7 @@ def draw_probes(start: int, camera: wp.array[CameraData], probes: ProbeData, ima
         return
     at = probes.pixel[i]
     ray = ray_of_pixel(camera[0].width, int(at[0]), int(at[1]))
-    image_inout[ray] = wp.vec3(float(probes.rounds[i]))
+    image_inout[ray] = wp.vec3(float(probes.refresh_count[i]))
 
 
 @wp.kernel

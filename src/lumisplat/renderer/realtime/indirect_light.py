@@ -74,7 +74,7 @@ class IndirectLight:
         width, height = scene.image_size
         squares = -(-width // 2) * -(-height // 2)
         run = self._launcher.run_banded
-        lobes = self._buffers.struct("lobes", LobeRays, squares, without={"seen"})
+        lobes = self._buffers.struct("lobes", LobeRays, squares, without={"radiance"})
         if not self._follows_lobes:
             device_array(lobes.slot).fill_(-1)
             return lobes, None
@@ -138,7 +138,7 @@ class IndirectLight:
             self.cache.insert(hits.samples, frame)
             reflected = self.cache.look_up_indirect(hits.samples)
             self._launcher.run_banded(kernels.add_direct, len(rays.t_max), hits.samples, reflected)
-            lobes.seen, _ = self._rays.radiance(hits, reflected, "lobe_rays")
+            lobes.radiance, _ = self._rays.radiance(hits, reflected, "lobe_rays")
         return lobes
 
     def _bounce(self, scene: DeviceScene, plan: FramePlan, frame: int) -> None:
@@ -263,7 +263,10 @@ class SecondaryRays:
         onward, get = OnwardRays(), self._buffers.get
         onward.rays = self._buffers.struct("bounced.onward", RayData, count)
         onward.goes_on = get("bounced.goes_on", wp.int32, count)
-        onward.way, onward.mirrored = get("bounced.way", wp.float32, count), get("bounced.mirrored", wp.int32, count)
+        onward.length_before, onward.mirrored = (
+            get("bounced.way", wp.float32, count),
+            get("bounced.mirrored", wp.int32, count),
+        )
         onward.weights = get("bounced.weights", wp.vec3, count)
         if plan.has_media:
             onward.media = get("bounced.media", wp.vec4i, count)

@@ -7,7 +7,7 @@ from lumisplat.device.gi.probe_placement import ProbeData, ProbeGrid, ProbeLight
 from lumisplat.device.gi.radiance_cache import CachePoints, CacheSamples
 from lumisplat.device.gi.screen_probes import gathered_light
 from lumisplat.device.gi.secondary_rays import LobeRays, lobe_radiance, lobe_share
-from lumisplat.device.gi.surfaces import SurfaceLight, SurfacePixels, has_turn
+from lumisplat.device.gi.surfaces import SurfaceLight, SurfacePixels, is_sampled_in_frame
 from lumisplat.device.material.bsdf import facet_mirrored
 from lumisplat.device.material.microfacets import ALPHA_GGX_MIN
 from lumisplat.device.math.color import is_black
@@ -147,7 +147,9 @@ def gather_light(
     """
     pixel = start + wp.tid()
     width = grids[0].width
-    sampled = surfaces.share[pixel] > 0.0 and has_turn(pixel % width, pixel // width, interval, grids[0].frame)
+    sampled = surfaces.share[pixel] > 0.0 and is_sampled_in_frame(
+        pixel % width, pixel // width, interval, grids[0].frame
+    )
     light_out.is_sampled[pixel] = sampled
     light_out.diffuse[pixel] = INV_PI * irradiance[pixel]
     light_out.glossy[pixel] = wp.vec3(0.0)

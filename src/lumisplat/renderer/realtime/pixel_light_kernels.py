@@ -4,7 +4,7 @@ import warp as wp
 
 from lumisplat.device.camera.pixels import pixel_number, pixel_of_ray
 from lumisplat.device.gi.light_grid import LightGrid, lit_surface, sample_light_of
-from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight, SurfacePixels, has_turn
+from lumisplat.device.gi.surfaces import FilteredLight, PixelLight, SurfaceLight, SurfacePixels, is_sampled_in_frame
 from lumisplat.device.light.interaction import SHADE_OPTIONS, load_interaction
 from lumisplat.device.material.bsdf import diffuse_share
 from lumisplat.device.math.color import is_black
@@ -26,7 +26,7 @@ def number_samples(start: int, interval: int, frame: int, camera: wp.array[Camer
     """Item = ray: numbers its light sample if its pixel has one, without gaps, as low-discrepancy sequences need."""
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)
-    if wave_inout[0].rays.is_active[i] and has_turn(at[0], at[1], interval, frame):
+    if wave_inout[0].rays.is_active[i] and is_sampled_in_frame(at[0], at[1], interval, frame):
         wave_inout[0].rays.sample[i] = (frame + interval - 1) // interval
 
 
@@ -63,7 +63,7 @@ def sample_lights(
     light_out.diffuse[i] = wp.vec3(0.0)
     light_out.glossy[i] = wp.vec3(0.0)
     at = pixel_of_ray(camera[0].width, i)
-    if not wave[0].rays.is_active[i] or not has_turn(at[0], at[1], interval, frame):
+    if not wave[0].rays.is_active[i] or not is_sampled_in_frame(at[0], at[1], interval, frame):
         return
     slot = lit_surface(i, wave).kind
     light_out.slot[i] = slot

@@ -28,11 +28,11 @@ from lumisplat.device.gi.radiance_cache import (
     cell_key,
     cell_of_sample,
     color_of,
-    far_radiance,
     is_first_of_cell,
     is_first_of_tile,
     is_of_short_rays,
     level_of,
+    long_ray_radiance,
     mean_index,
     slot_of,
 )
@@ -206,9 +206,9 @@ def look_up_indirect(
         level = level_of(grid, samples.position[i], samples.from_eye[i])
         light = CellLight()
         if points:
-            light = far_radiance(tiles, grid, samples, i, points[i], level)
-        if not light.is_known:
-            light = far_radiance(tiles, grid, samples, i, samples.position[i], level)
+            light = long_ray_radiance(tiles, grid, samples, i, points[i], level)
+        if not light.is_valid:
+            light = long_ray_radiance(tiles, grid, samples, i, samples.position[i], level)
         radiance_out[i] = light.indirect
 
 

@@ -6,22 +6,22 @@ The method is in docs/method/realtime.md#screen-probes. Each element has one wri
 import warp as wp
 
 from lumisplat.constants import MEANS_CHUNK, PROBE_NORMALS
-from lumisplat.device.camera.camera import seen_at
+from lumisplat.device.camera.camera import pixel_of_point
 from lumisplat.device.gi.probe_placement import (
-    LOOKED_AT,
+    SEARCH_ROWS,
     ProbeCells,
     ProbeData,
     ProbeGrid,
     ProbeLight,
     TileNeeds,
-    place_among,
-    place_in_tile,
+    choose_pixel_among,
+    choose_pixel_in_tile,
     tile_of,
 )
 from lumisplat.device.gi.screen_probes import (
     C0,
     COSINE_0,
-    HARMONICS,
+    SH_COUNT,
     gathered_light,
     neighbour_weight,
     refresh_key,
@@ -50,7 +50,7 @@ def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
     probes_out.position[i] = probes.position[i]
     probes_out.normal[i] = probes.normal[i]
     probes_out.extent[i] = probes.extent[i]
-    probes_out.rounds[i] = probes.rounds[i]
+    probes_out.refresh_count[i] = probes.refresh_count[i]
     probes_out.refreshed[i] = probes.refreshed[i]
 
 
@@ -74,7 +74,7 @@ def is_as_before(
     if not wp.length(surfaces.previous[pixel] - surfaces.position[pixel]) == 0.0:  # NaN: the surface is new
         return False
     center = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
-    return wp.length(seen_at(camera, before.position[source]) - center) < STAYS_PX
+    return wp.length(pixel_of_point(camera, before.position[source]) - center) < STAYS_PX
 
 
 @wp.func
@@ -91,7 +91,7 @@ def set_probe(
     """Places probe ``i`` on the surface of ``pixel``, or keeps its position near there; ``pixel`` -1: no probe."""
     probes_out.is_placed[i] = 0
     probes_out.source[i] = -1
-    probes_out.rounds[i] = 0
+    probes_out.refresh_count[i] = 0
     if pixel < 0:
         return
     probes_out.is_placed[i] = 1
@@ -107,7 +107,7 @@ def set_probe(
             probes_out.normal[i] = before.normal[source]
             probes_out.extent[i] = before.extent[source]
             probes_out.distance[i] = wp.length(before.position[source] - camera.eye)
-        probes_out.rounds[i] = before.rounds[source]
+        probes_out.refresh_count[i] = before.refresh_count[source]
         probes_out.refreshed[i] = before.refreshed[source]
 
 
@@ -124,7 +124,7 @@ def place_in_tiles(
 ):
     """Item = tile: places its probe."""
     tile = start + wp.tid()
-    place = place_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
+    place = choose_pixel_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
     set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
 
 
@@ -144,8 +144,8 @@ def find_needs(
 ):
     """Item = tile: counts the pixels that no probe covers, and writes a sort key that puts the largest count first."""
     tile = start + wp.tid()
-    place = place_among(
-        LOOKED_AT, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before
+    place = choose_pixel_among(
+        SEARCH_ROWS, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before
     )
     needs_out.uncovered[tile] = place.uncovered
     needs_out.pixel[tile] = place.pixel
@@ -284,7 +284,7 @@ def add_samples(
     cell = ray % count
     i = order[ray // count]
     if cell == 0 and probes_out.is_placed[i] != 0:
-        probes_out.rounds[i] = probes_out.rounds[i] + 1
+        probes_out.refresh_count[i] = probes_out.refresh_count[i] + 1
         probes_out.refreshed[i] = grids[0].frame
     if not rays.is_active[ray]:
         return
@@ -395,16 +395,16 @@ def project_probes(
     for cell in range(count):
         if not weights[i * count + cell] > 0.0:
             light_inout.radiance[i * count + cell] = mean
-    for h in range(HARMONICS):
+    for h in range(SH_COUNT):
         sum = wp.vec3(0.0)
         for cell in range(count):
-            sum += fit[cell * HARMONICS + h] * light_inout.radiance[i * count + cell]
-        light_inout.harmonics[HARMONICS * i + h] = sum
+            sum += fit[cell * SH_COUNT + h] * light_inout.radiance[i * count + cell]
+        light_inout.sh[SH_COUNT * i + h] = sum
     missing = wp.vec3(0.0)
     row = cell_of_direction(probes.normal[i], NORMALS) * count
     for cell in range(count):
         missing += beyond[row + cell] * light_inout.radiance[i * count + cell]
-    light_inout.harmonics[HARMONICS * i] += missing / (COSINE_0 * C0)
+    light_inout.sh[SH_COUNT * i] += missing / (COSINE_0 * C0)
 
 
 @wp.kernel

@@ -61,7 +61,7 @@ def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, 
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False
-    bounced_out.seen[i] = wp.vec3(0.0)
+    bounced_out.emitted[i] = wp.vec3(0.0)
     bounced_out.share[i] = wp.vec3(0.0)
     bounced_out.sampled[i] = wp.vec3(0.0)
 
@@ -71,7 +71,7 @@ def begin_onward(start: int, onward_out: OnwardRays):
     """Item = ray: sets its initial state: in air, not continued, weight 1."""
     i = start + wp.tid()
     onward_out.rays.is_active[i] = False
-    onward_out.way[i] = 0.0
+    onward_out.length_before[i] = 0.0
     onward_out.mirrored[i] = 0
     onward_out.weights[i] = wp.vec3(1.0)
     if onward_out.media:
@@ -106,7 +106,7 @@ def shade_hits(
         onward_inout: Rays that continue at smooth surfaces; from the second wave on, these are the wave's rays.
     """
     i = start + wp.tid()
-    follows = onward_inout.way.shape[0] > 0
+    follows = onward_inout.length_before.shape[0] > 0
     if follows:
         onward_inout.goes_on[i] = 0
     if not wave[0].rays.is_active[i]:
@@ -117,11 +117,11 @@ def shade_hits(
     bounce = Bounce()
     if follows:
         weight = wave[0].weights[i]
-        length = onward_inout.way[i]
+        length = onward_inout.length_before[i]
         bounce = straight_bounce(i, scene, wave)
         if onward_inout.mirrored[i] != 0:
             radiance += mirrored_light(i, length, no_shadows, scene, wave)
-    bounced_out.seen[i] += wp.cw_mul(weight, radiance)
+    bounced_out.emitted[i] += wp.cw_mul(weight, radiance)
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
     surface = branch_of(i, u[0], False, bounce, wave)
     if surface.kind == BRANCH_NONE or not is_scattering(surface):
@@ -130,7 +130,7 @@ def shade_hits(
         if surface.kind != BRANCH_NONE:
             step = straight_step(i, surface, bounce, scene, wave)
             onward_inout.goes_on[i] = 1
-            onward_inout.way[i] = length + wave[0].meshes.t[i]
+            onward_inout.length_before[i] = length + wave[0].meshes.t[i]
             onward_inout.weights[i] = wp.cw_mul(weight, step.weight)
             if surface.kind == BRANCH_REFLECTED:
                 onward_inout.mirrored[i] = 1
@@ -181,10 +181,10 @@ def add_reflected(
 ):
     """Item = ray: adds the radiance that the surface at its hit reflects, and writes the hit distance; inf: no hit."""
     i = start + wp.tid()
-    radiance_out[i] = bounced.seen[i]
+    radiance_out[i] = bounced.emitted[i]
     distance_out[i] = wp.inf
     if samples.is_active[i]:
-        radiance_out[i] = bounced.seen[i] + wp.cw_mul(bounced.share[i], reflected[i])
+        radiance_out[i] = bounced.emitted[i] + wp.cw_mul(bounced.share[i], reflected[i])
         distance_out[i] = samples.distance[i]
 
 

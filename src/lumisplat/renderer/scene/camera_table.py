@@ -106,7 +106,7 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["jacobian_max"] = (size - raster_center) / focal + margin
     row["width"], row["height"] = camera.image_size
     row["left"], row["top"] = camera.image_corner
-    row["picture_width"], row["picture_height"] = camera.width, camera.height
+    row["full_width"], row["full_height"] = camera.width, camera.height
     row["tiles_x"], row["tiles_y"] = tile_grid(*camera.image_size)
     row["near"] = camera.near
     row["aperture"], row["focus_distance"] = camera.aperture, camera.focus_distance
@@ -114,8 +114,8 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["radial"], row["tangential"] = camera.distortion[:4], camera.distortion[4:]
     row["distortion_reach"] = distortion_reach(camera.distortion)
     row["shutter"] = camera.camera_from_world_end is not None
-    row["turn_axis"] = turn / angle if angle > 0.0 else turn
-    row["turn_angle"] = angle
+    row["rotation_axis"] = turn / angle if angle > 0.0 else turn
+    row["rotation_angle"] = angle
     row["motion"] = camera.shutter_motion
     return table
 

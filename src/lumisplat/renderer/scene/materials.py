@@ -98,8 +98,8 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
     """
     reflects = [lit and not emits_capture_only(instance) for instance in scene.splats]
     return {
-        "own_normals": [r and i.gaussians.normals is not None for r, i in zip(reflects, scene.splats, strict=True)],
-        "own_colors": [
+        "stored_normals": [r and i.gaussians.normals is not None for r, i in zip(reflects, scene.splats, strict=True)],
+        "shows_albedo": [
             r and i.gaussians.albedo is not None and not i.shadow_catcher and not any(material_of(i).emissive)
             for r, i in zip(reflects, scene.splats, strict=True)
         ],

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import warp as wp
 
-from lumisplat.device.gi.surfaces import GONE, STANDS, InstanceMotion
+from lumisplat.device.gi.surfaces import GONE, UNMOVED, InstanceMotion
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.renderer.scene.assets import as_device_array, first_of
 from lumisplat.renderer.scene.camera_table import camera_table
@@ -172,7 +172,7 @@ def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numb
     places = [GONE] * len(before)
     for number, old in enumerate(numbers):
         if old is not None:
-            places[old] = STANDS if now[number] == before[old] else number
+            places[old] = UNMOVED if now[number] == before[old] else number
     return places
 
 
@@ -194,7 +194,7 @@ def first_vertices(scene: Scene) -> dict[int, int]:
 
 def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> None:
     """Writes where an instance was, by its transforms, shape (4, 4) each."""
-    row.is_known = 1
+    row.existed = 1
     # What has not moved is where it was, to the last bit.
     from_now = np.eye(4) if np.array_equal(now, before) else before @ np.linalg.inv(now)
     row.before_from_now = wp.mat33(*from_now[:3, :3].ravel())

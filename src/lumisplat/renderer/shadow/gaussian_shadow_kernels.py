@@ -57,7 +57,7 @@ from lumisplat.device.structs.bvh import (
     WORLD,
     ChildLinks,
     Node,
-    PacketPlace,
+    PacketTree,
     Particle,
     SceneBvh,
     ShadowData,
@@ -118,26 +118,24 @@ def shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         stack = node_stack(stack_storage)
         leaves = ChildLinks()
         particle = Particle()
-        place = PacketPlace()
+        tree = PacketTree()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_absorption(absorption, packet, config, rays, first)
             top = push_root(stack)
-            enter_instance(place, packet, WORLD, scene, rays, first)
-            reach = end_rays(packet, place, skips, first)
+            enter_instance(tree, packet, WORLD, scene, rays, first)
+            reach = end_rays(packet, tree, skips, first)
             while top > 0:
                 top -= 1
                 number = stack[top].instance
-                if number != place.number:
-                    enter_instance(place, packet, number, scene, rays, first)
-                    reach = end_rays(packet, place, skips, first)
-                leaf_count = visit_node(stack, top, leaves, place, scene, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR)
+                if number != tree.number:
+                    enter_instance(tree, packet, number, scene, rays, first)
+                    reach = end_rays(packet, tree, skips, first)
+                leaf_count = visit_node(stack, top, leaves, tree, scene, 0.0, reach, FAR_FIRST, HIT_PEAK, FAR)
                 found = int(0)
                 for leaf in range(leaf_count):
-                    load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
-                    found = found | absorb(
-                        absorption, packet, particle, place.instance, config, scene, rays, first, key
-                    )
+                    load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
+                    found = found | absorb(absorption, packet, particle, tree.instance, config, scene, rays, first, key)
                 if found != 0 and largest(absorption.transmittance) <= 0.0:
                     top = int(0)
             for lane in range(LANES):
@@ -160,7 +158,11 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     RaysStorage, packet_rays, begin_packet = tools.rays_storage, tools.packet_rays, tools.begin_packet
     ends_of, largest = tools.ends_of, tools.largest
     enter_instance, visit_node = tools.enter_instance, tools.visit_node
-    FirstHitsStorage, first_hits_of, keep_first_hits = shadows.storage, shadows.first_hits_of, shadows.keep_first_hits
+    FirstHitsStorage, first_hits_of, buffer_first_hits = (
+        shadows.storage,
+        shadows.first_hits_of,
+        shadows.buffer_first_hits,
+    )
 
     @wp.kernel(module="unique", module_options=PACKET_OPTIONS)
     def shadow_by_first_hits(
@@ -187,28 +189,28 @@ def first_hits_shadow_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         stack = node_stack(stack_storage)
         leaves = ChildLinks()
         particle = Particle()
-        place = PacketPlace()
+        tree = PacketTree()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             begin_first_hits(first_hits)
             reach = farthest_reach(first_hits, packet)
             top = push_root(stack)
-            enter_instance(place, packet, WORLD, scene, rays, first)
-            counted = end_rays(packet, place, skips, first)
+            enter_instance(tree, packet, WORLD, scene, rays, first)
+            counted = end_rays(packet, tree, skips, first)
             while top > 0:
                 top -= 1
                 if stack[top].entry <= reach:
                     number = stack[top].instance
-                    if number != place.number:
-                        enter_instance(place, packet, number, scene, rays, first)
-                        counted = end_rays(packet, place, skips, first)
+                    if number != tree.number:
+                        enter_instance(tree, packet, number, scene, rays, first)
+                        counted = end_rays(packet, tree, skips, first)
                     near = lesser(reach, counted)
-                    leaf_count = visit_node(stack, top, leaves, place, scene, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR)
+                    leaf_count = visit_node(stack, top, leaves, tree, scene, 0.0, near, NEAR_FIRST, HIT_PEAK, FAR)
                     found = int(0)
                     for leaf in range(leaf_count):
-                        load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
-                        found = found | keep_first_hits(
-                            first_hits, packet, particle, place.instance, config, scene, rays, first
+                        load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
+                        found = found | buffer_first_hits(
+                            first_hits, packet, particle, tree.instance, config, scene, rays, first
                         )
                     if found != 0:
                         reach = farthest_reach(first_hits, packet)

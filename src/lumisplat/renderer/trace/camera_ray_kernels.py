@@ -3,7 +3,7 @@
 import warp as wp
 
 from lumisplat.device.camera.camera import camera_ray
-from lumisplat.device.camera.pixels import is_shown, picture_index, seen_pixel
+from lumisplat.device.camera.pixels import full_image_index, full_pixel_of_ray, is_in_window
 from lumisplat.device.math.random import pixel_key_of, sample_key_of
 from lumisplat.device.structs.camera import CameraData, ListedRays, SampleData
 from lumisplat.device.structs.rays import RayData
@@ -28,16 +28,16 @@ def start_rays(
     sample = samples[0]
     pixel_index = i
     rays_out.is_active[i] = False
-    if listed.place:
-        pixel_index = listed.place[i]
+    if listed.ray:
+        pixel_index = listed.ray[i]
         if pixel_index < 0:
             return
         sample.index = listed.sample[i]
         camera.offset = listed.offset[i]
-    pixel = seen_pixel(camera, pixel_index)
+    pixel = full_pixel_of_ray(camera, pixel_index)
     x = pixel[0]
     y = pixel[1]
-    if not is_shown(camera, x, y):
+    if not is_in_window(camera, x, y):
         return
     ray = camera_ray(camera, sample, x, y)
     rays_out.is_active[i] = wp.length_sq(ray.direction) > 0.0
@@ -48,7 +48,7 @@ def start_rays(
     rays_out.t_max[i] = wp.inf
     rays_out.path_length[i] = 0.0
     rays_out.spread[i] = ray.spread
-    number = picture_index(camera, x, y)
+    number = full_image_index(camera, x, y)
     rays_out.sample_key[i] = sample_key_of(number, sample.index, sample.seed)
     rays_out.pixel_key[i] = pixel_key_of(number, sample.seed)
     rays_out.sample[i] = sample.index

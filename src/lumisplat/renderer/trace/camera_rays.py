@@ -35,7 +35,7 @@ class CameraRays:
             listed: Those that are started; None: those of all pixels.
             of_splats: Whether they are those along which Gaussians are seen.
         """
-        count = ray_count(*scene.image_size) if listed is None else len(listed.place)
+        count = ray_count(*scene.image_size) if listed is None else len(listed.ray)
         rays = self._buffers.struct("camera.splat_rays" if of_splats else "camera.rays", RayData, count)
         inputs = scene.splat_camera if of_splats else scene.camera, scene.sample, listed or ListedRays()
         with self._launcher.stage("rays"):

@@ -142,11 +142,11 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
     """The 1-element table that kernels read the tracer's settings from."""
     row = table = np.zeros(1, dtype=table_dtype(TraceData))
     is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
-    hits_kept = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
+    hit_buffer_size = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
     is_sorted = config.strategy is TraceStrategy.SORTED
     row["strategy"] = _STRATEGIES[config.strategy]
     row["hits_per_pass"] = config.hits_per_pass
-    row["hits_kept"] = 1 if is_hit else hits_kept
+    row["hit_buffer_size"] = 1 if is_hit else hit_buffer_size
     row["ellipsoid_normal"] = config.normal_method is NormalMethod.ELLIPSOID
     # Ending early would bias a stochastic ray: it ends at a transmittance of 0 only.
     row["transmittance_min"] = config.transmittance_min if is_sorted else 0.0

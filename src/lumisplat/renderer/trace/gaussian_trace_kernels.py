@@ -42,7 +42,7 @@ from lumisplat.device.structs.bvh import (
     STRATEGY_HIT,
     WORLD,
     ChildLinks,
-    PacketPlace,
+    PacketTree,
     Particle,
     SceneBvh,
     TraceData,
@@ -67,7 +67,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
     RaysStorage, packet_rays, begin_packet = tools.rays_storage, tools.packet_rays, tools.begin_packet
     ends_of, largest = tools.ends_of, tools.largest
     enter_instance, visit_node = tools.enter_instance, tools.visit_node
-    TracedStorage, traced_packet, keep_hits = tracing.storage, tracing.traced_packet, tracing.keep_hits
+    TracedStorage, traced_packet, buffer_hits = tracing.storage, tracing.traced_packet, tracing.buffer_hits
 
     @wp.kernel(module="unique", module_options=options, launch_bounds=(TRACE_THREADS, 4))
     def trace_gaussians(
@@ -101,7 +101,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         stack = node_stack(stack_storage)
         leaves = ChildLinks()
         particle = Particle()
-        place = PacketPlace()
+        tree = PacketTree()
         while largest(waiting) > 0.0:
             begin_packet(packet, waiting, rays, first, scene.packet_radius)
             packet.group = group_of(rays.origin[first], rays.direction[first], scene.packet_radius, SPREAD_MAX)
@@ -115,22 +115,22 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                 end = largest_of(packet.group, own_end)
                 nearest = float(FAR)  # of the hits in the lists
                 top = push_root(stack)
-                enter_instance(place, packet, WORLD, scene, rays, first)
+                enter_instance(tree, packet, WORLD, scene, rays, first)
                 while top > 0:
                     top -= 1
                     if stack[top].entry <= reach:
                         number = stack[top].instance
-                        if number != place.number:
-                            enter_instance(place, packet, number, scene, rays, first)
+                        if number != tree.number:
+                            enter_instance(tree, packet, number, scene, rays, first)
                         hit_distance = scene.hit_distance
                         if number != WORLD:
-                            hit_distance = place.instance.hit_distance
+                            hit_distance = tree.instance.hit_distance
                         leaf_count = visit_node(
-                            stack, top, leaves, place, scene, begin, reach, NEAR_FIRST, hit_distance, end
+                            stack, top, leaves, tree, scene, begin, reach, NEAR_FIRST, hit_distance, end
                         )
                         for leaf in range(leaf_count):
-                            load_particle(scene.assets[place.instance.asset].particles, leaves[leaf], particle)
-                            first_t = keep_hits(traced, packet, particle, place.instance, config, scene, rays, first)
+                            load_particle(scene.assets[tree.instance.asset].particles, leaves[leaf], particle)
+                            first_t = buffer_hits(traced, packet, particle, tree.instance, config, scene, rays, first)
                             if first_t < FAR:
                                 nearest = lesser(nearest, first_t)
                                 own_reach = largest(traced.cut_t)

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from lumisplat.device.math.random import KEPT_OR_RELIT, draw
+from lumisplat.device.math.random import CAPTURED_OR_RELIT, draw
 from lumisplat.device.structs.rays import GaussianHits, RayData
 
 wp.set_module_options({"enable_backward": False})
@@ -26,7 +26,7 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inou
         return
     hidden = 1.0 - captured_inout.transmittance[i]
     captured_inout.hits[i] = captured_inout.hits[i] + surfaces.hits[i]
-    if draw(rays.sample_key[i], KEPT_OR_RELIT) < hidden:
+    if draw(rays.sample_key[i], CAPTURED_OR_RELIT) < hidden:
         captured_inout.color[i] = captured_inout.color[i] / hidden
         captured_inout.normal[i] = captured_inout.normal[i] / hidden
         captured_inout.transmittance[i] = 0.0

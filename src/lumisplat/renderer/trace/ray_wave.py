@@ -17,7 +17,7 @@ class CarriedState:
     """Share of each in the colour of the ray that it branches off, as `WaveData` has them."""
     media: DeviceArray | None = None
     """Media that each has entered; None: none."""
-    sees_far: DeviceArray | None = None
+    sees_environment: DeviceArray | None = None
     """Whether each sees what is infinitely far; None: all do."""
 
 

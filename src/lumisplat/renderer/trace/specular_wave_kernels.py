@@ -9,7 +9,7 @@ those within highlights, each in the order of the wave before: neighbours stay n
 import warp as wp
 
 from lumisplat.device.light.glossy_lobe import LOBE_BRANCH, lobe_ray
-from lumisplat.device.light.splat_surface import sees_far, straight_factor
+from lumisplat.device.light.splat_surface import sees_environment, straight_factor
 from lumisplat.device.material.media import media_of_ray
 from lumisplat.device.material.microfacets import reflect, refract
 from lumisplat.device.material.specular_bounce import bounce_of_ray, spawn_point
@@ -127,7 +127,7 @@ def spawn_rays(
         media_out[child] = media
     if sees_far_out:
         # What shadow rays pass, such as glass, hides no light of the environment that was counted before.
-        sees_far_out[child] = refracted == 0 or sees_far(i, wave)
+        sees_far_out[child] = refracted == 0 or sees_environment(i, wave)
 
 
 @wp.kernel

@@ -56,13 +56,15 @@ class SpecularWaves:
         weights = self._buffers.get(f"wave.{number}.weights", wp.vec3, capacity)
         path_weights = self._buffers.get(f"wave.path_weights{number % 2}", wp.float32, capacity)
         media = self._buffers.get(f"wave.media{number % 2}", wp.vec4i, capacity) if plan.has_media else None
-        sees_far = self._buffers.get(f"wave.{number}.sees_far", wp.bool, capacity) if plan.has_lobes else None
+        sees_environment = (
+            self._buffers.get(f"wave.{number}.sees_environment", wp.bool, capacity) if plan.has_lobes else None
+        )
         self._launcher.run_banded(
             kernels.spawn_rays,
             len(wave.row.branches),
-            *(scene.shading, wave.data, rays, weights, path_weights, media, sees_far),
+            *(scene.shading, wave.data, rays, weights, path_weights, media, sees_environment),
         )
-        return rays, CarriedState(weights, media, sees_far)
+        return rays, CarriedState(weights, media, sees_environment)
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
         """Adds the radiance of the ``far`` wave's rays to the rays of the ``near`` wave that they branch off."""
