@@ -1,4 +1,4 @@
-"""What a machine has: devices are tried, caches, packages and extras are looked at."""
+"""Diagnostics of a machine: devices, kernel cache, packages and extras."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lumisplat import diagnostics
 from lumisplat.runtime.launcher import Launcher
 
 
-def test_all_is_well_here() -> None:
-    """The suite's own machine: the CPU is tried and works, all packages are there, nothing is to be mended."""
+def test_diagnosis_of_this_machine_has_no_problems() -> None:
+    """On the machine that runs the tests, the CPU works, all packages are installed, and nothing needs repair."""
     found = ls.diagnostics.diagnose()
     assert found.problems == () and found.version == ls.__version__
     assert found.devices[0].name == "cpu" and found.devices[0].memory_bytes > 2**29
@@ -28,8 +28,8 @@ def test_all_is_well_here() -> None:
     assert warp.installed == metadata.version("warp-lang") and warp.is_right
 
 
-def test_extras_have_their_own_packages() -> None:
-    """Not those that Lumisplat needs anyway; developers' extras are left out; the line that installs them."""
+def test_extras_list_only_their_own_packages() -> None:
+    """Extras omit the base requirements and developers' extras; each names its pip command."""
     extras = {extra.name: extra for extra in ls.diagnostics.diagnose().extras}
     assert [package.name for package in extras["video"].packages] == ["av"]
     assert extras["video"].install == "pip install 'lumisplat[video]'"
@@ -37,7 +37,7 @@ def test_extras_have_their_own_packages() -> None:
 
 
 def versions(changed: dict[str, str | None]) -> Callable[[str], str]:
-    """`importlib.metadata.version` of a machine where some packages are others, or missing."""
+    """Returns `importlib.metadata.version` of a machine where some packages have other versions, or are missing."""
     real = metadata.version
 
     def version(name: str) -> str:
@@ -50,8 +50,8 @@ def versions(changed: dict[str, str | None]) -> Callable[[str], str]:
     return version
 
 
-def test_what_is_missing_or_old_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the line that mends it; of an extra it is no problem, it is not installed."""
+def test_missing_and_old_packages_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each problem names the command that solves it; a missing extra is no problem."""
     monkeypatch.setattr(metadata, "version", versions({"pygltflib": None, "rich": "12.9", "av": "13.1"}))
     found = ls.diagnostics.diagnose()
     text = " ".join(found.problems)
@@ -60,8 +60,8 @@ def test_what_is_missing_or_old_is_named(monkeypatch: pytest.MonkeyPatch) -> Non
     assert not next(extra for extra in found.extras if extra.name == "video").is_installed
 
 
-def test_kernels_that_fail_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compilers that raise, and devices whose results are wrong, by the device's name."""
+def test_failing_kernels_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compilers that raise, and devices with wrong results, are reported with the device's name."""
 
     def broken(*_: object) -> None:
         raise RuntimeError("no compiler\nfor sm_99")
@@ -75,14 +75,14 @@ def test_kernels_that_fail_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "cpu: a kernel that squares numbers gives wrong results" in ls.diagnostics.diagnose().problems
 
 
-def test_a_cache_that_cannot_be_used_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
-    """It is a file, or the disk is nearly full: where, why, and what to do."""
+def test_unusable_cache_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """A cache that is a file, or a nearly full disk, is reported with place, reason and advice."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(diagnostics, "_trial", lambda _: None)
     with monkeypatch.context() as patch:
         patch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file" / "kernels"))
         assert any(
-            "kernels cannot be kept here" in line and "WARP_CACHE_PATH" in line
+            "kernels cannot be stored here" in line and "WARP_CACHE_PATH" in line
             for line in ls.diagnostics.diagnose().problems
         )
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
@@ -90,8 +90,8 @@ def test_a_cache_that_cannot_be_used_is_told(monkeypatch: pytest.MonkeyPatch, tm
     assert any("10 MiB are free" in line for line in ls.diagnostics.diagnose().problems)
 
 
-def test_gpus_without_cuda_are_remarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
-    """A driver's file is there, but no device of it: the driver is too old, or is not reached."""
+def test_unusable_gpu_is_remarked(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+    """A driver file without a CUDA device gives a remark: the driver is too old, or cannot be reached."""
     (tmp_path / "nvidia0").write_text("")
     monkeypatch.setattr(diagnostics, "_SIGNS_OF_A_GPU", (str(tmp_path / "nvidia0"),))
     monkeypatch.setattr(wp, "get_devices", lambda: [wp.get_device("cpu")])

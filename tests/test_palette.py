@@ -1,4 +1,4 @@
-"""Palettes: the kernel against float64, and what k-means must do."""
+"""Palettes: the kernel against float64, and the properties of k-means."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from support.oracles import palette_oracle
 
 
 def clusters(count: int, components: int, centers: int = 12, seed: int = 3) -> np.ndarray:
-    """Vectors around a few places, float32."""
+    """Returns vectors around a few centres, float32."""
     rng = np.random.default_rng(seed)
     places = rng.normal(0.0, 1.0, (centers, components))
     return (places[rng.integers(0, centers, count)] + rng.normal(0.0, 0.1, (count, components))).astype(np.float32)
 
 
 def squared_error(values: np.ndarray, entries: np.ndarray, labels: np.ndarray) -> float:
-    """Summed over all components."""
+    """Returns the squared error summed over all components."""
     return float(((values.astype(np.float64) - entries[labels]) ** 2).sum())
 
 
 @pytest.mark.parametrize("components", [9, 24, 45])
 @pytest.mark.parametrize("threads", [1, 3])
-def test_nearest_entries_are_those_of_float64(components: int, threads: int) -> None:
-    """Each vector gets the nearest entry of its own group, and the distance to it; of no other, nearer group."""
+def test_nearest_entries_match_float64(components: int, threads: int) -> None:
+    """Each vector gets the nearest entry of its own group, even if another group has a nearer one."""
     values = clusters(500, components)
     group = np.random.default_rng(1).integers(0, 4, len(values))
     shares = np.array([1, 16, 17, 40])
@@ -43,8 +43,8 @@ def test_nearest_entries_are_those_of_float64(components: int, threads: int) -> 
 
 
 @pytest.mark.parametrize("count", [1, 5, 16, 40])
-def test_one_level_is_k_means(count: int) -> None:
-    """K-means within one group ends at the error of its float64 twin, from the same start."""
+def test_one_level_matches_k_means(count: int) -> None:
+    """Within one group, k-means reaches the error of its float64 twin from the same start."""
     values = clusters(300, 9)
     launcher = Launcher("cpu")
     launcher.load([palette_kernels])
@@ -54,8 +54,8 @@ def test_one_level_is_k_means(count: int) -> None:
     assert distances.sum() == pytest.approx(expected, rel=1e-4)
 
 
-def test_idle_entries_go_where_the_error_is() -> None:
-    """An entry without vectors moves to the one that is farthest from its own, in its group."""
+def test_unused_entries_move_to_the_largest_error() -> None:
+    """An entry without vectors moves to the vector of its group that is farthest from its own entry."""
     values = np.array([[0.0], [1.0], [7.0], [2.0], [90.0]], np.float32)
     group = np.array([0, 0, 0, 0, 1])
     entries = _Entries(values, group, np.array([2, 1]))
@@ -64,7 +64,7 @@ def test_idle_entries_go_where_the_error_is() -> None:
 
 
 def test_two_levels_are_no_worse_than_one() -> None:
-    """A palette on two levels has at most the error of ten steps of k-means that compare with all entries."""
+    """A two-level palette has at most the error of ten k-means steps that compare with all entries."""
     values = clusters(1200, 24, centers=50)
     palette = fit_palette(values, 256, "cpu")
     assert len(palette.entries) <= 256
@@ -72,8 +72,8 @@ def test_two_levels_are_no_worse_than_one() -> None:
     assert squared_error(values, palette.entries, palette.labels) < 1.02 * expected
 
 
-def test_few_different_vectors_are_kept() -> None:
-    """Where there are no more different vectors than entries, the palette is exact, however often each is there."""
+def test_few_distinct_vectors_are_exact() -> None:
+    """If there are no more distinct vectors than entries, the palette is exact, however often each occurs."""
     values = np.repeat(clusters(37, 45), np.arange(1, 38), axis=0)
     palette = fit_palette(np.random.default_rng(0).permutation(values), 256, "cpu")
     assert len(palette.entries) == 37
@@ -81,16 +81,16 @@ def test_few_different_vectors_are_kept() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 64])
-def test_a_single_vector(count: int) -> None:
-    """One vector, or many of the same, make a palette of one entry."""
+def test_identical_vectors_need_one_entry(count: int) -> None:
+    """One vector, or many identical ones, give a palette of one entry."""
     for values in (np.ones((1, 9), np.float32), np.ones((50, 9), np.float32)):
         palette = fit_palette(values, count, "cpu")
         np.testing.assert_array_equal(palette.entries, np.ones((1, 9)))
         np.testing.assert_array_equal(palette.labels, np.zeros(len(values)))
 
 
-def test_same_bits_every_time() -> None:
-    """Neither chance nor the number of threads has a say."""
+def test_palette_is_deterministic() -> None:
+    """The palette depends neither on chance nor on the number of threads."""
     values = clusters(700, 24)
     first, second = (fit_palette(values, 64, "cpu") for _ in range(2))
     np.testing.assert_array_equal(first.entries, second.entries)
@@ -98,7 +98,7 @@ def test_same_bits_every_time() -> None:
 
 
 def test_groups_with_more_error_get_more_entries() -> None:
-    """Shares go by the root of size times error; none is empty, none larger than its group."""
+    """Entries are divided by the root of size times error; no group is empty or has more entries than vectors."""
     group = np.repeat([0, 1, 2, 3], [100, 100, 400, 2])
     errors = np.repeat([1.0, 4.0, 1.0, 0.0], [100, 100, 400, 2]).astype(np.float32)
     np.testing.assert_array_equal(group_shares(group, errors, 70), [10, 20, 40, 1])

@@ -284,7 +284,7 @@ def test_no_place_for_kernels(work):
         check=False,
     )
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "compiled kernels cannot be kept here" in done.stderr and "WARP_CACHE_PATH" in done.stderr
+    assert "compiled kernels cannot be stored here" in done.stderr and "WARP_CACHE_PATH" in done.stderr
 
 
 def test_names_too_long(work):

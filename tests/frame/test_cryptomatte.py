@@ -1,4 +1,4 @@
-"""Cryptomatte: hashes, ids that are ordinary floats, channels and the manifest."""
+"""Cryptomatte: hashes, ids that are normal floats, channels and the manifest."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from lumisplat.frame.mattes import id_floats, matte_channels, matte_metadata, mu
     ],
 )
 def test_hashes_are_murmur3(name: str, expected: int) -> None:
-    """Values of the package mmh3 5.2 with seed 0, of all lengths of the last block."""
+    """Matches the package mmh3 5.2 with seed 0, for all lengths of the last block."""
     assert murmur3_32(name) == expected
 
 
-def test_ids_are_ordinary_floats() -> None:
-    """Neither denormal nor infinite nor NaN, whatever the name: those would be changed by what reads them."""
+def test_ids_are_normal_floats() -> None:
+    """No id is denormal, infinite or NaN, because readers may change such floats."""
     names = [f"thing {number}" for number in range(20_000)]
     hashes = np.array([murmur3_32(name) for name in names], dtype=np.uint32)
     exponents = hashes >> 23 & 255
@@ -41,7 +41,7 @@ def test_ids_are_ordinary_floats() -> None:
 
 
 def test_channels_hold_two_ranks_each() -> None:
-    """Id and share in R and G, then in B and A; the manifest leads from names to ids."""
+    """Ids and coverage fill R and G, then B and A; the manifest maps names to ids."""
     ids = id_floats(["a", "b", "c"])[:, None, None] * np.ones((3, 2, 2), np.float32)
     shares = np.array([0.5, 0.3, 0.2], np.float32)[:, None, None] * np.ones((3, 2, 2), np.float32)
     named = matte_channels("CryptoObject", ids, shares)

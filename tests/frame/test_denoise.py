@@ -1,4 +1,4 @@
-"""Denoised frames: less noise in their light, the same captured light, and what is refused."""
+"""Denoised frames: noise falls, captured light stays, and invalid frames are refused."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ SIZE = (128, 72)
 
 @pytest.fixture(scope="module")
 def denoiser() -> None:
-    """Skips without the extra."""
+    """Skips the test if the extra is not installed."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
 
 
 def noisy(frame: ls.Frame, seed: int = 0) -> ls.Frame:
-    """The frame with light of which half of the pixels have twice as much, and the others nothing."""
+    """Returns the frame with light doubled in a random half of the pixels, and removed in the others."""
     assert frame.light is not None
     seen = np.random.default_rng(seed).integers(0, 2, frame.alpha.shape)[..., None]
     return with_light(frame, 2.0 * seen * frame.light)
 
 
 def with_light(frame: ls.Frame, light: np.ndarray) -> ls.Frame:
-    """The frame with other light."""
+    """Returns the frame with other light."""
     light = light.astype(np.float32)
     assert frame.captured is not None and frame.captured_weight is not None
     return replace(frame, light=light, color=captured_radiance(frame.captured, frame.captured_weight) + light)
 
 
 def shadowed(frame: ls.Frame, share: np.ndarray) -> ls.Frame:
-    """The frame with no light but shadows, which leave a share of captured light."""
+    """Returns the frame with shadows only, which leave a given fraction of the captured light."""
     assert frame.captured is not None and frame.captured_weight is not None
     captured = captured_radiance(frame.captured, frame.captured_weight)
     return with_light(frame, (share[..., None] - 1.0) * captured)
@@ -49,8 +49,8 @@ def shadowed(frame: ls.Frame, share: np.ndarray) -> ls.Frame:
 
 @needs_denoiser
 @pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
-def test_light_has_less_noise_and_as_much_in_all(background: tuple | None) -> None:
-    """The error of noisy light falls to less than a quarter, and the mean stays within 5 %."""
+def test_denoising_lowers_noise_and_preserves_the_mean(background: tuple | None) -> None:
+    """The error of noisy light falls to less than a quarter, and its mean stays within 5 %."""
     truth = ball_frame(*SIZE, background=background)
     before = noisy(truth)
     after = before.denoised()
@@ -63,8 +63,8 @@ def test_light_has_less_noise_and_as_much_in_all(background: tuple | None) -> No
 
 
 @needs_denoiser
-def test_captures_that_no_light_changes_stay_to_the_bit() -> None:
-    """Colour, light and bytes of pixels that show captures or the background alone are those of before."""
+def test_unlit_captures_are_unchanged_to_the_bit() -> None:
+    """Pixels that show only captures or background have the same colour, light and bytes as before."""
     before = noisy(ball_frame(*SIZE, tone_map=ls.ToneMap.AGX))
     after = before.denoised()
     assert before.light is not None and before.captured_weight is not None and after.light is not None
@@ -82,7 +82,7 @@ def test_captures_that_no_light_changes_stay_to_the_bit() -> None:
 
 @needs_denoiser
 def test_captures_keep_their_detail_in_shadows() -> None:
-    """A noisy shadow becomes an even one, and tiles, twice as sharp as any filter leaves them, stay what they were."""
+    """A noisy shadow becomes smooth, while the sharp tiles of the capture in it are unchanged."""
     frame = ball_frame(*SIZE, background=None)
     rng = np.random.default_rng(1)
     assert frame.captured is not None
@@ -97,8 +97,8 @@ def test_captures_keep_their_detail_in_shadows() -> None:
 
 
 @needs_denoiser
-def test_light_that_is_not_finite_is_none() -> None:
-    """One pixel of NaN, and one that is infinite, do not spread."""
+def test_nonfinite_light_counts_as_zero() -> None:
+    """One NaN pixel and one infinite pixel do not spread."""
     before = noisy(ball_frame(*SIZE))
     assert before.light is not None
     broken = before.light.copy()
@@ -109,15 +109,15 @@ def test_light_that_is_not_finite_is_none() -> None:
 
 
 @needs_denoiser
-def test_a_frame_is_denoised_once() -> None:
-    """A denoised frame is returned as it is."""
+def test_denoising_a_denoised_frame_changes_nothing() -> None:
+    """A denoised frame is returned unchanged."""
     frame = noisy(ball_frame(*SIZE)).denoised()
     assert frame.denoised() is frame
 
 
 @needs_denoiser
-def test_noisy_albedo_is_not_asked_for() -> None:
-    """Where the first surface is drawn at random, colours alone are denoised."""
+def test_noisy_albedo_is_not_used_as_a_guide() -> None:
+    """If the first surface is chosen at random, the denoiser gets no guides."""
     frame = replace(noisy(ball_frame(*SIZE)), albedo=None)
     for settings in (
         ls.RenderConfig(pipeline=ls.Pipeline.PATH),
@@ -131,10 +131,10 @@ def test_noisy_albedo_is_not_asked_for() -> None:
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
 @pytest.mark.parametrize("alpha_mode", [ls.AlphaMode.OPAQUE, ls.AlphaMode.BLEND])
-def test_guides_are_clean_unless_meshes_are_drawn(
+def test_guides_are_clean_unless_meshes_are_stochastic(
     alpha_mode: ls.AlphaMode, pipeline: ls.Pipeline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the alpha of a veil, but where rays go on behind it: the filter is told that they have noise."""
+    """If rays pass a mesh at random by its alpha, the denoiser is told that the guides have noise."""
     asked: list[Any] = []
 
     def denoise(image: np.ndarray, **settings: Any) -> np.ndarray:
@@ -156,17 +156,17 @@ def test_guides_are_clean_unless_meshes_are_drawn(
     ("frame", "message"),
     [
         (unlit(ball_frame()), "an unlit frame cannot be denoised"),
-        (replace(ball_frame(), albedo=None), "the frame has no 'albedo': RenderConfig.aovs asks for it"),
+        (replace(ball_frame(), albedo=None), "the frame has no 'albedo': add it to RenderConfig.aovs"),
     ],
 )
-def test_frames_that_lack_something_are_refused(frame: ls.Frame, message: str) -> None:
-    """In one line that says what to do."""
+def test_unlit_frames_and_frames_without_albedo_are_refused(frame: ls.Frame, message: str) -> None:
+    """The error is one line that says what to do."""
     with pytest.raises(ls.ConfigError, match=message):
         frame.denoised()
 
 
-def test_without_the_package_the_command_to_install_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before a frame is rendered, and of a frame that is there."""
+def test_missing_denoiser_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The error appears before a frame is rendered, and also for an existing frame."""
     monkeypatch.setitem(sys.modules, "mitsuba_oidn", None)
     for ask in (ls.Frame.check_denoiser, ball_frame().denoised):
         with pytest.raises(ls.errors.MissingExtraError, match=r"denoising needs .* pip install 'lumisplat\[denoise\]'"):
@@ -174,8 +174,8 @@ def test_without_the_package_the_command_to_install_it_is_said(monkeypatch: pyte
 
 
 @needs_denoiser
-def test_samples_are_not_added_to_denoised_frames() -> None:
-    """The mean that they would be added to is gone."""
+def test_denoised_frames_cannot_be_resumed() -> None:
+    """The accumulated mean no longer exists."""
     camera = ls.Camera.look_at((0, 0, -3), (0, 0, 0), width=16, height=16)
     scene = ls.Scene(meshes=[ls.MeshInstance(ls.box())])
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=1, aovs=("albedo",)), "cpu")

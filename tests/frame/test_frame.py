@@ -1,4 +1,4 @@
-"""What a frame says and saves."""
+"""Frames: derived images, their text and their files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.scenes.trace_scenes import GLASS, slab
 
 @pytest.fixture(scope="module")
 def frame() -> ls.Frame:
-    """Splats over a grey background, a mesh among them."""
+    """A frame of splats and a mesh over a grey background."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
     return ls.render(
         scene, scenes.front_camera(40, 30), ls.RenderConfig(background=(0.5, 0.25, 0.125), lighting=False), device="cpu"
@@ -33,8 +33,8 @@ def test_depth_z_is_depth_along_the_axis(frame: ls.Frame) -> None:
     assert frame.depth_z[y, x] == pytest.approx(point[2], rel=1e-5)
 
 
-def test_premultiplied_takes_the_background_away(frame: ls.Frame) -> None:
-    """The same view without a background has the radiance that ``premultiplied`` recovers."""
+def test_premultiplied_removes_the_background(frame: ls.Frame) -> None:
+    """``premultiplied`` equals the radiance of the same frame rendered without a background."""
     scene = ls.Scene([scenes.random_gaussians(3, count=40)], [scenes.octahedron((0.4, 0.2, 4.0), 0.5)])
     bare = ls.render(scene, frame.camera, ls.RenderConfig(background=None, lighting=False), device="cpu")
     np.testing.assert_allclose(frame.premultiplied(), bare.color, atol=1e-6)
@@ -49,7 +49,7 @@ def test_png_shows_the_colours_as_trained(frame: ls.Frame, tmp_path: Path) -> No
 
 
 def test_transparent_png_keeps_straight_alpha(tmp_path: Path) -> None:
-    """Without a background the PNG has an alpha channel and colours that are not darkened by it."""
+    """Without a background the PNG has an alpha channel, and its colours are not premultiplied."""
     scene = ls.Scene([scenes.one_gaussian(opacity=0.5, color=(0.8, 0.4, 0.2))])
     frame = ls.render(
         scene, scenes.front_camera(31, 31), ls.RenderConfig(background=None, lighting=False), device="cpu"
@@ -76,8 +76,8 @@ def test_exr_is_linear_and_names_its_layers(frame: ls.Frame, tmp_path: Path) -> 
     np.testing.assert_allclose(np.stack([channels[c] for c in "RGB"], axis=2), expected, atol=1e-7)
 
 
-def test_layers_are_chosen(frame: ls.Frame, tmp_path: Path) -> None:
-    """Layers that are named go into an EXR, no others; beside a PNG they are pictures; a typo writes nothing."""
+def test_only_named_layers_are_saved(frame: ls.Frame, tmp_path: Path) -> None:
+    """An EXR holds exactly the named layers, a PNG has them as images beside it, and a misspelt name writes no file."""
     frame.save(tmp_path / "a.exr", ["depth"])
     assert read_image(tmp_path / "a.exr").keys() == {"R", "G", "B", "A", "depth.Z"}
     frame.save(tmp_path / "b.png", ["normal"])
@@ -87,8 +87,8 @@ def test_layers_are_chosen(frame: ls.Frame, tmp_path: Path) -> None:
     assert not (tmp_path / "c.png").exists()
 
 
-def test_no_index_is_the_largest_in_exr(frame: ls.Frame, tmp_path: Path) -> None:
-    """Where there is nothing, index layers say 4294967295, as the guide says."""
+def test_missing_index_is_the_largest_integer_in_exr(frame: ls.Frame, tmp_path: Path) -> None:
+    """Without a hit, index layers hold 4294967295, as the guide says."""
     frame.save(tmp_path / "a.exr", ["instance_index"])
     index = read_image(tmp_path / "a.exr")["index.instance"]
     assert index.dtype == np.uint32
@@ -96,7 +96,7 @@ def test_no_index_is_the_largest_in_exr(frame: ls.Frame, tmp_path: Path) -> None
 
 
 def test_reprs_are_short(frame: ls.Frame) -> None:
-    """A frame, a capture and a mesh show what they are, not their arrays."""
+    """The repr of a frame, a capture and a mesh describes them without their arrays."""
     gaussians = scenes.random_gaussians(3, count=40)
     assert len(gaussians) == 40
     low, high = (", ".join(f"{value:.4g}" for value in corner) for corner in gaussians.bounds())
@@ -115,28 +115,28 @@ def test_reprs_are_short(frame: ls.Frame) -> None:
 
 
 def test_npz_holds_every_image(frame: ls.Frame, tmp_path: Path) -> None:
-    """Arrays come back as they were."""
+    """Every array survives a round trip."""
     frame.save(tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as saved:
         for name, array in frame.arrays().items():
             np.testing.assert_array_equal(saved[name], array)
 
 
-def test_only_scenes_are_rendered() -> None:
-    """A bare capture is refused with how to make a scene of it."""
+def test_objects_other_than_scenes_are_refused() -> None:
+    """A bare capture is refused, with how to make a scene of it."""
     with pytest.raises(ls.SceneError, match=r"expected a Scene, got Gaussians: ls\.Scene\(splats="):
         ls.render(scenes.random_gaussians(3, count=4), scenes.front_camera(8, 8), device="cpu")  # pyright: ignore[reportArgumentType]
 
 
-def test_only_cameras_show_scenes() -> None:
-    """A view that is none is refused, with how to make one."""
+def test_objects_other_than_cameras_are_refused() -> None:
+    """An object that is no camera is refused, with how to make a camera."""
     with pytest.raises(ls.SceneError, match=r"expected a Camera, got str: ls\.Camera\.look_at"):
         ls.render(ls.Scene(), "front", device="cpu")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("config", ["fast", ls.RasterConfig(), ""], ids=type)
-def test_only_settings_are_settings(config: Any) -> None:
-    """Wherever settings are taken, what is none is refused in the same words."""
+def test_objects_other_than_settings_are_refused(config: Any) -> None:
+    """All functions refuse an object that is no RenderConfig in the same words."""
     rays = (ls.Scene(), np.zeros((1, 3)), np.ones((1, 3)))
     view = scenes.front_camera(8, 8)
     for attempt in (
@@ -149,8 +149,8 @@ def test_only_settings_are_settings(config: Any) -> None:
             attempt()
 
 
-def test_glass_is_opaque_over_transparency() -> None:
-    """Clear glass has alpha 1 and lets rays through for nothing; what has no background is black behind it."""
+def test_glass_is_opaque_without_a_background() -> None:
+    """Clear glass has alpha 1 although its rays go through; without a background it shows black."""
     scene = ls.Scene(meshes=[slab(3.0, 0.5, GLASS, half=9.0)])
     camera = scenes.front_camera(8, 8)
     clear, red = (
@@ -171,7 +171,7 @@ def test_image_beyond_the_indices_is_refused() -> None:
 
 
 def test_unknown_extension_and_layer_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
-    """The message says what there is to choose from, and nothing is written."""
+    """The message lists the choices, and no file is written."""
     with pytest.raises(ls.FormatError, match=r"expected \.png, \.exr or \.npz"):
         frame.save(tmp_path / "a.jpg")
     with pytest.raises(ls.ConfigError, match="expected some of depth, normal, gaussian_index"):

@@ -1,4 +1,4 @@
-"""What a lit frame says and saves; the frame is made by formulas, so that every image of it is known."""
+"""Lit frames: derived images and files, of a frame whose images are given by formulas."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ MAPS = list(ls.ToneMap)
 
 
 def untouched(frame: ls.Frame) -> np.ndarray:
-    """Where the formulas put a capture, or the background, and no light."""
+    """Returns where the formulas put a capture or the background, and no light."""
     assert frame.light is not None
     return ~frame.light.any(axis=2) & (frame.instance_index != 1)
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
 @pytest.mark.parametrize("background", [(0.25, 0.5, 0.75), None], ids=["over grey", "transparent"])
-def test_untouched_pixels_are_as_unlit(tone_map: ls.ToneMap, background: tuple | None, tmp_path: Path) -> None:
-    """Where no light came, values and PNG bytes are those of the unlit frame; elsewhere they are not."""
+def test_pixels_without_added_light_equal_the_unlit_frame(
+    tone_map: ls.ToneMap, background: tuple | None, tmp_path: Path
+) -> None:
+    """Exactly the pixels without added light have the values and PNG bytes of the unlit frame."""
     frame = ball_frame(background=background, tone_map=tone_map)
     same = untouched(frame)
     assert 0.3 < same.mean() < 0.9
@@ -42,7 +44,7 @@ def test_untouched_pixels_are_as_unlit(tone_map: ls.ToneMap, background: tuple |
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_png_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) -> None:
-    """Where nothing was captured, bytes are those of the tone mapper on the light, brightened by the exposure."""
+    """Pixels without a capture are the tone-mapped, exposed light."""
     frame = ball_frame(tone_map=tone_map, exposure=1.5)
     assert frame.light is not None and frame.captured_weight is not None
     frame.save(tmp_path / "a.png")
@@ -53,7 +55,7 @@ def test_png_is_exposed_and_tone_mapped(tone_map: ls.ToneMap, tmp_path: Path) ->
 
 
 def test_transparent_png_divides_by_alpha(tmp_path: Path) -> None:
-    """Half a pixel of light has the colour of the whole, and alpha a half."""
+    """A half-covered pixel has the full colour and alpha one half."""
     frame = ball_frame(background=None, tone_map=ls.ToneMap.NEUTRAL)
     assert frame.light is not None and frame.captured is not None and frame.captured_weight is not None
     thin = replace(
@@ -69,15 +71,15 @@ def test_transparent_png_divides_by_alpha(tmp_path: Path) -> None:
 
 
 def test_premultiplied_is_linear_and_without_background() -> None:
-    """The same view without a background has the radiance that is recovered from the one with it."""
+    """``premultiplied`` equals the radiance of the same frame rendered without a background."""
     over, bare = ball_frame(), ball_frame(background=None)
     np.testing.assert_allclose(over.premultiplied(), bare.color, atol=2e-6)
     np.testing.assert_allclose(over.straight() * over.alpha[..., None], over.premultiplied(), atol=1e-6)
     assert over.premultiplied()[over.alpha == 0.0].max() == 0.0
 
 
-def test_thin_captures_lose_the_background_only() -> None:
-    """A capture of alpha 0.6 over a background has 0.6 of its own radiance, and its own colour."""
+def test_partial_coverage_loses_only_the_background() -> None:
+    """A capture of alpha 0.6 over a background keeps 0.6 of its radiance, and its colour."""
     frame = ball_frame(1, 1)
     captured = np.array([[[0.9, 0.2, 0.4]]], np.float32)
     thin = replace(
@@ -93,8 +95,8 @@ def test_thin_captures_lose_the_background_only() -> None:
     np.testing.assert_allclose(thin.layers(())["R"], unlit(thin).layers(())["R"], atol=1e-6)
 
 
-def test_exr_is_the_light_of_the_scene(tmp_path: Path) -> None:
-    """RGBA is premultiplied and linear, whatever the exposure and the tone map; every layer has its channels."""
+def test_exr_ignores_exposure_and_tone_map(tmp_path: Path) -> None:
+    """RGBA is premultiplied and linear, independent of exposure and tone map; every layer has its channels."""
     frame = ball_frame(tone_map=ls.ToneMap.AGX, exposure=2.0)
     frame.save(tmp_path / "a.exr")
     channels = read_image(tmp_path / "a.exr")
@@ -113,23 +115,23 @@ def test_exr_is_the_light_of_the_scene(tmp_path: Path) -> None:
     np.testing.assert_array_equal(channels["position.Z"], frame.position[..., 2])
 
 
-def test_exr_of_captures_is_that_of_the_unlit_frame(tmp_path: Path) -> None:
-    """Untouched pixels have the same linear channels, lit or not."""
+def test_exr_of_unlit_captures_equals_the_unlit_frame(tmp_path: Path) -> None:
+    """Pixels without added light have the same linear channels, lit or unlit."""
     frame = ball_frame()
     lit, plain = frame.layers(()), unlit(frame).layers(())
     for name in "RGBA":
         np.testing.assert_allclose(lit[name][untouched(frame)], plain[name][untouched(frame)], atol=1e-6)
 
 
-def test_pictures_beside_the_png(tmp_path: Path) -> None:
-    """Each layer has a picture of its name; lights have two each."""
+def test_layers_are_saved_beside_the_png(tmp_path: Path) -> None:
+    """Each layer becomes an image of its name; each light becomes two."""
     ball_frame().save(tmp_path / "a.png", ["albedo", "lights", "position"])
     names = ["albedo", "light.key.direct", "light.key.shadow", "light.1.direct", "light.1.shadow", "position"]
     assert {path.name for path in tmp_path.iterdir()} == {"a.png", *(f"a.{name}.png" for name in names)}
 
 
-def test_npz_holds_what_there_is(tmp_path: Path) -> None:
-    """Every image and the lights' names come back; what was not asked for has no place in the file."""
+def test_npz_holds_the_rendered_images_only(tmp_path: Path) -> None:
+    """Every image and the lights' names survive a round trip; layers that were not requested are absent."""
     frame = replace(ball_frame(), reflection=None)
     frame.save(tmp_path / "a.npz")
     arrays = read_image(tmp_path / "a.npz")
@@ -139,8 +141,8 @@ def test_npz_holds_what_there_is(tmp_path: Path) -> None:
     assert "reflection" not in arrays and "depth_z" in arrays and "position" in arrays
 
 
-def test_layers_that_are_not_there(tmp_path: Path) -> None:
-    """A layer or a view of an image that was not asked for is refused with what would make it; nothing is written."""
+def test_missing_layers_are_refused(tmp_path: Path) -> None:
+    """A layer or view that was not rendered is refused with the setting that adds it, and no file is written."""
     frame = replace(ball_frame(), albedo=None, light_direct=None, light_shadow=None, hits=None)
     for layer in ("albedo", "lights", "hits"):
         for name in ("a.png", "a.exr"):
@@ -154,8 +156,8 @@ def test_layers_that_are_not_there(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_labels_of_lights() -> None:
-    """Names become fit for channels and file names, and stay apart from each other."""
+def test_light_labels_are_unique_and_safe() -> None:
+    """Light names become unique labels that are valid in channel and file names."""
     frame = ball_frame()
     direct, shadow = np.zeros((6, 27, 48, 3), np.float32), np.ones((6, 27, 48, 3), np.float32)
     names = ("sun", "Sun", "", "a.b/../c", "\u592a\u967d", "x" * 300)
@@ -166,10 +168,10 @@ def test_labels_of_lights() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("field", ["light", "captured", "captured_weight", "alpha", "color"])
-def test_nonfinite_radiance_is_black_and_told(
+def test_nonfinite_radiance_is_black_and_reported(
     value: float, field: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One line counts such pixels, PNG and EXR have 0 there, and all others are what they would be."""
+    """A warning counts non-finite pixels; PNG and EXR hold 0 there, and all other pixels are unchanged."""
     good = ball_frame(tone_map=ls.ToneMap.AGX)
     image = np.array(getattr(good, field))
     image[20, 10:13] = value
@@ -179,7 +181,7 @@ def test_nonfinite_radiance_is_black_and_told(
         with caplog.at_level(logging.WARNING, "lumisplat"):
             frame.save(tmp_path / name, ())
         assert [record.getMessage() for record in caplog.records] == [
-            f"{tmp_path / name}: 3 pixels are not finite, black in the file"
+            f"{tmp_path / name}: 3 pixels are not finite and are black in the file"
         ]
     good.save(tmp_path / "b.png")
     saved, expected = (np.array(read_image(tmp_path / name)["srgb"]) for name in ("a.png", "b.png"))
@@ -190,8 +192,8 @@ def test_nonfinite_radiance_is_black_and_told(
         assert np.isfinite(channels[name]).all() and not channels[name][20, 10:13].any()
 
 
-def test_nonfinite_layers_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """What is not finite in a layer of radiance only does not blacken the picture, and is not kept silent either."""
+def test_nonfinite_layers_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A non-finite pixel in a radiance layer does not blacken the image, but is counted in the warning."""
     frame = ball_frame()
     assert frame.light_direct is not None
     direct = np.array(frame.light_direct)
@@ -204,20 +206,20 @@ def test_nonfinite_layers_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixt
     assert channels["light.1.direct.B"][20, 4] == 0.0 and channels["B"][20, 4] > 0.0
 
 
-def test_counted_samples_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """What the renderer left out because it was not finite is said once when the frame is saved; nothing else is."""
+def test_discarded_samples_are_reported_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Samples that the renderer left out as non-finite are reported once, when the frame is saved."""
     good = FrameStats({}, 1, 1, 0, 1, 1, 1)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         replace(ball_frame(), stats=good).save(tmp_path / "a.png")
         assert not caplog.records
         replace(ball_frame(), stats=replace(good, nonfinite_count=7)).save(tmp_path / "a.png", ["depth"])
     assert [record.getMessage() for record in caplog.records] == [
-        f"{tmp_path / 'a.png'}: 7 Gaussians or samples were not finite and left out: values too large for float32"
+        f"{tmp_path / 'a.png'}: 7 Gaussians or samples were left out, because a value was NaN or too large for float32"
     ]
 
 
-def test_color_is_what_it_is_made_of() -> None:
-    """The frame of the formulas keeps the rule that renderers are to keep: captured part, decoded, plus light."""
+def test_color_is_captured_plus_light() -> None:
+    """The frame from formulas obeys the renderers' rule: color = decoded captured part + light."""
     frame = ball_frame()
     plain = untouched(frame)
     np.testing.assert_allclose(encode_srgb(frame.color[plain]), unlit(frame).color[plain], atol=1e-6)

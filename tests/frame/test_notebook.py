@@ -1,4 +1,4 @@
-"""What notebooks, NumPy and metrics take a frame for: a picture in 0..1."""
+"""Frames as images for notebooks, NumPy and metrics."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from support.scenes import raster_scenes as scenes
 
 
 def shown(color: tuple[float, float, float] = (0.8, 0.4, 0.2), size: int = 32, **settings: Any) -> ls.Frame:
-    """One nearly opaque Gaussian that fills most of a small image."""
+    """Renders one nearly opaque Gaussian that fills most of a small image."""
     scene = ls.Scene([scenes.one_gaussian(opacity=1.0, scale=2.0, color=color)])
     return ls.render(scene, scenes.front_camera(size, size), ls.RenderConfig(**settings), device="cpu")
 
 
 def pixels_of(data: str) -> Image.Image:
-    """The picture of a bundle."""
+    """Decodes the image of a bundle."""
     return Image.open(io.BytesIO(base64.b64decode(data)))
 
 
 @pytest.mark.parametrize("background", ["black", None])
-def test_pictures_of_bright_captures_are_within_0_and_1(background: str | None) -> None:
-    """Spherical harmonics reach beyond white: pictures clip them, as documented, and metrics take them."""
+def test_bright_captures_are_clipped_to_white(background: str | None) -> None:
+    """SH colours above white are clipped in images, as documented, and metrics accept such frames."""
     frame = shown((1.3, 0.5, 0.1), background=background)
     assert frame.color.max() > 1.05
     pixels = frame.pixels_srgb()
@@ -37,21 +37,21 @@ def test_pictures_of_bright_captures_are_within_0_and_1(background: str | None) 
     assert ls.metrics.psnr(pixels[..., :3], pixels[..., :3]) == float("inf")
 
 
-def test_a_frame_is_an_array() -> None:
-    """NumPy's protocol: a new array of what a PNG shows, in the dtype that is asked for."""
+def test_frames_convert_to_numpy_arrays() -> None:
+    """NumPy's protocol gives a new array of the PNG's pixels in the requested dtype."""
     frame = shown()
     np.testing.assert_array_equal(np.asarray(frame), frame.pixels_srgb())
     assert np.asarray(frame).dtype == np.float32
     assert np.asarray(frame, np.float64).dtype == np.float64
     np.testing.assert_array_equal(np.asarray(frame, np.uint8), (frame.pixels_srgb() * 255.0 + 0.5).astype(np.uint8))
     assert np.array(frame, copy=True).shape == (32, 32, 3)
-    with pytest.raises(ValueError, match="without a copy"):
+    with pytest.raises(ValueError, match="copy=False is impossible"):
         np.array(frame, copy=cast(Any, False))
     assert ls.metrics.psnr(cast(Any, frame), cast(Any, frame)) == float("inf")
 
 
-def test_a_notebook_shows_the_picture() -> None:
-    """A PNG of the pixels with its size, and the text of repr."""
+def test_notebooks_show_the_image() -> None:
+    """The bundle holds a PNG of the pixels with its size, and the repr."""
     frame = shown()
     data, about = frame._repr_mimebundle_()
     assert set(data) == {"image/png", "text/plain"} and data["text/plain"] == repr(frame)
@@ -61,8 +61,8 @@ def test_a_notebook_shows_the_picture() -> None:
     assert alone is not None and alone == base64.b64decode(data["image/png"])
 
 
-def test_a_notebook_gets_what_it_asks_for() -> None:
-    """Types that are not included, or are excluded, are left out."""
+def test_notebooks_get_the_requested_mime_types() -> None:
+    """MIME types that are not included, or are excluded, are left out."""
     frame = shown()
     assert set(frame._repr_mimebundle_(include={"text/plain"})[0]) == {"text/plain"}
     assert set(frame._repr_mimebundle_(exclude={"text/plain"})[0]) == {"image/png"}
@@ -70,7 +70,7 @@ def test_a_notebook_gets_what_it_asks_for() -> None:
 
 
 def test_large_frames_are_jpegs_unless_transparent() -> None:
-    """Above a megapixel; a transparent one stays PNG, as JPEG has no alpha."""
+    """Frames above a megapixel become JPEGs; transparent ones stay PNGs, because JPEG has no alpha."""
     large = shown(size=1040)
     data, about = large._repr_mimebundle_()
     assert set(data) == {"image/jpeg", "text/plain"} and about == {"image/jpeg": {"width": 1040, "height": 1040}}
@@ -82,9 +82,9 @@ def test_large_frames_are_jpegs_unless_transparent() -> None:
     assert pixels_of(data["image/png"]).mode == "RGBA"
 
 
-def test_a_frame_that_cannot_be_shown_is_text() -> None:
-    """A notebook never gets an exception."""
+def test_broken_frames_are_shown_as_text() -> None:
+    """Showing a broken frame in a notebook never raises."""
     broken = replace(shown(), color=cast(Any, None))
     data, about = broken._repr_mimebundle_()
-    assert set(data) == {"text/plain"} and "no picture" in data["text/plain"] and about == {}
+    assert set(data) == {"text/plain"} and "no image" in data["text/plain"] and about == {}
     assert broken._repr_png_() is None

@@ -1,4 +1,4 @@
-"""Rasterised frames of distorting lenses: rays that follow the lens show the same."""
+"""Rasterised frames with lens distortion agree with rays that follow the lens."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ NONE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def camera_of(lens: Any, **changes: Any) -> ls.Camera:
-    """Corners 38 degrees off the axis."""
+    """Makes a camera whose image corners are 38 degrees off the axis."""
     return front_camera(96, 72, 76.0, distortion=lens, **changes)
 
 
 def shown(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: Any) -> ls.Frame:
-    """A frame on the CPU."""
+    """Renders a frame on the CPU."""
     return ls.render(scene, camera, ls.RenderConfig(pipeline=pipeline, **settings), device="cpu")
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
 def test_raster_and_rays_agree_on_meshes(lens):
-    """The curved edge of a tilted square is where the rays have it; inside, colour, depth and normal are theirs."""
+    """A tilted square has the same curved edge, colour, depth and normal as when ray traced."""
     scene = ls.Scene([], [quad(4.0, 1.6, tilt=0.4)])
     camera = camera_of(lens)
     raster, trace = (
@@ -51,8 +51,8 @@ def test_raster_and_rays_agree_on_meshes(lens):
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_depth_is_that_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
-    """Of a floor to rounding, also beside the edge of a ball before it, of the ball within 1e-3; positions likewise."""
+def test_depth_agrees_with_rays(lens: Any, pipeline: ls.Pipeline) -> None:
+    """A floor's depth agrees with rays up to rounding, even beside the edge of a ball, and the ball's within 1e-3."""
     floor = quad(8.0, 6.0, tilt=1.2)
     ball = ls.MeshInstance(sphere(0.9, rows=64), position=(0.3, 0.2, 4.0))
     scene = ls.Scene([], [floor, ball], [ls.LightPoint((0.0, -4.0, 0.0), intensity=9.0)])
@@ -73,14 +73,14 @@ def test_depth_is_that_of_rays(lens: Any, pipeline: ls.Pipeline) -> None:
     "lens",
     [pytest.param(lens, id=name, marks=[] if name == "barrel" else pytest.mark.deep) for name, lens in LENSES.items()],
 )
-def test_depth_is_that_of_rays_in_real_time(lens: Any) -> None:
-    """As in other pipelines, whose first hits it has."""
-    test_depth_is_that_of_rays(lens, ls.Pipeline.REALTIME)
+def test_realtime_depth_agrees_with_rays(lens: Any) -> None:
+    """Real-time frames have the first hits of the other pipelines."""
+    test_depth_agrees_with_rays(lens, ls.Pipeline.REALTIME)
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_a_lens_costs_no_agreement_on_gaussians(lens):
-    """Raster and rays without a footprint differ by what they differ by without a lens."""
+def test_distortion_preserves_agreement_of_raster_and_rays(lens):
+    """With a lens, raster and rays without a footprint differ no more than without."""
     scene = ls.Scene([random_gaussians(5, count=400, center=(0, 0, 5), extent=(2.5, 2.0, 0.5))])
     difference = []
     for one in (NONE, lens):
@@ -91,8 +91,8 @@ def test_a_lens_costs_no_agreement_on_gaussians(lens):
     assert difference[1] < 1.15 * difference[0]
 
 
-def test_a_point_appears_where_the_lens_shows_it():
-    """A small Gaussian off the axis, in pixels, by OpenCV's formula."""
+def test_points_appear_at_their_distorted_position():
+    """A small Gaussian off the axis appears at the pixel of OpenCV's formula."""
     camera = camera_of(BARREL)
     u, v = 0.5, -0.35
     k1, k2, k3, _, p1, p2 = BARREL
@@ -106,8 +106,8 @@ def test_a_point_appears_where_the_lens_shows_it():
     assert center == pytest.approx([camera.fx * x + camera.cx, camera.fy * y + camera.cy], abs=0.05)
 
 
-def test_lit_frames_and_layers_are_resampled_too():
-    """All images have the camera's size and are finite; what is not covered is the background."""
+def test_all_images_of_lit_frames_are_resampled():
+    """All images have the camera's size and are finite; uncovered pixels show the background."""
     light = ls.LightPoint((1, -2, 2), intensity=30.0)
     scene = ls.Scene([random_gaussians(6)], [quad(5.0, 0.8)], [light])
     camera = camera_of(FOX)
@@ -123,8 +123,8 @@ def test_lit_frames_and_layers_are_resampled_too():
         np.testing.assert_allclose(corner, (0.1, 0.2, 0.3), atol=1e-5)
 
 
-def test_nothing_is_shown_beyond_the_fold():
-    """There the background is seen, and no second image of the middle."""
+def test_background_appears_beyond_the_fold():
+    """Beyond the fold of the polynomial the background appears, not a second image of the centre."""
     camera = front_camera(96, 72, 60.0, distortion=(-0.4, 0.0, 0.0, 0.0, 0.0, 0.0))
     missing = (camera.ray_directions() == 0.0).all(axis=2)
     assert missing.any()
@@ -136,8 +136,8 @@ def test_nothing_is_shown_beyond_the_fold():
     np.testing.assert_array_equal(frame.color[missing], np.broadcast_to((1.0, 0.0, 0.0), (int(missing.sum()), 3)))
 
 
-def test_what_cannot_be_undistorted_is_refused():
-    """A lens near 180 degrees needs a plane without end; a resumed frame would be filtered twice."""
+def test_extreme_distortion_and_resuming_are_refused():
+    """A lens near 180 degrees would need an unbounded pinhole image; a resumed frame would be filtered twice."""
     with pytest.raises(ls.SceneError, match=r"undistorted image of .* use Pipeline.TRACE"):
         undistorted_camera(front_camera(96, 72, 60.0, distortion=(-0.3, 0.045, 0.0, 0.0, 0.0, 0.0), fx=40.0, fy=40.0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)

@@ -1,4 +1,4 @@
-"""Layers and views as pictures: each value has the colour that it says."""
+"""Layers and views as images: each value has its documented colour."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ BLUE = (0.09, 0.13, 0.32)
 
 
 OF_ALL_PIPELINES = ("normal", "depth", "index", "shadow", "hits", "transmittance")
-"""Views of the frame here; those of frames in real time are tested with these."""
+"""Views that are tested here; tests of real-time frames test the others."""
 
 
 @pytest.fixture(scope="module")
 def frame() -> ls.Frame:
-    """The ball on the floor, with all its images."""
+    """A frame of the ball on the floor, with all its images."""
     return ball_frame()
 
 
 def oklab(srgb: np.ndarray) -> np.ndarray:
-    """Ottosson's perceptual space, (..., 3)."""
+    """Converts to Ottosson's perceptual colour space, (..., 3)."""
     cone = [[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566]]
     cone.append([0.0883024619, 0.2817188376, 0.6299787005])
     lab = [[0.2104542553, 0.7936177850, -0.0040720468], [1.9779984951, -2.4285922050, 0.4505937099]]
@@ -38,8 +38,8 @@ def oklab(srgb: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("view", OF_ALL_PIPELINES)
-def test_views_are_pictures(frame: ls.Frame, view: str, tmp_path: Path) -> None:
-    """Each is of the image's size and in 0..1, shows something, and is saved as it is."""
+def test_views_are_display_images(frame: ls.Frame, view: str, tmp_path: Path) -> None:
+    """Each view has the image's size, lies in 0..1, is not empty, and is saved unchanged."""
     picture = frame.view(view)
     assert picture.shape == (27, 48, 3) and picture.dtype == np.float32
     assert picture.min() >= 0.0 and picture.max() <= 1.0 and picture.std() > 0.05
@@ -49,8 +49,8 @@ def test_views_are_pictures(frame: ls.Frame, view: str, tmp_path: Path) -> None:
     )
 
 
-def test_heat_is_even_to_the_eye(frame: ls.Frame) -> None:
-    """Equal steps of transmittance are equal steps of perceived colour, brighter all along."""
+def test_heat_map_is_perceptually_uniform(frame: ls.Frame) -> None:
+    """Equal steps of transmittance are equal steps of perceived colour, with rising brightness."""
     alpha = np.linspace(1.0, 0.0, 33, dtype=np.float32)[None]
     colors = oklab(replace(frame, alpha=alpha).view("transmittance")[0].astype(np.float64))
     steps = np.linalg.norm(np.diff(colors, axis=0), axis=1)
@@ -59,7 +59,7 @@ def test_heat_is_even_to_the_eye(frame: ls.Frame) -> None:
 
 
 def test_depth_runs_from_red_to_blue(frame: ls.Frame) -> None:
-    """Of its own range where no other is given; the same value has the same colour in frames of the same limits."""
+    """The default range is the frame's own; with the same limits, equal depths have equal colours in all frames."""
     near, far = frame.view_limits("depth")
     surface = np.isfinite(frame.depth)
     assert frame.depth[surface].min() <= near < far <= frame.depth[surface].max()
@@ -73,8 +73,8 @@ def test_depth_runs_from_red_to_blue(frame: ls.Frame) -> None:
     np.testing.assert_allclose(picture[same], other[0, 2], atol=0.05)
 
 
-def test_views_of_nothing(frame: ls.Frame) -> None:
-    """A frame without a surface has views, too: black ones, or of no light."""
+def test_empty_frames_have_views(frame: ls.Frame) -> None:
+    """A frame without a surface has views, too: black, or the colour of no light."""
     empty = replace(
         frame,
         depth=np.full_like(frame.depth, np.inf),
@@ -94,7 +94,7 @@ def test_views_of_nothing(frame: ls.Frame) -> None:
 
 
 def test_shadow_weighs_lights_by_brightness(frame: ls.Frame) -> None:
-    """Of 3 units of light and 1, a shadow of the first half through leaves five eighths; no light at all is blue."""
+    """With lights of 3 and 1 units, a half shadow of the first leaves five eighths; no light at all is blue."""
     direct = np.zeros((2, 1, 4, 3), np.float32)
     shadow = np.ones_like(direct)
     direct[0, 0, :2], direct[1, 0, :2] = 3.0, 1.0
@@ -108,7 +108,7 @@ def test_shadow_weighs_lights_by_brightness(frame: ls.Frame) -> None:
 
 
 def test_hits_are_logarithmic(frame: ls.Frame) -> None:
-    """Each doubling of 1 + hits is one step of the same length, always on the same scale; none is black."""
+    """Each doubling of 1 + hits is an equal step on a fixed scale; zero hits are black."""
     hits = np.array([[0.0, 1.0, 3.0, 15.0, 255.0, 9000.0]], np.float32)
     picture = replace(frame, hits=hits).view("hits")[0]
     shares = np.array([[1.0, 2.0, 4.0, 8.0, 8.0]]) / 8.0
@@ -119,8 +119,8 @@ def test_hits_are_logarithmic(frame: ls.Frame) -> None:
     np.testing.assert_allclose(replace(frame, hits=hits).view("hits", (0.0, 15.0))[0, 3], heat[3], atol=1e-5)
 
 
-def test_indices_tell_objects_apart(frame: ls.Frame) -> None:
-    """Neighbours differ, the same Gaussian looks the same in every frame, meshes without Gaussians differ, too."""
+def test_index_colours_are_distinct_and_stable(frame: ls.Frame) -> None:
+    """Neighbouring indices differ in colour, a Gaussian looks the same in every frame, and meshes differ, too."""
     gaussian = np.array([[0, 1, 0, -1, -1, -1]], np.int32)
     instance = np.array([[0, 0, 1, 2, 3, -1]], np.int32)
     picture = replace(frame, gaussian_index=gaussian, instance_index=instance).view("index")[0]
@@ -131,7 +131,7 @@ def test_indices_tell_objects_apart(frame: ls.Frame) -> None:
 
 
 def test_radiance_is_exposed(frame: ls.Frame) -> None:
-    """Light is shown exposed and by the sRGB curve, reflectance without the exposure, shadows as they are."""
+    """Light is exposed and sRGB-encoded, albedo is not exposed, and shadows are linear."""
     bright = ball_frame(exposure=1.0)
     assert frame.reflection is not None and frame.albedo is not None and frame.light_shadow is not None
     expected = encode_srgb(np.minimum(2.0 * frame.reflection, 1.0))
@@ -142,8 +142,8 @@ def test_radiance_is_exposed(frame: ls.Frame) -> None:
     assert list(lights) == ["light.key.direct", "light.key.shadow", "light.1.direct", "light.1.shadow"]
 
 
-def test_positions_fill_their_box(frame: ls.Frame) -> None:
-    """Red follows x, green y, blue z, over the range that there is."""
+def test_positions_are_scaled_to_their_range(frame: ls.Frame) -> None:
+    """Red follows x, green y and blue z, over the range of the frame."""
     picture = layer_pictures(frame, "position")["position"]
     surface = np.isfinite(frame.depth)
     for axis in range(3):
@@ -153,8 +153,8 @@ def test_positions_fill_their_box(frame: ls.Frame) -> None:
     assert not picture[~surface].any()
 
 
-def test_every_layer_has_a_picture(frame: ls.Frame) -> None:
-    """All that the frame names can be looked at, NaN in it as black."""
+def test_every_layer_can_be_shown(frame: ls.Frame) -> None:
+    """Every layer of the frame can be shown; NaN is black."""
     layers = [
         layer for layer in ls.Frame.LAYERS if layer not in (*PATH_AOVS, *REALTIME_AOVS, "shadow_ratio", "shadow_matte")
     ]
@@ -167,7 +167,7 @@ def test_every_layer_has_a_picture(frame: ls.Frame) -> None:
 
 
 def test_unknown_views_are_refused(frame: ls.Frame, tmp_path: Path) -> None:
-    """A typo is answered with what there is, another extension with the one that views have; nothing is written."""
+    """An unknown view lists the choices, another extension names the right one, and no file is written."""
     with pytest.raises(ls.ConfigError, match="unknown view 'shadows', expected one of normal, depth"):
         frame.view("shadows")
     with pytest.raises(ls.ConfigError, match="unknown view 'x'"):

@@ -1,4 +1,4 @@
-"""Adam on the host, against the algorithm of its paper."""
+"""Adam on the host, against the algorithm in its paper."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ RNG = np.random.default_rng(8)
 
 
 def steps_of_paper(gradients: np.ndarray, rate: float) -> np.ndarray:
-    """Algorithm 1 of Kingma and Ba (2015), the moments as the weighted sums that they unroll to."""
+    """Computes Algorithm 1 of Kingma and Ba (2015), with the moments as explicit weighted sums."""
     moves: list[np.ndarray] = []
     for t in range(1, len(gradients) + 1):
         first = sum(0.1 * 0.9 ** (t - k) * gradients[k - 1] for k in range(1, t + 1))
@@ -19,16 +19,16 @@ def steps_of_paper(gradients: np.ndarray, rate: float) -> np.ndarray:
     return np.stack(moves)
 
 
-def test_an_array_moves_as_in_the_paper() -> None:
-    """Every step, of any shape."""
+def test_steps_match_the_paper() -> None:
+    """Every step agrees with the paper, for arrays of any shape."""
     gradients = RNG.normal(size=(12, 5, 3))
     adam = Adam.still((5, 3))
     found = np.stack([adam.step(gradient, 0.02) for gradient in gradients])
     np.testing.assert_allclose(found, steps_of_paper(gradients, 0.02), rtol=1e-10)
 
 
-def test_rows_move_as_if_each_were_alone() -> None:
-    """The correction of the bias counts the steps of a row, not those of all rows."""
+def test_rows_are_independent() -> None:
+    """Bias correction counts the steps of each row, not those of all rows."""
     gradients, rows = RNG.normal(size=(30, 4)), RNG.integers(3, size=30)
     adam = Adam.still((3, 4), by_rows=True)
     found = np.stack([adam.step(gradient, row=int(row)) for gradient, row in zip(gradients, rows, strict=True)])

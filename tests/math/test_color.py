@@ -12,15 +12,15 @@ from lumisplat.math.color import decode_srgb, encode_srgb
 @pytest.mark.parametrize(
     ("encoded", "linear"), [(0.0, 0.0), (1.0, 1.0), (0.04045, 0.04045 / 12.92), (0.5, 0.21404114), (0.73535698, 0.5)]
 )
-def test_known_values(encoded: float, linear: float) -> None:
-    """IEC 61966-2-1 at the ends, at the joint and in the middle."""
+def test_srgb_matches_the_standard(encoded: float, linear: float) -> None:
+    """Values match IEC 61966-2-1 at the ends, at the joint and in the middle."""
     assert decode_srgb(encoded) == pytest.approx(linear, abs=1e-7)
     assert encode_srgb(linear) == pytest.approx(encoded, abs=1e-6)
 
 
 @given(st.floats(-20.0, 20.0))
 def test_round_trip(value: float) -> None:
-    """Decoding undoes encoding, below zero and above one too, and the sign stays."""
+    """Decoding inverts encoding, also below zero and above one."""
     assert decode_srgb(encode_srgb(np.float64(value))) == pytest.approx(value, rel=1e-5, abs=1e-7)
     assert encode_srgb(decode_srgb(np.float64(value))) == pytest.approx(value, rel=1e-5, abs=1e-7)
     assert encode_srgb(-value) == -encode_srgb(value)

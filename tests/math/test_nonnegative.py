@@ -1,4 +1,4 @@
-"""Least squares with inequalities: SciPy's answers, and the conditions that a minimum obeys."""
+"""Least squares with inequality constraints: SciPy's solutions, and the conditions of a minimum."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from lumisplat.math.nonnegative import bounded_least_squares, nonnegative_least_
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_nonnegative_is_scipys(seed):
-    """Random problems of all shapes, half of whose unknowns want to be negative."""
+def test_nonnegative_solution_matches_scipy(seed):
+    """Random problems of many shapes, with half of the free unknowns negative, match SciPy."""
     rng = np.random.default_rng(seed)
     rows, count = int(rng.integers(10, 60)), int(rng.integers(1, 25))
     matrix, target = rng.normal(size=(rows, count)), rng.normal(size=rows)
@@ -25,8 +25,8 @@ def test_nonnegative_is_scipys(seed):
     assert ((found == 0.0) == (expected == 0.0)).all() or rows < count
 
 
-def test_columns_that_are_alike_are_no_trouble():
-    """The same column three times explains what one does."""
+def test_duplicate_columns_do_not_change_the_fit():
+    """Three copies of a column explain as much as one."""
     column = np.random.default_rng(1).random(30)
     matrix = np.stack([column] * 3, axis=1)
     found = nonnegative_least_squares(matrix.T @ matrix, matrix.T @ (2.0 * column))
@@ -34,18 +34,18 @@ def test_columns_that_are_alike_are_no_trouble():
     assert found.sum() == pytest.approx(2.0, rel=1e-6)
 
 
-def test_nothing_is_nothing():
-    """No unknowns, and columns of zeros."""
+def test_empty_problems_have_zero_solutions():
+    """Problems without unknowns, and with zero columns, have the solution 0."""
     assert nonnegative_least_squares(np.zeros((0, 0)), np.zeros(0)).shape == (0,)
     assert not nonnegative_least_squares(np.zeros((3, 3)), np.zeros(3)).any()
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_bounds_are_kept_at_the_minimum(seed):
-    """Inequalities that hold, and a gradient that only those that hold exactly push against.
+def test_bounded_minimum_satisfies_kkt_conditions(seed):
+    """All constraints hold, and only active ones carry the gradient.
 
-    These conditions (Karush, Kuhn and Tucker) are those of the one minimum of a convex problem;
-    SciPy's `nnls` looks for the multipliers.
+    These are the Karush-Kuhn-Tucker conditions, which the unique minimum of a convex problem satisfies;
+    SciPy's `nnls` finds the multipliers.
     """
     rng = np.random.default_rng(seed)
     matrix, target = rng.normal(size=(40, 6)), rng.normal(size=40)
@@ -63,8 +63,8 @@ def test_bounds_are_kept_at_the_minimum(seed):
     assert multipliers.max() > 0.0
 
 
-def test_bounds_that_do_not_hold_it_change_nothing():
-    """The free minimum, if it obeys them."""
+def test_inactive_bounds_do_not_change_the_minimum():
+    """If the unconstrained minimum satisfies the constraints, it is returned."""
     gram, moments = np.diag([2.0, 4.0]), np.array([2.0, 4.0])
     found = bounded_least_squares(gram, moments, np.eye(2), np.zeros(2))
     np.testing.assert_allclose(found, [1.0, 1.0])

@@ -1,4 +1,4 @@
-"""Areas and cubics, against sums and polynomials by hand."""
+"""Area averages and bicubic interpolation, against explicit sums and polynomials."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lumisplat.math.resampling import area_mean, cubic_samples
 
 
 def overlaps(size: int, count: int) -> np.ndarray:
-    """How much of each of so many bands lies in each pixel, shape (count, size); rows sum to 1."""
+    """Returns how much of each band lies in each pixel, shape (count, size); rows sum to 1."""
     edges = np.arange(count + 1) * size / count
     pixels = np.arange(size)
     low, high = np.maximum(edges[:-1, None], pixels), np.minimum(edges[1:, None], pixels + 1)
@@ -20,8 +20,8 @@ def overlaps(size: int, count: int) -> np.ndarray:
 
 @settings(max_examples=60)
 @given(st.integers(1, 40), st.integers(1, 40), st.data())
-def test_areas_are_weighted_by_what_they_cover(height, width, data):
-    """Any smaller size, fractions of pixels too: the matrices of overlaps, in float64."""
+def test_area_mean_weights_by_overlap(height, width, data):
+    """Every smaller size matches explicit overlap matrices in float64, including fractional pixels."""
     rows, columns = data.draw(st.integers(1, height)), data.draw(st.integers(1, width))
     image = np.random.default_rng(height * 41 + width).integers(0, 256, (height, width, 3)).astype(np.uint8)
     expected = np.einsum("jy,ix,yxc->jic", overlaps(height, rows), overlaps(width, columns), image.astype(np.float64))
@@ -32,7 +32,7 @@ def test_areas_are_weighted_by_what_they_cover(height, width, data):
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_cubics_reproduce_quadratics(kind):
-    """Catmull-Rom's cubics are exact for polynomials of degree 2, away from the edge and where they rise."""
+    """Catmull-Rom cubics are exact for monotonic quadratics away from the edge."""
     y, x = np.mgrid[:12, :14] + 0.5
     image = np.stack([0.1 * x**2 + 0.2 * x * y, x + 3.0 * y], axis=-1).astype(kind)
     points = np.random.default_rng(1).uniform((2.5, 2.5), (11.5, 9.5), (5, 9, 2))
@@ -44,7 +44,7 @@ def test_cubics_reproduce_quadratics(kind):
 
 
 def test_cubics_do_not_overshoot():
-    """A step stays between its sides; on pixel centres values are those of the pixels; the edge goes on."""
+    """A step stays within its two values, pixel centres return their pixels, and the edge extends outwards."""
     image = np.zeros((6, 6, 1))
     image[:, 3:] = 1.0
     points = np.stack(np.meshgrid(np.linspace(-3.0, 9.0, 49), np.linspace(-3.0, 9.0, 25)), axis=-1)

@@ -1,4 +1,4 @@
-"""Harmonics of any degree: orthonormal, and those of captures where these have them."""
+"""Real spherical harmonics: orthonormal in any degree, and equal to the basis of captures up to degree 3."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from support.oracles.raster_oracle import sh_basis as twin_basis
 from support.scenes.sphere import sphere_quadrature, unit
 
 
-def test_harmonics_are_orthonormal() -> None:
-    """The integral of a product over the sphere is 1 with itself, 0 with any other, up to degree 8."""
+def test_sh_basis_is_orthonormal() -> None:
+    """Integrals of products over the sphere are 1 for equal functions and 0 for others, up to degree 8."""
     directions, weights = sphere_quadrature(10)
     basis = sh_basis(directions, 8)
     np.testing.assert_allclose(basis.T @ (weights[:, None] * basis), np.eye(81), atol=1e-12)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_harmonics_are_those_of_captures(degree: int) -> None:
-    """Order, signs and sizes are a capture's: its coefficients and a probe's mean the same."""
+def test_sh_basis_matches_the_convention_of_captures(degree: int) -> None:
+    """Order, signs and scale match captures, so that their coefficients and those of probes mean the same."""
     directions = unit(0, 100)
     expected = twin_basis(directions)[:, : (degree + 1) ** 2]
     np.testing.assert_allclose(sh_basis(directions, degree), expected, atol=1e-12)
 
 
-def test_lower_degrees_are_the_beginning_of_higher_ones() -> None:
-    """A function has the same bits, whatever the highest degree is."""
+def test_lower_degrees_are_a_prefix_of_higher_ones() -> None:
+    """A function has the same bits whatever the highest degree is."""
     directions = unit(0, 100)
     highest = sh_basis(directions, 8)
     for degree in range(8):
         np.testing.assert_array_equal(sh_basis(directions, degree), highest[:, : (degree + 1) ** 2])
 
 
-def test_harmonics_of_many_shapes() -> None:
-    """Leading axes are kept, and the poles are fine."""
+def test_sh_basis_accepts_any_leading_shape() -> None:
+    """Leading axes are preserved, and the poles are finite."""
     poles = np.array([[[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]])
     basis = sh_basis(poles, 4)
     assert basis.shape == (1, 2, 25)

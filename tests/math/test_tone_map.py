@@ -1,4 +1,4 @@
-"""From linear light to display colours: published tone mappers, and captured colours that stay as they are."""
+"""Tone mapping: published curves, and captured colours that stay as captured."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ MAPS = list(ToneMap)
 
 
 def random_colors(count: int, seed: int = 1) -> np.ndarray:
-    """Radiance over twelve stops, (N, 3): saturated, grey, dark and far brighter than white."""
+    """Returns radiance over twelve stops, (N, 3): saturated, grey, dark and far brighter than white."""
     rng = np.random.default_rng(seed)
     return (2.0 ** rng.uniform(-8.0, 4.0, (count, 1)) * rng.uniform(0.0, 1.0, (count, 3))).astype(np.float32)
 
 
 def neutral_inverse(mapped: np.ndarray) -> np.ndarray:
-    """The inverse of the function in Khronos PBR Neutral's specification, derived by hand, float64."""
+    """Inverts the function in Khronos PBR Neutral's specification, derived by hand, in float64."""
     f90, start, fade = 0.04, 0.76, 0.15
     peak_out = mapped.max(axis=-1, keepdims=True)
     bright = peak_out > start
@@ -33,7 +33,7 @@ def neutral_inverse(mapped: np.ndarray) -> np.ndarray:
 
 
 def agx_with_polynomial(linear: np.ndarray) -> np.ndarray:
-    """AgX as Filament and three.js publish it, to display sRGB, with a polynomial for the curve; float64."""
+    """Computes AgX as Filament and three.js publish it, with a polynomial for the curve, in float64 sRGB."""
     to_rec2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0113], [0.0164, 0.0880, 0.8956]])
     to_rec709 = np.array([[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]])
     inset = np.array(
@@ -57,8 +57,8 @@ def agx_with_polynomial(linear: np.ndarray) -> np.ndarray:
     return encode_srgb(np.clip(display, 0.0, 1.0))
 
 
-def test_neutral_is_the_specification() -> None:
-    """The inverse of Khronos's function takes every mapped colour back to its input."""
+def test_neutral_inverts_the_specification() -> None:
+    """The inverse of Khronos's function maps every result back to its input."""
     colors = random_colors(4000).astype(np.float64)
     back = neutral_inverse(decode_srgb(apply_tone_map(colors, ToneMap.NEUTRAL).astype(np.float64)))
     error = np.abs(back - colors) / colors.max(axis=1, keepdims=True)
@@ -77,19 +77,19 @@ def test_neutral_is_the_specification() -> None:
     ],
 )
 def test_neutral_by_hand(color: tuple[float, ...], expected: tuple[float, ...]) -> None:
-    """0.04 is subtracted from colours between 0.08 and 0.8; whites and reds are computed on paper."""
+    """Between 0.08 and 0.8, 0.04 is subtracted; white and red match values computed by hand."""
     np.testing.assert_allclose(apply_tone_map(color, ToneMap.NEUTRAL), encode_srgb(np.array(expected)), atol=1e-5)
 
 
-def test_agx_is_the_published_one() -> None:
-    """The difference is that of the published polynomial from the curve, at most 0.006 before the 2.2 power."""
+def test_agx_matches_the_published_polynomial() -> None:
+    """The result differs by no more than the published polynomial from the curve, 0.006 before the 2.2 power."""
     colors = random_colors(4000)
     error = np.abs(decode_srgb(apply_tone_map(colors, ToneMap.AGX)) - decode_srgb(agx_with_polynomial(colors)))
     assert error.max() < 0.018 and error.mean() < 0.003
 
 
 def test_agx_by_hand() -> None:
-    """Middle grey becomes half in the 2.2 power that displays decode; 6.5 stops above is white, 10 below is black."""
+    """Middle grey maps to 0.5 before the display's 2.2 power; 6.5 stops above is white, 10 below is black."""
     grey = np.array([0.18 * 2.0**-10, 0.18, 0.18 * 2.0**6.5])[:, None] * np.ones(3)
     expected = encode_srgb(np.array([0.0, 0.5**2.2, 1.0]))
     np.testing.assert_allclose(apply_tone_map(grey, ToneMap.AGX), expected[:, None] * np.ones(3), atol=2e-3)
@@ -97,7 +97,7 @@ def test_agx_by_hand() -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_brighter_greys_are_brighter(tone_map: ToneMap) -> None:
-    """Along the greys no channel ever falls by more than rounding, and greys stay grey."""
+    """Along the greys no channel decreases by more than rounding, and greys stay grey."""
     greys = np.linspace(0.0, 20.0, 5001)[:, None] * np.ones(3)
     mapped = apply_tone_map(greys, tone_map)
     assert np.diff(mapped, axis=0).min() > -2e-6
@@ -118,14 +118,14 @@ def test_any_light_has_a_display_colour(tone_map: ToneMap) -> None:
 
 
 def test_no_tone_map_is_the_srgb_curve() -> None:
-    """Colours up to white are encoded by the curve alone; brighter ones are white."""
+    """Colours up to white are sRGB-encoded; brighter ones are white."""
     colors = random_colors(1000)
     expected = encode_srgb(np.minimum(colors, 1.0))
     np.testing.assert_allclose(apply_tone_map(colors, ToneMap.NONE), expected, atol=1e-6)
 
 
 def pixels(count: int, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Captured colours (premultiplied), their weights, and light of at most half of theirs, added or removed."""
+    """Returns premultiplied captured colours, their weights, and light of up to half of their radiance."""
     rng = np.random.default_rng(seed)
     weight = rng.uniform(0.0, 1.0, count)
     weight[: count // 2] = 1.0
@@ -135,16 +135,16 @@ def pixels(count: int, seed: int = 2) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_captures_stay_to_the_bit(tone_map: ToneMap) -> None:
-    """Without any light, the result is the captured colour, also above 1."""
+def test_captures_without_light_are_unchanged_to_the_bit(tone_map: ToneMap) -> None:
+    """Without light, the result is the captured colour, also above 1."""
     captured = random_colors(1000)
     weight = np.float32(1.0) - np.random.default_rng(1).uniform(0.0, 2e-6, 1000).astype(np.float32)
     np.testing.assert_array_equal(lit_picture(captured, weight, 0.0 * captured, 0.0, tone_map), captured)
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_faint_light_hardly_shows(tone_map: ToneMap) -> None:
-    """As light tends to zero the picture tends to the captured one at the same rate: no seam at the edge of light."""
+def test_faint_light_changes_the_image_continuously(tone_map: ToneMap) -> None:
+    """As light tends to zero, the image tends to the captured one, so that lit regions have no seam."""
     captured, weight, light = pixels(2000)
     dark = captured_radiance(captured, weight)
     before = encode_srgb(dark)
@@ -156,9 +156,9 @@ def test_faint_light_hardly_shows(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_light_never_darkens(tone_map: ToneMap) -> None:
-    """Channels that gain light are never darker than captured, those that lose light never brighter.
+    """Channels that gain light are never darker than captured, channels that lose light never brighter.
 
-    This includes whites, which every tone mapper shows darker than the capture.
+    This includes white, which every tone mapper shows darker than the capture.
     """
     captured, weight, light = pixels(4000)
     before = encode_srgb(captured_radiance(captured, weight))
@@ -169,8 +169,8 @@ def test_light_never_darkens(tone_map: ToneMap) -> None:
 
 
 @pytest.mark.parametrize("tone_map", MAPS)
-def test_much_light_is_tone_mapped(tone_map: ToneMap) -> None:
-    """Without a capture, or where light is much brighter than it, the picture is that of the tone mapper."""
+def test_strong_light_is_purely_tone_mapped(tone_map: ToneMap) -> None:
+    """Without a capture, or where light is much brighter than the capture, the image is that of the tone mapper."""
     light = random_colors(1000)
     none = np.zeros_like(light)
     np.testing.assert_allclose(
@@ -184,7 +184,7 @@ def test_much_light_is_tone_mapped(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_brighter_light_is_brighter(tone_map: ToneMap) -> None:
-    """Over any captured grey, more light of the same grey never shows darker, from full shadow to far beyond white."""
+    """Over any captured grey, more grey light is never darker, from full shadow to far beyond white."""
     for grey in (0.02, 0.2, 0.5, 0.8, 1.0):
         radiance = decode_srgb(np.full(3, grey))
         light = np.linspace(-1.0, 8.0, 2001)[:, None] * radiance
@@ -194,7 +194,7 @@ def test_brighter_light_is_brighter(tone_map: ToneMap) -> None:
 
 @pytest.mark.parametrize("tone_map", MAPS)
 def test_exposure_scales_light(tone_map: ToneMap) -> None:
-    """One stop doubles light before the tone mapper; captures become brighter along their own curve."""
+    """One stop doubles light before the tone mapper; captures brighten along their own curve."""
     light = random_colors(500)
     none = np.zeros_like(light)
     shown = lit_picture(none, none[:, 0], light, 1.0, tone_map)
@@ -207,7 +207,7 @@ def test_exposure_scales_light(tone_map: ToneMap) -> None:
 
 
 def test_captured_radiance_divides_first() -> None:
-    """Half a pixel of a captured colour is half of its radiance, not the radiance of half of its code; 0 stays 0."""
+    """Half a pixel of a captured colour has half of its radiance, not the radiance of half its code value."""
     captured = np.array([[0.4, 0.2, 0.1], [0.0, 0.0, 0.0]])
     radiance = captured_radiance(captured, np.array([0.5, 0.0]))
     np.testing.assert_allclose(radiance[0], 0.5 * decode_srgb(np.array([0.8, 0.4, 0.2])), atol=1e-7)
@@ -217,8 +217,8 @@ def test_captured_radiance_divides_first() -> None:
 @pytest.mark.parametrize(
     ("tone_map", "brightest"), [(ls.ToneMap.NONE, 0.99), (ls.ToneMap.NEUTRAL, 6.0), (ls.ToneMap.AGX, 4.0)]
 )
-def test_light_comes_back(tone_map, brightest):
-    """Colours of all hues, from dark to bright, that the display can show."""
+def test_remove_tone_map_inverts_apply_tone_map(tone_map, brightest):
+    """The inverse holds for all hues from dark to bright that the display can show."""
     rng = np.random.default_rng(3)
     light = rng.random((2000, 3)) ** 2 * brightest + 0.01
     light *= rng.random((2000, 1)) * 0.9 + 0.1
@@ -233,7 +233,7 @@ def test_light_comes_back(tone_map, brightest):
 
 @pytest.mark.parametrize("tone_map", ls.ToneMap)
 def test_ends_of_the_range_stay_finite(tone_map):
-    """Black, white and saturated colours are numbers, none of them negative."""
+    """Black, white and saturated colours are inverted to finite, non-negative numbers."""
     ends = np.array([[0, 0, 0], [1, 1, 1], [1, 0, 0], [0, 1, 1]], np.float64)
     back = remove_tone_map(ends, tone_map)
     assert np.isfinite(back).all() and (back >= 0.0).all()

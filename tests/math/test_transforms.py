@@ -10,15 +10,15 @@ from lumisplat.math.transforms import cross_matrix, rigid_from_twist, twist_from
 
 
 def generator(twist: np.ndarray) -> np.ndarray:
-    """The matrix whose exponential the motion is."""
+    """Returns the matrix whose exponential is the rigid motion of a twist."""
     matrix = np.zeros((4, 4))
     matrix[:3, :3], matrix[:3, 3] = cross_matrix(twist[:3]), twist[3:]
     return matrix
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 9e-5, 1.1e-4, 0.1, 1.5])
-def test_motions_are_exponentials_of_twists(size: float) -> None:
-    """Of small and large ones, by SciPy's exponential and logarithm of matrices; and back."""
+def test_rigid_motions_are_exponentials_of_twists(size: float) -> None:
+    """Small and large motions match SciPy's matrix exponential and logarithm."""
     rng = np.random.default_rng(0)
     for _ in range(5):
         twist = size * rng.uniform(-1.0, 1.0, 6)
@@ -29,7 +29,7 @@ def test_motions_are_exponentials_of_twists(size: float) -> None:
             np.testing.assert_allclose(generator(twist_from_rigid(motion)), np.real(logm(motion)), atol=1e-10)
 
 
-def test_a_turn_about_an_axis() -> None:
-    """By a right angle about z, x becomes y."""
+def test_axis_rotation_is_right_handed() -> None:
+    """A right angle about z rotates x to y."""
     motion = rigid_from_twist([0.0, 0.0, np.pi / 2.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(motion @ [1.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], atol=1e-15)

@@ -38,7 +38,7 @@ def test_devices_that_are_not_there_are_refused(capsys: pytest.CaptureFixture[st
     """In one line, with those that are."""
     with pytest.raises(SystemExit):
         timing.parser("run", None).parse_args(["--device", "cuda:99"])
-    assert "no device 'cuda:99' here: use auto or one of cpu" in capsys.readouterr().err
+    assert "there is no device 'cuda:99' on this machine: use auto or one of cpu" in capsys.readouterr().err
     assert timing.parser("run", None).parse_args(["--device", "cpu"]).device == "cpu"
 
 

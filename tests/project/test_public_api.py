@@ -128,7 +128,7 @@ def test_backgrounds_are_checked(background: tuple[float, ...]) -> None:
 
 def test_missing_devices_are_named() -> None:
     """A device that is not here is an error that lists those that are."""
-    with pytest.raises(ls.DeviceError, match=r"no device 'cuda:97' here: use auto or one of cpu"):
+    with pytest.raises(ls.DeviceError, match=r"there is no device 'cuda:97' on this machine: use auto or one of cpu"):
         ls.create_renderer(device="cuda:97")
     with pytest.raises(ls.DeviceError, match="no device 'tpu'"):
         ls.create_renderer(device="tpu")

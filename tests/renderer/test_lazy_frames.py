@@ -21,7 +21,7 @@ from lumisplat.math.tone_map import lit_picture
 from lumisplat.renderer.film.picture import encoded_lit_pixels, encoded_pixels, picture_data, picture_of
 from lumisplat.renderer.film.pixel_buffers import PixelBuffers
 from lumisplat.runtime.buffers import Buffers
-from lumisplat.runtime.downloads import CopiesLater, Downloads
+from lumisplat.runtime.downloads import DeviceCopies, Downloads
 from lumisplat.runtime.launcher import Launcher
 from support.compare.graph_launcher import GraphLauncher
 from support.scenes.lit_scene import LAMPS, SKY, camera, config, scene
@@ -265,14 +265,14 @@ def test_a_picture_is_all_that_is_downloaded(name: str, tmp_path: Path, monkeypa
     """Of a frame that is saved, shown, or taken for bytes: 4 a pixel."""
     renderer, view = lazy_renderer(SETTINGS[name]), camera()
     copied: list[int] = []
-    words = CopiesLater.words
+    words = DeviceCopies.words
 
-    def counting(copies: CopiesLater, name: str, first: int = 0, count: int | None = None) -> np.ndarray:
+    def counting(copies: DeviceCopies, name: str, first: int = 0, count: int | None = None) -> np.ndarray:
         part = words(copies, name, first, count)
         copied.append(part.size)
         return part
 
-    monkeypatch.setattr(CopiesLater, "words", counting)
+    monkeypatch.setattr(DeviceCopies, "words", counting)
     frame = renderer.render(scene(*LAMPS, SKY), view)
     everything = unread(frame)
     frame.save(tmp_path / "a.png")

@@ -95,7 +95,7 @@ def test_parts_that_do_not_fit() -> None:
         ls.farm.merge_samples(renderer, scene, CAMERA, [])
     with pytest.raises(ls.ConfigError, match="expected 2 of 24 x 16"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2)])
-    with pytest.raises(ls.ConfigError, match="of different frames"):
+    with pytest.raises(ls.ConfigError, match="to different frames"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2, size=(16, 24))])
     with pytest.raises(ls.ConfigError, match="expected a block"):
         ls.farm.render_samples(renderer, scene, CAMERA, range(0))

@@ -1,4 +1,4 @@
-"""Copies that frames download from: whose memory they are in, and when it is used again."""
+"""Downloads: which memory holds copies of frames, and when it is reused."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ import warp as wp
 
 from lumisplat.runtime import downloads
 from lumisplat.runtime.buffers import DeviceArray
-from lumisplat.runtime.downloads import FRAME_BLOCKS_MAX, CopiesLater, CopiesNow, Downloads
+from lumisplat.runtime.downloads import FRAME_BLOCKS_MAX, DeviceCopies, Downloads, HostCopies
 
 
 def array_of(*values: float) -> DeviceArray:
-    """As on a device."""
+    """Makes a Warp array of floats."""
     return DeviceArray(np.array(values, np.float32), dtype=wp.float32, device="cpu")
 
 
 def vectors_of(*rows: tuple[float, float, float]) -> DeviceArray:
-    """An array of vectors."""
+    """Makes a Warp array of vectors."""
     return DeviceArray(np.array(rows, np.float32), dtype=wp.vec3, device="cpu")
 
 
 @pytest.mark.parametrize("is_lazy", [False, True])
-def test_copies_are_of_the_moment(is_lazy: bool) -> None:
-    """What is written later does not reach them, whenever they are read, and whatever part of them."""
+def test_later_writes_do_not_change_copies(is_lazy: bool) -> None:
+    """Copies hold the values at the time of copying, whenever and however they are read."""
     lender, color, alpha = Downloads(is_lazy=is_lazy), vectors_of((1, 2, 3), (4, 5, 6)), array_of(0.5, 0.25)
     copies = lender.copies({"color": color, "alpha": alpha})
     color.fill_(7.0)
     alpha.fill_(7.0)
-    assert isinstance(copies, CopiesLater if is_lazy else CopiesNow)
+    assert isinstance(copies, DeviceCopies if is_lazy else HostCopies)
     assert copies.words("alpha").tolist() == [0.5, 0.25]
     assert copies.words("color", 3).tolist() == [4.0, 5.0, 6.0]
     assert copies.words("color", 1, 2).tolist() == [2.0, 3.0]
-    given = copies.give(lambda: 5)
+    given = copies.lazy(lambda: 5)
     assert (given() if callable(given) else given) == 5
     assert callable(given) == is_lazy
 
 
-def test_only_what_is_read_is_copied_to_the_host(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Word by word."""
+def test_only_read_words_are_downloaded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each read downloads just the words that it asks for."""
     lender = Downloads(is_lazy=True)
     copies = lender.copies({"color": vectors_of((1, 2, 3), (4, 5, 6)), "alpha": array_of(0.5, 0.25)})
     copied: list[int] = []
@@ -58,8 +58,8 @@ def test_only_what_is_read_is_copied_to_the_host(monkeypatch: pytest.MonkeyPatch
     assert lender.lent == {"host": 1, "device": 1}
 
 
-def test_lent_memory_stays_with_who_holds_it() -> None:
-    """A view alone keeps the block on the host; the next copies go elsewhere."""
+def test_blocks_in_use_are_not_reused() -> None:
+    """A single view keeps the host block in use; the next copies use other memory."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0, 3.0, 4.0)
     part = lender.copies({"a": source}).words("a", 1, 2).reshape(2, 1)
     assert lender.lent == {"host": 1, "device": 0}
@@ -72,8 +72,8 @@ def test_lent_memory_stays_with_who_holds_it() -> None:
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_memory_is_lent_again() -> None:
-    """Once nobody holds a frame, the next one of its size is written there; another size gets new memory."""
+def test_returned_blocks_are_reused() -> None:
+    """Once nobody holds a frame, the next frame of its size reuses its block; another size gets a new one."""
     lender, source = Downloads(is_lazy=True), array_of(1.0, 2.0)
     first = lender.copies({"a": source}).words("a")
     address = first.ctypes.data
@@ -87,27 +87,27 @@ def test_memory_is_lent_again() -> None:
     assert lender.device_bytes == 12
 
 
-def test_many_frames_do_not_take_all_memory() -> None:
-    """Of frames that a program keeps, the first few wait on the device, the others are downloaded at once."""
+def test_device_copies_are_limited() -> None:
+    """When a program holds many frames, the first few stay on the device and the others are downloaded at once."""
     lender = Downloads(is_lazy=True)
     kept = [lender.copies({"a": array_of(float(number))}) for number in range(FRAME_BLOCKS_MAX + 2)]
-    lazy = [isinstance(copies, CopiesLater) for copies in kept]
+    lazy = [isinstance(copies, DeviceCopies) for copies in kept]
     assert lazy == [True] * FRAME_BLOCKS_MAX + [False, False]
     assert [float(copies.words("a")[0]) for copies in kept] == list(range(FRAME_BLOCKS_MAX + 2))
     kept.clear()
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_many_images_do_not_lock_all_memory() -> None:
-    """Images that a program keeps hold page-locked memory for a few frames, and ordinary one for the others."""
+def test_page_locked_memory_is_limited() -> None:
+    """When a program holds many images, a few frames use page-locked memory and the others ordinary memory."""
     lender = Downloads(is_lazy=True)
     kept = [lender.copies({"a": array_of(number, 9.0)}).words("a", 0, 1) for number in range(FRAME_BLOCKS_MAX + 2)]
     assert lender.lent == {"host": FRAME_BLOCKS_MAX, "device": 0}
     assert [float(image[0]) for image in kept] == list(range(FRAME_BLOCKS_MAX + 2))
 
 
-def test_a_full_device_downloads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where there is no room for a second copy of a frame, it is not needed either."""
+def test_full_device_downloads_immediately(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without device memory for a second copy, the frame is downloaded at once."""
 
     def refuse(*_: object, **__: object) -> None:
         raise RuntimeError("out of memory")
@@ -115,13 +115,13 @@ def test_a_full_device_downloads_at_once(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(downloads, "_empty", refuse)
     lender = Downloads(is_lazy=True)
     copies = lender.copies({"a": array_of(3.0)})
-    assert isinstance(copies, CopiesNow)
+    assert isinstance(copies, HostCopies)
     assert copies.words("a").tolist() == [3.0]
     assert lender.lent == {"host": 0, "device": 0}
 
 
-def test_memory_may_come_back_while_more_is_lent(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As when the garbage collector runs in the middle of it, on the same thread: nothing waits, nothing is lost."""
+def test_blocks_may_return_while_one_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A garbage collection on the same thread may return a block at that moment, without deadlock or loss."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)})]
     make = downloads._empty  # pyright: ignore[reportPrivateUsage]
@@ -137,8 +137,8 @@ def test_memory_may_come_back_while_more_is_lent(monkeypatch: pytest.MonkeyPatch
     assert lender.device_bytes == 16  # of what came back, too, until the next frame of another size
 
 
-def test_threads_that_lend_at_once_do_not_lend_too_much(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last block goes to one of two threads, although the second one asks while the first gets its memory."""
+def test_concurrent_threads_respect_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads compete for the last block while the first is still allocating; only one gets it."""
     lender = Downloads(is_lazy=True)
     held = [lender.copies({"a": array_of(1.0)}) for _ in range(FRAME_BLOCKS_MAX - 1)]
     make = downloads._empty  # pyright: ignore[reportPrivateUsage]
@@ -154,4 +154,4 @@ def test_threads_that_lend_at_once_do_not_lend_too_much(monkeypatch: pytest.Monk
     held.append(lender.copies({"a": array_of(3.0)}))
     other.join()
     assert lender.lent == {"host": 0, "device": FRAME_BLOCKS_MAX}
-    assert sum(isinstance(copies, CopiesLater) for copies in held) == FRAME_BLOCKS_MAX
+    assert sum(isinstance(copies, DeviceCopies) for copies in held) == FRAME_BLOCKS_MAX

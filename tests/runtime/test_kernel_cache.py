@@ -1,4 +1,4 @@
-"""The cache of compiled kernels: what is damaged there is compiled again, with one line."""
+"""The kernel cache: damaged modules are compiled again, with one warning."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lumisplat.runtime.kernel_cache import load_module, remove_abandoned_headers
 
 @pytest.fixture
 def kernel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A kernel in a module of its own, compiled into a cache of its own, and not loaded."""
+    """A kernel in a module and cache of its own, compiled but not loaded."""
     wp.init()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path))
 
@@ -50,8 +50,8 @@ def _garbage(file: Path) -> None:
 
 @pytest.mark.parametrize("damage", [_cut, _empty, _garbage])
 @pytest.mark.parametrize("suffix", [".o", ".meta"])
-def test_damage_is_mended(kernel, tmp_path, caplog, suffix, damage) -> None:
-    """One line names the folder; the kernel works, and the next load finds nothing wrong."""
+def test_damaged_modules_are_recompiled(kernel, tmp_path, caplog, suffix, damage) -> None:
+    """One warning names the folder; the kernel works, and the next load finds nothing wrong."""
     (file,) = tmp_path.glob(f"*/*{suffix}")
     damage(file)
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -59,39 +59,39 @@ def test_damage_is_mended(kernel, tmp_path, caplog, suffix, damage) -> None:
         kernel.module.unload()
         load_module(kernel.module, "cpu", 1)
     assert [record.getMessage() for record in caplog.records] == [
-        f"{file.parent}: compiled kernels are damaged: they are compiled again, nothing to do"
+        f"{file.parent}: compiled kernels were damaged and are compiled again; nothing to do"
     ]
     values = wp.array([1.0, 2.0], dtype=float, device="cpu")
     wp.launch(kernel, 2, inputs=[values], device="cpu")
     assert values.numpy().tolist() == [2.0, 4.0]
 
 
-def test_a_sound_cache_is_left_alone(kernel, tmp_path, caplog) -> None:
-    """No line, and the same files."""
+def test_intact_cache_is_unchanged(kernel, tmp_path, caplog) -> None:
+    """No warning, and the same files."""
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     load_module(kernel.module, "cpu", 1)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before
     assert not caplog.records
 
 
-def test_folders_that_warp_cannot_name(kernel, tmp_path, monkeypatch) -> None:
-    """Warp passes names on in UTF-8: another name is one clear error."""
+def test_non_utf8_cache_folders_are_refused(kernel, tmp_path, monkeypatch) -> None:
+    """Warp passes names as UTF-8, so any other folder name is one clear error."""
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / os.fsdecode(b"fa\xe7ade")))
     with pytest.raises(DeviceError, match="WARP_CACHE_PATH to another folder"):
         load_module(kernel.module, "cpu", 1)
 
 
-def test_a_cache_that_cannot_be_made(kernel, tmp_path, monkeypatch) -> None:
-    """It would be within a file: where, why and what to do, for programs as for commands."""
+def test_impossible_cache_folder_is_one_clear_error(kernel, tmp_path, monkeypatch) -> None:
+    """A cache folder inside a file is reported with place, reason and advice, to programs and commands alike."""
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(wp.config, "kernel_cache_dir", os.fspath(tmp_path / "file" / "kernels"))
-    with pytest.raises(DeviceError, match=r"file.*cannot be kept here \(Not a directory\).*WARP_CACHE_PATH"):
+    with pytest.raises(DeviceError, match=r"file.*cannot be stored here \(Not a directory\).*WARP_CACHE_PATH"):
         load_module(kernel.module, "cpu", 1)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
 def test_headers_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> None:
-    """Folders of processes that are gone, and old ones of nobody; those of living processes and of others stay."""
+    """Folders of dead processes and old folders without an owner are removed; those of living processes stay."""
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()
     monkeypatch.setattr(tempfile, "tempdir", os.fspath(tmp_path))
@@ -108,7 +108,7 @@ def test_headers_of_killed_compilations_are_removed(tmp_path, monkeypatch) -> No
 
 
 @pytest.mark.skipif(os.name != "posix", reason="processes cannot be asked whether they live")
-def test_a_compilation_claims_its_headers(kernel) -> None:
-    """The folder that Warp compiles with has the number of this process."""
+def test_compilation_marks_its_header_folder(kernel) -> None:
+    """The header folder of Warp's compiler holds this process's id."""
     folder = wp._src.context.runtime.get_clang_pch_dir()  # pyright: ignore[reportPrivateUsage, reportAttributeAccessIssue]
     assert Path(cast(str, folder), "lumisplat.pid").read_text() == f"{os.getpid()}"

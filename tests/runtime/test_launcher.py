@@ -1,4 +1,4 @@
-"""Launches, bands, buffers: the machinery under every stage."""
+"""Launches, bands and buffers."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ from support.kernels import package_modules
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 1000])
 @pytest.mark.parametrize("bands", [None, 1, 7])
 def test_bands_cover_every_item_once(count: int, bands: int | None) -> None:
-    """However a launch is cut, each item is worked on exactly once."""
+    """However a launch is cut into bands, each item runs exactly once."""
     order = wp.array(np.full(count, -1, np.int32), dtype=wp.int32, device="cpu")
     Launcher("cpu", threads=3).run_banded(binning_kernels.fill_identity, count, order, bands=bands)
     np.testing.assert_array_equal(order.numpy(), np.arange(count))
 
 
 def test_stages_accumulate_under_their_names() -> None:
-    """A stage entered twice is reported once, with both times."""
+    """A stage that runs twice is reported once, with the sum of both times."""
     launcher = Launcher("cpu")
     for _ in range(2):
         with launcher.stage("work"):
@@ -45,22 +45,22 @@ def test_stages_accumulate_under_their_names() -> None:
 
 
 @pytest.mark.parametrize("name", ["cuda:99", "tpu", "", "cpu:1"])
-def test_missing_device_is_named(name: str) -> None:
-    """A device that is not there is refused with a list of those that are."""
+def test_missing_device_lists_available_devices(name: str) -> None:
+    """A missing device is refused with a list of the available ones."""
     with pytest.raises(DeviceError, match=r"use auto or one of cpu"):
         resolve_device(name)
 
 
 @pytest.mark.parametrize("threads", [0, -1])
-def test_threads_are_positive(threads: int) -> None:
-    """A launcher without threads is a mistake, not all cores."""
+def test_zero_threads_are_refused(threads: int) -> None:
+    """Zero threads are an error, and do not mean all cores."""
     with pytest.raises(ConfigError, match="threads is"):
         Launcher("cpu", threads=threads)
 
 
 @pytest.fixture
 def joining(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Is set as soon as the launcher waits for all jobs, after it has cancelled those that have not begun."""
+    """An event that is set once the launcher waits for its jobs, after it has cancelled pending ones."""
     event = threading.Event()
 
     def waited(jobs: Sequence[Future[None]], *how: Any) -> Any:
@@ -72,8 +72,8 @@ def joining(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     return event
 
 
-def test_interrupted_bands_are_waited_for(joining: threading.Event) -> None:
-    """When one band fails, no further one starts, and none is at work on the arrays once the error is seen."""
+def test_failed_launch_waits_for_running_bands(joining: threading.Event) -> None:
+    """When one band fails, no other starts, and none still writes to the arrays once the error is raised."""
     started = threading.Event()
     begun: list[int] = []
     finished: list[int] = []
@@ -110,8 +110,8 @@ def test_buffers_grow_and_never_shrink() -> None:
     assert buffers.allocations == 2
 
 
-def test_limits_of_memory_are_read_for_large_arrays_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame allocates many small ones, and to read the limits takes longer than to render a small one."""
+def test_memory_limits_are_read_only_for_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame allocates many small arrays, and reading the limits takes longer than rendering a small frame."""
     asked: list[None] = []
     monkeypatch.setattr("lumisplat.runtime.buffers.usable_memory", lambda: asked.append(None))
     buffers = Buffers("cpu")
@@ -123,13 +123,13 @@ def test_limits_of_memory_are_read_for_large_arrays_alone(monkeypatch: pytest.Mo
 
 @pytest.mark.parametrize("size", [2**40, 2**55])
 def test_out_of_memory_is_a_device_error(size: int) -> None:
-    """An allocation that cannot succeed says which device and which buffer, before the system ends the process."""
+    """An impossible allocation names the device and the buffer, before the system kills the process."""
     with pytest.raises(DeviceError, match=r"cpu.*'huge'"):
         Buffers("cpu").get("huge", wp.float64, size)
 
 
-def test_stages_within_a_stage_are_not_counted_twice() -> None:
-    """The outer one has what the inner ones leave: together they have the time that passed."""
+def test_nested_stages_are_not_counted_twice() -> None:
+    """The outer stage gets the time that its inner stages leave; together they are the elapsed time."""
     launcher, now = Launcher("cpu"), [5.0]
     launcher.clock = lambda: now[0]
     with launcher.stage("outer"):
@@ -139,8 +139,8 @@ def test_stages_within_a_stage_are_not_counted_twice() -> None:
     assert launcher.stage_ms == pytest.approx({"outer": 3.0, "inner": 20.0})
 
 
-def test_stages_are_those_of_their_pass():
-    """The same stage in two passes is timed twice, what is in no stage as the pass."""
+def test_stages_are_timed_per_pass():
+    """The same stage in two passes has two times; time outside stages counts for the pass."""
     launcher, now = Launcher("cpu", threads=1), [5.0]
     launcher.clock = lambda: now[0]
     for name in ("first", "second"):
@@ -152,8 +152,8 @@ def test_stages_are_those_of_their_pass():
     assert launcher.stage_ms["first: work"] == pytest.approx(1.0)
 
 
-def test_no_graph_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A device that cannot allocate while it captures runs the work each time: the third frame is as the first."""
+def test_without_memory_pools_nothing_is_captured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that cannot allocate during capture runs the work every time; the third frame equals the first."""
     launcher, runs = Launcher("cpu"), []
     launcher.is_cuda = True
     monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(is_mempool_enabled=False))
@@ -163,8 +163,10 @@ def test_no_graph_without_memory_pools(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(("enabled", "before", "after"), [(True, 0, 2**30), (True, 2**31, 2**31), (False, 0, 0)])
-def test_pools_keep_scratch_memory(monkeypatch: pytest.MonkeyPatch, enabled: bool, before: int, after: int) -> None:
-    """A GPU with memory pools does not give it back at every wait; nothing is taken from what the program has set."""
+def test_gpu_pools_retain_scratch_memory(
+    monkeypatch: pytest.MonkeyPatch, enabled: bool, before: int, after: int
+) -> None:
+    """A GPU's memory pool retains memory across waits, and never less than the program has set."""
     thresholds = {"cuda:0": before}
     monkeypatch.setattr(wp, "get_device", lambda _: SimpleNamespace(is_mempool_enabled=enabled))
     monkeypatch.setattr(wp, "get_mempool_release_threshold", thresholds.__getitem__)
@@ -178,7 +180,7 @@ def test_pools_keep_scratch_memory(monkeypatch: pytest.MonkeyPatch, enabled: boo
 
 
 def test_load_reports_every_module() -> None:
-    """The share that is done grows module by module, to the caller's own thread."""
+    """The reported fraction grows module by module, on the caller's thread."""
     heard: list[tuple[float, threading.Thread]] = []
     modules = [binning_kernels, camera_ray_kernels, film_kernels]
     Launcher("cpu", threads=2).load(modules, lambda _, share: heard.append((share, threading.current_thread())))
@@ -187,10 +189,10 @@ def test_load_reports_every_module() -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_load_says_what_does_not_compile(
+def test_compile_errors_reach_the_caller(
     threads: int, joining: threading.Event, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The error of one module reaches the caller, and those that wait are not compiled in vain."""
+    """The error of one module is raised, and pending modules are not compiled."""
     loaded = []
 
     def load(module: str, **_: object) -> None:
@@ -216,7 +218,7 @@ KERNELS = [module.name for module in package_modules()]
     ],
 )
 def test_kernels_compile_without_warnings(names: list[str], tmp_path: Path) -> None:
-    """Nobody who renders for the first time is to read a compiler's remarks."""
+    """A first frame shows no compiler warnings."""
     program = (
         f"import importlib, warp as wp; wp.config.kernel_cache_dir = {str(tmp_path)!r}; wp.init();"
         "from lumisplat.runtime.launcher import Launcher; wp.config.log_level = wp.LOG_INFO;"
@@ -228,8 +230,8 @@ def test_kernels_compile_without_warnings(names: list[str], tmp_path: Path) -> N
     assert done.stdout.count("(compiled)") == len(names)
 
 
-def test_warp_says_nothing_on_standard_output() -> None:
-    """What a program prints can be piped: neither Warp's banner nor its lines about modules are among it."""
+def test_warp_prints_nothing_on_standard_output() -> None:
+    """Standard output has neither Warp's banner nor its module lines, so that programs can be piped."""
     program = (
         "import lumisplat as ls; ls.create_renderer(device='cpu'); print('mine'); help(ls.render); "
         "assert callable(ls.render), 'a module hides the function'"
@@ -238,10 +240,8 @@ def test_warp_says_nothing_on_standard_output() -> None:
     assert done.stdout.startswith("mine\nHelp on function render in module lumisplat.renderer.one_shot")
 
 
-def test_compiling_is_announced_once_it_takes_long(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    """By one log line; modules that load at once are not worth a word."""
+def test_slow_compilation_is_announced_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """One log line announces compilation; modules that load quickly are not announced."""
     said = threading.Event()
     monkeypatch.setattr(wp, "load_module", lambda *_, **__: None)
     monkeypatch.setattr("lumisplat.runtime.launcher.COMPILING_ANNOUNCED_S", 60.0)

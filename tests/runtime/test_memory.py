@@ -1,4 +1,4 @@
-"""Usable memory is the least of the machine's and of the limits of all control groups that hold the process."""
+"""Usable memory: the smallest of the machine's memory and the limits of all control groups of the process."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import pytest
 from lumisplat import memory
 
 MACHINE = 1000 * 4096
-"""Memory of the machine of these tests, bytes."""
+"""Memory of the simulated machine in bytes."""
 
 UNLIMITED = 9223372036854771712
-"""Value by which cgroup v1 says that there is no limit."""
+"""Value that means "no limit" in cgroup v1."""
 
 
 @pytest.fixture
@@ -60,8 +60,8 @@ V1 = [("/", "cpu", "cgroup", "rw,cpu"), ("/", "fs", "cgroup", "rw,memory"), ("/"
         "v1 Slurm", "v1 parent", "v1 without a limit", "v1 in a container", "v2 seen from outside",
     ],
 )  # fmt: skip
-def test_usable_memory_is_the_least_limit(system, cgroup, mounts, limits, expected) -> None:
-    """Limits of groups above count as well, those of other groups and controllers do not."""
+def test_usable_memory_is_the_smallest_limit(system, cgroup, mounts, limits, expected) -> None:
+    """Limits of parent groups count, limits of other groups and controllers do not."""
     system(cgroup, mounts, limits)
     assert memory.usable_memory() == expected
 

@@ -1,4 +1,4 @@
-"""Sums and sorts of Warp's library, and what becomes of their failures."""
+"""Sums and sorts of Warp's library, and their failures."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from lumisplat.runtime.primitives import error_message, prefix_sum, sort_pairs
 
 
 def ints(values: list[int]) -> DeviceArray:
-    """An array on the CPU."""
+    """Makes a CPU array of integers."""
     return DeviceArray(np.array(values, np.int32), dtype=wp.int32, device="cpu")
 
 
-def test_sort_is_stable_and_by_the_bits_asked_for() -> None:
-    """Of the keys, only the low bits count; values of equal keys keep their order."""
+def test_sort_is_stable_and_uses_the_given_bits() -> None:
+    """Only the low bits of keys are compared; values of equal keys keep their order."""
     keys, values = ints([7, 1, 6, 2, 0, 0, 0, 0]), ints([0, 1, 2, 3, 9, 9, 9, 9])
     sort_pairs(keys, values, 4, bits=1)
     assert keys.numpy()[:4].tolist() == [6, 2, 7, 1]
     assert values.numpy()[:4].tolist() == [2, 3, 0, 1]
 
 
-def test_sort_that_fails_in_silence_is_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without room for its scratch space, the library returns and leaves a message: each time, and not for ever."""
+def test_silently_failing_sort_raises_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without scratch memory the library returns normally and leaves a message, which is raised once per failure."""
     message = b"Warp sort error: Failed to acquire radix sort buffer"
     sort = wp.utils.radix_sort_pairs
 
@@ -44,8 +44,8 @@ def test_sort_that_fails_in_silence_is_a_device_error(monkeypatch: pytest.Monkey
         assert keys.numpy()[:2].tolist() == [1, 2]
 
 
-def test_a_sort_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After an allocation has failed on a GPU, CUB's next sort finds that error, says so, and has done nothing."""
+def test_sort_is_retried_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a failed allocation on a GPU, CUB's next sort reports that failure without sorting."""
     sort, tries = wp.utils.radix_sort_pairs, []
 
     def fail_once(*given: Any, **options: Any) -> None:
@@ -61,8 +61,8 @@ def test_a_sort_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     assert keys.numpy()[:2].tolist() == [1, 2] and len(tries) == 2
 
 
-def test_sum_that_fails_is_a_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library's own error is said in one line, as of any other allocation."""
+def test_failing_sum_raises_device_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library's error becomes one line, like that of any other allocation."""
 
     def fail(*_: Any, **__: Any) -> None:
         raise RuntimeError("Warp CUDA error 2: out of memory\n(in function wp_alloc_device)")
@@ -73,8 +73,8 @@ def test_sum_that_fails_is_a_device_error(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("name", ["array_scan", "radix_sort_pairs"])
-def test_the_arrays_device_is_the_current_one(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The library acts in the thread's current context: with several GPUs, that may be another one's."""
+def test_primitives_run_on_the_arrays_device(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library uses the thread's current CUDA context, which may belong to another GPU."""
     entered: list[str] = []
     scoped = wp.ScopedDevice
 

@@ -13,14 +13,14 @@ from lumisplat.runtime.struct_tables import upload_structs
 
 
 def attributes(count: int) -> SplatAttributes:
-    """A row with one array."""
+    """Makes a row with one array."""
     row = SplatAttributes()
     row.scales = wp.zeros(count, dtype=wp.vec3, device="cpu")
     return row
 
 
-def test_rows_arrive_in_order() -> None:
-    """Each row of the table is the struct that was given, with the addresses of its arrays."""
+def test_rows_are_uploaded_in_order() -> None:
+    """Each row of the table is the given struct, with the addresses of its arrays."""
     rows = [attributes(count) for count in (3, 1, 2)]
     table = upload_structs(rows, SplatAttributes, "cpu")
     stored = table.numpy()
@@ -28,15 +28,15 @@ def test_rows_arrive_in_order() -> None:
     np.testing.assert_array_equal(stored["scales"]["data"], [row.scales.ptr for row in rows])
 
 
-def test_a_table_without_rows_has_an_address() -> None:
-    """It has one struct whose arrays are empty."""
+def test_empty_table_has_an_address() -> None:
+    """A table without rows has one struct with empty arrays."""
     table = upload_structs([], SplatAttributes, "cpu")
     assert table.ptr
     assert table.numpy()["scales"]["data"].tolist() == [0]
 
 
-def test_tables_keep_the_arrays_of_their_rows() -> None:
-    """A table holds addresses: what is there must not be freed before the table is."""
+def test_tables_keep_arrays_of_their_rows_alive() -> None:
+    """A table holds addresses, so that the arrays must not be freed before it."""
     row = attributes(4)
     array = weakref.ref(row.scales)
     table = upload_structs([row], SplatAttributes, "cpu")

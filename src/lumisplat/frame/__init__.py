@@ -1,1 +1,1 @@
-"""A finished frame: its images, layers and views, and how they are saved."""
+"""Finished frames: images, layers and views, and how they are saved."""

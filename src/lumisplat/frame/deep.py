@@ -1,4 +1,4 @@
-"""Deep frames: what a pixel shows, sample by sample in depth, for compositors that put things in between."""
+"""Deep frames: samples in depth for each pixel, so that compositors can insert objects between them."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from lumisplat.math.arrays import FloatArray, Rows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeepFrame:
-    """Samples of all pixels, pixel by pixel and row by row, each pixel's from front to back; M in all."""
+    """Deep samples of a frame: M samples in all, pixel by pixel in row order, front to back within a pixel."""
 
     size: tuple[int, int]
     """Rows and columns, (H, W)."""
     first: Rows
-    """Row of each pixel's first sample, and M at the end, (H W + 1,)."""
+    """Index of each pixel's first sample, and finally M, (H W + 1,)."""
     near: FloatArray
-    """View depth at which a sample begins, scene units, (M,); of a fisheye, which sees to its sides and behind, the
-    distance."""
+    """View depth at which each sample begins, scene units, (M,). For fisheye cameras, which also see sideways and
+    backwards, the distance from the camera."""
     far: FloatArray
-    """Likewise where it ends, not behind the beginning of the next one, (M,)."""
+    """Depth at which each sample ends, measured likewise and never behind the beginning of the next sample, (M,)."""
     color: FloatArray
-    """Linear Rec.709, premultiplied by the sample's own alpha, (M, 3)."""
+    """Linear Rec.709 colour, premultiplied by the sample's own alpha, (M, 3)."""
     alpha: FloatArray
-    """Share of the light from behind that it blocks, 0..1, (M,)."""
+    """Fraction of the light from behind that each sample blocks, 0..1, (M,)."""
 
     def __repr__(self) -> str:
         return f"DeepFrame({self.size[1]} x {self.size[0]}, samples={len(self.alpha)})"
 
     def flattened(self) -> FloatArray:
-        """The samples of each pixel over each other: premultiplied linear colour and alpha, shape (H, W, 4)."""
+        """Composites the samples of each pixel: premultiplied linear colour and alpha, shape (H, W, 4)."""
         counts = np.diff(self.first)
         color, through = np.zeros((len(counts), 3)), np.ones(len(counts))
-        for place in range(int(counts.max(initial=0))):
-            pixels = np.flatnonzero(counts > place)
-            rows = self.first[pixels] + place
+        for rank in range(int(counts.max(initial=0))):
+            pixels = np.flatnonzero(counts > rank)
+            rows = self.first[pixels] + rank
             color[pixels] += through[pixels, None] * self.color[rows]
             through[pixels] *= 1.0 - self.alpha[rows].astype(np.float64)
         flat = np.concatenate([color, 1.0 - through[:, None]], axis=1)

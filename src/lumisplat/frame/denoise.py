@@ -1,6 +1,6 @@
-"""Denoised light of a frame, by Open Image Denoise (Áfra 2019-2026, openimagedenoise.org; package mitsuba-oidn).
+"""Denoising of a frame's light by Open Image Denoise (Áfra 2019-2026, openimagedenoise.org; package mitsuba-oidn).
 
-What is denoised, and by which guides: docs/method/lighting.md#denoising.
+docs/method/lighting.md#denoising describes which images are denoised, and which guide the denoiser.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from lumisplat.frame.layers import check_layer
 from lumisplat.math.arrays import Flags, FloatArray
 from lumisplat.math.tone_map import captured_radiance
 
-DENOISE_TOUCH_REACH = 2
-"""A captured pixel counts as untouched by light if so are the captured ones up to so many pixels away: where every
-second sample finds a light, one of 25 pixels does but for once in 30 million."""
+UNLIT_REACH = 2
+"""Distance in pixels within which all captured pixels must be free of added light for a pixel to count as unlit. If
+every second sample finds a light, at least one of these 25 pixels shows it, except once in 30 million."""
 
 
 def check_denoiser() -> None:
@@ -29,10 +29,10 @@ def check_denoiser() -> None:
 
 
 def denoised_light(frame: FrameData) -> FloatArray:
-    """The field ``light`` of a lit frame, (H, W, 3), denoised; as it was where light touches no capture.
+    """Returns the denoised ``light`` of a lit frame, (H, W, 3); pixels whose captures receive no light are unchanged.
 
-    What is added and what shadows take are denoised apart: the former as radiance, the latter as a share of the
-    captured light, so that captures keep their detail in shadows.
+    Added light and shadows are denoised separately: added light as radiance, shadows as a fraction of the captured
+    light, so that captures keep their detail in shadows.
 
     Raises:
         ConfigError: The frame is unlit, or has no albedo.
@@ -40,7 +40,7 @@ def denoised_light(frame: FrameData) -> FloatArray:
     """
     if not frame.has("light") or frame.captured is None or frame.captured_weight is None or frame.light is None:
         raise ConfigError(
-            "an unlit frame cannot be denoised: it shows captures as trained (RenderConfig.lighting=True)"
+            "an unlit frame cannot be denoised, because it shows captures as trained: set RenderConfig.lighting=True"
         )
     light = np.where(np.isfinite(frame.light), frame.light, np.float32(0.0))
     captured = captured_radiance(frame.captured, frame.captured_weight)
@@ -51,22 +51,25 @@ def denoised_light(frame: FrameData) -> FloatArray:
 
 
 def _untouched(frame: FrameData) -> Flags:
-    """Where a pixel shows captures and the background alone, and light changed none of those around it, (H, W).
+    """Returns where pixels show only captures and background, and no pixel around them is changed by light, (H, W).
 
-    One pixel alone does not say so: a few samples may miss a dim light, or pass a thin shadow.
+    A single pixel is no proof: its few samples may miss a dim light or a thin shadow.
     """
     assert frame.light is not None and frame.captured_weight is not None
     is_captured = frame.captured_weight >= 1.0 - WEIGHT_ROUNDING
-    reach = DENOISE_TOUCH_REACH
+    reach = UNLIT_REACH
     changed = np.pad(is_captured & frame.light.any(axis=2), reach)
     around = np.lib.stride_tricks.sliding_window_view(changed, (2 * reach + 1, 2 * reach + 1))
     return is_captured & ~around.any(axis=(2, 3))
 
 
 def _guides(frame: FrameData) -> dict[str, Any]:
-    """Albedo and normals of the first surfaces, unless these are drawn at random; and whether they have no noise."""
+    """Returns albedo and normals of the first surfaces as guides, unless the surfaces are chosen at random.
+
+    ``clean_aux`` tells the denoiser whether the guides are free of noise.
+    """
     if frame.camera.aperture > 0.0:
-        return {}  # each sample has surfaces of its own
+        return {}  # defocused: every sample sees other surfaces
     if frame.config is None or draws_surfaces(frame.config):
         if not frame.has("albedo") or (frame.gaussian_index >= 0).any():
             return {}
@@ -77,7 +80,7 @@ def _guides(frame: FrameData) -> dict[str, Any]:
 
 
 def draws_surfaces(config: RenderConfig) -> bool:
-    """Whether the first Gaussian on a ray is drawn at random, so that albedo and normals are as noisy as light is."""
+    """Returns whether the first Gaussian on a ray is chosen at random, so that albedo and normals are noisy."""
     if config.pipeline.traces_paths:
         return config.path.primary is not PathPrimary.ISO
     if not config.pipeline.rasterises:
@@ -86,7 +89,7 @@ def draws_surfaces(config: RenderConfig) -> bool:
 
 
 def _denoised(image: FloatArray, guides: dict[str, Any]) -> FloatArray:
-    """A linear image of any range from 0, (H, W, 3), denoised; black ones are as they were."""
+    """Denoises a non-negative linear HDR image, (H, W, 3); black images are returned as they are."""
     if not image.any():
         return image
     result = np.array(_package().denoise(np.ascontiguousarray(image), hdr=True, **guides), np.float32)
@@ -94,7 +97,7 @@ def _denoised(image: FloatArray, guides: dict[str, Any]) -> FloatArray:
 
 
 def _package() -> Any:
-    """The package that brings the denoiser.
+    """Imports the denoiser.
 
     Raises:
         MissingExtraError: It is not installed.

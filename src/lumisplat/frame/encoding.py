@@ -1,4 +1,4 @@
-"""Encodes images of a frame: depth as 16-bit grey with its range in the file's text, and images that notebooks show."""
+"""Encodes images of a frame: depth as 16-bit grey with its range in the file's metadata, and images for notebooks."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from lumisplat.io.images.texture import to_bytes, write_gray_png
 from lumisplat.math.arrays import FloatArray
 
 NOTEBOOK_PNG_PIXELS_MAX = 2**20
-"""Pixels above which notebooks are given JPEGs of opaque frames, because they keep pictures in base64. Measured at
-1280 x 720: a PNG of the demo room takes 0.60 bytes a pixel and a JPEG 0.12, of the biker from nearby 0.29 and 0.05."""
+"""Number of pixels above which notebooks get JPEGs of opaque frames, because notebooks store images in base64.
+Measured at 1280 x 720, in bytes a pixel: the demo room takes 0.60 as PNG and 0.12 as JPEG, the biker from nearby 0.29
+and 0.05."""
 
 MimeBundle = tuple[dict[str, str], dict[str, dict[str, int]]]
-"""Representations by MIME type, pictures in base64, and what is known about them."""
+"""Representations of an object by MIME type (images in base64), and their metadata."""
 
 _FORMAT_OF = {"image/png": "PNG", "image/jpeg": "JPEG"}
 _JPEG_QUALITY = 92
 
 
 def mime_type(pixels: Image) -> str:
-    """PNG for what is small or transparent, which JPEG cannot hold; JPEG for the rest, so that notebooks stay small."""
+    """Chooses PNG for small or transparent images, JPEG for others, so that notebooks stay small."""
     height, width, channels = pixels.shape
     return "image/png" if channels == 4 or height * width <= NOTEBOOK_PNG_PIXELS_MAX else "image/jpeg"
 
 
 def encoded(pixels: Image, mime: str) -> bytes:
-    """A file of display-referred pixels, shape (H, W, 3 or 4), 0..1 or bytes."""
+    """Encodes display-referred pixels, shape (H, W, 3 or 4), 0..1 or bytes, as a PNG or JPEG file."""
     from PIL import Image as Picture
 
     stream = io.BytesIO()
@@ -43,12 +44,12 @@ def encoded(pixels: Image, mime: str) -> bytes:
 def mime_bundle(
     pixels: Image, text: str, include: Collection[str] | None, exclude: Collection[str] | None
 ) -> MimeBundle:
-    """A picture of the frame and its text, without what the notebook does not want.
+    """Returns an image of the frame and its line of text, restricted to the types that the notebook wants.
 
     Args:
-        pixels: As for `encoded`.
-        text: The line of text.
-        include: The MIME types that are wanted; None: all.
+        pixels: Pixels as for `encoded`.
+        text: Line of text.
+        include: MIME types that are wanted; None: all.
         exclude: MIME types that are not wanted; None: none.
     """
     mime = mime_type(pixels)
@@ -61,24 +62,24 @@ def mime_bundle(
 
 
 _STEPS = 65534
-"""Steps from the nearest to the farthest surface: values 1 to 65535; 0 is no surface."""
+"""Steps from the nearest to the farthest surface: values 1 to 65535; value 0 means no surface."""
 _FORMULA = "depth = depth_near + (value - 1) / 65534 * (depth_far - depth_near); value 0: no surface"
 
 
 def depth_range(depth: FloatArray) -> tuple[float, float] | None:
-    """The nearest and the farthest depth, scene units; None: there is no surface."""
+    """Returns the nearest and the farthest depth, scene units; None if there is no surface."""
     surface = depth[np.isfinite(depth)]
     return (float(surface.min()), float(surface.max())) if surface.size else None
 
 
 def write_depth_png(path: str | os.PathLike[str], depth: FloatArray) -> None:
-    """Writes depths as 16-bit grey, linear from the nearest (1) to the farthest surface (65535), 0 where there is none.
+    """Writes depths as 16-bit grey: linear from 1 (nearest surface) to 65535 (farthest), 0 without a surface.
 
-    The text chunks ``depth_near``, ``depth_far`` (scene units, along the ray) and ``depth_formula`` say how to read it.
+    The text chunks ``depth_near``, ``depth_far`` (scene units, along the ray) and ``depth_formula`` hold the decoding.
 
     Args:
-        path: The PNG to write. It appears complete or not at all.
-        depth: Distances along the rays, shape (H, W); not finite: no surface.
+        path: PNG file. It appears complete or not at all.
+        depth: Distances along the rays, shape (H, W); not finite without a surface.
 
     Raises:
         FormatError: The file cannot be written.

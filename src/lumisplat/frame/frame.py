@@ -1,4 +1,4 @@
-"""A finished frame: NumPy images, shown as pictures and saved to files."""
+"""The finished frame: NumPy images, their display and their files."""
 
 from __future__ import annotations
 
@@ -44,30 +44,31 @@ from lumisplat.scene.camera import Camera
 _log = logging.getLogger("lumisplat")
 
 _PICTURE = "picture"
-"""What fetches the bytes of a picture, among the functions that fetch images."""
+"""Key of the function that fetches the encoded bytes of the frame, beside the functions that fetch its images."""
 _LIT_PARTS = ("captured", "captured_weight", "light")
 
 ReadPicture = Callable[[], npt.NDArray[np.uint8] | None]
-"""Fetches the bytes of a picture; None: some pixels are not finite, and the host has to check them one by one."""
+"""Function that fetches the encoded bytes; it returns None if some pixels are not finite, which the host then checks
+one by one."""
 
 
 class Frame(FrameData):
-    """Images of one camera, all of shape (H, W, ...)."""
+    """Rendered images of one camera, all of shape (H, W, ...)."""
 
     __slots__ = ("_unread",)
 
     _unread: dict[str, Callable[[], Any]]
-    """What fetches the images that nobody has read yet, by field; such fields are unset."""
+    """Functions that fetch images that nobody has read yet, by field. Such fields are unset."""
 
     LAYERS: ClassVar[tuple[str, ...]] = LAYERS
-    """Images that can be saved beside the colour."""
+    """Names of images that can be saved in addition to the colour."""
     VIEWS: ClassVar[tuple[str, ...]] = VIEWS
-    """Pictures that explain the frame, see `view`."""
+    """Names of false-colour images that explain the frame; see `view`."""
     NEEDS: ClassVar[Mapping[str, str]] = {name: name for name in AOVS} | {
         "shadow": "lights",
         "shadow_matte": "shadow_ratio",
     }
-    """What ``RenderConfig.aovs`` has to hold for a layer or a view; those that are not listed are always there."""
+    """Entry of ``RenderConfig.aovs`` that a layer or view requires; layers that are not listed are always available."""
 
     @classmethod
     def of(
@@ -76,11 +77,11 @@ class Frame(FrameData):
         picture: ReadPicture | None = None,
         **others: Any,
     ) -> Frame:
-        """A frame whose images may be functions that fetch them: each is called when its image is first read.
+        """Makes a frame whose images may be functions; each function is called when its image is first read.
 
         Args:
-            images: Fields that are images, or such functions.
-            picture: Fetches the bytes of `pixels_srgb`; None: nothing has encoded them yet.
+            images: Image fields, as arrays or as functions that fetch them.
+            picture: Fetches the bytes of `pixels_srgb`; None if they have not been encoded.
             others: The other fields.
         """
         frame = cls(**images, **others)
@@ -93,11 +94,11 @@ class Frame(FrameData):
         return frame
 
     def developed(self, camera: Camera, config: RenderConfig | None, picture: ReadPicture | None) -> Frame:
-        """Returns the frame as its picture is with another exposure or tone map; it shares all images.
+        """Returns the frame with another exposure or tone map; both frames share all images.
 
         Args:
-            camera: The frame's, with another exposure.
-            config: The settings, with another tone map.
+            camera: The frame's camera, with another exposure.
+            config: The frame's settings, with another tone map.
             picture: As in `of`.
         """
         unread = self._fetches()
@@ -105,25 +106,25 @@ class Frame(FrameData):
         shared = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in images}
         return Frame.of(images, picture, **shared | {"camera": camera, "config": config})
 
-    if not TYPE_CHECKING:  # type checkers would take it for all attributes that there may be
+    if not TYPE_CHECKING:  # otherwise type checkers accept every attribute
 
         def __getattr__(self, name: str) -> Any:
-            """Fetches an image that is read for the first time: only fields that are unset come here."""
+            """Fetches an image at its first access; only unset fields reach this method."""
             fetch = self._fetches().get(name)
             if fetch is None:
-                return object.__getattribute__(self, name)  # an error, unless another thread has fetched it
+                return object.__getattribute__(self, name)  # raises, unless another thread has fetched it
             image = fetch()
             object.__setattr__(self, name, image)
             unread = self._fetches()
             unread.pop(name, None)
             if name in ("color", "alpha", *_LIT_PARTS):
-                unread.pop(_PICTURE, None)  # whoever holds them may change them
+                unread.pop(_PICTURE, None)  # the caller may change the array
             if unread.keys() == {_PICTURE}:
-                unread.clear()  # all is on the host: the device's memory is not needed any more
+                unread.clear()  # all images are on the host: release the device memory
             return image
 
     def has(self, field: str) -> bool:
-        """Whether the frame has an image, which is not fetched for that."""
+        """Returns whether the frame has an image, without fetching it."""
         return field in self._fetches() or super().has(field)
 
     def save(
@@ -132,35 +133,37 @@ class Frame(FrameData):
         layers: Collection[str] | str | None = None,
         mattes: Mattes | None = None,
     ) -> None:
-        """Writes the frame in the format that the extension names.
+        """Writes the frame in the format of the file's extension.
 
         ``.png``: 8-bit sRGB over the background, RGBA with straight alpha if there is none; a lit frame is exposed and
         tone-mapped, see `pixels_srgb`. ``.exr``: 32-bit linear Rec.709 ``R G B A`` without the background, alpha
         premultiplied, neither exposed nor tone-mapped, and layers such as ``depth.Z``, ``normal.X/Y/Z``,
         ``index.gaussian``, ``albedo.R/G/B`` or ``light.NAME.shadow.R/G/B`` in one part; an index is a 32-bit unsigned
-        integer, and 4294967295 means "none". ``.npz``: every array of the frame as is.
+        integer, and 4294967295 means "none". ``.npz``: every array of the frame unchanged.
 
-        Radiance that is not finite is 0 in PNG and EXR, and a log line counts it.
+        Radiance that is not finite is written as 0 to PNG and EXR, and a warning counts it.
 
         Args:
             path: File to write.
-            layers: Some of `LAYERS`, as a list or as a text with commas: channels of the EXR (None: all that the frame
-                has), or pictures beside the PNG, ``NAME.depth.png`` and so on (None: no picture). An NPZ has all. Depth
-                is also written as 16-bit grey, ``NAME.depth16.png``, whose text says its range, see `depth_range`.
-            mattes: Of an EXR, objects and materials for compositors (Cryptomatte), each in a part of its own, see
+            layers: Some of `LAYERS`, as a list or a comma-separated text: channels of the EXR (None: all that the frame
+                has), or images beside the PNG, ``NAME.depth.png`` and so on (None: none). An NPZ has all layers. Depth
+                is also written as 16-bit grey, ``NAME.depth16.png``, with its range in the metadata, see `depth_range`.
+            mattes: Object and material mattes (Cryptomatte) to add to an EXR, each in a part of its own, see
                 `lumisplat.layers.render_mattes`.
 
         Raises:
-            ConfigError: A name is not a layer, the frame was rendered without it, or the format has no mattes.
+            ConfigError: A name is not a layer, the frame was rendered without the layer, or the format has no mattes.
             SceneError: The mattes have another size.
             FormatError: The extension is none of these, or the file cannot be written.
         """
         suffix = Path(path).suffix.lower()
         if mattes is not None:
             if suffix != ".exr":
-                raise ConfigError(f"{os.fspath(path)}: mattes are written into EXR files alone")
+                raise ConfigError(f"{os.fspath(path)}: mattes can only be written to EXR files")
             if mattes.size != self.color.shape[:2]:
-                raise SceneError(f"the mattes have {mattes.size} rows and columns, the frame {self.color.shape[:2]}")
+                raise SceneError(
+                    f"the mattes have {mattes.size} rows and columns, expected the frame's {self.color.shape[:2]}"
+                )
         layers = None if layers is None else layer_names(layers)
         if suffix == ".png":
             pictures: dict[str, FloatArray] = {}
@@ -170,7 +173,7 @@ class Frame(FrameData):
                 write_png(Path(path).with_suffix(f".{name}.png"), picture)
             if "depth" in pictures:
                 write_depth_png(Path(path).with_suffix(".depth16.png"), self.depth)
-            write_png(path, self._picture())  # the last: where it is, all are
+            write_png(path, self._picture())  # last: if this file exists, all do
         elif suffix == ".exr":
             write_exr(path, self.layers(layers), further=() if mattes is None else mattes.parts())
         elif suffix == ".npz":
@@ -181,11 +184,11 @@ class Frame(FrameData):
         self._warn_of_nonfinite(path, LAYERS if shown is None or suffix == ".npz" else shown)
 
     def save_view(self, path: str | os.PathLike[str], view: str, limits: tuple[float, float] | None = None) -> None:
-        """Writes a view, see `view`, as a PNG.
+        """Writes a false-colour view, see `view`, as a PNG.
 
         Raises:
-            ConfigError: There is no such view, or the frame was rendered without what it needs.
-            FormatError: The extension is another, or the file cannot be written.
+            ConfigError: There is no such view, or the frame was rendered without the layer that it needs.
+            FormatError: The extension is not .png, or the file cannot be written.
         """
         if Path(path).suffix.lower() != ".png":
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for the view of a frame, expected .png")
@@ -194,35 +197,35 @@ class Frame(FrameData):
 
     @property
     def depth_range(self) -> tuple[float, float] | None:
-        """The nearest and the farthest surface, scene units along the ray; None: nothing is seen."""
+        """Distances of the nearest and the farthest surface, scene units along the ray; None if there is no surface."""
         return depth_range(self.depth)
 
     def view(self, name: str, limits: tuple[float, float] | None = None) -> FloatArray:
-        """A picture that explains the frame, in display colours, (H, W, 3), 0..1.
+        """Returns a false-colour image that explains the frame, display-referred, (H, W, 3), 0..1.
 
         Args:
-            name: One of `VIEWS`. ``normal``: from -1..1, black without a hit. ``depth``: red (near) to blue (far),
-                black without a surface. ``index``: a colour for each Gaussian, and for each mesh. ``shadow``: share of
-                the direct light of all lights that arrives, from black (none) to white (all); blue where no light would
-                arrive without shadows either. ``hits``: Gaussians that a ray blends, from violet over red to yellow on
-                a logarithmic scale, black for none. ``transmittance``: share of the background that is seen, from
-                violet (none) to yellow (all). ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,
-                ``indirect_glossy`` and ``emission``: this part of the light, exposed. Of frames in real time
-                ``motion``: a hue for each direction in the image, red to the right, yellow-green up, paler where
-                slower, black where it is not known; ``history``: frames that direct light is the mean of, from violet
-                to yellow; ``probes``: screen probes on the frame in grey, by how often they were refreshed, from violet
-                over red to yellow on a logarithmic scale; ``cache``: what the radiance cache has there, exposed;
-                ``cache_cells``: a colour for each cell of it, black without one.
-            limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and
-                ``probes``; None: ``view_limits(name)``.
+            name: One of `VIEWS`. ``normal``: world-space normals mapped from -1..1, black without a hit. ``depth``: red
+                (near) to blue (far), black without a surface. ``index``: a colour for each Gaussian and each mesh.
+                ``shadow``: fraction of the direct light of all lights that arrives, from black (none) to white (all);
+                blue where none would arrive without shadows either. ``hits``: Gaussians blended per ray, from violet
+                over red to yellow on a logarithmic scale, black for none. ``transmittance``: visible fraction of the
+                background, from violet (none) to yellow (all). ``direct_diffuse``, ``indirect_diffuse``,
+                ``direct_glossy``, ``indirect_glossy`` and ``emission``: that part of the radiance, exposed. In
+                real-time frames, ``motion``: hue by direction in the image, red to the right, yellow-green up, paler
+                where slower, black where unknown; ``history``: number of frames averaged into the direct light, from
+                violet to yellow; ``probes``: screen probes over the frame in grey, by their number of updates, from
+                violet over red to yellow on a logarithmic scale; ``cache``: radiance stored in the radiance cache,
+                exposed; ``cache_cells``: a colour for each cache cell, black without one.
+            limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and ``probes``;
+                None: ``view_limits(name)``.
 
         Raises:
-            ConfigError: There is no such view, or the frame was rendered without what it needs, see `NEEDS`.
+            ConfigError: There is no such view, or the frame was rendered without the layer that it needs, see `NEEDS`.
         """
         return view_picture(self, name, limits)
 
     def view_limits(self, name: str) -> tuple[float, float]:
-        """Values at the ends of a view's colour map: give several frames the same to compare them.
+        """Returns the values at the ends of a view's colour map; use the same for all frames that are compared.
 
         Raises:
             ConfigError: There is no such view.
@@ -230,15 +233,15 @@ class Frame(FrameData):
         return view_limits(self, name)
 
     def denoised(self) -> Frame:
-        """The frame with its light denoised by Open Image Denoise, of the extra ``denoise``.
+        """Returns the frame with its light denoised by Open Image Denoise (extra ``denoise``).
 
-        Captured light that is kept stays as it is, and pixels that show nothing else are the same to the bit. Albedo
-        and normals guide the denoiser where they are free of noise themselves: ``RenderConfig.aovs`` must hold
-        ``albedo`` then, that is in all pipelines but ``PATH``, and with strategies that are not stochastic. The other
-        images, alpha among them, are those of this frame.
+        Captured light stays as captured, and pixels that show nothing else are the same to the bit. Albedo and normals
+        guide the denoiser where they are free of noise: then ``RenderConfig.aovs`` must contain ``albedo``, which is
+        the case in all pipelines but ``PATH``, and with strategies that are not stochastic. All other images, including
+        alpha, are unchanged.
 
         Returns:
-            A new frame, to which no samples can be added; this one, if it is denoised already.
+            A new frame, to which no samples can be added; this frame, if it is denoised already.
 
         Raises:
             ConfigError: The frame is unlit, or has no albedo.
@@ -254,7 +257,7 @@ class Frame(FrameData):
 
     @staticmethod
     def check_denoiser() -> None:
-        """Tries whether frames can be denoised, before any is rendered for it.
+        """Checks that the denoiser is installed, before frames are rendered for it.
 
         Raises:
             MissingExtraError: The denoiser is not installed.
@@ -262,11 +265,11 @@ class Frame(FrameData):
         check_denoiser()
 
     def pixels_srgb(self) -> FloatArray:
-        """What a PNG shows: 0..1, (H, W, 3), or (H, W, 4) with straight alpha if there is no background.
+        """Returns the pixels of the PNG: 0..1, (H, W, 3), or (H, W, 4) with straight alpha if there is no background.
 
-        An unlit frame is shown as trained. A lit one is exposed by its camera's ``exposure`` and tone-mapped as its
-        ``config`` says; pixels that only show a capture are what they are in the unlit frame. Pixels that are not
-        finite are black. Captures may be brighter than a display's white: that is clipped here, and kept in ``color``.
+        An unlit frame is shown as trained. A lit frame is exposed by its camera's ``exposure`` and tone-mapped by its
+        ``config``; pixels that show only captures equal those of the unlit frame. Pixels that are not finite are black.
+        Captures may be brighter than display white: this array is clipped, ``color`` is not.
         """
         frame, transparent = self._without_nonfinite(), self.background is None
         parts = frame._lit_parts()
@@ -280,17 +283,17 @@ class Frame(FrameData):
         return np.clip(pixels, 0.0, 1.0)
 
     def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
-        """What a PNG shows, see `pixels_srgb`, so that NumPy and what builds on it take a frame for a picture.
+        """Returns `pixels_srgb`, so that NumPy and libraries built on it accept a frame as an image.
 
         Args:
-            dtype: Of the array; None: float32, 0..1. With ``uint8``, the bytes of a PNG.
-            copy: The array is always a new one: False is refused.
+            dtype: Type of the array; None: float32, 0..1. With ``uint8``, the bytes of a PNG.
+            copy: The array is always new, so False is refused.
 
         Raises:
-            ValueError: ``copy`` is False, as NumPy's protocol wants it.
+            ValueError: ``copy`` is False; NumPy's protocol requires this type of error.
         """
         if copy is False:
-            raise ValueError("the picture of a frame is computed: there is no array of it without a copy")
+            raise ValueError("the image of a frame is computed, so that copy=False is impossible: use copy=None")
         if dtype is not None and np.dtype(dtype) == np.uint8:
             return to_bytes(self._picture(), "a frame")
         pixels = self.pixels_srgb()
@@ -299,14 +302,14 @@ class Frame(FrameData):
     def _repr_mimebundle_(
         self, include: Collection[str] | None = None, exclude: Collection[str] | None = None
     ) -> MimeBundle:
-        """The frame in a notebook: a picture and a line of text. It never raises: without a picture, there is text."""
+        """Shows the frame in a notebook as an image and a line of text; only as text if the image fails."""
         try:
             return mime_bundle(self._picture(), repr(self), include, exclude)
-        except Exception as error:  # a notebook would show a traceback in place of the cell's result
-            return {"text/plain": f"{self!r} (no picture: {error})"}, {}
+        except Exception as error:  # an exception would replace the cell's result by a traceback
+            return {"text/plain": f"{self!r} (no image: {error})"}, {}
 
     def _repr_png_(self) -> bytes | None:
-        """A PNG, for notebooks that take no bundle; None for a frame that the bundle shows as JPEG, or cannot show."""
+        """Returns a PNG for notebooks without bundles; None if the bundle would hold a JPEG, or no image."""
         try:
             pixels = self._picture()
             return encoded(pixels, "image/png") if mime_type(pixels) == "image/png" else None
@@ -314,10 +317,10 @@ class Frame(FrameData):
             return None
 
     def layers(self, names: Collection[str] | str | None = None) -> dict[str, Image]:
-        """EXR channels: linear ``R G B A`` and those of some layers.
+        """Returns EXR channels by name: linear ``R G B A`` and those of the chosen layers.
 
         Args:
-            names: Some of `LAYERS`, as a list or as a text with commas; None: all that the frame has.
+            names: Some of `LAYERS`, as a list or a comma-separated text; None: all that the frame has.
 
         Raises:
             ConfigError: A name is not a layer, or the frame was rendered without it.
@@ -330,13 +333,13 @@ class Frame(FrameData):
         return channels | exr_channels(self, present_layers(self) if names is None else layer_names(names))
 
     def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Every image by name, and the lights' names if there are any."""
+        """Returns every image by name, and the names of the lights if there are any."""
         present = [name for name in (*_LIT_PARTS, *RADIANCE, *COUNTS) if self.has(name)]
         arrays: dict[str, npt.NDArray[Any]] = {name: getattr(self, name) for name in (*EVERY_FRAME, *present)}
         return arrays | ({"light_names": np.array(self.light_names)} if self.light_names else {})
 
     def _picture(self) -> npt.NDArray[Any]:
-        """What a PNG shows: its bytes, if a device has encoded them, else `pixels_srgb`."""
+        """Returns the pixels of the PNG: as bytes if a device has encoded them, otherwise `pixels_srgb`."""
         unread = self._fetches()
         fetch = unread.get(_PICTURE)
         picture = None if fetch is None else fetch()
@@ -346,21 +349,21 @@ class Frame(FrameData):
         return picture
 
     def _fetches(self) -> dict[str, Callable[[], Any]]:
-        """What fetches unread images; a frame that was made of arrays has nothing of the kind."""
+        """Returns the functions that fetch unread images; empty for a frame that was made from arrays."""
         try:
             return object.__getattribute__(self, "_unread")
         except AttributeError:
             return {}
 
     def _finite(self) -> npt.NDArray[np.bool_]:
-        """Where no radiance is NaN or infinite, (H, W)."""
+        """Returns where all radiance is finite, (H, W)."""
         finite = np.isfinite(self.alpha)
         for radiance in (self.color, *(self._lit_parts() or ())):
             finite &= np.isfinite(radiance).reshape(*finite.shape, -1).all(axis=2)
         return finite
 
     def _without_nonfinite(self) -> Frame:
-        """The frame with black of alpha 0 where radiance is not finite."""
+        """Returns the frame with black of alpha 0 where radiance is not finite."""
         finite = self._finite()
         if finite.all():
             return self
@@ -371,7 +374,7 @@ class Frame(FrameData):
         return replace(self, **blackened)
 
     def _warn_of_nonfinite(self, path: str | os.PathLike[str], layers: Collection[str]) -> None:
-        """Logs how many pixels of the saved images are not finite, and how many samples the renderer left out."""
+        """Warns about non-finite pixels in the saved images, and about samples that the renderer left out."""
         encoded_finite = _PICTURE in self._fetches() and self._picture().dtype == np.uint8
         bad = np.zeros(self.camera.image_size[::-1], bool) if encoded_finite else ~self._finite()
         fields = [name for name in RADIANCE if name in layers or ("lights" in layers and name.startswith("light_"))]
@@ -381,12 +384,12 @@ class Frame(FrameData):
                 per_light = values.reshape(-1, *bad.shape, 1 if name in ("hits", "history") else 3)
                 bad |= ~np.isfinite(per_light).all(axis=(0, 3))
         if count := np.count_nonzero(bad):
-            fate = "kept" if Path(path).suffix.lower() == ".npz" else "black"
-            _log.warning("%s: %d pixels are not finite, %s in the file", os.fspath(path), count, fate)
+            fate = "stored as they are" if Path(path).suffix.lower() == ".npz" else "black"
+            _log.warning("%s: %d pixels are not finite and are %s in the file", os.fspath(path), count, fate)
         if self.stats and self.stats.nonfinite_count:
             count = self.stats.nonfinite_count
             _log.warning(
-                "%s: %d Gaussians or samples were not finite and left out: values too large for float32",
+                "%s: %d Gaussians or samples were left out, because a value was NaN or too large for float32",
                 os.fspath(path),
                 count,
             )

@@ -1,4 +1,4 @@
-"""Layers of a frame: their names, their channels in an EXR, and images and views that show them."""
+"""Layers of a frame: their names, EXR channels, and images and false-colour views of them."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ Image = npt.NDArray[Any]
 _MATTE = "shadow_matte"
 
 LAYERS = ("depth", "normal", "gaussian_index", "instance_index", "position", *AOVS, _MATTE)
-"""Names of layers. A frame has those of `AOVS` if ``RenderConfig.aovs`` asked for them, ``shadow_matte`` if it asked
-for ``shadow_ratio``, the others always."""
+"""Names of layers. A frame has the layers of `AOVS` that ``RenderConfig.aovs`` requested, ``shadow_matte`` if it
+requested ``shadow_ratio``, and always the others."""
 
 RADIANCE = (
     "albedo",
@@ -42,40 +42,40 @@ RADIANCE = (
     "history",
     "cache",
 )
-"""Fields of a frame that hold the layers of `AOVS`, as floats."""
+"""Fields of a frame that hold layers of `AOVS` as floats."""
 
 COUNTS = ("sample_count", "motion_known", "probes", "cache_cells")
-"""Those that hold them as integers."""
+"""Fields of a frame that hold layers of `AOVS` as integers."""
 
 _UNSAFE = re.compile(r"[^\w-]+", re.ASCII)
 _LABEL_MAX = 60
-"""Longest name of a light in a layer's name, characters: file names and EXR channels end at 255 bytes."""
+"""Longest name of a light within a layer's name, characters: file names and EXR channel names end at 255 bytes."""
 
 
 class LightLayers(NamedTuple):
-    """The layers of one light."""
+    """Layers of one light."""
 
     label: str
-    """Its name, fit for channels and file names."""
+    """Name of the light, made safe for channel and file names."""
     direct: FloatArray
-    """Radiance if nothing blocked it, (H, W, 3)."""
+    """Radiance without occlusion, (H, W, 3)."""
     shadow: FloatArray
-    """Share of ``direct`` that arrives, 0..1, (H, W, 3)."""
+    """Unoccluded fraction of ``direct``, 0..1, (H, W, 3)."""
     total: FloatArray | None
-    """All of its light in frames of paths, bounces included, (H, W, 3)."""
+    """All light of this light in a path-traced frame, including bounces, (H, W, 3)."""
 
 
 def present_layers(frame: FrameData) -> tuple[str, ...]:
-    """The layers that ``frame`` has, in the order of `LAYERS`."""
+    """Returns the layers that ``frame`` has, in the order of `LAYERS`."""
     asked = (*AOVS, _MATTE)
     return tuple(layer for layer in LAYERS if layer not in asked or frame.has(_field(layer)))
 
 
 def layer_names(layers: object) -> tuple[str, ...]:
-    """Names of layers, given as a list or as a text with commas.
+    """Parses names of layers from a list or a comma-separated text; it does not check that they exist.
 
     Raises:
-        ConfigError: It is neither; whether there are such layers is not checked.
+        ConfigError: ``layers`` is neither.
     """
     names = listed_names(layers)
     if names is None:
@@ -90,13 +90,13 @@ def check_layer(frame: FrameData, layer: str) -> None:
     if layer not in present_layers(frame):
         wanted = _field(layer) if layer == _MATTE else layer
         asked = frame.config is not None and wanted in frame.config.aovs
-        name = "it" if wanted == layer else wanted
-        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else f"RenderConfig.aovs asks for {name}"
+        name = "it" if wanted == layer else f"'{wanted}'"
+        why = "only lit frames have it (RenderConfig.lighting=True)" if asked else f"add {name} to RenderConfig.aovs"
         raise ConfigError(f"the frame has no '{layer}': {why}")
 
 
 def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
-    """Channels of layers, named so that Nuke groups them; radiance that is not finite is 0.
+    """Returns EXR channels of layers, named so that Nuke groups them; radiance that is not finite becomes 0.
 
     Raises:
         ConfigError: The frame has no such layer.
@@ -131,7 +131,7 @@ def exr_channels(frame: FrameData, layers: Collection[str]) -> dict[str, Image]:
 
 
 def _light_channels(frame: FrameData) -> dict[str, Image]:
-    """Channels of the layers of each light."""
+    """Returns the channels of each light's layers."""
     channels: dict[str, Image] = {}
     for light in light_layers(frame):
         channels |= _planes(f"light.{light.label}.direct", _finite(light.direct), "RGB")
@@ -144,7 +144,7 @@ def _light_channels(frame: FrameData) -> dict[str, Image]:
 
 
 def light_layers(frame: FrameData) -> list[LightLayers]:
-    """The layers of each light, of a frame that has them, see `check_layer`."""
+    """Returns the layers of each light; the frame must have them, see `check_layer`."""
     assert frame.light_direct is not None and frame.light_shadow is not None
     labels = light_labels(frame.light_names or ("",) * len(frame.light_direct))
     totals = [None] * len(labels) if frame.light_total is None else list(frame.light_total[:-1])
@@ -152,7 +152,7 @@ def light_layers(frame: FrameData) -> list[LightLayers]:
 
 
 def light_labels(names: Sequence[str]) -> list[str]:
-    """A label for each light, fit for channels and file names: its name, else its number; no two are equal."""
+    """Returns a unique label for each light, made of its name, or else its number, safe for channel and file names."""
     taken: set[str] = set()
     copies: dict[str, int] = {}
     labels: list[str] = []
@@ -182,10 +182,10 @@ def _finite(values: FloatArray) -> FloatArray:
 Limits = tuple[float, float]
 """Values at the two ends of a colour map."""
 
-_KEPT = ("motion", "history", "probes", "cache", "cache_cells")
-"""Views of motion, and of what frames in real time keep."""
+_REALTIME = ("motion", "history", "probes", "cache", "cache_cells")
+"""Views of real-time frames: motion, and the state that is reused from frame to frame."""
 
-VIEWS = ("normal", "depth", "index", "shadow", "hits", "transmittance", *PATH_PARTS, *_KEPT)
+VIEWS = ("normal", "depth", "index", "shadow", "hits", "transmittance", *PATH_PARTS, *_REALTIME)
 
 _DEPTH_RAMP = np.array(
     [
@@ -197,7 +197,7 @@ _DEPTH_RAMP = np.array(
         [0.55, 0.05, 0.03],
     ]
 )
-"""Dark blue over green to red: steps of depth are easier to tell apart than on a grey ramp."""
+"""Colour map from dark blue over green to red, which separates depths better than grey."""
 
 _HEAT_RAMP = np.array(
     [
@@ -212,42 +212,42 @@ _HEAT_RAMP = np.array(
         [0.999, 0.957, 0.696],
     ]
 )
-"""Dark violet over red to pale yellow, in equal steps of OKLab: equal differences are seen as equal."""
+"""Colour map from dark violet over red to pale yellow in equal steps of OKLab, so that equal differences look equal."""
 
 _HITS_TOP = 255.0
-"""Gaussians a ray at the hot end of the colour map; more have the same colour."""
+"""Gaussians per ray at the hot end of the colour map; larger counts have the same colour."""
 _MOTION_TOP = 16.0
-"""Pixels a frame that have the full colour."""
+"""Motion in pixels per frame at full saturation."""
 _REFRESHES_TOP = 64.0
-"""Refreshes of a probe at the hot end of the colour map."""
+"""Probe updates at the hot end of the colour map."""
 _PROBE_PX = 2
-"""Pixels to each side of a probe that show it."""
+"""Half size, in pixels, of the square that marks a probe."""
 _DIMMED = 0.35
-"""Of the frame behind probes."""
-_UNLIT = (0.09, 0.13, 0.32)
-"""Colour of pixels that no light would reach without shadows either: a blue, as shadows are shades of grey."""
+"""Brightness of the frame behind the probe marks."""
+_NO_LIGHT = (0.09, 0.13, 0.32)
+"""Colour of pixels that no light would reach even without shadows: blue, because shadows are shades of grey."""
 
 
-_SHOWN_AS: dict[str, Callable[[FloatArray], FloatArray]] = {
+_DISPLAYED_AS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "albedo": encode_srgb,
     "shadow_ratio": lambda ratio: ratio,
     "shadow_matte": lambda matte: matte[..., 3:].repeat(3, axis=2),
 }
-"""How layers that are no radiance become pictures."""
+"""Conversion to display colours, for layers that are not radiance."""
 
 
 def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
-    """Display-referred colours of one layer, by the names of the pictures, each of shape (H, W, 3), 0..1.
+    """Returns display-referred images of one layer by name, each of shape (H, W, 3), 0..1.
 
     Depth runs from red (near) to blue (far) over its own range, normals are mapped from -1..1, positions from their
-    bounding box, each index has a colour of its own. Radiance is exposed and encoded as sRGB, and clipped to white; of
-    ``variance`` its root is. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a surface
-    are black. A layer has one picture of its own name, but ``lights`` has two for each light, ``light.NAME.direct`` and
-    ``light.NAME.shadow``, and in frames of paths ``light.NAME.total`` and ``light_other`` too, and ``bounces`` has
-    ``bounce.0`` and so on. ``shadow_matte`` shows its alpha.
+    bounding box, each index has a colour of its own. Radiance is exposed, encoded as sRGB and clipped to white;
+    ``variance`` shows its square root. ``sample_count`` runs from violet (none) to yellow (the most). Pixels without a
+    surface are black. Most layers give one image of their own name. ``lights`` gives ``light.NAME.direct`` and
+    ``light.NAME.shadow`` for each light, and in path-traced frames ``light.NAME.total`` and ``light_other`` too;
+    ``bounces`` gives ``bounce.0`` and so on. ``shadow_matte`` shows its alpha.
 
     Args:
-        frame: The rendered frame.
+        frame: Rendered frame.
         layer: One of ``Frame.LAYERS``.
 
     Raises:
@@ -266,7 +266,7 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
     elif layer == "bounces":
         assert frame.bounces is not None
         pictures = {f"bounce.{number}": _radiance_picture(frame, image) for number, image in enumerate(frame.bounces)}
-    elif layer in ("depth", "normal", "hits", *_KEPT):
+    elif layer in ("depth", "normal", "hits", *_REALTIME):
         pictures = {layer: view_picture(frame, layer)}
     elif layer == "position":
         pictures = {layer: _position_picture(frame)}
@@ -274,8 +274,8 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
         pictures = {layer: _radiance_picture(frame, np.sqrt(getattr(frame, layer)))}
     elif layer == "sample_count":
         pictures = {layer: _sample_count_picture(frame)}
-    elif layer in _SHOWN_AS:
-        pictures = {layer: _SHOWN_AS[layer](getattr(frame, layer))}
+    elif layer in _DISPLAYED_AS:
+        pictures = {layer: _DISPLAYED_AS[layer](getattr(frame, layer))}
     elif layer in ("gaussian_index", "instance_index"):
         indices: Image = getattr(frame, layer)
         pictures = {layer: _index_picture(indices, indices >= 0)}
@@ -285,9 +285,10 @@ def layer_pictures(frame: FrameData, layer: str) -> dict[str, FloatArray]:
 
 
 def view_limits(frame: FrameData, view: str) -> Limits:
-    """Values at the ends of a view's colour map: of depth its percentiles 1 and 99, of the others always the same.
+    """Returns the default values at the ends of a view's colour map.
 
-    Of the history it is the most frames that the settings allow.
+    Depth uses its percentiles 1 and 99, history the largest number of frames that the settings allow, and other views
+    fixed values.
 
     Raises:
         ConfigError: There is no such view.
@@ -309,16 +310,16 @@ def view_limits(frame: FrameData, view: str) -> Limits:
 
 
 def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> FloatArray:
-    """Display-referred colours of one view, shape (H, W, 3), 0..1.
+    """Returns a false-colour view in display-referred colours, shape (H, W, 3), 0..1.
 
     Args:
-        frame: The rendered frame.
+        frame: Rendered frame.
         view: One of `VIEWS`, see ``Frame.view``.
         limits: Values at the ends of the colour map of ``depth``, ``hits``, ``motion``, ``history`` and ``probes``;
             None: those of `view_limits`.
 
     Raises:
-        ConfigError: There is no such view, or the frame was rendered without what it needs.
+        ConfigError: There is no such view, or the frame was rendered without the layer that it needs.
     """
     low, high = view_limits(frame, view) if limits is None else limits
     if view == "depth":
@@ -326,7 +327,7 @@ def view_picture(frame: FrameData, view: str, limits: Limits | None = None) -> F
     elif view == "normal":
         picture = np.where(frame.normal.any(axis=2, keepdims=True), 0.5 + 0.5 * frame.normal, 0.0)
     elif view == "index":
-        # The instance counts, too: Gaussian 0 of two captures, and two meshes, which have no Gaussian, differ.
+        # The instance is hashed, too, so that Gaussian 0 of two captures differs, and so do two meshes.
         indices = frame.gaussian_index + 1 + 8191 * frame.instance_index.astype(np.int64)
         picture = _index_picture(indices, frame.instance_index >= 0)
     elif view == "shadow":
@@ -362,7 +363,7 @@ def _displayable(picture: Image) -> FloatArray:
 
 
 def _ramp(stops: npt.NDArray[Any], values: Image) -> Image:
-    """Colours at 0..1 along equally spaced stops, shape (..., 3)."""
+    """Interpolates colours along equally spaced stops at values 0..1, shape (..., 3)."""
     stops_at = np.linspace(0.0, 1.0, len(stops))
     return np.stack([np.interp(values, stops_at, stops[:, channel]) for channel in range(3)], axis=-1)
 
@@ -382,7 +383,7 @@ def _hits_picture(frame: FrameData, low: float, high: float) -> Image:
 
 
 def _motion_picture(frame: FrameData, low: float, high: float) -> Image:
-    """A hue for each direction, red to the right, yellow-green up, and the paler the slower; not known: black."""
+    """Colours motion: hue by direction (red to the right, yellow-green up), paler where slower, black where unknown."""
     check_layer(frame, "motion")
     x, y, _ = np.moveaxis(np.asarray(frame.motion, np.float64), -1, 0)
     strength = np.clip((np.hypot(x, y) - low) / max(high - low, 1e-9), 0.0, 1.0)[..., None]
@@ -399,7 +400,7 @@ def _history_picture(frame: FrameData, low: float, high: float) -> Image:
 
 
 def _probes_picture(frame: FrameData, low: float, high: float) -> Image:
-    """Squares around probes, by how often these have been refreshed, on the frame in grey."""
+    """Draws a square at each probe, coloured by its number of updates, over the frame in grey."""
     check_layer(frame, "probes")
     refreshes = np.asarray(frame.probes)
     grey = encode_srgb(
@@ -429,7 +430,7 @@ def _position_picture(frame: FrameData) -> Image:
 
 
 def _index_picture(indices: Image, hit: Image) -> Image:
-    """A colour for each index, the same in every frame (Knuth's multiplicative hash); black: nothing was hit."""
+    """Colours each index, identically in every frame (Knuth's multiplicative hash); black without a hit."""
     hashed = indices.astype(np.uint32) * np.uint32(2654435761)
     colors = np.stack([(hashed >> shift) & 0xFF for shift in (8, 16, 24)], axis=-1) / 255.0
     return np.where(hit[..., None], 0.2 + 0.8 * colors, 0.0)
@@ -443,7 +444,7 @@ def _shadow_picture(frame: FrameData) -> Image:
         direct += np.nan_to_num(light.direct) @ np.array(LUMINANCE)
         arriving += np.nan_to_num(light.direct * light.shadow) @ np.array(LUMINANCE)
     share = np.divide(arriving, direct, out=np.zeros_like(direct), where=direct > 0.0)
-    return np.where((direct > 0.0)[..., None], share[..., None], np.array(_UNLIT))
+    return np.where((direct > 0.0)[..., None], share[..., None], np.array(_NO_LIGHT))
 
 
 def _radiance_picture(frame: FrameData, radiance: FloatArray) -> Image:

@@ -1,8 +1,8 @@
-"""Mattes: which objects and which materials cover each pixel, and how much of it; EXR files hold them as Cryptomatte.
+"""Cryptomattes: object and material names and their coverage for each pixel, stored in EXR files.
 
 Friedman and Jones, "Fully Automatic ID Mattes with Support for Motion Blur and Transparency" (2015), and version 1.2.0
-of the specification. Of each pixel, the names that cover most of it: a pair of channels for each rank, the id, which is
-the hash of the name taken for a float, and the share of the pixel.
+of the specification. Each pixel stores its names in ranks of falling coverage. A rank is a pair of channels: the id,
+which is the hash of the name reinterpreted as a float, and the fraction of the pixel that it covers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _WORD = 0xFFFFFFFF
 
 
 def murmur3_32(name: str) -> int:
-    """MurmurHash3 (x86, 32 bits, seed 0) of a name in UTF-8, the hash that the specification asks for."""
+    """Returns MurmurHash3 (x86, 32 bits, seed 0) of a name in UTF-8, as the specification requires."""
     data = name.encode()
     state = 0
     for start in range(0, len(data), 4):
@@ -39,18 +39,18 @@ def murmur3_32(name: str) -> int:
 
 
 def id_bits(name: str) -> int:
-    """The bits of a name's id: its hash, with one bit of the exponent turned where it would be no ordinary float."""
+    """Returns the bits of a name's id: its hash, with one exponent bit flipped where it would be no normal float."""
     bits = murmur3_32(name)
     return bits ^ (1 << 23) if (bits >> 23 & 255) in (0, 255) else bits
 
 
 def id_floats(names: Sequence[str]) -> npt.NDArray[np.float32]:
-    """Ids of names, shape (N,)."""
+    """Returns the ids of names, shape (N,)."""
     return np.array([id_bits(name) for name in names], dtype=np.uint32).view(np.float32)
 
 
 def matte_metadata(kind: str, names: Sequence[str]) -> dict[str, str]:
-    """Header attributes by which compositors find the channels of a kind of matte, and the names behind ids."""
+    """Returns EXR header attributes by which compositors find the channels of a matte, and the names of its ids."""
     key = f"cryptomatte/{murmur3_32(kind):08x}"[:-1]
     manifest = {name: f"{id_bits(name):08x}" for name in names}
     return {
@@ -64,12 +64,12 @@ def matte_metadata(kind: str, names: Sequence[str]) -> dict[str, str]:
 def matte_channels(
     kind: str, ids: npt.NDArray[np.float32], coverage: npt.NDArray[np.float32]
 ) -> dict[str, npt.NDArray[np.float32]]:
-    """Channels of ranks, two in each group of R, G, B and A.
+    """Returns the channels of all ranks, two ranks in each RGBA group.
 
     Args:
-        kind: Name of the kind of matte, such as ``CryptoObject``.
+        kind: Name of the matte, such as ``CryptoObject``.
         ids: Ids by rank, shape (2 N, H, W); 0: none.
-        coverage: Shares of the pixel 0..1, falling with the rank, of the same shape.
+        coverage: Covered fraction of the pixel by rank, 0..1, decreasing, same shape.
     """
     named: dict[str, npt.NDArray[np.float32]] = {}
     for rank, (one, share) in enumerate(zip(ids, coverage, strict=True)):
@@ -80,28 +80,30 @@ def matte_channels(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matte:
-    """Of each pixel, the names that cover most of it."""
+    """The names that cover most of each pixel, and how much each covers."""
 
     kind: str
-    """``CryptoObject`` or ``CryptoMaterial``, as compositors call them."""
+    """Name of the matte for compositors: ``CryptoObject`` or ``CryptoMaterial``."""
     names: tuple[str, ...]
     ranks: IntArray
-    """Index into ``names``, -1: none; the one that covers most comes first, shape (R, H, W)."""
+    """Indices into ``names``, largest coverage first, shape (R, H, W); -1: none."""
     shares: FloatArray
-    """Share of the pixel that each covers, 0..1, shape (R, H, W)."""
+    """Covered fraction of the pixel for each rank, 0..1, shape (R, H, W)."""
 
     def coverage(self, name: str) -> FloatArray:
-        """Share of each pixel that a name covers, 0..1, shape (H, W).
+        """Returns the fraction of each pixel that a name covers, 0..1, shape (H, W).
 
         Raises:
             SceneError: Nothing has this name.
         """
         if name not in self.names:
-            raise SceneError(f"nothing is called '{name}', expected one of {', '.join(self.names) or '(none)'}")
+            raise SceneError(
+                f"no object or material is named '{name}', expected one of {', '.join(self.names) or '(none)'}"
+            )
         return np.where(self.ranks == self.names.index(name), self.shares, 0.0).sum(axis=0, dtype=np.float32)
 
     def part(self) -> ExrPart:
-        """The part of an EXR by which compositors select by name."""
+        """Returns the EXR part of this matte."""
         ids = np.append(id_floats(self.names), np.float32(0.0))[self.ranks]
         named = matte_channels(self.kind, ids, self.shares)
         return ExrPart(self.kind, named, matte_metadata(self.kind, self.names))
@@ -109,18 +111,18 @@ class Matte:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mattes:
-    """What `lumisplat.layers.render_mattes` has found; `lumisplat.Frame.save` writes them into an EXR."""
+    """Result of `lumisplat.layers.render_mattes`; `lumisplat.Frame.save` writes it into an EXR."""
 
     objects: Matte
-    """By the names of captures and meshes."""
+    """Mattes by the names of captures and meshes."""
     materials: Matte
-    """By the names of materials; captures are materials of their own."""
+    """Mattes by the names of materials; each capture counts as a material of its own."""
 
     @property
     def size(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Rows and columns, (H, W)."""
         return self.objects.shares.shape[1], self.objects.shares.shape[2]
 
     def parts(self) -> list[ExrPart]:
-        """Parts of an EXR."""
+        """Returns the EXR parts of both mattes."""
         return [self.objects.part(), self.materials.part()]

@@ -1,6 +1,6 @@
-"""Frames of distorting lenses from frames of pinholes: for the rasteriser, which draws straight lines as such.
+"""Frames with lens distortion, resampled from pinhole frames: the rasteriser draws only pinhole images.
 
-The choice and its alternatives: docs/adr/0028-cameras-and-distortion.md.
+docs/adr/0028-cameras-and-distortion.md explains the choice and its alternatives.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from lumisplat.math.resampling import cubic_samples
 from lumisplat.scene.camera import Camera
 
 UNDISTORTED_AREA_MAX = 8.0
-"""Pixels of the pinhole image from which a distorted one is resampled, relative to those of the latter. Above it most
-of the work is thrown away, and rays are faster."""
+"""Largest ratio of the pinhole image's pixels to the distorted image's. Above it most of the work is wasted, and ray
+tracing is faster."""
 
 UNDISTORTED_SCALE_MAX = 2.0
-"""Largest factor of the focal length of that pinhole image, where a lens magnifies its edges."""
+"""Largest factor by which the pinhole's focal length grows where a lens magnifies its edges."""
 
 _Image = npt.NDArray[Any]
 
@@ -34,38 +34,40 @@ _NEAREST = (
     *("normal", "gaussian_index", "instance_index", "sample_count"),
     *("motion", "motion_known", "history", "probes", "cache_cells"),
 )
-"""Images that cannot be averaged: they belong to one point each."""
+"""Images that cannot be averaged, such as indices: they take the nearest pixel's value."""
 _FILTERED = (
     *("color", "alpha", "captured", "captured_weight", "light"),
     *("albedo", *PATH_PARTS, "reflection", "hits", "variance", "cache"),
 )
 _FILTER_PX = 3.0
-"""How far from a point its filter reaches, and a pixel more, pixels."""
+"""Radius of the resampling filter plus one pixel, pixels."""
 _BAND_ROWS = 64
-"""Rows of a picture that are undistorted at once."""
+"""Rows that are undistorted at once."""
 _PER_LIGHT = ("light_direct", "light_shadow")
-"""Images with one layer a light."""
+"""Images with one layer for each light."""
 
 
 def undistorted_camera(camera: Camera) -> Camera:
-    """The pinhole camera that sees all that a distorting one sees, as finely as it does where it magnifies most.
+    """Returns the pinhole camera that covers a distorting camera's view.
+
+    Its resolution is that of the lens where it magnifies most.
 
     Raises:
-        SceneError: The lens is so wide that most of the pinhole's image would be thrown away.
+        SceneError: The lens is so wide that most of the pinhole image would be wasted.
     """
-    low, high = _seen_box(camera)
+    low, high = _visible_box(camera)
     name = f" '{camera.name}'" if camera.name else ""
     advice = "use Pipeline.TRACE, whose rays follow the lens"
     if not (low <= high).all():
-        raise SceneError(f"camera{name} has a distortion that shows nothing: {advice}")
+        raise SceneError(f"camera{name} has a distortion under which no pixel sees anything: {advice}")
     scale = float(np.clip(_magnifications(camera).max(), 1.0, UNDISTORTED_SCALE_MAX))
     focal = scale * np.array([camera.fx, camera.fy])
-    # Two pixels of room, for the filter.
+    # Two pixels of margin for the filter.
     low, high = np.floor(focal * low) - 2.0, np.ceil(focal * high) + 2.0
     width, height = (high - low).astype(int)
     if width * height > UNDISTORTED_AREA_MAX * camera.width * camera.height + 4096:
         raise SceneError(
-            f"camera{name} has a distortion that would need an undistorted image of {width} x {height} pixels: {advice}"
+            f"camera{name} has a distortion that needs an undistorted image of {width} x {height} pixels: {advice}"
         )
     return replace(
         camera,
@@ -81,22 +83,22 @@ def undistorted_camera(camera: Camera) -> Camera:
 
 
 def pinhole_of(camera: Camera) -> Camera:
-    """`undistorted_camera`, with a window of all that is needed for that of a camera, if it has one.
+    """Returns `undistorted_camera`, restricted to the window that the camera's own window needs, if it has one.
 
     Raises:
-        SceneError: As of `undistorted_camera`.
+        SceneError: As for `undistorted_camera`.
     """
     pinhole = undistorted_camera(camera)
     if camera.window is None:
         return pinhole
     corners = _points(camera, pinhole, 0.0, 0.0), _points(camera, pinhole, 1.0, 1.0)
-    seen = np.concatenate([points[~np.isnan(points[..., 0])] for points in corners])
-    if not len(seen):
-        seen = np.zeros((1, 2))
+    visible = np.concatenate([points[~np.isnan(points[..., 0])] for points in corners])
+    if not len(visible):
+        visible = np.zeros((1, 2))
     size = np.array([pinhole.width, pinhole.height])
-    # Room for the filter, and steps of windows.
-    first = np.maximum(seen.min(axis=0) - _FILTER_PX, 0.0) // WINDOW_STEP * WINDOW_STEP
-    end = np.minimum(-(-(seen.max(axis=0) + _FILTER_PX) // WINDOW_STEP) * WINDOW_STEP, size)
+    # Margin for the filter, rounded to window steps.
+    first = np.maximum(visible.min(axis=0) - _FILTER_PX, 0.0) // WINDOW_STEP * WINDOW_STEP
+    end = np.minimum(-(-(visible.max(axis=0) + _FILTER_PX) // WINDOW_STEP) * WINDOW_STEP, size)
     first = np.minimum(first, (size - 1) // WINDOW_STEP * WINDOW_STEP)
     end = np.maximum(end, np.minimum(first + WINDOW_STEP, size))
     left, top, width, height = (int(value) for value in (*first, *(end - first)))
@@ -104,19 +106,19 @@ def pinhole_of(camera: Camera) -> Camera:
 
 
 def redistorted(frame: Frame, camera: Camera) -> Frame:
-    """A frame as a distorting lens shows it.
+    """Resamples a pinhole frame to a distorting lens.
 
-    Colours and other means are filtered (Catmull-Rom, over the area of each pixel); normals and indices are those of
-    the nearest pixel, and depth is that of its surface at the exact point.
+    Colours and other averages are filtered (Catmull-Rom, over the area of each pixel); normals and indices come from
+    the nearest pixel; depth is that of the nearest pixel's surface at the exact point.
 
     Args:
-        frame: The frame of `pinhole_of`.
-        camera: The camera with the distorting lens.
+        frame: Frame of `pinhole_of`.
+        camera: Camera with the distorting lens.
     """
-    # A pixel that the lens has shrunk covers several of the pinhole's: as many points a side as it is wide.
+    # Where the lens shrinks the image, a pixel covers several pinhole pixels: sample as many points along each side.
     magnifications = _magnifications(camera) / frame.camera.fx * camera.fx
     across = int(np.clip(np.ceil(1.0 / magnifications.min() - 0.1), 1, 4))
-    corner = np.array(frame.camera.image_corner, dtype=np.float64)  # a whole number: what is taken off is exact
+    corner = np.array(frame.camera.image_corner, dtype=np.float64)  # whole numbers, so that the subtraction is exact
     points = [
         _points(camera, frame.camera, (i + 0.5) / across, (j + 0.5) / across) - corner
         for j, i in np.ndindex(across, across)
@@ -135,64 +137,67 @@ def redistorted(frame: Frame, camera: Camera) -> Frame:
         image = getattr(frame, name)
         if image is not None:
             layers = np.moveaxis(image, 0, 2) if name in _PER_LIGHT else image
-            shown = _filtered(layers.reshape(*layers.shape[:2], -1), points, empty[name])
-            shown = shown.reshape(*middle.shape[:2], *layers.shape[2:])
-            changes[name] = np.moveaxis(shown, 2, 0) if name in _PER_LIGHT else shown
+            resampled = _filtered(layers.reshape(*layers.shape[:2], -1), points, empty[name])
+            resampled = resampled.reshape(*middle.shape[:2], *layers.shape[2:])
+            changes[name] = np.moveaxis(resampled, 2, 0) if name in _PER_LIGHT else resampled
     return replace(frame, **changes)
 
 
 def _magnifications(camera: Camera) -> Doubles:
-    """By how much the lens magnifies, relative to its middle: singular values all over the image, shape (N, 2)."""
+    """Returns the lens's magnifications relative to its centre: singular values of its Jacobian, (N, 2)."""
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
-    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
-    seen = undistort(shown, camera.distortion)
-    jacobian = distortion_jacobian(seen[~np.isnan(seen[:, 0])], camera.distortion)
+    image_points = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1).reshape(-1, 2)
+    visible = undistort(image_points, camera.distortion)
+    jacobian = distortion_jacobian(visible[~np.isnan(visible[:, 0])], camera.distortion)
     return np.asarray(np.linalg.svd(jacobian, compute_uv=False), dtype=np.float64)
 
 
-def _seen_box(camera: Camera) -> tuple[Doubles, Doubles]:
-    """Least and largest coordinates of the corners of all pixels of the picture, as a pinhole sees them.
+def _visible_box(camera: Camera) -> tuple[Doubles, Doubles]:
+    """Returns the bounding box of all pixel corners after undistortion, as two corners of shape (2,).
 
-    Without focal length, shape (2,) each; inf and -inf if none is seen.
+    Coordinates are tangents (without focal length); inf and -inf if no pixel has an inverse.
     """
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for first in range(0, camera.height + 1, _BAND_ROWS):
         rows = np.arange(first, min(first + _BAND_ROWS, camera.height + 1), dtype=np.float64)
         x, y = np.meshgrid(np.arange(camera.width + 1.0), rows)
         corners = (np.stack([x, y], axis=-1).reshape(-1, 2) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-        seen = undistort(corners, camera.distortion)
-        seen = seen[~np.isnan(seen[:, 0])]
-        low, high = seen.min(axis=0, initial=np.inf).clip(max=low), seen.max(axis=0, initial=-np.inf).clip(min=high)
+        visible = undistort(corners, camera.distortion)
+        visible = visible[~np.isnan(visible[:, 0])]
+        low, high = (
+            visible.min(axis=0, initial=np.inf).clip(max=low),
+            visible.max(axis=0, initial=-np.inf).clip(min=high),
+        )
     return low, high
 
 
 def _points(camera: Camera, pinhole: Camera, right: float, down: float) -> Doubles:
-    """Where the pinhole's picture has what is shown at a place of each pixel, pixels, shape (H, W, 2); NaN: nowhere."""
+    """Returns the pinhole position of a point in each distorted pixel, pixels, (H, W, 2); NaN without an inverse."""
     (width, height), (left, top) = camera.image_size, camera.image_corner
     x, y = np.meshgrid(left + np.arange(width) + right, top + np.arange(height) + down)
-    shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
-    seen = undistort(shown, camera.distortion)
-    return seen * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy)
+    image_points = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1, dtype=np.float64)
+    visible = undistort(image_points, camera.distortion)
+    return visible * (pinhole.fx, pinhole.fy) + (pinhole.cx, pinhole.cy)
 
 
 def _nearest(image: _Image, points: Doubles, empty: float) -> _Image:
-    """The values of the nearest pixels."""
-    seen = ~np.isnan(points[..., 0])
-    x, y = (np.where(seen, np.floor(points[..., k]), 0.0).astype(np.int64) for k in (0, 1))
+    """Returns the values of the nearest pixels."""
+    visible = ~np.isnan(points[..., 0])
+    x, y = (np.where(visible, np.floor(points[..., k]), 0.0).astype(np.int64) for k in (0, 1))
     values = image[np.clip(y, 0, image.shape[0] - 1), np.clip(x, 0, image.shape[1] - 1)]
-    values[~seen] = empty
+    values[~visible] = empty
     return values
 
 
 def _depth(frame: Frame, points: Doubles) -> _Image:
-    """Distance along the rays through points of a pinhole's picture, inf where there is no surface, shape (H, W).
+    """Interpolates the distance along rays at points of a pinhole image, shape (H, W); inf without a surface.
 
-    The inverse of view depth is linear over the picture of a plane. From the nearest pixel, it is followed by the
-    differences to its neighbours, but not across edges.
+    Inverse view depth is linear over the image of a plane. It is extrapolated from the nearest pixel by the differences
+    to its neighbours, but not across edges.
 
     Args:
-        frame: Of the pinhole.
-        points: Pixels, shape (H, W, 2); NaN: nowhere.
+        frame: Pinhole frame.
+        points: Pixels, shape (H, W, 2); NaN: no point.
     """
     camera = frame.camera
     corner = np.array(camera.image_corner, np.float64)
@@ -220,9 +225,10 @@ def _depth(frame: Frame, points: Doubles) -> _Image:
 
 
 def _slope(before: Doubles, after: Doubles) -> Doubles:
-    """The change a pixel by the differences to both sides: their mean, or the smaller one if they are unlike.
+    """Returns the change per pixel from the differences to both sides: their mean, or the smaller if they differ much.
 
-    On a plane they are equal, and across an edge the larger one leads. NaN: there is none; 0 if there are none.
+    On a plane both are equal, and across an edge the larger one is wrong. NaN marks a missing difference; without both,
+    the slope is 0.
     """
     lesser = np.fmin(np.abs(before), np.abs(after))
     is_smooth = (before * after > 0.0) & (np.maximum(np.abs(before), np.abs(after)) < 2.0 * lesser)
@@ -231,32 +237,32 @@ def _slope(before: Doubles, after: Doubles) -> Doubles:
 
 
 def _motion(motion: _Image, points: Doubles, camera: Camera, pinhole: Camera) -> _Image:
-    """Motion as the lens shows it, which is different all over the image.
+    """Converts motion vectors from the pinhole to the distorted image, where the scale varies over the image.
 
     Args:
-        motion: As the pinhole shows it, for the pixels of the lens, shape (H, W, 3).
-        points: Where the pinhole sees them.
-        camera: The camera with the lens.
-        pinhole: The other one.
+        motion: Pinhole motion at the pixels of the distorted image, shape (H, W, 3).
+        points: Pinhole positions of these pixels.
+        camera: Camera with the distorting lens.
+        pinhole: Pinhole camera.
     """
     center, focal = np.array([pinhole.cx, pinhole.cy]), np.array([pinhole.fx, pinhole.fy])
     both = [distort((at - center) / focal, camera.distortion) for at in (points, points - motion[..., :2])]
-    seen = ~np.isnan(points[..., :1])
-    moved = np.where(seen, (both[0] - both[1]) * (camera.fx, camera.fy), 0.0)
+    visible = ~np.isnan(points[..., :1])
+    moved = np.where(visible, (both[0] - both[1]) * (camera.fx, camera.fy), 0.0)
     return np.concatenate([moved, motion[..., 2:]], axis=2).astype(np.float32)
 
 
 def _filtered(image: _Image, points: list[Doubles], empty: Doubles) -> _Image:
-    """The mean over points of an image, (H, W, C), interpolated by Catmull-Rom's cubics without overshoot."""
+    """Averages an image, (H, W, C), over points by Catmull-Rom interpolation without overshoot."""
     total = np.zeros((*points[0].shape[:2], image.shape[2]))
     for point in points:
-        seen = ~np.isnan(point[..., :1])
-        total += np.where(seen, cubic_samples(image.astype(np.float64), np.where(seen, point, 0.5)), empty)
+        visible = ~np.isnan(point[..., :1])
+        total += np.where(visible, cubic_samples(image.astype(np.float64), np.where(visible, point, 0.5)), empty)
     return (total / len(points)).astype(image.dtype)
 
 
 def _empty(frame: Frame) -> dict[str, Any]:
-    """What images show where the lens shows nothing: the background."""
+    """Returns the values of pixels whose ray has no inverse through the lens: the background."""
     behind = np.array(frame.background or (0.0, 0.0, 0.0))
     is_lit = frame.captured is not None
     values: dict[str, Any] = dict.fromkeys((*_FILTERED, *_PER_LIGHT, *_NEAREST), 0.0)

@@ -1,4 +1,4 @@
-"""Some of the samples of a frame, added up: what processes that share a frame exchange."""
+"""Parts of a frame's samples, accumulated, for processes that share the rendering of a frame."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ from lumisplat.io.files.source import PathLike
 from lumisplat.math.arrays import Doubles, FloatArray
 
 SUMS = ("color", "alpha", "radiance", "squares", "captured_weight", "light")
-"""Sums of a pixel's samples, in the order in which they are stored; the last two are of lit frames."""
+"""Accumulated sums of a pixel's samples, in storage order; the last two exist in lit frames only."""
 _CHANNELS = {"color": 3, "alpha": 1, "radiance": 3, "squares": 3, "captured_weight": 1, "light": 3}
 
 
 @dataclass(frozen=True)
 class SamplePart:
-    """A block of a frame's samples, as `lumisplat.farm.render_samples` makes it."""
+    """Consecutive samples of a frame, as `lumisplat.farm.render_samples` renders them."""
 
     first: int
-    """Number of its first sample."""
+    """Index of the first sample."""
     count: int
-    """Of its samples."""
+    """Number of samples."""
     size: tuple[int, int]
-    """Width and height of the frame, pixels."""
+    """Width and height of the frame in pixels."""
     accumulated: Mapping[str, FloatArray]
-    """What samples are added to, as 32-bit words by name: counts, sums in double precision, means of layers."""
+    """Accumulators as 32-bit words by name: counts, sums in double precision, means of layers."""
     surfaces: Mapping[str, npt.NDArray[Any]]
-    """What the first sample of the frame has seen; none in other parts."""
+    """Surface images (depth, normals, indices) of the frame's first sample; empty in later parts."""
 
     @property
     def samples(self) -> int:
-        """As of a frame: how many there are."""
+        """Number of samples, named as in a frame."""
         return self.count
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes the part, ``.npz``. The file appears complete or not at all.
+        """Writes the part as ``.npz``. The file appears complete or not at all.
 
         Raises:
             FormatError: The file cannot be written.
@@ -60,7 +60,7 @@ class SamplePart:
         """Reads a part.
 
         Raises:
-            FormatError: The file is missing, damaged, or none of a part.
+            FormatError: The file is missing, damaged, or not a part.
         """
         kind = "a part of a frame's samples"
         arrays = read_arrays(path, kind)
@@ -68,18 +68,18 @@ class SamplePart:
             first, count, width, height = checked_array(arrays, "block", (4,), np.int64).tolist()
         except ValueError:
             raise FormatError(path, f"is damaged, or not {kind}") from None
-        summed, seen = (
+        summed, surfaces = (
             {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
             for prefix in ("sum.", "seen.")
         )
-        part = SamplePart(first, count, (width, height), summed, seen)
+        part = SamplePart(first, count, (width, height), summed, surfaces)
         if not part._is_consistent:
             raise FormatError(path, f"is damaged, or not {kind}")
         return part
 
     @property
     def _is_consistent(self) -> bool:
-        """Whether every array has a value for each pixel, in the words that samples are added up in."""
+        """True if every array has a value for each pixel, in the words of the accumulators."""
         pixels, words = self.size[0] * self.size[1], self.accumulated
         if self.first < 0 or min(self.count, *self.size) < 1 or not {"count", "sums"} <= words.keys():
             return False
@@ -93,32 +93,32 @@ class SamplePart:
 
 
 def merged(parts: Iterable[SamplePart]) -> SamplePart:
-    """Parts of a frame as one, added up in their order: sums, counts, and means and squares as of Chan et al. (1983).
+    """Merges consecutive parts of a frame in order: sums, counts, means and variances (Chan et al. 1983).
 
     Args:
-        parts: From sample 0 on, each beginning where the one before has ended; one at a time is in memory.
+        parts: Parts from sample 0 on, each starting where the previous one ended; only one is in memory at a time.
 
     Raises:
-        ConfigError: There is none, they do not follow each other, or they are of different frames.
+        ConfigError: There is no part, the parts are not consecutive, or they belong to different frames.
     """
-    whole: _Fold | None = None
+    whole: _Merger | None = None
     for part in parts:
         if whole is None:
             if part.first != 0:
                 raise ConfigError(f"the first part begins at sample {part.first}, expected 0")
-            whole = _Fold(part)
+            whole = _Merger(part)
         else:
             whole.add(part)
     if whole is None:
-        raise ConfigError("a frame needs a part of its samples")
+        raise ConfigError("there are no parts to merge, expected at least one")
     return whole.part()
 
 
-class _Fold:
-    """Parts that were added up so far.
+class _Merger:
+    """Running merge of parts.
 
     Args:
-        part: The first one.
+        part: First part.
     """
 
     def __init__(self, part: SamplePart) -> None:
@@ -131,9 +131,9 @@ class _Fold:
         """Adds the next part."""
         start = self._start
         if part.first != self._end:
-            raise ConfigError(f"a part begins at sample {part.first}, expected {self._end}")
+            raise ConfigError(f"a part begins at sample {part.first}, expected {self._end}: parts must be consecutive")
         if part.size != start.size or part.accumulated.keys() != start.accumulated.keys():
-            raise ConfigError("parts of samples are of different frames: they differ in size, or in layers")
+            raise ConfigError("the parts differ in size or layers: they belong to different frames")
         before, more = self._count.astype(np.float64)[:, None], _counts(part).astype(np.float64)[:, None]
         total = before + more
         share = np.divide(more, total, out=np.zeros_like(total), where=total > 0.0)
@@ -153,7 +153,7 @@ class _Fold:
         self._end += part.count
 
     def part(self) -> SamplePart:
-        """All of them as one."""
+        """Returns all parts merged so far as one."""
         words: dict[str, FloatArray] = {
             "count": self._count.view(np.float32),
             "sums": np.concatenate([values.ravel() for values in self._sums.values()]).view(np.float32),
@@ -167,7 +167,7 @@ def _counts(part: SamplePart) -> npt.NDArray[np.int32]:
 
 
 def _sums(part: SamplePart) -> dict[str, Doubles]:
-    """The sums of a part by name, each of shape (pixels, channels)."""
+    """Returns the sums of a part by name, each of shape (pixels, channels)."""
     doubles = np.ascontiguousarray(part.accumulated["sums"]).view(np.float64)
     pixels = part.size[0] * part.size[1]
     sums: dict[str, Doubles] = {}
@@ -181,7 +181,7 @@ def _sums(part: SamplePart) -> dict[str, Doubles]:
 
 
 def _means(part: SamplePart) -> dict[str, Doubles]:
-    """Means of layers by name, each of shape (pixels, 3)."""
+    """Returns the means of layers by name, each of shape (pixels, 3)."""
     layers = part.accumulated.keys() - {"count", "sums"}
     return {
         name: np.ascontiguousarray(part.accumulated[name]).reshape(-1, 3).astype(np.float64) for name in sorted(layers)

@@ -1,1 +1,1 @@
-"""Where kernels run and what memory they use: launches, buffers, tables of structs."""
+"""Execution of kernels: launches, device buffers, tables of structs, the kernel cache."""

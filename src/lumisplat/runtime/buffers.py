@@ -15,36 +15,36 @@ from lumisplat.memory import usable_memory
 from lumisplat.runtime.downloads import Downloads
 
 UNCHECKED_BYTES = 2**20
-"""Size of an array, bytes, below which the limits of memory are not read before it is allocated.
+"""Size in bytes below which an array is allocated without reading the memory limits first.
 
 A first frame allocates 150 arrays, most of them smaller, and reading the limits takes 0.3 ms (measured in a container).
 """
 
-Noun = TypeVar("Noun")
+Struct = TypeVar("Struct")
 
 
 if TYPE_CHECKING:
 
     class DeviceArray(wp.array[Any]):
-        """A Warp array as host code uses it, for type checkers: Warp leaves most of its members without annotations."""
+        """A Warp array with type annotations for host code; Warp leaves most members without annotations."""
 
         shape: tuple[int, ...]
         ptr: int
         capacity: int
-        kept: object
-        """What lives at least as long as the array does, because its elements point there."""
+        keep_alive: object
+        """Objects that must live as long as the array, because its elements point to them."""
         device: wp.Device
 
         def __getitem__(self, key: slice) -> DeviceArray:
-            """A view of some elements."""
+            """Returns a view of some elements."""
             ...
 
         def reshape(self, shape: int | tuple[int, ...]) -> DeviceArray:
-            """A view of another shape."""
+            """Returns a view of another shape."""
             ...
 
         def assign(self, src: npt.NDArray[Any] | wp.array[Any]) -> None:
-            """Copies as many elements, from the host or from another array."""
+            """Copies all elements from the host or from another array."""
             ...
 
         def fill_(self, value: object) -> None:
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
             ...
 
         def numpy(self, *, _suppress_bfloat16_warning: bool = False) -> npt.NDArray[Any]:
-            """The elements on the host; of an array on the CPU, the same memory."""
+            """Returns the elements on the host; for CPU arrays, a view of the same memory."""
             ...
 
 else:
@@ -60,39 +60,39 @@ else:
 
 
 def device_array(array: wp.array[Any]) -> DeviceArray:
-    """The array itself: for type checkers, the field of a struct as host code uses it."""
+    """Casts the array field of a struct to the type that host code uses; at run time, returns it unchanged."""
     return cast(DeviceArray, array)
 
 
 def assign_table(array: DeviceArray, table: npt.NDArray[np.void]) -> None:
-    """Sets all elements of an array of structs, byte by byte: Warp's own conversion takes ten times as long."""
+    """Copies a table into an array of structs byte by byte, ten times faster than Warp's own conversion."""
     assert table.flags.c_contiguous and table.dtype.itemsize == wp.types.type_size_in_bytes(array.dtype)
     array.assign(DeviceArray(ptr=table.ctypes.data, dtype=array.dtype, shape=len(table), device="cpu", copy=False))
 
 
 def rows_of(structs: Sequence[object]) -> npt.NDArray[np.void]:
-    """Structs as the rows of a table, byte by byte; arrays among their fields as the addresses that kernels follow."""
+    """Packs structs into the rows of a table, byte by byte; array fields become the addresses that kernels use."""
     instances: Any = structs
     data = b"".join(bytes(row.__ctype__()) for row in instances)
     return np.frombuffer(data, dtype=f"V{len(data) // len(structs)}")
 
 
 def bytes_of(*arrays: wp.array[Any]) -> int:
-    """Memory of arrays, bytes."""
+    """Returns the memory of arrays in bytes."""
     return sum(device_array(array).capacity for array in arrays)
 
 
 def grown_capacity(count: int) -> int:
-    """Capacity for ``count`` elements, in steps of up to a quarter, so that small changes do not reallocate."""
+    """Rounds a capacity up by at most a quarter, so that small changes do not reallocate."""
     step = 1 << max(10, count.bit_length() - 3)
     return -(-count // step) * step
 
 
 class Buffers:
-    """Arrays by name.
+    """Device arrays by name.
 
-    A request no larger than an earlier one returns a view of the same memory: no allocation after the first frame of a
-    size.
+    A request that is no larger than an earlier one returns a view of the same memory: after the first frame of a size,
+    nothing is allocated.
 
     Args:
         device: Warp device name.
@@ -106,10 +106,10 @@ class Buffers:
         """Copies arrays to the host."""
         self._rows: dict[str, bytes] = {}
         self.allocations = 0
-        """How often memory was allocated: captured graphs are stale after a change."""
+        """Number of allocations so far; a change makes captured graphs stale."""
 
     def get(self, name: str, dtype: type[object], shape: int | tuple[int, ...]) -> DeviceArray:
-        """An array of ``shape`` with undefined contents.
+        """Returns an array of ``shape`` with undefined contents.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -127,7 +127,7 @@ class Buffers:
         return view
 
     def upload(self, name: str, dtype: type[object], values: npt.NDArray[Any]) -> DeviceArray:
-        """An array with a copy of ``values``, one element a row.
+        """Returns an array with a copy of ``values``, one element per row.
 
         Raises:
             DeviceError: The device is out of memory.
@@ -140,9 +140,10 @@ class Buffers:
         return array
 
     def table(self, name: str, struct: type[object], rows: Sequence[object]) -> DeviceArray:
-        """An array of structs whose fields may be arrays of these buffers; written only if it has other rows.
+        """Returns an array of structs whose fields may be arrays of these buffers.
 
-        So passes may be captured that write it each time: nothing else than they may write it between two replays.
+        It is written only if the rows have changed. Therefore a captured pass may call this in every frame: between two
+        replays nobody else writes the array.
         """
         data = rows_of(rows)
         array = self.get(name, struct, len(rows))
@@ -155,11 +156,11 @@ class Buffers:
     def split(
         self, name: str, fields: Sequence[tuple[str, type[object], int]], count: int
     ) -> tuple[DeviceArray, dict[str, DeviceArray]]:
-        """Several arrays of ``count`` elements in one block of memory, so that one copy downloads them all.
+        """Returns several arrays of ``count`` elements in one block of memory, so that one copy downloads them all.
 
         Args:
             name: Name of the block.
-            fields: Name, dtype and size in 32-bit words of each array's elements.
+            fields: Name, dtype and element size (in 32-bit words) of each array.
             count: Number of elements of each array.
 
         Returns:
@@ -172,17 +173,17 @@ class Buffers:
             arrays[field] = DeviceArray(
                 ptr=block.ptr + 4 * first, dtype=dtype, shape=count, device=self._device, copy=False
             )
-            arrays[field].kept = block
+            arrays[field].keep_alive = block
             first += count * words
         return block, arrays
 
-    def struct(self, name: str, noun: type[Noun], count: int, without: Collection[str] = ()) -> Noun:
-        """A struct whose fields are arrays of ``count`` elements with undefined contents, named ``name.field``.
+    def struct(self, name: str, struct_type: type[Struct], count: int, without: Collection[str] = ()) -> Struct:
+        """Returns a struct whose fields are arrays of ``count`` undefined elements, named ``name.field``.
 
         Fields named in ``without`` get no array, and are false in kernels.
         """
-        struct: Any = noun
-        filled = noun()
+        struct: Any = struct_type
+        filled = struct_type()
         for field, variable in struct.vars.items():
             if field not in without:
                 setattr(filled, field, self.get(f"{name}.{field}", variable.type.dtype, count))
@@ -190,23 +191,23 @@ class Buffers:
 
     @property
     def bytes(self) -> int:
-        """Memory held on the device, bytes."""
+        """Device memory held, in bytes."""
         return sum(array.capacity for array in self._arrays.values()) + self.downloads.device_bytes
 
     def _allocate(self, name: str, dtype: type[object], size: int) -> DeviceArray:
         self._rows.pop(name, None)
-        self._arrays.pop(name, None)  # freed before its successor is allocated: the peak is one of them, not both
+        self._arrays.pop(name, None)  # freed before its successor is allocated, so that both never exist together
         self._views = {key: view for key, view in self._views.items() if key[0] != name}
         needed = size * wp.types.type_size_in_bytes(dtype)
-        there = usable_memory() if self._device == "cpu" and needed >= UNCHECKED_BYTES else None
-        if there is not None and self.bytes + needed > there:
-            # The system would overcommit the memory, and kill the process once it is written.
+        limit = usable_memory() if self._device == "cpu" and needed >= UNCHECKED_BYTES else None
+        if limit is not None and self.bytes + needed > limit:
+            # Linux would overcommit the memory, and kill the process when it writes there.
             raise DeviceError(
                 f"cpu has no room for {needed / 2**30:,.1f} GiB of '{name}': use fewer pixels or Gaussians"
             )
         try:
             array = DeviceArray(shape=size, dtype=dtype, device=self._device)
-        except (RuntimeError, ValueError) as error:  # Warp refuses sizes beyond its index range with the latter
+        except (RuntimeError, ValueError) as error:  # Warp raises ValueError for sizes beyond its index range
             raise DeviceError(f"{self._device} cannot allocate {size:,} elements for '{name}': {error}") from None
         self._arrays[name] = array
         self.allocations += 1

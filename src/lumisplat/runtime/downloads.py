@@ -1,11 +1,11 @@
-"""Copies of device arrays on the host.
+"""Downloads of device arrays to the host.
 
-A GPU writes to page-locked memory directly, and to other memory through small pieces that the processor copies. Such
-memory is slow to get and taken from all programs, so that a few blocks are lent in turns: who holds a frame holds its
-block, and a program that keeps many frames gets the others in ordinary memory.
+A GPU writes page-locked memory directly; other memory is copied through a small staging buffer. Page-locked memory is
+slow to allocate and scarce for the whole system, so a few blocks are reused: a block belongs to a frame as long as
+somebody holds the frame, and a program that holds many frames gets the others in ordinary memory.
 
-What a frame shows is copied on the GPU first, which takes a fraction of the time of a download, and downloaded image by
-image when it is read: the next frame may then be drawn, and what nobody reads is never downloaded.
+A frame's images are first copied on the GPU, which takes a fraction of the download's time, and each image is
+downloaded when it is read. The next frame can render meanwhile, and images that nobody reads are never downloaded.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ import numpy.typing as npt
 import warp as wp
 
 FRAME_BLOCKS_MAX = 3
-"""Frames of a renderer that may hold page-locked memory, and as many that may hold a copy on the GPU, at a time: one
-that is shown, one saved, one to come."""
+"""Frames per renderer that may hold page-locked memory at a time, and as many that may hold a copy on the GPU: one on
+display, one being saved, one being rendered."""
 
 DeviceArray = Any
-"""A Warp array; its type for host code is declared where buffers are, which hold this."""
+"""A Warp array. buffers.py, which imports this module, declares its type for host code."""
 
 Value = TypeVar("Value")
 
@@ -34,50 +34,50 @@ class Copies(Protocol):
     """Copies of several arrays, by name."""
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """``count`` of the 32-bit words of an array, from the ``first`` on; None: all that follow."""
+        """Returns ``count`` 32-bit words of an array starting at ``first``; None: all that follow."""
         ...
 
-    def give(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """What ``read`` returns; or itself, if words are better read when somebody needs them."""
+    def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
+        """Returns the result of ``read``, or ``read`` itself if the words should be downloaded only when needed."""
         ...
 
 
-class CopiesNow:
-    """Copies that are on the host already."""
+class HostCopies:
+    """Copies that are already on the host."""
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
         self._words = {name: values.reshape(-1).view(np.float32) for name, values in arrays.items()}
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """As in `Copies`."""
+        """Returns words of an array, see `Copies`."""
         return self._words[name][first : None if count is None else first + count]
 
-    def give(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """What ``read`` returns."""
+    def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
+        """Returns the result of ``read``."""
         return read()
 
 
-class CopiesLater:
-    """Copies on the device, in one block that is lent, of which parts are downloaded when they are read.
+class DeviceCopies:
+    """Copies on the device, in one pooled block; parts of it are downloaded when they are read.
 
-    They are downloaded on a stream of their own: any thread may read them, also while another one captures a graph.
+    Downloads run on a stream of their own, so that any thread may read while another one captures a graph.
     """
 
     def __init__(self, arrays: Mapping[str, DeviceArray], block: DeviceArray, downloads: Downloads) -> None:
-        self._place: dict[str, tuple[int, int]] = {}
+        self._spans: dict[str, tuple[int, int]] = {}
         self._block, self._downloads = block, downloads
         first = 0
         for name, array in arrays.items():
             words = _words_of(array)
-            self._place[name] = first, words.size
+            self._spans[name] = first, words.size
             cast(Any, wp).copy(block, words, first, 0, words.size)
             first += words.size
-        self._is_copied = None if block.device.is_cpu else block.device.stream.record_event()
+        self._copied_event = None if block.device.is_cpu else block.device.stream.record_event()
         self._host: tuple[DeviceArray, npt.NDArray[np.float32]] | None = None
 
     def words(self, name: str, first: int = 0, count: int | None = None) -> npt.NDArray[np.float32]:
-        """As in `Copies`; waits for the device."""
-        start, size = self._place[name]
+        """Downloads words of an array, see `Copies`, and waits for them."""
+        start, size = self._spans[name]
         begin, count = start + first, size - first if count is None else count
         if self._host is None:
             self._host = self._downloads.lend_host(self._block)
@@ -89,28 +89,28 @@ class CopiesLater:
         self._download(target, begin, begin, count)
         return values[begin : begin + count]
 
-    def give(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
-        """``read`` itself."""
+    def lazy(self, read: Callable[[], Value]) -> Value | Callable[[], Value]:
+        """Returns ``read`` itself."""
         return read
 
     def _download(self, target: DeviceArray, target_first: int, first: int, count: int) -> None:
         """Copies words to the host, and waits for them."""
         stream = self._downloads.stream_of(self._block.device)
         if stream is not None:
-            stream.wait_event(self._is_copied)
+            stream.wait_event(self._copied_event)
         cast(Any, wp).copy(target, self._block, target_first, first, count, stream=stream)
         if stream is not None:
             cast(Any, wp).synchronize_stream(stream)
 
 
 class Downloads:
-    """Lends memory to what is copied to the host, to any thread.
+    """Pool of memory for downloads, shared by all threads.
 
-    Memory comes back when what holds it is finalised, on any thread and at any moment, also while that thread lends:
-    finalizers therefore take no lock, and only note in a deque, whose operations are atomic, what has come back.
+    A block returns to the pool when its holder is finalised, on any thread and at any moment, even while that thread
+    takes a block. Finalizers therefore take no lock; they append the block to a deque, whose operations are atomic.
 
     Args:
-        is_lazy: Frames are copied on the device, and downloaded when they are read.
+        is_lazy: Copy frames on the device, and download images when they are read.
     """
 
     def __init__(self, *, is_lazy: bool = False) -> None:
@@ -124,30 +124,33 @@ class Downloads:
 
     @property
     def lent(self) -> dict[str, int]:
-        """Blocks whose contents somebody still holds, in each kind of memory."""
+        """Number of blocks in use, by kind of memory."""
         with self._lock:
             self._take_back()
             return dict(self._lent)
 
     @property
     def device_bytes(self) -> int:
-        """Memory of frames that wait on the device, or have waited there, bytes."""
+        """Device memory of the pool in bytes, in use or free."""
         with self._lock:
             self._take_back()
             return self._block_bytes * (len(self._free["device"]) + self._lent["device"])
 
     def copies(self, arrays: Mapping[str, DeviceArray]) -> Copies:
-        """Copies of arrays of 32-bit words, as they are now: nothing else writes to them."""
+        """Copies arrays of 32-bit words as they are now; later writes do not change the copies."""
         block = self._lend_device(arrays) if self.is_lazy else None
         if block is None:
-            return CopiesNow({name: _numpy(array) for name, array in arrays.items()})
-        copies = CopiesLater(arrays, block, self)
+            return HostCopies({name: _numpy(array) for name, array in arrays.items()})
+        copies = DeviceCopies(arrays, block, self)
         weakref.finalize(copies, self._returned.append, ("device", block)).atexit = False
         return copies
 
     def lend_host(self, source: DeviceArray) -> tuple[DeviceArray, npt.NDArray[np.float32]] | None:
-        """Page-locked memory as large as an array, lent until all views of it are gone; None: others hold it."""
-        pinned = not source.device.is_cpu  # a machine without a GPU has no page-locked memory to lend
+        """Returns a page-locked block as large as an array; None if all blocks are in use.
+
+        The block is in use until all views of it are gone.
+        """
+        pinned = not source.device.is_cpu  # without a GPU there is no page-locked memory
         block = self._lend("host", source.size, lambda: _empty(source.size, device="cpu", pinned=pinned))
         if block is None:
             return None
@@ -156,24 +159,24 @@ class Downloads:
         return block, values
 
     def stream_of(self, device: wp.Device) -> Any:
-        """The stream on which a device downloads; None on the CPU."""
+        """Returns the stream for downloads from a device; None on the CPU."""
         if self._stream is None and not device.is_cpu:
             self._stream = cast(Any, wp).Stream(device)
         return self._stream
 
     def _lend_device(self, arrays: Mapping[str, DeviceArray]) -> DeviceArray | None:
-        """Memory for copies of arrays; None: other frames hold it, or there is none."""
+        """Returns device memory for copies of arrays; None if all blocks are in use, or the device has no room."""
         device = next(iter(arrays.values())).device
         size = sum(_words_of(array).size for array in arrays.values())
         try:
             block = self._lend("device", size, lambda: _empty(size, device=device))
-        except RuntimeError:  # there is no room for a second frame
+        except RuntimeError:  # no room for a second frame
             return None
         self._block_bytes = self._block_bytes if block is None else block.capacity
         return block
 
     def _lend(self, kind: str, size: int, make: Callable[[], DeviceArray]) -> DeviceArray | None:
-        """A block; those of other sizes are given up, as images of one size follow each other."""
+        """Takes a block from the pool, or makes one; free blocks of other sizes are dropped."""
         with self._lock:
             self._take_back()
             if self._lent[kind] >= FRAME_BLOCKS_MAX:
@@ -184,7 +187,7 @@ class Downloads:
             return block
 
     def _take_back(self) -> None:
-        """Counts what has come back as free; the caller holds the lock."""
+        """Moves returned blocks to the free list; the caller holds the lock."""
         while self._returned:
             kind, block = self._returned.popleft()
             self._lent[kind] -= 1
@@ -192,12 +195,12 @@ class Downloads:
 
 
 def _as_array(values: npt.NDArray[np.float32]) -> DeviceArray:
-    """An array in the same memory."""
+    """Returns a Warp array over a NumPy array's memory."""
     return cast(Any, wp).array(values, dtype=wp.float32, device="cpu", copy=False)
 
 
 def _numpy(array: DeviceArray) -> npt.NDArray[Any]:
-    """A copy of an array, in ordinary memory."""
+    """Copies an array to ordinary host memory."""
     values: npt.NDArray[Any] = array.numpy()
     return values.copy() if array.device.is_cpu else values
 
@@ -207,6 +210,6 @@ def _empty(size: int, **options: Any) -> DeviceArray:
 
 
 def _words_of(array: DeviceArray) -> DeviceArray:
-    """The 32-bit words of an array, in the same memory."""
+    """Returns a view of an array as 32-bit words."""
     words = array.size * wp.types.type_size_in_bytes(array.dtype) // 4
     return cast(Any, wp).array(ptr=array.ptr, dtype=wp.float32, shape=words, device=array.device, copy=False)

@@ -1,4 +1,4 @@
-"""Ctrl C while something is done that is not to end in its middle."""
+"""Deferred Ctrl C, for work that must not stop halfway."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def interrupts_held() -> Generator[Callable[[], bool]]:
-    """The first Ctrl C ends nothing: the function that is yielded says that it was pressed. The second one interrupts.
+def deferred_interrupt() -> Generator[Callable[[], bool]]:
+    """Defers the first Ctrl C: yields a function that returns whether it was pressed. The second Ctrl C interrupts.
 
-    Other threads than the main one, and programs with a handler of their own, keep theirs.
+    In other threads than the main one, and in programs with a handler of their own, nothing changes.
     """
     pressed = threading.Event()
 
@@ -22,7 +22,7 @@ def interrupts_held() -> Generator[Callable[[], bool]]:
         pressed.set()
 
     is_main = threading.current_thread() is threading.main_thread()
-    # Others may have plans for it, and only the main thread may change them.
+    # A program's own handler stays, and only the main thread may set handlers.
     holds = is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if holds:
         signal.signal(signal.SIGINT, hold)

@@ -1,4 +1,4 @@
-"""The cache of compiled kernels on disk: modules are loaded from it, and what is damaged in it is made anew."""
+"""The disk cache of compiled kernels: loads modules from it, and recompiles damaged ones."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ from lumisplat.errors import DeviceError
 _log = logging.getLogger("lumisplat")
 
 KernelModule = ModuleType | str | wp.Module
-"""A Python module of kernels, its name, or the module that Warp has made of a single kernel."""
+"""A Python module of kernels, its name, or the Warp module of a single kernel."""
 
 OTHER_CACHE = "set the environment variable WARP_CACHE_PATH to another folder"
-"""What to do where the folder is of no use."""
+"""Advice for error messages about an unusable cache folder."""
 
 _ELF_SECTIONS_OFFSET, _ELF_SECTIONS_SIZE = struct.Struct("<40xQ"), struct.Struct("<58xHH")
-"""Where the table of sections begins in a file of 64-bit ELF; the size of an entry, and their number."""
+"""Fields of a 64-bit ELF header: offset of the section table; size of an entry, and number of entries."""
 
 _OWNER = "lumisplat.pid"
-"""File with the number of the process that a folder of precompiled headers is of."""
+"""Name of the file that holds the process id of a folder's owner."""
 _OF_NVRTC = re.compile(r"__nvrtc_auto_pch_(\d+)_\d+")
 _ABANDONED_AFTER_S = 24 * 3600.0
-"""Age after which a folder of precompiled headers of an unknown process is taken for abandoned."""
+"""Age in seconds above which a folder of precompiled headers without a known owner counts as abandoned."""
 
 
 def load_module(module: KernelModule, device: str, block_threads: int) -> None:
-    """Loads a module from the cache, or compiles it into the cache, in seconds.
+    """Loads a module from the cache, or compiles it into the cache, which takes seconds.
 
-    Files of the cache are cut short when a disk fills up or a machine stops: they are removed with a line in the log.
+    Files in the cache may be truncated when a disk fills up or a machine stops. Such files are removed with a warning.
 
     Args:
-        module: What to load.
+        module: Module to load.
         device: Warp device name.
-        block_threads: Threads of the blocks in which its kernels are launched.
+        block_threads: Threads per block at launch.
 
     Raises:
-        DeviceError: Warp cannot use the folder of the cache.
+        DeviceError: The cache folder cannot be used.
     """
     folder = _folder(module, block_threads)
     if any(_is_damaged(file) for file in folder.glob("*")):
@@ -59,9 +59,9 @@ def load_module(module: KernelModule, device: str, block_threads: int) -> None:
             wp.load_module(module, device=device, block_dim=block_threads)
         except UnicodeEncodeError:
             raise DeviceError(
-                f"{folder}: Warp keeps compiled kernels in folders with names in UTF-8 only: {OTHER_CACHE}"
+                f"{folder}: Warp only stores compiled kernels in folders with UTF-8 names: {OTHER_CACHE}"
             ) from None
-        except Exception:  # Warp raises bare ones, for damage that only its loaders find, and for kernels' mistakes
+        except Exception:  # Warp raises bare exceptions for damaged files and for errors in kernels
             if not folder.is_dir():
                 raise
             _remove(folder)
@@ -71,15 +71,15 @@ def load_module(module: KernelModule, device: str, block_threads: int) -> None:
 
 
 def cache_error(error: OSError) -> DeviceError:
-    """What to say of a folder of compiled kernels that cannot be made or written to."""
-    return DeviceError(f"{error.filename}: compiled kernels cannot be kept here ({error.strerror}): {OTHER_CACHE}")
+    """Returns the error for a cache folder that cannot be made or written."""
+    return DeviceError(f"{error.filename}: compiled kernels cannot be stored here ({error.strerror}): {OTHER_CACHE}")
 
 
 def remove_abandoned_headers() -> None:
-    """Removes the folders of precompiled headers that killed processes have left in the temporary folder.
+    """Removes folders of precompiled headers that killed processes left in the temporary folder.
 
-    Warp's folders get the number of their process when this package compiles, and NVRTC's have it in their names. A
-    folder without a number is removed after a day. Where processes cannot be asked whether they live, nothing is done.
+    Warp's folders are marked with the process id by `_claim_headers`; NVRTC's have the id in their names. A folder
+    without an id is removed after a day. On systems that cannot test whether a process lives, nothing is removed.
     """
     if os.name != "posix":
         return
@@ -99,39 +99,39 @@ def remove_abandoned_headers() -> None:
 
 
 def _claim_headers() -> None:
-    """Writes the number of this process into the folder that Warp keeps this thread's precompiled headers in."""
+    """Writes this process's id into the folder of Warp's precompiled headers for this thread."""
     runtime = getattr(getattr(wp, "_src", None), "context", None)
     folder_of_thread = getattr(getattr(runtime, "runtime", None), "get_clang_pch_dir", None)
-    with suppress(OSError):  # headers are only quicker: nothing depends on them
+    with suppress(OSError):  # precompiled headers only save time
         folder = folder_of_thread() if folder_of_thread is not None else None
         if folder is not None and not (owner := Path(folder, _OWNER)).exists():
             owner.write_text(f"{os.getpid()}")
 
 
 def _is_alive(process: int) -> bool:
-    """Returns whether there is a process of this number."""
+    """Returns whether a process with this id exists."""
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except PermissionError:  # of another user
+    except PermissionError:  # the process belongs to another user
         return True
     return True
 
 
 def _folder(module: KernelModule, block_threads: int) -> Path:
-    """Where Warp keeps what it has compiled of a module."""
+    """Returns Warp's cache folder of a module."""
     return Path(wp.config.kernel_cache_dir or "", warp_module_of(module).get_module_identifier(block_threads))
 
 
 def warp_module_of(module: KernelModule) -> wp.Module:
-    """What Warp has made of a module."""
+    """Returns the Warp module of a Python module or its name."""
     name = module.__name__ if isinstance(module, ModuleType) else module
     return wp.get_module(name) if isinstance(name, str) else name
 
 
 def _is_damaged(file: Path) -> bool:
-    """Whether a file of the cache is not what its name says, or ends too early; loaders print lines about such ones."""
+    """Returns whether a cached file is truncated or invalid, before a loader prints lines about it."""
     if file.suffix == ".meta":
         try:
             json.loads(file.read_bytes())
@@ -143,11 +143,11 @@ def _is_damaged(file: Path) -> bool:
     if len(data) < _ELF_SECTIONS_SIZE.size:
         return True
     if not data.startswith(b"\x7fELF"):
-        return False  # another system's format, or garbage, which its loader refuses
+        return False  # another system's format, or garbage that the loader refuses
     (start,), (size, count) = _ELF_SECTIONS_OFFSET.unpack_from(data), _ELF_SECTIONS_SIZE.unpack_from(data)
     return start + size * count > len(data)
 
 
 def _remove(folder: Path) -> None:
-    _log.warning("%s: compiled kernels are damaged: they are compiled again, nothing to do", folder)
+    _log.warning("%s: compiled kernels were damaged and are compiled again; nothing to do", folder)
     shutil.rmtree(folder, ignore_errors=True)

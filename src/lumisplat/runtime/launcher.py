@@ -29,31 +29,31 @@ from lumisplat.runtime.start import start_warp
 _log = logging.getLogger("lumisplat")
 
 # Warp prints its banner and a line for each module it loads on standard output, where they would mix with what a
-# program writes. Whoever wants them sets the level again, after this import.
+# program writes. Programs that want them can set the level again after this import.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
 COMPILING_ANNOUNCED_S = 1.0
-"""Kernels that take longer than this to load, seconds, are being compiled, which is announced."""
+"""Loading time in seconds after which modules must be compiling; this is then announced."""
 
 THREADS_VARIABLE = "LUMISPLAT_THREADS"
-"""Environment variable that says how many CPU threads a process may use, where others work beside it."""
+"""Environment variable that limits the CPU threads of a process, for machines with other work."""
 
-SCRATCH_BYTES_KEPT = 2**30
-"""Memory of its pool that a GPU does not take back when it is idle, bytes: otherwise the scratch space of sums and
-sorts, about 16 bytes for each (tile, Gaussian) pair, is got anew in every frame that is not replayed from a graph."""
+POOL_BYTES = 2**30
+"""Memory in bytes that a GPU's pool retains when idle. Otherwise the scratch space of sums and sorts, about 16 bytes
+for each (tile, Gaussian) pair, is allocated anew in every frame that is not replayed from a graph."""
 
 Kernel = wp.Kernel | Callable[..., None]
-"""A Warp kernel, which type checkers take for the function that it is made of."""
+"""A Warp kernel; type checkers see the Python function that it is made from."""
 
 Result = TypeVar("Result")
 
 _CPU_BLOCKS = threading.Lock()
-"""Held while `wp.config.enable_cpu_blocks`, a setting of the whole process, is changed."""
+"""Lock around changes of `wp.config.enable_cpu_blocks`, which is a setting of the whole process."""
 
 
 def resolve_device(name: str = "auto") -> str:
-    """The Warp device that ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` means on this machine.
+    """Returns the Warp device for ``auto``, ``cpu``, ``cuda`` or ``cuda:N`` on this machine.
 
     Raises:
         DeviceError: There is no such device; the message lists the available ones.
@@ -64,22 +64,22 @@ def resolve_device(name: str = "auto") -> str:
         return available[1] if len(available) > 1 else "cpu"
     wanted = "cuda:0" if name == "cuda" else name
     if wanted not in available:
-        raise DeviceError(f"no device '{name}' here: use auto or one of {', '.join(available)}")
+        raise DeviceError(f"there is no device '{name}' on this machine: use auto or one of {', '.join(available)}")
     return wanted
 
 
-def keep_scratch(device: str) -> None:
-    """Lets the memory pool of a GPU keep what frames allocate and free; a program that lets it keep more is obeyed."""
+def retain_pool(device: str) -> None:
+    """Makes a GPU's memory pool retain what frames allocate and free, unless the program already retains more."""
     pool: Any = wp.get_device(device)
-    if pool.is_mempool_enabled and wp.get_mempool_release_threshold(device) < SCRATCH_BYTES_KEPT:
-        wp.set_mempool_release_threshold(device, SCRATCH_BYTES_KEPT)
+    if pool.is_mempool_enabled and wp.get_mempool_release_threshold(device) < POOL_BYTES:
+        wp.set_mempool_release_threshold(device, POOL_BYTES)
 
 
 def usable_cores() -> int:
-    """CPU cores this process may run on, or as many as the environment variable LUMISPLAT_THREADS says.
+    """Returns the number of CPU cores that this process may use; LUMISPLAT_THREADS overrides it.
 
     Raises:
-        ConfigError: That is no number from 1.
+        ConfigError: The environment variable is not a whole number from 1.
     """
     given = os.environ.get(THREADS_VARIABLE)
     if given is not None:
@@ -90,13 +90,13 @@ def usable_cores() -> int:
 
 
 def block_threads(compiled: Any) -> int:
-    """CUDA threads of the blocks that a kernel, or a module of Warp, is compiled for."""
+    """Returns the CUDA threads per block that a kernel, or a Warp module, is compiled for."""
     return getattr(compiled, "module", compiled).options["block_dim"]
 
 
 @contextmanager
 def _joined(jobs: list[Future[None]]) -> Generator[None]:
-    """Ends when no job is running, also after an error or an interrupt; jobs not yet started are cancelled."""
+    """Waits at exit until no job is running, also after an error or interrupt; pending jobs are cancelled."""
     try:
         yield
     finally:
@@ -107,7 +107,7 @@ def _joined(jobs: list[Future[None]]) -> Generator[None]:
 
 @contextmanager
 def _blocks_on_cpus() -> Generator[None]:
-    """Lets CPUs run blocks of threads, as fibers of one thread: slowly, for tests of what CUDA runs."""
+    """Lets CPUs run thread blocks as fibers of one thread: slow, for tests of CUDA's kernels."""
     with _CPU_BLOCKS:
         before, wp.config.enable_cpu_blocks = wp.config.enable_cpu_blocks, True
         try:
@@ -118,23 +118,23 @@ def _blocks_on_cpus() -> Generator[None]:
 
 @dataclass(slots=True)
 class _Replayed:
-    """Work that has run with a key, and its graph once it has been captured."""
+    """Work that ran with a key, and its CUDA graph once it is captured."""
 
     key: object
     graph: wp.Graph | None = None
     result: object = None
-    """What the work returned when it was captured."""
+    """Return value of the work when it was captured."""
 
 
 class Launcher:
     """Launches kernels on one device.
 
     Args:
-        device: As for ``resolve_device``.
+        device: Device name as for ``resolve_device``.
         threads: CPU threads; None: as many as this process may use.
         profile: Time each stage on CUDA too, which costs a synchronisation per stage and disables graphs.
-        parallel: Schedule work as for CUDA, an item a pixel or a pair, instead of an item a tile or a chunk; None: on
-            CUDA only. The results are the same, so the CPU can check what CUDA runs.
+        parallel: Schedule work as for CUDA, with one item per pixel or pair, instead of one per tile or chunk; None: on
+            CUDA only. Results are the same, so that the CPU can verify what CUDA runs.
     """
 
     def __init__(
@@ -149,39 +149,39 @@ class Launcher:
         self.threads = 1 if self.is_cuda else cores
         self.profile = profile
         self.stage_ms: dict[str, float] = {}
-        """Time of each stage of the last frame, milliseconds, in the order they ran."""
+        """Time of each stage of the last frame in milliseconds, in execution order."""
         self.clock = time.perf_counter
-        """What times them, seconds: wall time, or where others use the machine, too, ``time.process_time``."""
+        """Clock of the stage times in seconds: wall time by default; ``time.process_time`` on shared machines."""
         self._pass = ""
         self._stop: Callable[[], bool] | None = None
-        """Asked before each band."""
+        """Function that is called before each band."""
         self._pool = ThreadPoolExecutor(cores)
         self._graphs: dict[str, _Replayed] = {}
         self._loaded: dict[int, KernelModule] = {}
-        """Modules by their identity, which keeps them."""
+        """Loaded modules by identity; the reference keeps the identity valid."""
         self._banded: set[object] = set()
         """Modules whose kernels have run in bands."""
         if self.is_cuda:
-            keep_scratch(self.device)
+            retain_pool(self.device)
 
     def room(self, ends: DeviceArray, most: int | None = None) -> int:
-        """Returns a capacity for the elements of a list whose length the device has just computed; 0 if it is empty.
+        """Returns a capacity for a list whose length the device has just computed; 0 if it is empty.
 
-        The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU: it makes room for
-        as many elements as there may be, and kernels skip those that do not exist.
+        The CPU reads the length from its own memory. The parallel schedule does not wait for a GPU: it returns the
+        largest possible length, and kernels skip elements beyond the real one.
 
         Args:
-            ends: Inclusive sums of flags that are 0 or 1; the last one is the length.
-            most: Elements of the list beyond these are not used; None: there may be one for each flag.
+            ends: Inclusive prefix sums of flags (0 or 1); the last one is the length.
+            most: Upper bound of the capacity; None: the number of flags.
         """
         most = len(ends) if most is None else min(most, len(ends))
         return most if self.is_parallel else grown_capacity(min(int(ends[-1:].numpy()[0]), most))
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
-        """Compiles and loads those of the kernel modules that are not yet, as many at once as there are threads.
+        """Compiles and loads the kernel modules that are not loaded yet, on all threads.
 
-        Takes seconds at their first use on a machine, which one log line announces, so that nobody waits unknowingly;
-        they are then cached on disk. Warp's compilers release the GIL.
+        The first use on a machine takes seconds, which a warning announces; compiled modules are cached on disk. Warp's
+        compilers release the GIL.
         """
         missing = [module for key, module in {id(one): one for one in modules}.items() if key not in self._loaded]
         if not missing:
@@ -211,13 +211,13 @@ class Launcher:
             )
 
     def run_blocks(self, kernel: Kernel, blocks: int, *inputs: object) -> None:
-        """Runs ``blocks`` blocks of threads that share memory and wait for each other.
+        """Runs ``blocks`` thread blocks, whose threads share memory and synchronise.
 
         Args:
-            kernel: Of a Warp module whose name ends in ``blocks``, and whose option ``block_dim`` is the
-                number of threads; its ``wp.tid()`` is the block and the thread.
+            kernel: Kernel of a Warp module whose name ends in ``blocks``, and whose option ``block_dim`` is the number
+                of threads; its ``wp.tid()`` is the block and the thread.
             blocks: Number of blocks.
-            *inputs: The kernel's parameters.
+            *inputs: Parameters of the kernel.
         """
         if blocks:
             threads = block_threads(kernel)
@@ -232,8 +232,8 @@ class Launcher:
         Args:
             kernel: Write-once kernel whose first parameter is the first item of the band.
             count: Number of items.
-            *inputs: The kernel's other parameters.
-            bands: Number of bands; more of them balance uneven work better. None: one a thread.
+            *inputs: Other parameters of the kernel.
+            bands: Number of bands; more bands balance uneven work better. None: one per thread.
         """
         if not self.is_cuda:
             self._stop_if_asked()
@@ -252,28 +252,28 @@ class Launcher:
                     self._stop_if_asked()
                     launch = self._run_band(launch, kernel, start, end, inputs)
             finally:
-                for _ in pending:  # after an error, no further band starts
+                for _ in pending:  # drains the queue, so that no band starts after an error
                     pass
 
-        # This thread works, too: another one would have to wake up first.
+        # This thread takes bands, too, because waking another one takes longer.
         jobs = [self._pool.submit(run_bands) for _ in range(min(self.threads, bands) - 1)]
-        # After an interrupt, the arrays that bands still write to must outlive them.
+        # Wait for running bands even after an interrupt: they still write to arrays.
         with _joined(jobs):
             run_bands()
             for job in jobs:
                 job.result()
 
     def _load_for_bands(self, kernel: Kernel) -> None:
-        """Loads the module of a kernel, once, before several threads do: one might run what another one replaces."""
+        """Loads a kernel's module before threads launch it, so that none runs a module that another replaces."""
         module: Any = getattr(kernel, "module", None)
         if module is not None and module not in self._banded:
             self._load(module)
             self._banded.add(module)
 
     def _run_band(self, launch: Any, kernel: Kernel, start: int, end: int, inputs: Sequence[object]) -> Any:
-        """Runs one band by the launch of the thread's last one, if there was one; returns its launch.
+        """Runs one band, reusing this thread's previous launch if there is one; returns the launch.
 
-        To pack all parameters anew would take longer than many a band.
+        Packing all parameters again would take longer than many bands.
         """
         if launch is None:
             launch = wp.launch(  # pyright: ignore[reportUnknownMemberType]
@@ -292,10 +292,10 @@ class Launcher:
 
     @contextmanager
     def stoppable(self, stop: Callable[[], bool] | None) -> Generator[None]:
-        """Lets banded launches on CPUs be given up; GPUs finish theirs in milliseconds, and graphs must be whole.
+        """Makes banded CPU launches stoppable; GPU launches end in milliseconds, and graphs must run as a whole.
 
         Args:
-            stop: Asked before each band, by any thread; once it is True, `StoppedError` is raised. None: nothing stops.
+            stop: Called before each band, by any thread; once it returns True, `StoppedError` is raised. None: never.
         """
         self._stop = stop
         try:
@@ -305,11 +305,11 @@ class Launcher:
 
     def _stop_if_asked(self) -> None:
         if self._stop is not None and self._stop():
-            raise StoppedError("the frame was given up, as the caller has asked")
+            raise StoppedError("the frame was stopped by its caller")
 
     @contextmanager
     def stage(self, name: str) -> Generator[None]:
-        """Times a block of work under ``name``; on CUDA only when profiling, as it has to wait for the device.
+        """Times a block of work under ``name``; on CUDA only when profiling, because it must wait for the device.
 
         The time of inner stages is not part of the outer one's.
         """
@@ -329,7 +329,7 @@ class Launcher:
 
     @contextmanager
     def _timed(self, name: str) -> Generator[None]:
-        """Adds the time of a block of work, without those inside it, to that of ``name``."""
+        """Adds the time of a block of work, minus its inner blocks, to that of ``name``."""
         timed = not self.is_cuda or self.profile
         started, before = self.clock(), sum(self.stage_ms.values())
         try:
@@ -345,14 +345,14 @@ class Launcher:
         """Runs ``work`` and returns its result; on CUDA as a graph, captured anew when ``key`` changes.
 
         ``work`` must only launch: no allocation, no readback, and values that change between calls must be in arrays.
-        So must what it returns: a graph returns what its capture has returned. The first call with a key runs the work
-        directly, which allocates and compiles; the second captures.
+        The same holds for its return value, because a graph returns the value of its capture. The first call with a key
+        runs the work directly, which allocates and compiles; the second call captures.
         """
         if not self.can_capture:
             return work()
         held = self._graphs.get(name)
         if held is None or held.key != key:
-            self._graphs.pop(name, None)  # what its result holds is freed before the work allocates
+            self._graphs.pop(name, None)  # frees the old result before the work allocates
             result = work()
             self._graphs[name] = _Replayed(key)
             return result
@@ -364,25 +364,25 @@ class Launcher:
         return cast(Result, held.result)
 
     def drop_graphs(self) -> None:
-        """Frees all graphs, and what their work has returned."""
+        """Frees all graphs and their return values."""
         self._graphs.clear()
 
     @property
     def can_capture(self) -> bool:
-        """Whether repeated work becomes graphs: on CUDA, unless stages are timed one by one.
+        """True if repeated work is captured as graphs: on CUDA, unless stages are timed one by one.
 
-        Sums and sorts allocate scratch space while they are captured, for which the device needs memory pools: some
-        virtual GPUs, and Windows' subsystem for Linux, have none.
+        Sums and sorts allocate scratch space during capture, which needs memory pools; some virtual GPUs, and the
+        Windows Subsystem for Linux, have none.
         """
         device: Any = wp.get_device(self.device)
         return self.is_cuda and not self.profile and bool(device.is_mempool_enabled)
 
     def _threads_of(self, kernel: Kernel) -> int:
-        """Threads of a block whose items do not know each other."""
+        """Returns the threads per block of a kernel whose items are independent."""
         return block_threads(kernel) if self.is_cuda else 1
 
     def _load(self, module: KernelModule) -> None:
-        """Compiles and loads a module for blocks as large as those that it is launched in."""
+        """Compiles and loads a module for the block size of its launches."""
         warp_module = warp_module_of(module)
         has_blocks = warp_module.name.endswith("blocks")
         threads = block_threads(warp_module) if has_blocks or self.is_cuda else 1

@@ -1,8 +1,8 @@
-"""Parallel primitives of Warp's library, checked and with types: prefix sums, sorts and copies of device arrays.
+"""Checked wrappers of Warp's parallel primitives: prefix sums, sorts and copies of device arrays.
 
-Sums and sorts of the library act on the CUDA context that is current in the thread, whichever device their arrays are
-on, and its sorts return no status: where one finds no memory for its scratch space it leaves a message, and the keys
-unsorted. Both are seen to here, and nowhere else.
+Warp's sums and sorts use the CUDA context that is current in the thread, whichever device their arrays are on, and its
+sorts return no status: without memory for scratch space, a sort leaves a message, and the keys unsorted. This module
+handles both.
 """
 
 # Warp leaves the elements of their arrays without annotations, and its messages without a public name.
@@ -23,7 +23,7 @@ from lumisplat.runtime.buffers import DeviceArray
 
 
 def prefix_sum(values: DeviceArray, sums: DeviceArray, *, inclusive: bool) -> None:
-    """Writes the sums of ``values`` up to each element, ``inclusive`` of it or not.
+    """Writes the prefix sums of ``values``, inclusive or exclusive.
 
     Raises:
         DeviceError: The device has no room for scratch space, or has failed before.
@@ -36,10 +36,10 @@ def sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, bits: int 
     """Sorts the first ``count`` keys ascending, and their values with them; the sort is stable.
 
     Args:
-        keys: Twice as many elements as are sorted; the second half is scratch space.
-        values: As many as keys.
+        keys: Keys, with room for 2 ``count``; the second half is scratch space.
+        values: Values, with the same room.
         count: Elements to sort.
-        bits: Low bits of the keys that count; None: all.
+        bits: Number of low bits of the keys to sort by; None: all.
 
     Raises:
         DeviceError: The device has no room for scratch space, or has failed before.
@@ -47,7 +47,7 @@ def sort_pairs(keys: DeviceArray, values: DeviceArray, count: int, *, bits: int 
     try:
         _sort_pairs(keys, values, count, bits)
     except DeviceError:
-        # The first sort after an allocation has failed, somewhere else, fails with it, before it has begun (H200).
+        # The first sort after a failed allocation elsewhere reports that failure without sorting (seen on an H200).
         _sort_pairs(keys, values, count, bits)
 
 
@@ -63,7 +63,7 @@ def copy_elements(source: DeviceArray, target: DeviceArray, count: int) -> None:
 
 @contextmanager
 def _checked(verb: str, array: DeviceArray) -> Generator[None]:
-    """Makes the array's device the current one for a call of the library; its failure is a DeviceError."""
+    """Makes the array's device current during a library call, and raises DeviceError if the call fails."""
     message = error_message()
     message.value = b""
     problem = ""
@@ -80,7 +80,7 @@ def _checked(verb: str, array: DeviceArray) -> Generator[None]:
 
 @cache
 def error_message() -> ctypes.Array[ctypes.c_char]:
-    """The memory that holds the last message of Warp's library: it is never emptied there."""
+    """Returns the memory of the Warp library's last error message; the library never clears it."""
     library: Any = cast(Any, wp)._src.context.runtime.core
     address = ctypes.CFUNCTYPE(ctypes.c_void_p)(("wp_get_error_string", library))()
     return (ctypes.c_char * 4096).from_address(address)

@@ -1,4 +1,4 @@
-"""Warp's start, without a warning that there is no CUDA driver."""
+"""Initialises Warp without a warning about a missing CUDA driver."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lumisplat.runtime.kernel_cache import cache_error, remove_abandoned_headers
 
 @cache
 def start_warp() -> None:
-    """Starts Warp, once.
+    """Initialises Warp, once.
 
-    Where there is no CUDA driver, its native code says so on file descriptor 2, whatever the level of its log. A CPU
-    is no mistake, and standard error is the program's own.
+    Without a CUDA driver, Warp's native code writes a warning to file descriptor 2, whatever its log level. Running on
+    a CPU is no mistake, so the warning is discarded.
 
     Raises:
         DeviceError: The folder of compiled kernels cannot be made. The next call tries again.

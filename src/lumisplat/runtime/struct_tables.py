@@ -1,4 +1,4 @@
-"""Tables of structs: filled in NumPy, or uploaded if their fields are arrays themselves."""
+"""Tables of structs: filled in NumPy, or uploaded row by row if their fields are arrays."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from lumisplat.runtime.buffers import DeviceArray, assign_table, rows_of
 
 @cache
 def table_dtype(struct: type[object]) -> np.dtype[np.void]:
-    """The NumPy dtype of a Warp struct's rows; cached, as Warp derives it anew each time."""
-    noun: Any = struct
-    return np.dtype(noun.numpy_dtype())
+    """Returns the NumPy dtype of a Warp struct's rows; cached, because Warp derives it anew each time."""
+    struct_type: Any = struct
+    return np.dtype(struct_type.numpy_dtype())
 
 
 def upload_structs(rows: Sequence[object], struct: type[object], device: str) -> DeviceArray:
-    """An array of structs, some of whose fields may be arrays: these live at least as long as it does.
+    """Uploads structs whose fields may be arrays, and keeps these arrays alive as long as the table.
 
-    On a GPU, some of them are copies that nothing else holds, while the table has their bare addresses.
-    Without rows it has one empty struct: an array without elements has no address.
+    On a GPU, some of them are copies that nothing else references, while the table holds bare addresses. Without rows,
+    the table has one empty struct, because an array without elements has no address.
     """
     instances: Any = list(rows) or [struct()]
     table = DeviceArray(shape=len(instances), dtype=struct, device=device)
     assign_table(table, rows_of(instances))
-    table.kept = instances
+    table.keep_alive = instances
     return table
 
 
 def upload_table(table: np.ndarray, struct: type[object], device: str) -> DeviceArray:
-    """An array of structs from the rows of ``table_dtype``, of which there is at least one."""
+    """Uploads the rows of a `table_dtype` table, at least one, as an array of structs."""
     array = DeviceArray(shape=len(table), dtype=struct, device=device)
     assign_table(array, table)
     return array

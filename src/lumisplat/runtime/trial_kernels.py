@@ -1,4 +1,4 @@
-"""A kernel that tells whether a device compiles and runs kernels."""
+"""A kernel that tests whether a device compiles and runs kernels."""
 
 from __future__ import annotations
 

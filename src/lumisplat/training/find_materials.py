@@ -33,7 +33,7 @@ from lumisplat.progress import Progress, no_progress
 from lumisplat.relighting.irradiance import mean_outgoing
 from lumisplat.renderer.gradients.differentiable_renderer import DifferentiableRenderer
 from lumisplat.renderer.renderer import Renderer, create_renderer
-from lumisplat.runtime.interrupts import interrupts_held
+from lumisplat.runtime.interrupts import deferred_interrupt
 from lumisplat.scene.checks import check_argument
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightEnvironment
@@ -262,7 +262,7 @@ class _Search:
         if state.fit:
             fit.restore(state.fit, state.iteration)
         errors, saved = deque(state.errors, len(self._views)), time.monotonic()
-        with interrupts_held() as is_interrupted:
+        with deferred_interrupt() as is_interrupted:
             while fit.iteration < total and not is_interrupted():
                 self._progress("finding materials", fit.iteration / total)
                 errors.append(fit.step().l1)

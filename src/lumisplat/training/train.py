@@ -20,7 +20,7 @@ from lumisplat.io import save
 from lumisplat.io.training_images.loading import TrainingImages, load_training_images
 from lumisplat.math.arrays import Doubles
 from lumisplat.progress import Progress, no_progress
-from lumisplat.runtime.interrupts import interrupts_held
+from lumisplat.runtime.interrupts import deferred_interrupt
 from lumisplat.scene.camera import Camera
 from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.local_frame import LocalFrame
@@ -205,7 +205,7 @@ class _Run:
         """Makes the steps that are left, or those for which there is time."""
         trainer, total = self._trainer, self._config.iterations
         saved = reported = self._begun = time.monotonic()
-        with interrupts_held() as is_interrupted:
+        with deferred_interrupt() as is_interrupted:
             while trainer.iteration < total and not is_interrupted():
                 loss = trainer.step()
                 self._curve.add(trainer.iteration, loss)

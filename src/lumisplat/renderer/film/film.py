@@ -207,7 +207,7 @@ class Film:
             lit = self._lit.images(copies, "lit")
             images |= {"captured": images["color"], "captured_weight": lit["captured_weight"], "light": lit["light"]}
             images |= {"color": lit["color"], "color_space": "linear"}
-        return images | self._layer_images(copies) | {"accumulated": copies.give(partial(_words, copies, accumulated))}
+        return images | self._layer_images(copies) | {"accumulated": copies.lazy(partial(_words, copies, accumulated))}
 
     def picture(self, exposure: float, config: RenderConfig) -> ReadPicture:
         """Encodes the 8-bit image again with another exposure or tone map; all other images are unchanged."""
@@ -229,26 +229,26 @@ class Film:
         for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
             if name in self._plan.aovs:
                 shown = "emission_shown" if name == "emission" and self._adds_captured else name
-                images[name] = copies.give(partial(self._layer, size, copies, shown))
+                images[name] = copies.lazy(partial(self._layer, size, copies, shown))
         for name in ("hits", "history"):
             if name in self._plan.aovs:
-                images[name] = copies.give(partial(self._channel, size, copies, name))
+                images[name] = copies.lazy(partial(self._channel, size, copies, name))
         for name in ("probes", "cache_cells"):
             if name in self._plan.aovs:
-                images[name] = copies.give(partial(self._whole, size, copies, name))
+                images[name] = copies.lazy(partial(self._whole, size, copies, name))
         if "motion" in self._plan.aovs:
-            images["motion"] = copies.give(lambda: np.nan_to_num(self._layer(size, copies, "motion")))
-            images["motion_known"] = copies.give(lambda: self._known(size, copies, "motion"))
+            images["motion"] = copies.lazy(lambda: np.nan_to_num(self._layer(size, copies, "motion")))
+            images["motion_known"] = copies.lazy(lambda: self._known(size, copies, "motion"))
         if "sample_count" in self._plan.aovs:
-            images["sample_count"] = copies.give(lambda: copies.words("count").view(np.int32).reshape(*reversed(size)))
+            images["sample_count"] = copies.lazy(lambda: copies.words("count").view(np.int32).reshape(*reversed(size)))
         if "lights" in self._plan.aovs:
-            images["light_direct"] = copies.give(lambda: self._layers(size, copies, "direct", light_count))
-            images["light_shadow"] = copies.give(lambda: self._shadow_shares(size, copies, light_count))
+            images["light_direct"] = copies.lazy(lambda: self._layers(size, copies, "direct", light_count))
+            images["light_shadow"] = copies.lazy(lambda: self._shadow_shares(size, copies, light_count))
             if self._plan.traces_paths:
-                images["light_total"] = copies.give(lambda: self._layers(size, copies, "total", light_count + 1))
+                images["light_total"] = copies.lazy(lambda: self._layers(size, copies, "total", light_count + 1))
         if "bounces" in self._plan.aovs:
             count = self._plan.max_bounces + 2
-            images["bounces"] = copies.give(lambda: self._layers(size, copies, "bounce", count))
+            images["bounces"] = copies.lazy(lambda: self._layers(size, copies, "bounce", count))
         return images
 
     @property

@@ -78,7 +78,7 @@ class PixelBuffers(Generic[Pixels]):
             copies: Copies of ``block`` and of other arrays.
             name: Name of ``block`` among the copies.
         """
-        return {field: copies.give(read) for field, read in self._reads(copies, name).items()}
+        return {field: copies.lazy(read) for field, read in self._reads(copies, name).items()}
 
     def _reads(self, copies: Copies, name: str) -> dict[str, Callable[[], npt.NDArray[Any]]]:
         width, height = self.size

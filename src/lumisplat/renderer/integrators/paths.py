@@ -18,7 +18,7 @@ from lumisplat.renderer.shadow.shadow_rays import ShadowRays
 from lumisplat.renderer.trace.primary_hits import PrimaryHits
 from lumisplat.renderer.trace.ray_tracer import RayTracer
 from lumisplat.renderer.trace.ray_wave import CarriedState, LightImages, RayWave
-from lumisplat.runtime.buffers import Buffers, DeviceArray, Noun, device_array
+from lumisplat.runtime.buffers import Buffers, DeviceArray, Struct, device_array
 from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
@@ -184,7 +184,7 @@ class PathIntegrator:
         )
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
-    def _row(self, name: str, struct: type[Noun], arrays: Noun) -> DeviceArray:
+    def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
         """Arrays of paths for kernels, as `WaveData`: by value, each item would copy their descriptors.
 
         Waves take turns in two sets of arrays, with names of their own: a captured graph writes no row.

@@ -1,4 +1,4 @@
-"""How far work is, told by what its pieces cost."""
+"""Staged progress, from the costs of finished pieces."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from lumisplat.progress import StagedProgress
 
 
-def test_pieces_and_stages() -> None:
-    """Pieces before the first stage are not told; what costs more than expected waits, what costs less is jumped."""
+def test_progress_follows_expected_costs() -> None:
+    """Pieces before the first stage are not reported; progress waits at a stage's end, or jumps to it."""
     told: list[tuple[str, float]] = []
     pace = StagedProgress(lambda *now: told.append(now), "work")
     pace.plan({"cheap": 2.0, "free": 0.0, "dear": 8.0})
@@ -25,8 +25,8 @@ def test_pieces_and_stages() -> None:
     assert [share for _, share in told] == pytest.approx([0.0, 0.1, 0.2, 0.2, 0.2, 0.2, 0.2, 0.6])
 
 
-def test_work_is_not_done_before_it_is() -> None:
-    """At the end of the last stage, and where nothing is expected to cost anything, something is still left."""
+def test_progress_stays_below_one() -> None:
+    """At the end of the last stage, and with expected costs of 0, progress is still below 1."""
     told: list[float] = []
     pace = StagedProgress(lambda _, share: told.append(share), "work")
     for cost in (1.0, 0.0):
