@@ -231,7 +231,7 @@ def joined(pieces: Iterable[FloatArray], count: int, width: int, **settings: Any
             column[here] = rows[:, part]
         first += len(rows)
     for column in columns:
-        column.flags.writeable = False  # so that none is copied
+        column.flags.writeable = False  # read-only arrays are not copied
     means, rotations, scales, opacities, sh = columns
     return Gaussians(means, rotations, scales, opacities, sh.reshape(count, -1, 3), **settings)
 
@@ -295,18 +295,18 @@ def write_blocks(
         raise ConfigError(f"cell is {cell}, expected the edge of a cube in scene units")
     if levels < 0 or block_max < 1:
         raise ConfigError(f"levels is {levels} and block_max {block_max}, expected 0 or more, and 1 or more")
-    place = Path(folder)
+    target = Path(folder)
     try:
-        is_new = _prepare_folder(place)
+        is_new = _prepare_folder(target)
         try:
-            with atomic_write(place / _INDEX) as temporary:  # locked: another run sees that one is at work
-                index = _Writer(place, cell, levels, block_max).write(chunks, progress or (lambda _: None))
+            with atomic_write(target / _INDEX) as temporary:  # the lock tells other runs that this one is active
+                index = _Writer(target, cell, levels, block_max).write(chunks, progress or (lambda _: None))
                 temporary.write_text(index.text())
             return index
         except BaseException:
-            _remove_leftovers(place)
+            _remove_leftovers(target)
             if is_new:
-                place.rmdir()
+                target.rmdir()
             raise
     except FormatError:
         raise
@@ -314,25 +314,25 @@ def write_blocks(
         raise FormatError(folder, f"cannot be written: {error.strerror or error}") from None
 
 
-def _prepare_folder(place: Path) -> bool:
+def _prepare_folder(target: Path) -> bool:
     """Creates the folder, and removes files of a killed run. Returns whether the folder is new."""
-    if (place / _INDEX).exists():
-        raise FormatError(place, "holds a complete capture in blocks: give another folder, or delete this one")
-    if place.is_dir() and unfinished_writes(place / _INDEX):
-        raise FormatError(place, "another process is writing blocks there: give a new folder")
-    if place.exists() and not place.is_dir():
-        raise FormatError(place, "is a file, expected a folder for the blocks")
-    is_new = not place.exists()
-    place.mkdir(parents=True, exist_ok=True)
-    other = next((file.name for file in place.iterdir() if not _CAPTURE_FILES.fullmatch(file.name)), None)
+    if (target / _INDEX).exists():
+        raise FormatError(target, "holds a complete capture in blocks: give another folder, or delete this one")
+    if target.is_dir() and unfinished_writes(target / _INDEX):
+        raise FormatError(target, "another process is writing blocks there: give a new folder")
+    if target.exists() and not target.is_dir():
+        raise FormatError(target, "is a file, expected a folder for the blocks")
+    is_new = not target.exists()
+    target.mkdir(parents=True, exist_ok=True)
+    other = next((file.name for file in target.iterdir() if not _CAPTURE_FILES.fullmatch(file.name)), None)
     if other is not None:
-        raise FormatError(place, f"holds other files ({other}): give a new folder")
-    _remove_leftovers(place)
+        raise FormatError(target, f"holds other files ({other}): give a new folder")
+    _remove_leftovers(target)
     return is_new
 
 
-def _remove_leftovers(place: Path) -> None:
-    for file in place.iterdir():
+def _remove_leftovers(target: Path) -> None:
+    for file in target.iterdir():
         if _CAPTURE_FILES.fullmatch(file.name):
             file.unlink()
 
@@ -398,9 +398,9 @@ class _Writer:
         keys: npt.NDArray[np.int64] = np.floor(rows[:, :3].astype(np.float64) / edge).astype(np.int64)
         low = keys.min(axis=0)
         size = keys.max(axis=0) - low + 1
-        if math.prod(size.tolist()) <= 2**16:  # so few that numbers of 16 bits are sorted, ten times faster
-            place = keys - low
-            codes = ((place[:, 0] * size[1] + place[:, 1]) * size[2] + place[:, 2]).astype(np.uint16)
+        if math.prod(size.tolist()) <= 2**16:  # 16-bit keys sort ten times faster
+            offsets = keys - low
+            codes = ((offsets[:, 0] * size[1] + offsets[:, 1]) * size[2] + offsets[:, 2]).astype(np.uint16)
             order = np.argsort(codes, kind="stable")
             counts = np.bincount(codes)
             numbers = np.flatnonzero(counts)

@@ -97,7 +97,7 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     except FormatError:
         raise
     except SceneError:
-        for level in levels:  # to name the file
+        for level in levels:  # find the damaged file, to name it
             with parsing(index.folder / level.file, "a block of a capture"):
                 unpacked(read_rows(index.folder / level.file, width, level.count), **index.settings)
         raise
@@ -150,7 +150,7 @@ def thin_blocks(index: BlockIndex, count: int = BLOCK_PREVIEW) -> Gaussians:
     for block in index.blocks:
         level = block.levels[0]
         rows.append(read_rows(index.folder / level.file, width, level.count, slice(first, None, step)))
-        first = (first - level.count) % step  # as of the rows of all blocks, one after the other
+        first = (first - level.count) % step  # so that rows are evenly spaced across blocks
     with parsing(index.folder, "a capture in blocks"):
         return unpacked(np.concatenate(rows), **index.settings)
 
@@ -179,7 +179,7 @@ def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], 
     view = corners @ pose[:3, :3].T + pose[:3, 3]
     x, y, z = view[..., 0], view[..., 1], view[..., 2]
     near = camera.near
-    if near == NEAR_PLANE:  # as renderers take it
+    if near == NEAR_PLANE:  # the default: renderers derive it from the scene
         near = default_near(float(np.linalg.norm(high.max(axis=0) - low.min(axis=0))))
     outside = np.array((z <= near * (1.0 - 1e-5)).all(axis=1), np.bool_)
     (left, top), (width, height) = camera.image_corner, camera.image_size
@@ -189,7 +189,7 @@ def _visible(index: BlockIndex, camera: Camera) -> tuple[npt.NDArray[np.bool_], 
         steepest = max(abs(center + 0.5), abs(size + 0.5 - center)) / focal + margin
         reach = _REACH * scale * math.sqrt(1.0 + steepest * steepest)
         ends = (first - center - _DILATION_PX) / focal, (first + count - center + _DILATION_PX) / focal
-        # Of what is before the eye; a block that is partly behind it is cut by the near plane, which is linear, too.
+        # Valid in front of the eye. For a block partly behind it, the test is linear and so is the near plane.
         outside |= (across - ends[1] * z > reach[:, None]).all(axis=1)
         outside |= (ends[0] * z - across > reach[:, None]).all(axis=1)
     nearest: Doubles = np.maximum(z.min(axis=1), near)

@@ -170,7 +170,7 @@ def _read_cameras(path: Path) -> Iterator[tuple[int, _Lens]]:
 def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
     """Yields image number, pose, camera number and name of each image."""
     if path.suffix == ".txt":
-        follows = False  # whether the points of an image may come next; some programs leave them out
+        follows = False  # whether 2D points may follow; some programs omit them
         for line in _text_lines(path):
             if follows and not _is_image(line):
                 follows = False

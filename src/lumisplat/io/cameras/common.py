@@ -26,7 +26,7 @@ def name_from_image(image: object) -> str:
 def unique_names(cameras: list[Camera]) -> list[Camera]:
     """Gives cameras distinct names: an empty name becomes `frame_00000`, and a repeated one gets a number appended."""
     used: set[str] = set()
-    copies: dict[str, int] = {}  # the last number that each name was given, so that many equal ones take no longer
+    copies: dict[str, int] = {}  # last number appended to each name, so that many equal names stay fast
     named: list[Camera] = []
     for index, camera in enumerate(cameras):
         base = camera.name or f"frame_{index:05d}"

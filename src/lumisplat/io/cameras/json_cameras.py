@@ -182,7 +182,7 @@ def transforms_camera(path: Path, shared: Entry, fallback: tuple[int, int] | Non
     world_from_camera = _rigid_pose(pose) @ OPENGL_FROM_OPENCV
     width, height = _image_size(path, values, fallback)
     model = _model(values)
-    angles = values if model is CameraModel.PINHOLE else {}  # other models have no agreed meaning for them
+    angles = values if model is CameraModel.PINHOLE else {}  # undefined for other models
     fx = _number(values, "fl_x") if "fl_x" in values or not angles else _focal(angles, "camera_angle_x", width)
     fy = _number(values, "fl_y") if "fl_y" in values else _focal(angles, "camera_angle_y", height, default=fx)
     return Camera(

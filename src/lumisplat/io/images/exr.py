@@ -60,7 +60,7 @@ def write_exr(
         for part in further:
             merged |= part.metadata
         rows = [ExrPart("rgba", channels, merged), *further]
-        part_of: Any = OpenEXR.Part  # typed as if it took no argument
+        part_of: Any = OpenEXR.Part  # its stub lacks the arguments
         content: Any = [part_of(_header(part.metadata), _planes(part.channels), part.name) for part in rows]
         made = OpenEXR.File(content)
     else:
@@ -99,7 +99,7 @@ def read_exr(path: PathLike) -> dict[str, Channel]:
     import OpenEXR
 
     stored_bytes = len(read_bytes(path))
-    with utf8_path(path) as text, silenced_native_output():  # OpenEXR writes lines of its own about damaged files
+    with utf8_path(path) as text, silenced_native_output():  # OpenEXR prints messages about damaged files
         try:
             with OpenEXR.File(text, header_only=True) as file:
                 low, high = file.header()["dataWindow"]
@@ -131,7 +131,7 @@ def write_deep_exr(path: PathLike, size: tuple[int, int], first: Rows, channels:
     """
     import OpenEXR
 
-    package: Any = OpenEXR  # typed without what is deep
+    package: Any = OpenEXR  # its stub lacks deep images
     header = {"compression": package.ZIPS_COMPRESSION, "type": package.deepscanline}
     planes = {name: _lists(values, size, first) for name, values in channels.items()}
     with atomic_write(path) as temporary, utf8_path(temporary) as text, OpenEXR.File(header, planes) as file:

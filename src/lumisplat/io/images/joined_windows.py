@@ -244,7 +244,7 @@ def _png_pixels(path: PathLike, window: Window, channels: int | None) -> npt.NDA
     from PIL import Image
 
     try:
-        Image.MAX_IMAGE_PIXELS, limit = None, Image.MAX_IMAGE_PIXELS  # the size is checked against the window's
+        Image.MAX_IMAGE_PIXELS, limit = None, Image.MAX_IMAGE_PIXELS  # the size is checked against the window instead
         try:
             with Image.open(path, formats=("PNG",)) as image:
                 if image.size != window[2:] or image.mode not in ("RGB", "RGBA"):

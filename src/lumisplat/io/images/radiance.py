@@ -124,7 +124,7 @@ def decode_hdr(path: PathLike, data: bytes) -> npt.NDArray[np.float32]:
         rows[y] = row.reshape(-1, 4)
     exponent = rows[..., 3:].astype(np.int32)
     factor = np.where(exponent > 0, np.ldexp(np.float32(1.0), exponent - 136), np.float32(0.0))
-    with np.errstate(over="ignore"):  # an absurd exposure gives infinite values, which the caller counts
+    with np.errstate(over="ignore"):  # huge exposures give infinite values, which the caller counts
         return (rows[..., :3] * factor / header.exposure).astype(np.float32)
 
 

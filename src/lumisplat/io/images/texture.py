@@ -201,6 +201,6 @@ def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
     nan_count = np.count_nonzero(np.isnan(pixels))
     if nan_count:
         _log.warning("%s: %d NaN values written as 0", os.fspath(path), nan_count)
-    # NaN is replaced before the clamp, which would keep it. Adding 0.5 and truncating rounds half up; np.round would
-    # round half to even.
+    # NaN is replaced before the clamp, which would preserve it. Adding 0.5 and truncating rounds half up; np.round
+    # rounds half to even.
     return (np.clip(np.nan_to_num(pixels, nan=0.0), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

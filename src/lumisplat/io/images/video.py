@@ -58,7 +58,7 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
         raise SceneError(f"an animation takes pictures of one shape (H, W, 3), got {shapes or 'none'}")
     if suffix == ".gif":
         images = _quantise(frames_8bit)
-        # With the palette given, Pillow does not repeat it for each frame.
+        # Given the palette, Pillow does not repeat it for each frame.
         options: dict[str, Any] = {"format": "GIF", "optimize": False, "palette": _palette_bytes(images[0])}
     else:
         images = [Image.fromarray(frame_8bit) for frame_8bit in frames_8bit]
@@ -78,16 +78,16 @@ def _quantise(frames_8bit: list[_Bytes]) -> list[Image.Image]:
     """Quantises frames to one palette of 256 colours, with ordered dithering."""
     from PIL import Image
 
-    # An odd step, so that the pixels are not all in a few columns.
+    # An odd step samples pixels of all columns.
     step = max(1, len(frames_8bit) * frames_8bit[0].size // (3 * _PALETTE_PIXELS)) | 1
     samples = np.concatenate([frame_8bit.reshape(-1, 3)[::step] for frame_8bit in frames_8bit])
-    # Maximum coverage, because median cut has no colour left for small objects.
+    # Maximum coverage, because median cut leaves no colour for small objects.
     palette = Image.fromarray(samples[None]).quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=3)
     colors = np.unique(np.array(palette.getpalette()).reshape(-1, 3), axis=0).astype(np.float64)
     distances = np.linalg.norm(colors[:, None] - colors[None], axis=2) + 1e9 * np.eye(len(colors))
     height, width, _ = frames_8bit[0].shape
     y, x = np.mgrid[:height, :width]
-    # Interleaved gradient noise (Jimenez 2014): unlike white noise, any 3 x 3 pixels have each value about once. Its
+    # Interleaved gradient noise (Jimenez 2014): unlike white noise, each 3 x 3 pixels contain all values about once. Its
     # amplitude is about the distance between colours of the palette.
     noise = (52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0 - 0.5
     offsets = np.median(distances.min(axis=1)) * noise[..., None] + 0.5

@@ -142,7 +142,7 @@ def _motion(table: TomlTable) -> Keyframes | None:
     last: Values = {"position": [0.0, 0.0, 0.0], "rotation_wxyz": [1.0, 0.0, 0.0, 0.0], "scale": 1.0}
     for entry in table.tables("keyframes"):
         given = entry.take(KEYFRAME_KEYS, required=("time",))
-        placement(entry)  # refuses invalid values at their line
+        placement(entry)  # raises errors that name the line
         if not np.isfinite(given["time"]):
             raise entry.wrong("time", "a finite number of seconds")
         if frames and given["time"] <= frames[-1]["time"]:

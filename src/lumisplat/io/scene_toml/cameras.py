@@ -102,7 +102,7 @@ def read_scene_cameras(
     up = scene_up(document)
     for table in document.tables("cameras"):
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # values out of range are refused by name
+            with np.errstate(over="ignore", invalid="ignore"):  # values out of range are refused later
                 if "path" in table.values:
                     cameras += _cameras_of_file(table, load, width, height)
                 else:
@@ -181,7 +181,7 @@ def _camera(table: TomlTable, given: Values, up: Vector) -> Camera:
         values["up"] = up_vector(values["up"]) if "up" in values else up
     except SceneError as error:
         raise table.error(str(error), "up") from None
-    lens = {key: values.pop(key) for key in ("exposure", "distortion") if key in values}  # not of look_at
+    lens = {key: values.pop(key) for key in ("exposure", "distortion") if key in values}  # no arguments of look_at
     widest, fov_y = 360.0 if values["model"] is CameraModel.FISHEYE else 180.0, values.get("fov_y_degrees", 45.0)
     if not 0.0 < fov_y < widest:
         raise table.error(

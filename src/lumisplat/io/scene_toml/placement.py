@@ -306,7 +306,7 @@ def _stated(table: TomlTable) -> Vector | None:
     rotation = {key: value for key, value in table.values.items() if key in keys and keys[key].accepts(value)}
     try:
         return up_vector(placement(TomlTable.of(table.path, rotation))[:3, :3] @ up)
-    except FormatError:  # said where the entry is read
+    except FormatError:  # reported when the entry is read
         return None
 
 

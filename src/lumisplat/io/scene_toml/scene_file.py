@@ -120,7 +120,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
             document.values.setdefault("up", direction)
         if all(document.values.get(key, []) == [] for key in _VISIBLE_HEADINGS):
             raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _VISIBLE_HEADINGS))}")
-        _read_timing(document)  # of no use to one frame, but its mistakes are found where the file is first tried
+        _read_timing(document)  # unused for one frame, but reports errors of [animation] early
         scene = _static_scene(document, load)
         instances = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
         return with_instances(scene, instances)

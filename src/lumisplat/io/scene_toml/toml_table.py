@@ -138,7 +138,7 @@ class _Scanner:
         token = self._next()
         if token.text in ("[", "{"):
             self._members(path, "]" if token.text == "[" else "}")
-        elif token.kind != "string":  # a number or a date: bare parts with dots in between
+        elif token.kind != "string":  # a number or a date: bare parts separated by dots
             while self._upcoming.kind == "bare" or self._upcoming.text == ".":
                 self._at += 1
 
@@ -265,7 +265,7 @@ class TomlTable:
             raise FormatError(path, f"is not {kind}: expected TOML text") from None
         except FormatError:
             raise
-        except ValueError:  # of Python itself, for which an integer has at most 4,300 digits
+        except ValueError:  # Python's limit of 4,300 digits for an integer
             raise FormatError(path, f"is not {kind}: it holds an integer of thousands of digits") from None
 
     @classmethod
@@ -406,7 +406,7 @@ def plain_value(value: object) -> Any:
 
 def toml_text(values: Mapping[str, Any]) -> str:
     """Formats a document: values first, then tables, then arrays of tables. Arrays of numbers stay on one line."""
-    import tomlkit  # 20 ms that readers need not wait for
+    import tomlkit  # takes 20 ms, which readers do not need
 
     return tomlkit.dumps(plain_value(values))
 

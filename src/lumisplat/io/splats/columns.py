@@ -78,7 +78,7 @@ class MaterialColumns:
         if name not in self.sigmoids:
             return values
         factor, offset = self.sigmoids[name]
-        with np.errstate(divide="ignore"):  # of the limits
+        with np.errstate(divide="ignore"):  # values at the limits
             share = np.clip((values.astype(np.float64) - offset) / factor, 0.0, 1.0)
             logits = np.log(share) - np.log1p(-share)
         return np.clip(logits, -LOGIT_MAX, LOGIT_MAX).astype(np.float32)
@@ -306,7 +306,7 @@ def recognise_activated(path: PathLike, columns: SplatColumns, scale_columns: in
         )
 
 
-@np.errstate(all="ignore")  # what overflows, and NaN that signals, is refused by name or dropped
+@np.errstate(all="ignore")  # overflows and signalling NaN are refused or dropped
 def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invalid: bool = False) -> Gaussians:
     """Decodes columns to `Gaussians` by exp and sigmoid, and refuses or drops Gaussians that cannot be rendered.
 
@@ -325,7 +325,7 @@ def gaussians_from_columns(path: PathLike, columns: SplatColumns, *, drop_invali
     scales = _linear_scales(columns)
     opacities = _opacities(columns.opacities) if columns.opacities_are_logits else columns.opacities
     if columns.normals is not None and not columns.normals.any():
-        columns = replace(columns, normals=None)  # INRIA writes zeros in place of normals
+        columns = replace(columns, normals=None)  # INRIA writes zeros instead of normals
     rows = _rows_to_keep(path, columns, scales, drop_invalid)
 
     def select(values: Floats) -> FloatArray:
@@ -370,7 +370,7 @@ def _rows_to_keep(
     return ~invalid
 
 
-@np.errstate(all="ignore")  # as of `gaussians_from_columns`
+@np.errstate(all="ignore")  # as in `gaussians_from_columns`
 def invalid_rows(columns: SplatColumns) -> tuple[npt.NDArray[np.bool_], str]:
     """Returns a mask of the invalid Gaussians, shape (N,), and a description of their problems."""
     invalid, problems = _invalid_rows(columns, _linear_scales(columns))
@@ -392,9 +392,9 @@ def _invalid_rows(columns: SplatColumns, scales: Floats) -> tuple[npt.NDArray[np
         problem = "NaN or infinite values"
         valid = np.isfinite(values)
         if attribute == "log_scales":
-            valid = np.isfinite(scales)  # the exponential may overflow; that of -inf is the least scale
+            valid = np.isfinite(scales)  # exp may overflow; exp of -inf is the smallest scale
         elif attribute == "opacities" and columns.opacities_are_logits:
-            problem, valid = "NaN values", ~np.isnan(values)  # infinite logits are of opacities 0 and 1
+            problem, valid = "NaN values", ~np.isnan(values)  # infinite logits mean opacity 0 or 1
         if not valid.all():
             names = columns.property_names(attribute)
             bad = ~valid.reshape(columns.count, -1)
@@ -452,7 +452,7 @@ def _logits(opacities: Floats) -> Floats:
     return np.clip(np.log(opacities) - np.log1p(-opacities), -LOGIT_MAX, LOGIT_MAX)
 
 
-@np.errstate(divide="ignore")  # of 0 and 1
+@np.errstate(divide="ignore")  # logits of 0 and 1
 def _stored(values: FloatArray, read: Callable[[Floats], Floats], inverse: Callable[[Floats], Floats]) -> FloatArray:
     """Finds float32 numbers that decode to these values bit for bit, or to the nearest possible values.
 

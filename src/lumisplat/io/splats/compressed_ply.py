@@ -127,7 +127,7 @@ def _pack_bits(values: Floats, bits: tuple[int, ...]) -> Packed:
 def _scale_to_chunks(unit: Floats, chunk: PlyRows, names: tuple[str, ...]) -> Floats:
     """Scales values from 0..1 to the ranges of their chunks, shape (N, 3)."""
     low, high = (np.stack([chunk[name] for name in part], axis=1) for part in (names[:3], names[3:]))
-    with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges are refused later, as non-finite values
+    with np.errstate(invalid="ignore", over="ignore"):  # damaged ranges give non-finite values, refused later
         low, size = (np.repeat(values, _CHUNK, axis=0)[: len(unit)] for values in (low, high - low))
         return (low + unit * size).astype(np.float32, copy=False)
 

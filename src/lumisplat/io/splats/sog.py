@@ -263,7 +263,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
 
     low, high = (rows(name)[:, :3] for name in meta["means"]["files"])
     least, most = (np.asarray(meta["means"][name], np.float64) for name in ("mins", "maxs"))
-    # In double precision: far from the origin, the exponential enlarges what float32 rounds.
+    # In double precision: far from the origin, the exponential amplifies float32 rounding errors.
     log_means = least + (low | high.astype(np.uint16) << 8) / 65535.0 * (most - least)
     sh0 = rows(meta["sh0"]["files"][0])
     dc = _values(sh0 if logits else sh0[:, :3], meta["sh0"])
@@ -271,7 +271,7 @@ def _columns(path: PathLike, meta: Meta, images: dict[str, Bytes], count: int, l
     if meta.get("shN"):
         sh = np.concatenate([sh, _palette_sh(path, meta["shN"], images, rows)], axis=1)
     generator = meta.get("asset", {}).get("generator")
-    with np.errstate(over="ignore"):  # damaged ranges are refused later, as infinite values
+    with np.errstate(over="ignore"):  # damaged ranges give infinite values, refused later
         means = (np.sign(log_means) * np.expm1(np.abs(log_means))).astype(np.float32)
     return SplatColumns(
         means=means,
@@ -474,12 +474,12 @@ def palette_size(count: int) -> int:
 
 def _palette(gaussians: Gaussians, add: Callable[..., str]) -> dict[str, Any]:
     """Encodes SH above degree 0 as two images, palette and labels. Returns their meta.json entry."""
-    # Imported here: nothing else in files needs kernels.
+    # Imported here because no other file format needs kernels.
     from lumisplat.palette import fit_palette
 
     rest = gaussians.sh.shape[1] - 1
     palette = fit_palette(gaussians.sh[:, 1:].reshape(gaussians.count, -1), palette_size(gaussians.count))
-    # Neighbours in the image are alike if entries stand in the order in which Gaussians use them.
+    # Entries are ordered by first use, so that neighbouring labels are similar and compress well.
     used, first = np.unique(palette.labels, return_index=True)
     order = used[np.argsort(first, kind="stable")]
     new_index = np.empty(len(palette.entries), dtype=np.int64)

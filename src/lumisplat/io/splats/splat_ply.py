@@ -132,7 +132,7 @@ def read_splat_ply(
     columns: SplatColumns | None = None
     start = 0
     for rows in read_ply_rows(header, vertex):
-        # Allocated only after the first block, when the file is known to be as long as its header states.
+        # Allocated after the first block, once the file is known to be as long as its header states.
         columns = columns or _allocate(header, vertex, coefficients, incident)
         _fill(columns, start, rows)
         start += len(rows)
@@ -187,9 +187,9 @@ def columns_of_rows(
 def _fill(columns: SplatColumns, start: int, rows: PlyRows) -> None:
     """Copies PLY rows into the columns, beginning at row ``start``."""
     assert rows.dtype.names is not None
-    with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 are refused later, as infinite
+    with np.errstate(over="ignore", invalid="ignore"):  # doubles beyond float32 become infinite and are refused later
         for name, target in _column_views(columns):
-            if name in rows.dtype.names:  # but for the third scale of 2D Gaussians
+            if name in rows.dtype.names:  # false for the third scale of 2D Gaussians
                 target[start : start + len(rows)] = rows[name]
             elif name in _COLOR_OF_DC:
                 target[start : start + len(rows)] = (_unit(rows[_COLOR_OF_DC[name]]) - 0.5) / SH_C0

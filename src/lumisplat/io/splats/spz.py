@@ -196,7 +196,7 @@ def _encode_sections(columns: SplatColumns, fractional_bits: int) -> list[bytes]
     Returns:
         Bytes of each section in `_SECTIONS`; SH is empty at degree 0.
     """
-    # Clamped, as the largest coordinate that fits may round to the first that does not.
+    # Clamped because the largest coordinate that fits may round up to one that does not.
     fixed = np.clip(np.floor(columns.means * np.float64(2.0**fractional_bits) + 0.5), -(2**23), 2**23 - 1).astype("<i4")
     return [
         np.ascontiguousarray(fixed[..., None].view(np.uint8)[..., :3]).tobytes(),
@@ -235,7 +235,7 @@ def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, 
     """
     header = _parse_spz_header(path, _inflate(path, data, _HEADER.size), range(1, 4), len(data))
     size = sum(header.section_sizes)
-    # Inflates at most what the header announces, however long the stream is.
+    # Decompresses at most the size that the header implies, however long the stream is.
     content = _inflate(path, data, _HEADER.size + size + _EXTENSION_BYTES_MAX)
     if len(content) < _HEADER.size + size:
         raise FormatError(
@@ -255,7 +255,7 @@ def _inflate(path: PathLike, data: bytes, size: int) -> bytes:
         raise FormatError(path, f"damaged: {error}") from None
 
 
-@np.errstate(all="ignore")  # NaN that signals, of version 1, is refused later
+@np.errstate(all="ignore")  # signalling NaN of version 1 is refused later
 def read_spz(path: PathLike) -> SplatColumns:
     """Reads an SPZ file of any version.
 

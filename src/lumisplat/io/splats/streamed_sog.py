@@ -89,7 +89,7 @@ def read_streamed_sog(path: PathLike, lod: int | None = None, budget: int | None
             raise FormatError(path, f"has {levels} levels, expected 1 to {_LEVELS_MAX}")
         leaves = [_leaf(path, lods, len(meta["filenames"]), levels) for lods in _leaves(meta["tree"])]
         level = _level(path, leaves, levels, lod, budget)
-        # By their paths: one capture under many names would be read many times.
+        # Grouped by path, because several names may mean one capture, which is then read once.
         captures = [os.path.normpath(referenced_file(path, str(name))) for name in meta["filenames"]]
         by_file: dict[str, list[_Rows]] = defaultdict(list)
         for rows in sorted((_at_level(leaf, level) for leaf in leaves), key=lambda rows: rows.file):

@@ -173,8 +173,8 @@ class Masks:
 
     def __init__(self, folder: Path) -> None:
         self._images = folder / "images"
-        places = (folder / name for name in ("masks", "mask"))
-        self._folder = next((place for place in places if place.is_dir()), None)
+        folders = (folder / name for name in ("masks", "mask"))
+        self._folder = next((candidate for candidate in folders if candidate.is_dir()), None)
         files = [] if self._folder is None else _files_below(self._folder)
         self._files = sorted(path for path in files if path.suffix.lower() in IMAGE_SUFFIXES)
         self._by_key = {
@@ -227,22 +227,22 @@ def _is_mask_name(path: Path) -> bool:
 
 def _files_below(folder: Path) -> list[Path]:
     """Lists all files in a folder and its subfolders."""
-    return [Path(place) / name for place, _, names in os.walk(folder) for name in names]
+    return [Path(parent) / name for parent, _, names in os.walk(folder) for name in names]
 
 
-def _report_missing(path: Path, missing: Sequence[str], count: int, place: str) -> None:
+def _report_missing(path: Path, missing: Sequence[str], count: int, expected: str) -> None:
     """Logs the missing images, or raises `FormatError` if all of them are missing."""
     if not missing:
         return
     names = some_names(missing)
     if len(missing) == count:
-        raise FormatError(path, f"none of its {count:,} photographs is there ({names}): expected them in {place}")
-    _log.warning("%s: %d of %d photographs are not in %s (%s): left out", path, len(missing), count, place, names)
+        raise FormatError(path, f"none of its {count:,} photographs is there ({names}): expected them in {expected}")
+    _log.warning("%s: %d of %d photographs are not in %s (%s): left out", path, len(missing), count, expected, names)
 
 
 def some_names(names: Sequence[str]) -> str:
     """Joins the first few names for a message, with "..." if there are more."""
-    # Names of files may be bytes that are no text: such a line could not be printed.
+    # File names may contain bytes that are not valid text and could not be printed.
     shown = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_NAMES_LISTED])
     return ", ".join(shown) + (", ..." if len(names) > _NAMES_LISTED else "")
 

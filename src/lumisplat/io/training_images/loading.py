@@ -90,7 +90,7 @@ def _distinct(cameras: Sequence[Camera], *, with_rotation: bool) -> list[int]:
     for number, (eye, rotation) in enumerate(zip(eyes, rotations, strict=True)):
         same = np.linalg.norm(eyes[found] - eye, axis=1) <= near
         if with_rotation:
-            # The Frobenius norm of the difference of two rotations is 2 sqrt(2) times the sine of half their angle.
+            # The Frobenius norm of the difference of two rotations is 2 sqrt(2) sin(angle / 2).
             same &= np.linalg.norm(rotations[found] - rotation, axis=(1, 2)) <= np.sqrt(2.0) * SAME_ROTATION
         if not same.any():
             found.append(number)
