@@ -172,7 +172,7 @@ def test_what_workers_hold(work: Workplace) -> None:
         (["blocks", "@town.ply", "-o", "@a", "--coarser", "-1"], "--coarser is -1, expected 0 to 16"),
         (["blocks", "@mesh.obj", "-o", "@a"], "is not one capture"),
         (["blocks", "@none.ply", "-o", "@a"], "no such file"),
-        (["blocks", "@town.ply", "@flat.ply", "-o", "@a"], "differ in the degree of their harmonics"),
+        (["blocks", "@town.ply", "@flat.ply", "-o", "@a"], "differ in SH degree or antialiasing"),
         (["blocks", "@town.ply", "-o", "@town.ply"], "is a file, expected a folder"),
         (["blocks", "@town.ply", "-o", "@."], "holds other files ("),
         (["blocks", "@town.ply", "--plan"], "--plan is of one folder"),

@@ -163,7 +163,7 @@ def test_missing_packages_leave_their_figures_out(work, monkeypatch):
         (("@capture.ply", "@capture.ply"), "capture.ply: is a file, expected the folder that holds transforms.json"),
         (("@lost.ply", "@photos"), "lost.ply: no such file"),
         (("@capture.ply", "@photos", "--hold-out", "0"), "--hold-out is 0: no photograph is left to compare"),
-        (("@capture.ply", "@photos", "--hold-out", "1"), "--hold-out is 1, which leaves no photograph to learn from"),
+        (("@capture.ply", "@photos", "--hold-out", "1"), "--hold-out is 1, which leaves no image to train with"),
         (("@capture.ply", "@photos", "--scale", "2"), "--scale is 2.0, expected more than 0 and at most 1"),
         (("@capture.ply", "@photos", "--background", "transparent"), "--background is transparent, expected a colour"),
         (("@capture.ply", "@photos", "--background", "mauve"), "--background is 'mauve', expected three numbers"),

@@ -39,8 +39,8 @@ def test_one_image_is_too_few_for_training(tmp_path: Path, capsys: pytest.Captur
     ("options", "problem"),
     [
         (("none.mp4", "-o", "out"), "error: none.mp4: no such file"),
-        (("text.mp4", "-o", "out"), "error: text.mp4: is no film that can be read"),
-        (("text.mp4", "-o", "there"), "error: there/images: is there already"),
+        (("text.mp4", "-o", "out"), "error: text.mp4: is not a readable video"),
+        (("text.mp4", "-o", "there"), "error: there/images: already exists"),
         (("text.mp4", "-o", "out", "--every", "0"), "--every is 0"),
         (("text.mp4", "-o", "out", "--size", "1"), "--size is 1"),
     ],

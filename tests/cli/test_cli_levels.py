@@ -81,10 +81,10 @@ def test_mistakes_are_named(work: Workplace, arguments: list[str], message: str)
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
-        ('path = "capture.ply"\nlod = 1', r"line 3.*lod is of a streamed SOG, got 'capture.ply'"),
+        ('path = "capture.ply"\nlod = 1', r"line 3.*lod applies to a streamed SOG, but path is 'capture.ply'"),
         ('path = "city"\nlod = -1', r"line 3.*lod.*expected 0 or more"),
         ('path = "city"\nlod_budget = 0', r"line 3.*lod_budget.*expected 1 or more"),
-        ('path = "city"\nlod = 1\nlod_budget = 30', r"line 4.*lod and lod_budget do not go together"),
+        ('path = "city"\nlod = 1\nlod_budget = 30', r"line 4.*lod and lod_budget are both given"),
         ('path = "city"\nlod = 7', r"has no level 7"),
     ],
 )

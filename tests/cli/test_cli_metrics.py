@@ -158,7 +158,7 @@ def test_one_avatar_is_one_column(work):
         (("@a.png", "@b.png", "@a.png"), "3 files given"),
         (("@a.png", "@missing.png"), "missing.png: no such file or folder"),
         (("@a.png", "@small.png"), "small.png: the image is 20 x 16, its reference 19 x 16"),
-        (("@a.png", "@room.ply"), "room.ply: is corrupt, or no image"),
+        (("@a.png", "@room.ply"), "room.ply: is corrupt, or not an image"),
         (("@ours", "@a.png"), "ours: is a folder and"),
         (("@ours", "@empty"), "empty: holds no pictures"),
         (("@a.png", "@b.png", "--metrics", "psnr,vmaf"), "--metrics has 'vmaf', expected some of psnr, ssim"),

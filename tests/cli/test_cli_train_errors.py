@@ -39,7 +39,7 @@ def test_a_single_photograph_is_refused(tmp_path: Path, capsys: pytest.CaptureFi
     """Depth shows between photographs only."""
     folder = folder_of(tmp_path / "set", 1)
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
-    assert "transforms.json: has a single photograph, expected two or more" in told(capsys)
+    assert "transforms.json: has a single image, expected two or more" in told(capsys)
     assert not (tmp_path / "a.training").exists()
 
 
@@ -49,7 +49,7 @@ def test_a_mask_of_zeros_is_refused(tmp_path: Path, capsys: pytest.CaptureFixtur
     (folder / "masks").mkdir()
     Image.fromarray(np.zeros((40, 40), np.uint8)).save(folder / "masks" / "01.png")
     assert main(["train", str(folder), "-o", str(tmp_path / "a.ply"), *SHORT]) == 2
-    assert "01.png: is black everywhere: no pixel of its photograph would count" in told(capsys)
+    assert "01.png: is black everywhere, so no pixel of its image would be used" in told(capsys)
     assert not (tmp_path / "a.training").exists()
 
 

@@ -233,7 +233,7 @@ def test_an_entry_without_a_place_stands_and_one_line_says_so(tmp_path: Path, ca
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         scene = loaded(scene_file(tmp_path, ""))
     (line,) = (record.getMessage() for record in caplog.records)
-    assert "meshes[0]: says no place, and stands upright on the ground (upright = false: as in its file)" in line
+    assert "meshes[0]: has no position, and is put upright on the ground (upright = false: as in its file)" in line
     heights, own = corners(scene)[:, 1], scene.meshes[0].mesh.positions[:, 1]
     np.testing.assert_allclose(heights - heights.min(), own - own.min(), atol=1e-6)
     np.testing.assert_allclose(heights.min(), 0.7, atol=0.06)
@@ -315,7 +315,7 @@ def test_a_place_without_a_rotation_is_told(
         caplog.clear()
         read(file)
         lines = [record.getMessage() for record in caplog.records]
-        assert len(lines) == said and all("upright = true stands it" in line for line in lines)
+        assert len(lines) == said and all("upright = true rotates it" in line for line in lines)
     file.write_text(file.read_text().replace("y-down", "y-up"))
     caplog.clear()
     ls.load(file)

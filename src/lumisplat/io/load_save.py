@@ -261,7 +261,7 @@ def load_cameras(path: PathLike, *, width: int | None = None, height: int | None
         path: ``transforms.json`` (OpenGL camera-to-world; intrinsics of the file or of each frame, in pixels or as
             ``camera_angle_x``; image sizes are read from the images if the file has none; pinhole, equidistant fisheye
             and orthophoto, with lens distortion), INRIA's ``cameras.json`` (OpenCV; the principal point is the
-            centre), nerfstudio's ``camera_path.json``, or a sparse model of COLMAP: its folder, or one of its
+            centre), nerfstudio's ``camera_path.json``, or a COLMAP sparse model: its folder, or one of its
             ``cameras`` and ``images``, .bin or .txt; or a folder that holds one of these. Or a glTF scene (.glb,
             .gltf), whose cameras only have an aspect ratio: without ``width`` and ``height`` they get the largest size
             within 1280 x 720; or an OpenUSD stage (.usda, .usdc, .usdz, .usd), whose sizes may be those of pictures

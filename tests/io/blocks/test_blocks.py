@@ -211,7 +211,7 @@ def test_mistakes(tmp_path: Path) -> None:
         ls.io.write_blocks(tmp_path / "a", [capture], 0)
     with pytest.raises(ls.SceneError, match="zero Gaussians"):
         ls.io.write_blocks(tmp_path / "a", [], 1.0)
-    with pytest.raises(ls.SceneError, match="differ in the degree"):
+    with pytest.raises(ls.SceneError, match="differ in SH degree"):
         ls.io.write_blocks(tmp_path / "a", [capture, street(50, degree=0)], 1.0)
     assert not (tmp_path / "a").exists()  # nothing is left of what failed
     (tmp_path / "a").mkdir()
@@ -224,7 +224,7 @@ def test_mistakes(tmp_path: Path) -> None:
     assert ls.io.visible_blocks(index, away) == []
     with pytest.raises(ls.SceneError, match="no block is visible"):
         ls.io.load_blocks(index, [])
-    with pytest.raises(ls.SceneError, match="chosen for pinholes"):
+    with pytest.raises(ls.SceneError, match="selected only for pinholes"):
         ls.io.visible_blocks(index, replace(away, model=ls.CameraModel.FISHEYE))
 
 
@@ -233,7 +233,10 @@ def test_mistakes(tmp_path: Path) -> None:
     [
         ({"version": 2}, "has version 2, expected 1"),
         ({"sh_count": 3}, "not an index of blocks"),
-        ({"blocks": [{"low": [0, 0, 0], "high": [1, 1, 1], "levels": [["../x", 3, 1.0, 1.0]]}]}, "no name of a file"),
+        (
+            {"blocks": [{"low": [0, 0, 0], "high": [1, 1, 1], "levels": [["../x", 3, 1.0, 1.0]]}]},
+            "not the name of a file",
+        ),
         ({"blocks": [{"low": [0, 0], "high": [1, 1, 1], "levels": [["x", 3, 1.0, 1.0]]}]}, "not an index of blocks"),
         ({"blocks": [{"low": [0, 0, 0], "high": [1, 1, 1], "levels": [["x", 3, 1.0, 1.0]]}]}, "cannot be read"),
         ({"blocks": 3}, "not an index of blocks"),
@@ -253,9 +256,9 @@ def test_blocks_that_were_cut_off(tmp_path: Path) -> None:
     index = ls.io.write_blocks(tmp_path, [street(50)], 100.0)
     path = tmp_path / index.blocks[0].levels[0].file
     path.write_bytes(path.read_bytes()[:-4])
-    with pytest.raises(ls.FormatError, match="the capture is not whole"):
+    with pytest.raises(ls.FormatError, match="the capture is incomplete"):
         ls.io.open_blocks(tmp_path)
-    with pytest.raises(ls.FormatError, match="shorter than the index says"):
+    with pytest.raises(ls.FormatError, match="fewer rows than the index states"):
         all_of(index)
     (tmp_path / "blocks.json").unlink()
     with pytest.raises(ls.errors.MissingFileError):

@@ -84,7 +84,7 @@ def test_other_models_are_refused_by_name(tmp_path, model, name):
     ("break_it", "message"),
     [
         (lambda f: (f / "images.bin").unlink(), r"has no images.bin or images.txt"),
-        (lambda f: (f / "images.bin").write_bytes((f / "images.bin").read_bytes()[:-30]), "cut off"),
+        (lambda f: (f / "images.bin").write_bytes((f / "images.bin").read_bytes()[:-30]), "truncated in image"),
         (lambda f: (f / "cameras.bin").write_bytes((f / "cameras.bin").read_bytes()[:-9]), "ends too early"),
         (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<Q", 2**62)), "ends too early"),
         (lambda f: (f / "images.bin").write_bytes(struct.pack("<Q", 0)), "no images with a pose"),

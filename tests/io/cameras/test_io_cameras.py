@@ -148,7 +148,7 @@ def test_models_are_saved(tmp_path: Path, model: ls.CameraModel) -> None:
     [
         ({"aperture": 0.1}, r"camera 1 \(late\) has an aperture"),
         ({"camera_from_world_end": np.eye(4)}, r"camera 1 \(late\) has a rolling shutter"),
-        ({"model": ls.CameraModel.FISHEYE}, "one model, these are fisheye and pinhole"),
+        ({"model": ls.CameraModel.FISHEYE}, "one camera model, got fisheye and pinhole"),
     ],
 )
 def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:

@@ -101,5 +101,5 @@ def test_large_arrays_are_not_checked_again(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_part_needs_a_file(tmp_path: Path) -> None:
     """A shape is one mesh."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\npart = 0\n')
-    with pytest.raises(ls.FormatError, match=r"line 3.*part is of a file with several meshes, but there is no path"):
+    with pytest.raises(ls.FormatError, match=r"line 3.*part selects a mesh of a file, but there is no path"):
         ls.load(tmp_path / "scene.toml")

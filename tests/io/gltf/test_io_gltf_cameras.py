@@ -115,7 +115,7 @@ def test_a_file_of_cameras_is_a_scene(tmp_path: Path) -> None:
         ({"type": "fisheye"}, {}, r"cameras\[0\]: type is 'fisheye', expected perspective or orthographic"),
         ({"type": "perspective"}, {}, r"cameras\[0\]: yfov is None"),
         (perspective(), {"camera": 3}, r"nodes\[0\] refers to cameras\[3\], but there are 1"),
-        (perspective(), {"scale": [0, 0, 0]}, r"nodes\[0\] is scaled to nothing: its camera has no direction"),
+        (perspective(), {"scale": [0, 0, 0]}, r"nodes\[0\] has a scale of zero: its camera has no direction"),
         (perspective(), {"translation": [0, 0, math.nan]}, r"nodes\[0\] has translation .* finite"),
     ],
 )

@@ -90,11 +90,11 @@ GOOD = pixels(5)
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (png_bytes(TEXELS), "is a PNG image and is 8 bit, expected .hdr or .exr"),
-        (b"\xff\xd8\xff\xe0 jpeg", "is a JPEG image and is 8 bit, expected .hdr or .exr"),
+        (png_bytes(TEXELS), "is a PNG image with 8 bits per channel, expected .hdr or .exr"),
+        (b"\xff\xd8\xff\xe0 jpeg", "is a JPEG image with 8 bits per channel, expected .hdr or .exr"),
         (b"ply\nformat ascii 1.0\n", "is neither Radiance HDR nor OpenEXR, expected .hdr or .exr"),
         (b"", "is empty"),
-        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", "truncated: the header"),
+        (b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n", "truncated: the HDR header"),
         (hdr_bytes(GOOD, header=b"#?RADIANCE\nFORMAT=32-bit_rle_xyze\n"), "has FORMAT '32-bit_rle_xyze', expected"),
         (hdr_bytes(GOOD, header=HEADER + b"EXPOSURE=0\n"), "has EXPOSURE '0', expected a positive number"),
         (hdr_bytes(GOOD, header=HEADER + b"EXPOSURE=bright\n"), "has EXPOSURE 'bright', expected"),
@@ -199,5 +199,5 @@ def test_pillow_does_not_know_better(tmp_path: Path) -> None:
     """8-bit pictures are refused by content, also under the name of an EXR."""
     Image.fromarray(TEXELS).save(tmp_path / "b.png")
     (tmp_path / "b.png").rename(tmp_path / "b.exr")
-    with pytest.raises(ls.FormatError, match="is a PNG image and is 8 bit"):
+    with pytest.raises(ls.FormatError, match="is a PNG image with 8 bits per channel"):
         ls.io.load_radiance(tmp_path / "b.exr")

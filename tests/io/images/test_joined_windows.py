@@ -107,16 +107,16 @@ def test_what_is_no_picture(tmp_path: Path) -> None:
         ls.io.join_windows(out, lacking)
     with pytest.raises(ls.SceneError, match="leaves a gap"):
         ls.io.join_windows(out, dict(list(files.items())[1:]))
-    with pytest.raises(ls.SceneError, match="needs a window"):
+    with pytest.raises(ls.SceneError, match="no window to join"):
         ls.io.join_windows(out, {})
-    with pytest.raises(ls.FormatError, match=r"not in '\.jpg'"):
+    with pytest.raises(ls.FormatError, match=r"not to '\.jpg'"):
         ls.io.join_windows(tmp_path / "joined.jpg", files)
     last = list(files)[-1]
     write_png(files[last], image)
     with pytest.raises(ls.FormatError, match="expected"):
         ls.io.join_windows(out, files)
     write_png(files[last], part(noise(4), last))
-    with pytest.raises(ls.FormatError, match="4 channels, other windows 3"):
+    with pytest.raises(ls.FormatError, match="4 channels, but other windows have 3"):
         ls.io.join_windows(out, files)
     files[last].write_bytes(b"\x89PNG")
     with pytest.raises(ls.FormatError, match="cannot be read"):

@@ -70,7 +70,7 @@ def test_whole_or_not_at_all(tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         ls.save_animation(tmp_path / "old.mp4", failing())
-    with pytest.raises(ls.SceneError, match="pictures of one shape"):
+    with pytest.raises(ls.SceneError, match="frames of one shape"):
         ls.save_animation(tmp_path / "new.mp4", [patches(), patches(32, 32)])
     assert [path.name for path in tmp_path.iterdir()] == ["old.mp4"]
     assert (tmp_path / "old.mp4").read_bytes() == b"as before"

@@ -83,7 +83,7 @@ def test_parts_that_are_called_alike_have_numbers(folder: Path) -> None:
     twins.export(folder / "twins.glb")
     data = (folder / "twins.glb").read_bytes()
     (folder / "twins.glb").write_bytes(data.replace(b'"n1"', b'"n0"'))
-    with pytest.raises(ls.FormatError, match=r"line 3.*as several are called: give the number of one, 0, 1"):
+    with pytest.raises(ls.FormatError, match=r"line 3.*the name of several meshes: give a number instead, 0, 1"):
         load(folder, '[[meshes]]\npath = "twins.glb"\npart = "n0"\n')
     assert len(load(folder, '[[meshes]]\npath = "twins.glb"\npart = 1\n').meshes) == 1
     trimesh.creation.box().export(folder / "crate.stl")

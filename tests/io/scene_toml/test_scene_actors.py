@@ -125,7 +125,7 @@ KEYS = "[[actors.keyframes]]\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("[[splats]]\npath = 'capture.ply'", "lists no [[actors]]: there is nothing to animate"),
+        ("[[splats]]\npath = 'capture.ply'", "has neither [[actors]] nor a camera with keyframes"),
         ("[actors]\npath = 'tube.glb'", "line 1: actors must be written with double brackets: [[actors]]"),
         ("[[actors]]\nclip = 'bend'", "line 1, actors[0]: lacks path"),
         (ACTOR + "clips = 'bend'", "line 4, actors[0]: unknown 'clips', did you mean 'clip'?"),
@@ -134,14 +134,17 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "speed = nan", "line 4, actors[0]: speed is nan"),
         (ACTOR + "loop = 1", "line 4, actors[0]: loop is 1, expected true or false"),
         (ACTOR + "form = 'cloud'", "line 4, actors[0]: form is 'cloud', expected gaussians or mesh"),
-        (ACTOR + "fps = 5", "line 4, actors[0]: fps is of a folder of frames, but path is 'tube.glb', a rig"),
-        (ACTOR + "form = 'mesh'", "line 3, actors[0]: count is of a rig or a mesh as Gaussians, but path is"),
+        (ACTOR + "fps = 5", "line 4, actors[0]: fps applies to a folder of frames, but path is 'tube.glb', a rig"),
+        (ACTOR + "form = 'mesh'", "line 3, actors[0]: count applies to a rig or a mesh as Gaussians, but path is"),
         (ACTOR + "scale = 0", "line 4, actors[0]: scale is 0, expected one positive number"),
         (ACTOR.replace("300", "0"), "line 3, actors[0]: count is 0, expected a whole number from 1"),
         ("[[actors]]\npath = 'none.glb'", "line 2, actors[0]: path is 'none.glb', no such file"),
         ("[[actors]]\npath = 'scene.toml'", "line 2, actors[0]: path is 'scene.toml', a scene file itself"),
         (FRAMES + "clip = 'bend'", "line 3, actors[0]: clip is 'bend', but the actor has no rig"),
-        (FRAMES + "count = 5", "line 3, actors[0]: count is of a rig or a mesh as Gaussians, but path is 'frames'"),
+        (
+            FRAMES + "count = 5",
+            "line 3, actors[0]: count applies to a rig or a mesh as Gaussians, but path is 'frames'",
+        ),
         (FRAMES + "fps = 0", "line 3, actors[0]: fps is 0, expected a number above 0"),
         (ACTOR + "keyframes = 3", "line 4, actors[0]: keyframes is 3, expected tables, written with double brackets"),
         (ACTOR + KEYS + "position = [0, 0, 0]", "line 4, actors[0].keyframes[0]: lacks time, a number"),
@@ -150,7 +153,7 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + KEYS + "time = nan", "line 5, actors[0].keyframes[0]: time is nan, expected a finite number"),
         (
             ACTOR + KEYS + "time = 2\n" + KEYS + "time = 1",
-            "line 7, actors[0].keyframes[1]: time is 1, after 2: times must rise",
+            "line 7, actors[0].keyframes[1]: time is 1, after 2: times must increase",
         ),
         (ACTOR + "[animation]\nfps = 0", "line 5, animation: fps is 0, expected a positive number"),
         (ACTOR + "[animation]\nframes = 0", "line 5, animation: frames is 0, expected at least 1"),

@@ -118,9 +118,9 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("# nothing", "lists nothing to see: expected [[splats]], [[meshes]], [[actors]], [[lights]], [environment]"),
-        ("splats = []", "lists nothing to see"),
-        ("[render]\nsamples = 4", "lists nothing to see"),
+        ("# nothing", "has no visible content: expected [[splats]], [[meshes]], [[actors]], [[lights]], [environment]"),
+        ("splats = []", "has no visible content"),
+        ("[render]\nsamples = 4", "has no visible content"),
         ("[[splats]", "is not valid TOML"),
         (SPLAT + "path = 'capture.ply'\n", "is not valid TOML: Cannot overwrite a value (at line 3"),
         ("[splats]\npath = 'capture.ply'", "line 1: splats must be written with double brackets: [[splats]]"),

@@ -170,7 +170,10 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         ('[[lights]]\ntype = "directional"\ndirection = [0, 0, 0]', "line 3, lights[0]: direction has no length"),
         (POINT + POINT + "radius = -1", "line 7, lights[1]: radius is -1"),
         ("[lights]\ntype = 'point'", "line 1: lights must be written with double brackets: [[lights]]"),
-        ("[[environment]]\n[[environment]]\n", "line 1: environment is there once only: write it with single brackets"),
+        (
+            "[[environment]]\n[[environment]]\n",
+            "line 1: environment may appear only once: write it with single brackets",
+        ),
         (
             "[environment]\nintensity = 1\n[environment]\n",
             "is not valid TOML: Cannot declare ('environment',) twice (at line 3",
@@ -193,5 +196,5 @@ def test_wrong_lights_are_refused(tmp_path: Path, text: str, problem: str) -> No
 def test_a_picture_is_no_environment(tmp_path: Path) -> None:
     """An error in the image is about the image."""
     (tmp_path / "sky.png").write_bytes(png_bytes())
-    with pytest.raises(ls.FormatError, match=r"sky\.png: is a PNG image and is 8 bit"):
+    with pytest.raises(ls.FormatError, match=r"sky\.png: is a PNG image with 8 bits per channel"):
         load_scene(tmp_path, '[environment]\npath = "sky.png"\n')

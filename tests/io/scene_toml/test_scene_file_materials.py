@@ -134,7 +134,7 @@ MESH = "[[meshes]]\npath = 'a.obj'\n"
         (MESH + "material = { base_color_texture = 'a.png' }", "base_color_texture is 'a.png', no such file"),
         (MESH + "[materials.unused]\nroughness = 2", "line 4, materials.unused: roughness is 2, expected 0.0 to 1.0"),
         (MESH + "[materials]\nglass = 3", "line 4, materials: glass is 3, expected a table"),
-        (MESH + "[[materials]]\nroughness = 2", "line 3: materials is there once only"),
+        (MESH + "[[materials]]\nroughness = 2", "line 3: materials may appear only once"),
     ],
 )
 def test_wrong_materials_are_refused(tmp_path: Path, text: str, problem: str) -> None:

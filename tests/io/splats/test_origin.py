@@ -68,7 +68,7 @@ def test_doubles_in_map_coordinates_are_about_an_origin(tmp_path: Path, caplog: 
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
     assert isinstance(far, ls.Gaussians) and any(far.origin)
     np.testing.assert_allclose(in_world(far), near.means + np.array(UTM), atol=2e-7, rtol=0)
-    assert "far.ply: positions are about an origin" in caplog.text and "convert --translate=" in caplog.text
+    assert "far.ply: positions are relative to an origin" in caplog.text and "convert --translate=" in caplog.text
     caplog.clear()
     same = ls.load(write_doubles(tmp_path / "near.ply", near, np.zeros(3)))
     assert isinstance(same, ls.Gaussians) and not any(same.origin) and not caplog.text
@@ -193,5 +193,5 @@ def test_blocks_say_what_they_round(tmp_path: Path, caplog: pytest.LogCaptureFix
     for name, shift in (("far", np.array(UTM)), ("near", np.zeros(3))):
         stream = ls.io.stream_ply(write_doubles(tmp_path / f"{name}.ply", near, shift))
         ls.io.write_blocks(tmp_path / name, stream, cell=8.0)
-        assert ("blocks have positions in float32, which is 0.5 apart" in caplog.text) is (name == "far")
+        assert ("blocks store positions in float32, here in steps of 0.5" in caplog.text) is (name == "far")
         caplog.clear()

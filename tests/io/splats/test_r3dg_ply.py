@@ -90,7 +90,7 @@ def test_values_out_of_their_range_are_told(tmp_path: Path, caplog: pytest.LogCa
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         ls.save(tmp_path / "a.ply", made, columns="r3dg")
     color, rough, metal = (record.getMessage() for record in caplog.records)
-    assert "albedo from 0.03 to 0.80: 2 of 12 values are outside, by up to 0.15, and become the nearest" in color
+    assert "albedo from 0.03 to 0.80: 2 of 12 values are outside, by up to 0.15, and are clamped" in color
     assert "roughness from 0.09 to 0.99: 1 of 4 values are outside, by up to 0.01" in rough
     assert "cannot store metallic" in metal
     again = load_gaussians(tmp_path / "a.ply")

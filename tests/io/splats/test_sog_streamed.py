@@ -51,18 +51,18 @@ def test_the_environment_is_always_there(tmp_path: Path) -> None:
         ({"lodLevels": 10**9}, "has 1000000000 levels"),
         ({"tree": {}}, "zero Gaussians at level 0"),
         ({"tree": {"lods": {}}}, "a leaf has no level"),
-        ({"tree": {"lods": {"0": rows_of_level(3, 0, 1)}}}, "of 3 levels and 3 files"),
-        ({"tree": {"lods": {"7": rows_of_level(0, 0, 1)}}}, "damaged: level 7"),
-        ({"tree": {"lods": {"0": rows_of_level(0, -1, 1)}}}, "damaged: level 0"),
+        ({"tree": {"lods": {"0": rows_of_level(3, 0, 1)}}}, "has 3 levels and 3 captures"),
+        ({"tree": {"lods": {"7": rows_of_level(0, 0, 1)}}}, "damaged: a leaf has level 7"),
+        ({"tree": {"lods": {"0": rows_of_level(0, -1, 1)}}}, "damaged: a leaf has level 0"),
         ({"tree": {"lods": {"0": rows_of_level(0, 40, 11)}}}, "rows 40 to 51 of 0_0/meta.json, which holds 50"),
-        ({"tree": {"children": [{"lods": {"0": rows_of_level(0, 0, 50)}}] * 9}}, "another leaf has some"),
+        ({"tree": {"children": [{"lods": {"0": rows_of_level(0, 0, 50)}}] * 9}}, "overlaps another leaf"),
         ({"tree": None}, "damaged, or not a streamed SOG"),
         (
             {
                 "filenames": ["0_0/meta.json", "./0_0/../0_0/meta.json"],
                 "tree": {"children": [{"lods": {"0": rows_of_level(file, 0, 50)}} for file in (0, 1)]},
             },
-            "another leaf has some",
+            "overlaps another leaf",
         ),
         ({"filenames": ["../../x/meta.json"] * 3}, "not in its folder"),
         ({"filenames": ["gone/meta.json"] * 3}, "no such file"),
@@ -126,5 +126,5 @@ def test_splat(tmp_path: Path) -> None:
 def test_splat_of_another_size(tmp_path: Path) -> None:
     """A part of a row is noticed."""
     (tmp_path / "a.splat").write_bytes(splat_rows(capture(3, 0))[:-1])
-    with pytest.raises(FormatError, match="95 bytes are no whole number of 32 a Gaussian"):
+    with pytest.raises(FormatError, match="95 bytes are not a multiple of 32 per Gaussian"):
         ls.load(tmp_path / "a.splat")

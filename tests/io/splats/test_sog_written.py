@@ -109,7 +109,9 @@ def test_far_captures_keep_their_positions(tmp_path: Path, name: str, caplog: py
     read = load_gaussians(tmp_path / name)
     gaps = np.abs(read.means[:, None].astype(np.float64) - far.means[None]).max(axis=2).min(axis=1)
     assert read.count == 400 and gaps.max() < 1e-3
-    assert "the positions of 400 Gaussians are stored in steps larger than they are, up to 5.1, because" in caplog.text
+    assert (
+        "the positions of 400 Gaussians are rounded to steps larger than their size, up to 5.1, because" in caplog.text
+    )
 
 
 def test_strays_are_counted_by_their_steps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -118,7 +120,7 @@ def test_strays_are_counted_by_their_steps(tmp_path: Path, caplog: pytest.LogCap
     means = base.means.copy()
     means[7] = (40_000.0, 0.0, 0.0)
     ls.save(tmp_path / "a.sog", replace(base, means=means, scales=np.full((100, 3), 0.05)))
-    assert "the positions of 1 Gaussian are stored in steps larger than they are, up to 7.5" in caplog.text
+    assert "the positions of 1 Gaussian are rounded to steps larger than their size, up to 7.5" in caplog.text
     read = load_gaussians(tmp_path / "a.sog")
     near = read.means[read.means[:, 0] < 1e3]
     gaps = np.abs(near[:, None] - means[None]).max(axis=2).min(axis=1)

@@ -251,17 +251,17 @@ def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
     np.testing.assert_allclose(loaded.sh[3, 1:], 1.0, atol=1 / 128)
     np.testing.assert_allclose([loaded.sh[0, 0, 0], loaded.sh[1, 0, 2]], [0.5 / 0.15, -0.5 / 0.15], rtol=1e-5)
     thin, wide, bright, sharp = (record.message for record in caplog.records)
-    assert "a.spz: 2 Gaussians are thinner than 4.5e-05" in thin
-    assert "a.spz: 1 Gaussians are wider than 379" in wide
+    assert "a.spz: 2 Gaussians have scales below 4.5e-05" in thin
+    assert "a.spz: 1 Gaussians have scales above 379" in wide
     assert "a.spz: 2 Gaussians have a colour too bright or too dark" in bright
-    assert "a.spz: 1 Gaussians have SH coefficients beyond -1..1" in sharp
+    assert "a.spz: 1 Gaussians have SH coefficients outside -1..1" in sharp
 
 
 def test_positions_beyond_the_format(tmp_path: Path) -> None:
     """A scene too large for fixed point is refused instead of clamped."""
     base = capture(2)
     far = ls.Gaussians(base.means * 1e7, base.rotations_wxyz, base.scales, base.opacities, base.sh)
-    with pytest.raises(FormatError, match="does not fit SPZ"):
+    with pytest.raises(FormatError, match="is beyond 4,194,304, the largest of SPZ"):
         ls.save(tmp_path / "far.spz", far)
     assert not list(tmp_path.iterdir())
 

@@ -53,15 +53,15 @@ def refusal(folder: Path, **options: Any) -> str:
 def test_folders_without_photographs(tmp_path):
     """What is expected, and what to do."""
     assert refusal(tmp_path).endswith(
-        ": has no photographs with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
-        "sparse model of COLMAP in sparse/0; for photographs without poses, find_poses (--poses colmap) makes one"
+        ": has no images with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
+        "COLMAP sparse model in sparse/0; for images without poses, find_poses (--poses colmap) creates one"
     )
     with pytest.raises(ls.errors.MissingFileError, match="nowhere: no such folder"):
         ls.io.load_training_images(tmp_path / "nowhere")
     (tmp_path / "transforms.json").write_text('{"frames": []}')
-    assert "transforms.json: lists no photographs: expected 'frames'" in refusal(tmp_path)
+    assert "transforms.json: lists no images: expected 'frames'" in refusal(tmp_path)
     (tmp_path / "transforms.json").write_text("[1, 2]")
-    assert "lists no photographs" in refusal(tmp_path)
+    assert "lists no images" in refusal(tmp_path)
     (tmp_path / "transforms.json").write_text('{"frames": [')
     assert "transforms.json: invalid JSON at line 1" in refusal(tmp_path)
     assert "transforms.json: is a file, expected the folder that holds" in refusal(tmp_path / "transforms.json")
@@ -72,7 +72,7 @@ def test_all_photographs_missing(nerfstudio, colmap):
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         shutil.rmtree(folder / "images")
         message = refusal(folder)
-        assert f"{listed}: none of its 3 photographs is there (" in message and "view_0.png, " in message
+        assert f"{listed}: none of its 3 images exists (" in message and "view_0.png, " in message
         assert message.endswith("n or its images" if folder is nerfstudio else "/c"), "where they were looked for"
 
 
@@ -81,7 +81,7 @@ def test_a_single_photograph(nerfstudio, colmap):
     for folder in (nerfstudio, colmap):
         for name in ("view_0.png", "view_2.png"):
             (folder / "images" / name).unlink()
-        assert "has a single photograph, expected two or more: depth shows between photographs only" in refusal(folder)
+        assert "has a single image, expected two or more: depth needs several viewpoints" in refusal(folder)
 
 
 def test_photographs_of_another_size(nerfstudio, colmap):
@@ -89,8 +89,8 @@ def test_photographs_of_another_size(nerfstudio, colmap):
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         Image.new("RGB", (6, 4)).save(folder / "images" / "view_1.png")
         message = refusal(folder)
-        assert "images/view_1.png: has 6 x 4 pixels, its camera in " in message
-        assert f"{listed} 12 x 8: expected the photographs that the cameras were made for" in message
+        assert "images/view_1.png: has 6 x 4 pixels, but its camera in " in message
+        assert f"{listed} has 12 x 8: expected the images that the cameras were computed from" in message
 
 
 def test_poses_that_are_not_numbers(nerfstudio, colmap, tmp_path):
@@ -118,31 +118,31 @@ def test_masks_that_cannot_be(nerfstudio):
     (nerfstudio / "masks").mkdir()
     mask = nerfstudio / "masks" / "view_1.png"
     Image.new("L", (12, 8)).save(mask)
-    assert "masks/view_1.png: is black everywhere: no pixel of its photograph would count" in refusal(nerfstudio)
+    assert "masks/view_1.png: is black everywhere, so no pixel of its image would be used" in refusal(nerfstudio)
     Image.new("RGBA", (12, 8), (255, 255, 255, 0)).save(mask)
     assert "masks/view_1.png: is black everywhere" in refusal(nerfstudio)
     Image.new("L", (12, 9), 255).save(mask)
     assert "masks/view_1.png: has 12 x 9 pixels, expected the 12 x 8 of " in refusal(nerfstudio)
     mask.write_bytes(b"no picture")
-    assert "masks/view_1.png: cannot be read for its size" in refusal(nerfstudio)
+    assert "masks/view_1.png: is not a readable image" in refusal(nerfstudio)
     mask.unlink()
     change_frame(nerfstudio / "transforms.json", 0, mask_path="masks/lost.png")
-    assert 'transforms.json: names the mask "masks/lost.png", which is not there' in refusal(nerfstudio)
+    assert 'transforms.json: names the mask "masks/lost.png", which does not exist' in refusal(nerfstudio)
 
 
 def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
     """No picture at all, and one that is cut off, are found at once, an empty one when its pixels are asked for."""
     blender = write_blender_images(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
-    with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: it shows nothing to learn from"):
+    with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: there is nothing to train with"):
         ls.io.load_training_images(blender).held_out[0].pixels()
     image = nerfstudio / "images" / "view_1.png"
     whole = image.read_bytes()
     image.write_bytes(whole[: len(whole) // 2])
     assert refusal(nerfstudio).endswith(
-        "view_1.png: is cut off or damaged: copy it anew, or remove it, and the photograph is left out"
+        "view_1.png: is truncated or damaged: copy it again, or remove it to leave the image out"
     )
     image.write_bytes(b"no picture")
-    assert "view_1.png: cannot be read for its size" in refusal(nerfstudio)
+    assert "view_1.png: is not a readable image" in refusal(nerfstudio)
 
 
 def test_a_photograph_that_has_gone_since(nerfstudio):
@@ -162,7 +162,7 @@ def test_a_photograph_that_has_gone_since(nerfstudio):
         ({"scale": 1.5}, "scale is 1.5"),
         ({"scale": np.nan}, "scale is nan"),
         ({"scale": "half"}, "scale is 'half'"),
-        ({"hold_out": 1}, "hold_out is 1, which leaves no photograph to learn from: expected 2 or more, or 0"),
+        ({"hold_out": 1}, "hold_out is 1, which leaves no image to train with: expected 2 or more, or 0"),
         ({"hold_out": -1}, "hold_out is -1, expected a whole number from 0"),
         ({"hold_out": 2.0}, "hold_out is 2.0"),
         ({"cache_bytes": -1}, "cache_bytes is -1"),
@@ -181,7 +181,7 @@ def test_truncated_points(colmap, cut):
     path = colmap / "sparse/0/points3D.bin"
     path.write_bytes(path.read_bytes()[:cut])
     message = refusal(colmap)
-    assert "sparse/0/points3D.bin: " in message and ("cut off" in message or "ends too early" in message or not cut)
+    assert "sparse/0/points3D.bin: " in message and ("truncated" in message or "ends too early" in message or not cut)
 
 
 def test_points_that_are_nowhere(colmap, tmp_path):
@@ -196,7 +196,7 @@ def test_points_that_are_nowhere(colmap, tmp_path):
         ("1 nan 0 0 1 2 3 0.5", "has 1 of 1 points without a finite position"),
         ("1 0 0 0 1", "point 0 has too few values"),
         ("1 0 0 0 1 2 300 0.5", "has a colour outside of 0..255"),
-        ("1 0 0 zero 1 2 3 0.5", "damaged, or not the points of a sparse model"),
+        ("1 0 0 zero 1 2 3 0.5", "damaged, or not the points of a COLMAP sparse model"),
     ):
         text.write_text(line + "\n")
         assert problem in refusal(tmp_path / "t")

@@ -31,14 +31,14 @@ def test_folders_without_photographs(tmp_path):
     """No folder, no photographs, a single one, and poses that are there already."""
     with pytest.raises(ls.errors.MissingFileError, match="nowhere: no such folder"):
         ls.io.find_poses(tmp_path / "nowhere")
-    with pytest.raises(ls.FormatError, match="has no photographs, expected two or more"):
+    with pytest.raises(ls.FormatError, match="has no images, expected two or more"):
         ls.io.find_poses(tmp_path)
     write_png(tmp_path / "a.png", np.full((8, 8, 3), 0.5))
-    with pytest.raises(ls.FormatError, match="has one photograph, expected two or more"):
+    with pytest.raises(ls.FormatError, match="has one image, expected two or more"):
         ls.io.find_poses(tmp_path)
     write_png(tmp_path / "b.png", np.full((8, 8, 3), 0.5))
     (tmp_path / "sparse").mkdir()
-    with pytest.raises(ls.FormatError, match="sparse: is there already"):
+    with pytest.raises(ls.FormatError, match="sparse: already exists"):
         ls.io.find_poses(tmp_path)
 
 
@@ -49,10 +49,10 @@ def test_grey_pictures_have_no_poses(tmp_path):
     for k in range(3):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
     told: list[tuple[str, float]] = []
-    with pytest.raises(ls.FormatError, match="no poses were found for its 3 photographs: they show too little texture"):
+    with pytest.raises(ls.FormatError, match="no poses were found for its 3 images: they have too little texture"):
         ls.io.find_poses(tmp_path, progress=lambda what, share: told.append((what, share)))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
-    steps = ["finding features", "choosing pairs", "comparing photographs", "finding poses"]
+    steps = ["extracting features", "selecting pairs", "matching images", "finding poses"]
     assert list(dict.fromkeys(what.partition(",")[0] for what, _ in told)) == steps
     assert all(0.0 <= share <= 1.0 for _, share in told)
 
@@ -66,7 +66,7 @@ def test_what_is_taken_from_one_place_has_no_poses(tmp_path):
     for k in range(4):
         turned = wide.rotate(7.0 * k, Image.Resampling.BICUBIC).crop((80, 120, 400, 360))
         turned.save(tmp_path / "images" / f"{k}.png")
-    with pytest.raises(ls.FormatError, match="must be taken from different places: walk around things"):
+    with pytest.raises(ls.FormatError, match="there is no parallax: move around the objects"):
         ls.io.find_poses(tmp_path, ordered=True)
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
 
@@ -89,16 +89,16 @@ def test_an_interrupted_call_goes_on(tmp_path, data_dir, caplog):
         return report
 
     for step, share, kept in (
-        ("finding features", 0.3, "features of 4 of 10 photographs, 0 compared pairs"),
-        ("comparing photographs", 0.5, "features of 10 of 10 photographs, 32 compared pairs"),
-        ("finding poses", 0.5, "features of 10 of 10 photographs, 45 compared pairs"),
+        ("extracting features", 0.3, "features of 4 of 10 images, 0 matched pairs"),
+        ("matching images", 0.5, "features of 10 of 10 images, 32 matched pairs"),
+        ("finding poses", 0.5, "features of 10 of 10 images, 45 matched pairs"),
     ):
         caplog.clear()
         with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
             ls.io.find_poses(tmp_path, ordered=True, progress=until(step, share))
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
     assert ls.io.find_poses(tmp_path, ordered=True).is_dir()
-    assert "goes on from features of 10 of 10 photographs, 45 compared pairs" in caplog.text
+    assert "continues from features of 10 of 10 images, 45 matched pairs" in caplog.text
     assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
     found = ls.load_cameras(tmp_path / "sparse" / "0")
     assert len(found) == 10 and len({(camera.fx, camera.fy) for camera in found}) == 1

@@ -242,7 +242,7 @@ def test_missing_photographs_are_left_out(tmp_path, caplog):
         caplog.clear()
         found = ls.io.load_training_images(folder, hold_out=0)
         assert [view.name for view in found.training] == ["view_0", "view_2", "view_5", "view_7"]
-        assert "4 of 8 photographs are not in" in caplog.text
+        assert "4 of 8 images are missing in" in caplog.text
         assert "view_1.png, " in caplog.text and "view_4.png, ...): left out" in caplog.text
 
 
@@ -253,9 +253,7 @@ def test_undistortion_is_said_once(tmp_path, caplog):
         ls.io.load_training_images(write_nerfstudio_images(tmp_path / "bent", ring_cameras(4, **lens)))
         ls.io.load_training_images(write_nerfstudio_images(tmp_path / "straight", ring_cameras(4)))
     (line,) = (record.getMessage() for record in caplog.records)
-    assert line.endswith(
-        "/bent/transforms.json: 4 photographs of distorting lenses are straightened: resampled as of pinholes"
-    )
+    assert line.endswith("/bent/transforms.json: 4 images of distorted or fisheye lenses are resampled to pinholes")
 
 
 def test_photographs_in_folders_have_names_of_their_own(tmp_path):

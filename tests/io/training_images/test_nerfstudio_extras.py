@@ -44,7 +44,7 @@ def test_points_are_where_to_begin(tmp_path: Path, caplog: pytest.LogCaptureFixt
     folder = folder_with(tmp_path / "set", ply_file_path="./sparse_pc.ply")
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert ls.io.load_training_images(folder).points is None
-    assert "sparse_pc.ply is not there" in caplog.text.replace("'", "").replace('"', "").replace("./", "")
+    assert "sparse_pc.ply does not exist" in caplog.text.replace("'", "").replace('"', "").replace("./", "")
     for colors, expected in (
         (BYTES, BYTES / 255.0),
         (BYTES / np.float32(255.0), BYTES / 255.0),

@@ -18,15 +18,18 @@ def test_of_good_poses_nothing_is_said() -> None:
 def test_each_fault_has_its_line() -> None:
     """And no other."""
     for found, words in (
-        (replace(GOOD, with_pose=NAMES[:38]), "no pose was found for 2 of 40 photographs (0038.jpg, 0039.jpg)"),
-        (replace(GOOD, with_pose=NAMES[:20]), "take more frames"),
-        (replace(GOOD, model_sizes=[20, 12, 8]), "3 pieces that do not join, of 20, 12 and 8 photographs: the largest"),
-        (replace(GOOD, points_per_image=20.0), "shows 20 of 9,000 points, expected 50 or more: poses are likely wrong"),
-        (replace(GOOD, error=1.8), "1.8 pixels off in the mean, expected below 1.5: poses are likely wrong"),
-        (replace(GOOD, fov_degrees=5.0), "a view of 5 degrees, expected 15 to 130"),
-        (replace(GOOD, fov_degrees=160.0), "a view of 160 degrees"),
+        (replace(GOOD, with_pose=NAMES[:38]), "no pose was found for 2 of 40 images (0038.jpg, 0039.jpg)"),
+        (replace(GOOD, with_pose=NAMES[:20]), "extract more frames"),
+        (replace(GOOD, model_sizes=[20, 12, 8]), "3 separate models, of 20, 12 and 8 images: the largest"),
+        (
+            replace(GOOD, points_per_image=20.0),
+            "an image observes 20 of 9,000 points on average, expected 50 or more: poses are likely wrong",
+        ),
+        (replace(GOOD, error=1.8), "error is 1.8 pixels, expected below 1.5: poses are likely wrong"),
+        (replace(GOOD, fov_degrees=5.0), "field of view is 5 degrees, expected 15 to 130"),
+        (replace(GOOD, fov_degrees=160.0), "field of view is 160 degrees"),
     ):
         (line,) = found.remarks()
         assert words in line
     few = replace(GOOD, with_pose=NAMES[:38]).remarks()[0]
-    assert "take more frames" not in few
+    assert "extract more frames" not in few

@@ -46,18 +46,18 @@ def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_p
     write_images(tmp_path, 9)
     colmap.pieces = [range(9)]
     for step, kept in (
-        ("extract", "features of 4 of 9 photographs, 0 compared pairs"),
-        ("match", "features of 9 of 9 photographs, 32 compared pairs"),
-        ("place", "features of 9 of 9 photographs, 36 compared pairs"),
+        ("extract", "features of 4 of 9 images, 0 matched pairs"),
+        ("match", "features of 9 of 9 images, 32 matched pairs"),
+        ("place", "features of 9 of 9 images, 36 matched pairs"),
     ):
         colmap.interrupt_in = step
         with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
             ls.io.find_poses(tmp_path)
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
-    assert caplog.text.count("goes on from") == 2
+    assert caplog.text.count("continues from") == 2
     colmap.interrupt_in = ""
     model = ls.io.find_poses(tmp_path)
-    assert "goes on from features of 9 of 9 photographs, 36 compared pairs" in caplog.text
+    assert "continues from features of 9 of 9 images, 36 matched pairs" in caplog.text
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(9)]
     assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
 
@@ -75,7 +75,7 @@ def test_other_photographs_are_begun_anew(colmap: ColmapStub, tmp_path: Path, ca
         for _ in range(2):
             with pytest.raises(KeyboardInterrupt):
                 ls.io.find_poses(tmp_path)
-        assert "goes on from features of" in caplog.text
+        assert "continues from features of" in caplog.text
         change()
         caplog.clear()
         with pytest.raises(KeyboardInterrupt):
@@ -89,10 +89,10 @@ def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path,
     told: list[tuple[str, float]] = []
     model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: told.append((what, share)))
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
-    assert "in 2 pieces that do not join, of 5 and 3 photographs: the largest is taken" in caplog.text
-    assert "no pose was found for 4 of 9 photographs (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
+    assert "2 separate models, of 5 and 3 images: the largest is used" in caplog.text
+    assert "no pose was found for 4 of 9 images (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
     placing = [entry for entry in told if entry[0].startswith("finding poses")]
-    assert ("finding poses, 8 of 9 placed", 8 / 9) in placing, "photographs of all pieces count"
+    assert ("finding poses, 8 of 9 images", 8 / 9) in placing, "photographs of all pieces count"
     assert [share for _, share in placing] == sorted(share for _, share in placing)
 
 
@@ -108,15 +108,15 @@ def test_when_all_are_placed_what_is_left_is_told(colmap: ColmapStub, tmp_path: 
     colmap.pieces = [range(5)]
     told: list[tuple[str, float]] = []
     ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: told.append((what, share)))
-    assert told[-2:] == [("finding poses, all placed, adjusting", 0.99), ("finding poses", 1.0)]
+    assert told[-2:] == [("finding poses, bundle adjustment", 0.99), ("finding poses", 1.0)]
 
 
 @pytest.mark.parametrize(
     ("features", "verified", "reason"),
     [
-        (12, 0, "they show too little texture, 12 features each"),
-        (500, 3, "only 3 pairs show the same things: neighbours must overlap"),
-        (500, 30, "they must be taken from different places"),
+        (12, 0, "they have too little texture, 12 features each"),
+        (500, 3, "only 3 image pairs match: neighbouring images must be sharp"),
+        (500, 30, "there is no parallax"),
     ],
 )
 def test_why_there_are_no_poses_is_said(
@@ -124,6 +124,6 @@ def test_why_there_are_no_poses_is_said(
 ) -> None:
     """In one line, and nothing is left."""
     colmap.pieces, colmap.features, colmap.verified = (), features, verified
-    with pytest.raises(ls.FormatError, match=f"no poses were found for its 9 photographs: {reason}"):
+    with pytest.raises(ls.FormatError, match=f"no poses were found for its 9 images: {reason}"):
         ls.io.find_poses(write_images(tmp_path, 9))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}

@@ -69,7 +69,7 @@ def test_masks_that_match_no_image_or_some_only_are_counted_in_a_line(
     caplog.clear()
     Image.fromarray(HALF).save(tmp_path / "masks" / "view_0.png")
     ls.io.load_training_images(tmp_path, hold_out=0)
-    assert "masks has masks of 1 of 3 images" in caplog.text
+    assert "masks has masks for only 1 of 3 images" in caplog.text
 
 
 @pytest.mark.parametrize("has_val", [False, True])
@@ -86,8 +86,8 @@ def test_a_test_file_without_its_images_does_not_stop_training(
     found = ls.io.load_training_images(tmp_path)
     assert [view.path.parent.name for view in found.held_out] == ["val" if has_val else "train"]
     assert len(found.training) == (4 if has_val else 3)
-    said = "those of transforms_val.json are held out" if has_val else "some of those to learn from are held out"
-    assert "none of its images is there" in caplog.text and said in caplog.text
+    said = "the images of transforms_val.json are held out" if has_val else "some training images are held out"
+    assert "none of its images exists" in caplog.text and said in caplog.text
 
 
 def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -97,7 +97,7 @@ def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, cap
         write_colmap_images(tmp_path, part, POINTS, model=model, text=model == "sparse/2")
     found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert [view.name for view in found.training] == ["view_4", "view_5", "view_6"]
-    assert "has 3 models: 2 with 3 images is taken, and 0 with 2, 10 with 2 are left out" in caplog.text
+    assert "has 3 models: 2 with 3 images is used; 0 with 2, 10 with 2 are not used" in caplog.text
     assert "4 of 7 images have no pose (view_0.png, view_1.png, view_2.png, ...)" in caplog.text
     assert [camera.name for camera in ls.load_cameras(tmp_path)] == ["view_4", "view_5", "view_6"]
     (tmp_path / "sparse/2/images.txt").write_bytes(b"\x00\xff")  # a damaged model is none to take

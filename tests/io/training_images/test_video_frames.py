@@ -128,7 +128,7 @@ def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
     for name, pictures, message in (
         ("black", [noisy(black, 4.0) for _ in range(12)], "black.mp4: is black throughout"),
         ("one", [black], "one.mp4: is black throughout"),
-        ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows the same throughout"),
+        ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows no motion"),
     ):
         with pytest.raises(ls.FormatError, match=message):
             ls.io.extract_frames(write_video(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
@@ -155,10 +155,10 @@ def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeyp
         container.mux(sound.encode())
     for name, to, error, message in (
         ("none.mp4", "walk", ls.errors.MissingFileError, "none.mp4"),
-        ("text.mp4", "walk", ls.FormatError, "text.mp4: is no film that can be read"),
-        ("cut.mp4", "walk", ls.FormatError, "cut.mp4: is no film that can be read"),
-        ("sound.mp4", "walk", ls.FormatError, "has no pictures"),
-        ("a.mp4", "there", ls.FormatError, "is there already"),
+        ("text.mp4", "walk", ls.FormatError, "text.mp4: is not a readable video"),
+        ("cut.mp4", "walk", ls.FormatError, "cut.mp4: is not a readable video"),
+        ("sound.mp4", "walk", ls.FormatError, "has no video stream"),
+        ("a.mp4", "there", ls.FormatError, "already exists"),
         ("a.mp4", "file/walk", ls.FormatError, "cannot be written"),
     ):
         with pytest.raises(error, match=message):

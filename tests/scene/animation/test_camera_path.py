@@ -188,7 +188,7 @@ def test_a_moving_camera_makes_an_animation(folder):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (FLIGHT.replace("time = 2.5", "time = 0.5"), "times must rise"),
+        (FLIGHT.replace("time = 2.5", "time = 0.5"), "times must increase"),
         (FLIGHT.replace("target = [0, 1, 0]\n", ""), "lacks target"),
         (FLIGHT.replace("fov_y_degrees = 40", "fov_y_degrees = 180"), "fov_y_degrees is 180"),
         (FLIGHT.replace("eye = [4, 1, 0]", "eyes = [4, 1, 0]"), "unknown 'eyes', did you mean 'eye'"),

@@ -361,7 +361,7 @@ class Faults(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Notes a record."""
-        if "says no place" not in record.getMessage():  # of a mesh that is added: where it was put
+        if "upright" not in record.getMessage():  # of a mesh that is added: where it was put
             self.lines.append(record.getMessage())
 
 

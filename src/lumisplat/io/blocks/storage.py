@@ -158,7 +158,7 @@ def open_blocks(folder: PathLike) -> BlockIndex:
 
 def _one_of(value: object, choices: tuple[int, ...]) -> int:
     if value not in choices:
-        raise ValueError(f"{value} is none of {choices}")
+        raise ValueError(f"{value} is not one of {choices}")
     return cast(int, value)
 
 
@@ -169,21 +169,21 @@ def _block(stored: Any) -> Block:
     )
     low, high = ([float(value) for value in stored[name]] for name in ("low", "high"))
     if not levels or len(low) != 3 or len(high) != 3 or not all(map(math.isfinite, (*low, *high))):
-        raise ValueError("a block without levels or bounds")
+        raise ValueError("a block has no levels or no bounds")
     if not all(0.0 <= scale < math.inf for level in levels for scale in (level.scale_max, level.scale_mean)):
-        raise ValueError("a block whose scales are no lengths")
+        raise ValueError("a block has invalid scales")
     return Block((low[0], low[1], low[2]), (high[0], high[1], high[2]), levels)
 
 
 def _file_name(value: object) -> str:
     if not isinstance(value, str) or not value or not value.isprintable() or Path(value).name != value:
-        raise ValueError(f"{value!r} is no name of a file in the folder")
+        raise ValueError(f"{value!r} is not the name of a file in the folder")
     return value
 
 
 def _count(value: object) -> int:
     if not isinstance(value, int) or value < 1:
-        raise ValueError(f"{value} is no number of Gaussians")
+        raise ValueError(f"{value} is not a number of Gaussians")
     return value
 
 
@@ -193,7 +193,7 @@ def _check_file(path: Path, size: int) -> None:
     except OSError as error:
         raise FormatError(path, f"a block of the capture cannot be read: {error.strerror}") from None
     if found != size:
-        raise FormatError(path, f"has {found:,} bytes, expected {size:,}: the capture is not whole")
+        raise FormatError(path, f"has {found:,} bytes, expected {size:,}: the capture is incomplete")
 
 
 def packed(gaussians: Gaussians) -> FloatArray:
@@ -248,11 +248,11 @@ def read_rows(path: Path, width: int, count: int, chosen: slice = slice(None)) -
         else:
             return np.array(np.memmap(path, "<f4", "r", shape=(count, width))[chosen], np.float32)
     except ValueError:
-        raise FormatError(path, "is shorter than the index says") from None
+        raise FormatError(path, "has fewer rows than the index states") from None
     except OSError as error:
         raise FormatError(path, f"cannot be read: {error.strerror or error}") from None
     if len(rows) != count * width:
-        raise FormatError(path, "is shorter than the index says")
+        raise FormatError(path, "has fewer rows than the index states")
     return rows.reshape(count, width).astype(np.float32, copy=False)
 
 
@@ -374,18 +374,20 @@ class _Writer:
     def _check(self, chunk: Gaussians) -> None:
         kind = chunk.sh.shape[1], chunk.antialiased
         if chunk.kernel_degree != KERNEL_DEGREE:
-            raise SceneError(f"a capture of kernel degree {chunk.kernel_degree}: blocks are rasterised, as Gaussians")
+            raise SceneError(
+                f"the capture has kernel degree {chunk.kernel_degree}: blocks support only degree {KERNEL_DEGREE}"
+            )
         if any(chunk.origin):
             back = ",".join(f"{-value:.12g}" for value in chunk.origin)
             raise SceneError(
-                f"positions are about an origin, {origin_text(chunk.origin)}, which blocks do not have: "
+                f"positions are relative to an origin, {origin_text(chunk.origin)}, which blocks cannot store: "
                 f"convert --translate={back} moves the capture to zero first"
             )
         if self._kind is None:
             self._orientation = Orientation(chunk.up, chunk.first_view)
             warn_lost_materials(self._folder, "a capture in blocks", chunk)
         if self._kind not in (None, kind):
-            raise SceneError("the parts of a capture differ in the degree of their harmonics, or in antialiasing")
+            raise SceneError("the parts of the capture differ in SH degree or antialiasing")
         self._kind = kind
 
     @property
@@ -413,7 +415,7 @@ class _Writer:
         touched: list[tuple[int, ...]] = [(x, y, z) for x, y, z in found.tolist()]
         if len(cells.keys() | set(touched)) > BLOCK_CELLS_MAX:
             more = f"more than {BLOCK_CELLS_MAX:,} cubes"
-            raise ConfigError(f"cell is {self._cell:g}, of which the capture would fill {more}: give a larger one")
+            raise ConfigError(f"cell is {self._cell:g}, so the capture would fill {more}: give a larger edge length")
         ordered = rows[order]
         for key, end, count in zip(found.tolist(), ends.tolist(), np.diff(ends, prepend=0).tolist(), strict=True):
             path = cells.setdefault(tuple(key), self._folder / f"{name}{'_'.join(map(str, key))}.part")

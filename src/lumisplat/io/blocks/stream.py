@@ -92,7 +92,7 @@ class PlyStream:
         origin = needed_origin(np.stack([rows[name].astype(np.float64) for name in ("x", "y", "z")], axis=1), width)
         if origin.any():
             _log.warning(
-                "%s: blocks have positions in float32, which is %.2g apart there, and Gaussians are %.2g wide: "
+                "%s: blocks store positions in float32, here in steps of %.2g, but Gaussians are %.2g wide: "
                 "convert --translate=%.12g,%.12g,%.12g moves the capture to zero first",
                 os.fspath(self.path),
                 float(np.spacing(np.float32(np.abs(origin).max()))),
@@ -150,7 +150,7 @@ def stream_ply(
     header, vertex, coefficients = _opened(path)
     left_out = _materials(header, vertex)
     if left_out:
-        _log.warning("%s: %s left out: blocks have no place for them", os.fspath(path), ", ".join(left_out))
+        _log.warning("%s: %s left out: blocks cannot store them", os.fspath(path), ", ".join(left_out))
     sampled = columns_of_rows(header, vertex, coefficients, _sample(header, vertex), (False, False))
     sampled.comments = header.comments
     recognise_activated(path, sampled, scale_columns(vertex))
@@ -175,7 +175,7 @@ def _opened(path: Path) -> tuple[PlyHeader, PlyElement, int]:
         header = read_ply_header(path)
     if header.encoding == "ascii" or is_compressed_header(header):
         kind = "text" if header.encoding == "ascii" else "compressed"
-        raise FormatError(path, f"is {kind}: a binary .ply is streamed, which lumisplat convert writes")
+        raise FormatError(path, f"is a {kind} PLY, which cannot be streamed: lumisplat convert writes a binary .ply")
     vertex, coefficients = splat_element(header)
     if not vertex.count:
         raise FormatError(path, "holds zero Gaussians: there is nothing to render")

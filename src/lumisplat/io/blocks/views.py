@@ -65,7 +65,9 @@ def visible_blocks(index: BlockIndex, camera: Camera, *, pixels: float = 0.0) ->
         SceneError: The camera is not an undistorted pinhole, or has a rolling shutter.
     """
     if camera.model is not CameraModel.PINHOLE or camera.is_distorted or camera.camera_from_world_end is not None:
-        raise SceneError("blocks are chosen for pinholes, without distortion or rolling shutter: load all of them")
+        raise SceneError(
+            "blocks can be selected only for pinholes without distortion and rolling shutter: load all blocks"
+        )
     visible, nearest = _visible(index, camera)
     focal = max(camera.fx, camera.fy)
     sizes = pixels * nearest / focal
@@ -84,7 +86,7 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     if not parts:
         raise SceneError("no block is visible: there is nothing to render")
     needed = BLOCK_MEMORY * _bytes_of(index, parts)
-    remedy = "show a part of the picture at a time, or coarser levels of what is far"
+    remedy = "render the image in windows, or use coarser levels for distant blocks"
     check_memory(index.folder, f"{needed // BLOCK_MEMORY // index.row_bytes:,} Gaussians", needed, remedy)
     levels = [index.blocks[part.block].levels[part.level] for part in parts]
     width = index.row_bytes // 4
@@ -122,7 +124,7 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
     index = open_blocks(path)
     levels = max(len(block.levels) for block in index.blocks)
     if lod is not None and lod >= levels:
-        raise FormatError(path, f"has no level {lod}: there are {levels}, from 0, the finest")
+        raise FormatError(path, f"has no level {lod}: its levels are 0 (finest) to {levels - 1}")
     chosen = all_blocks(index, lod or 0)
     if lod is None and budget is not None:
         tried = (all_blocks(index, level) for level in range(levels))
@@ -130,7 +132,7 @@ def read_blocks(path: PathLike, lod: int | None = None, budget: int | None = Non
         if chosen is None:
             chosen = all_blocks(index, levels - 1)
             count = _bytes_of(index, chosen) // index.row_bytes
-            _log.warning("%s: its coarsest level has %s Gaussians, more than asked for", os.fspath(path), f"{count:,}")
+            _log.warning("%s: its coarsest level has %s Gaussians, more than the budget", os.fspath(path), f"{count:,}")
     return load_blocks(index, chosen)
 
 
@@ -233,7 +235,7 @@ def plan_views(
     """
     for name, value in (("workers", workers), ("memory_bytes", memory_bytes)):
         if not is_whole(value) or value < 1:
-            raise ConfigError(f"{name} is {value}, expected a whole number from 1 on")
+            raise ConfigError(f"{name} is {value}, expected a positive whole number")
     cuts = [worker * len(cameras) // workers for worker in range(workers + 1)]
     return [_worker(index, cameras, range(begin, end), memory_bytes, pixels) for begin, end in pairwise(cuts)]
 

@@ -78,7 +78,7 @@ def read_colmap_images(path: PathLike) -> list[tuple[Camera, str]]:
     """Reads cameras as `read_colmap` does, each with its image name, a path relative to the image folder."""
     path = Path(path)
     folder = path if path.is_dir() else path.parent
-    with parsing(path, "a sparse model of COLMAP"):
+    with parsing(path, "a COLMAP sparse model"):
         lenses = dict(_read_cameras(_file(folder, "cameras")))
         images = _file(folder, "images")
         found = [(_camera(images, lenses, entry), entry[3]) for entry in _read_images(images)]
@@ -91,7 +91,7 @@ def count_colmap_images(folder: Path) -> int:
     """Returns the number of images with a pose; 0 if the images file is damaged or missing."""
     try:
         path = _file(folder, "images")
-        with parsing(path, "a sparse model of COLMAP"):
+        with parsing(path, "a COLMAP sparse model"):
             if path.suffix == ".txt":
                 return sum(1 for _ in _read_images(path))
             return int(struct.unpack_from("<Q", read_bytes(path))[0])
@@ -114,13 +114,13 @@ def _camera(path: Path, lenses: dict[int, _Lens], entry: tuple[int, list[float],
     number, pose, lens_number, name = entry
     where = f"image {number} ({name})"
     if lens_number not in lenses:
-        raise FormatError(path, f"{where} is of camera {lens_number}, which is not in the model")
+        raise FormatError(path, f"{where} refers to camera {lens_number}, which is not in the model")
     model, width, height, values = lenses[lens_number]
     if model not in _PARAMETERS:
         raise FormatError(
             path,
             f"camera {lens_number} is a {model}, expected {', '.join(_PARAMETERS)}: undistort the images "
-            "(colmap image_undistorter) and give the model of these",
+            "(colmap image_undistorter) and use their new model",
         )
     names = _PARAMETERS[model].split()
     if len(names) != len(values):
@@ -191,7 +191,7 @@ def _read_images(path: Path) -> Iterator[tuple[int, list[float], int, str]]:
         (points,) = struct.unpack_from("<Q", data, end + 1)
         at = end + 9 + _POINT_BYTES * points
         if at > len(data):
-            raise FormatError(path, f"image {number} ({name}) is cut off")
+            raise FormatError(path, f"truncated in image {number} ({name})")
         yield number, pose, camera, name
 
 
@@ -224,7 +224,7 @@ def read_colmap_points(folder: Path) -> tuple[Doubles, FloatArray] | None:
     path = next((path for name in ("points3D.bin", "points3D.txt") if (path := folder / name).is_file()), None)
     if path is None:
         return None
-    with parsing(path, "the points of a sparse model of COLMAP"):
+    with parsing(path, "the points of a COLMAP sparse model"):
         positions, colors = _read_binary(path) if path.suffix == ".bin" else _read_text(path)
         if not len(positions):
             return None
@@ -242,12 +242,12 @@ def _read_binary(path: Path) -> tuple[Doubles, FloatArray]:
     (count,) = struct.unpack_from("<Q", data)
     length, at, starts = struct.Struct("<Q"), 8, list[int]()
     if count * _POINT.itemsize > len(data):
-        raise FormatError(path, f"is to hold {count:,} points, and has {len(data):,} bytes: it is cut off")
+        raise FormatError(path, f"truncated: its header promises {count:,} points, but it has {len(data):,} bytes")
     for _ in range(count):
         starts.append(at)
         at += _POINT.itemsize + _TRACK_BYTES * length.unpack_from(data, at + _TRACK_AT)[0]
     if at > len(data):
-        raise FormatError(path, f"is cut off in the last of {count:,} points")
+        raise FormatError(path, f"truncated: it ends within the last of {count:,} points")
     rows = np.asarray(starts, np.int64)[:, None] + np.arange(_POINT.itemsize)
     points = np.frombuffer(data, np.uint8)[rows].view(_POINT)[:, 0]
     return points["xyz"].astype(np.float64), points["rgb"].astype(np.float32)

@@ -54,7 +54,7 @@ def pose_of_node(world_from_node: Doubles) -> Doubles:
     up, back = world_from_node[:3, 1], world_from_node[:3, 2]
     right = np.cross(up, back)
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(up) * np.linalg.norm(back):
-        raise SceneError("is scaled to nothing: its camera has no direction")
+        raise SceneError("has a scale of zero: its camera has no direction")
     return camera_pose(world_from_node[:3, 3], right / np.linalg.norm(right), -back / np.linalg.norm(back))
 
 

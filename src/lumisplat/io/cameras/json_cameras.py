@@ -245,7 +245,7 @@ def _common_model(cameras: Sequence[Camera]) -> CameraModel:
         raise SceneError("no cameras to save")
     if len(models) > 1:
         names = " and ".join(sorted(model.value for model in models))
-        raise SceneError(f"a transforms.json holds cameras of one model, these are {names}: save them apart")
+        raise SceneError(f"a transforms.json holds only one camera model, got {names}: save them in separate files")
     return models.pop()
 
 

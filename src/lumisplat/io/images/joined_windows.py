@@ -205,7 +205,7 @@ def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
     size = max(left + width for left, _, width, _ in windows), max(top + height for _, top, _, height in windows)
     suffix = Path(path).suffix.lower()
     if suffix not in (".png", ".exr"):
-        raise FormatError(path, f"pictures are joined in .png and .exr, not in '{suffix}'")
+        raise FormatError(path, f"windows can be joined to .png and .exr, not to '{suffix}'")
     join = _join_png if suffix == ".png" else _join_exr
     join(path, [{window: windows[window] for window in row} for row in rows], size)
 
@@ -213,7 +213,7 @@ def join_windows(path: PathLike, windows: Mapping[Window, PathLike]) -> None:
 def _in_rows(windows: Mapping[Window, PathLike]) -> list[list[Window]]:
     """Groups windows by row, each from left to right, and checks that they tile the image."""
     if not windows:
-        raise SceneError("a picture needs a window")
+        raise SceneError("there is no window to join")
     rows = [
         [window for window in sorted(windows) if window[1] == top] for top in sorted({window[1] for window in windows})
     ]
@@ -255,9 +255,9 @@ def _png_pixels(path: PathLike, window: Window, channels: int | None) -> npt.NDA
     except FormatError:
         raise
     except (OSError, SyntaxError, ValueError) as error:
-        raise FormatError(path, f"cannot be read as a window of a picture: {error}") from None
+        raise FormatError(path, f"cannot be read as the PNG of a window: {error}") from None
     if channels is not None and pixels.shape[2] != channels:
-        raise FormatError(path, f"has {pixels.shape[2]} channels, other windows {channels}")
+        raise FormatError(path, f"has {pixels.shape[2]} channels, but other windows have {channels}")
     return pixels
 
 
@@ -277,5 +277,5 @@ def _exr_channels(path: PathLike, window: Window, kinds: Mapping[str, str] | Non
     if shapes != {(window[3], window[2])}:
         raise FormatError(path, f"has {shapes} rows and columns, expected {(window[3], window[2])}")
     if kinds is not None and {name: image.dtype.kind for name, image in channels.items()} != dict(kinds):
-        raise FormatError(path, "has other channels than other windows")
+        raise FormatError(path, "has channels that differ from those of other windows")
     return channels

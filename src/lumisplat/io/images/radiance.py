@@ -47,7 +47,7 @@ def read_radiance(path: PathLike) -> FloatArray:
             image = _exr_colors(path)
         else:
             kinds = [kind for magic, kind in _DISPLAY_IMAGES.items() if data.startswith(magic)]
-            found = f"{kinds[0]} image and is 8 bit" if kinds else "neither Radiance HDR nor OpenEXR"
+            found = f"{kinds[0]} image with 8 bits per channel" if kinds else "neither Radiance HDR nor OpenEXR"
             raise FormatError(path, f"is {found}, expected .hdr or .exr with linear radiance")
     return _without_invalid(path, image)
 
@@ -132,7 +132,7 @@ def _read_header(path: PathLike, data: bytes) -> _Header:
     end = data.find(b"\n\n", 0, _HEADER_BYTES_MAX)
     stop = data.find(b"\n", end + 2, end + 2 + _HEADER_BYTES_MAX)
     if end < 0 or stop < 0:
-        raise FormatError(path, "truncated: the header of the HDR picture does not end")
+        raise FormatError(path, "truncated: the HDR header does not end")
     exposure = np.ones(3)
     for line in data[:end].decode("latin-1").splitlines():
         name, _, value = line.partition("=")
@@ -148,7 +148,7 @@ def _read_header(path: PathLike, data: bytes) -> _Header:
     if not sizes:
         raise FormatError(path, f"has the resolution {resolution[:40]!r}, expected '-Y height +X width'")
     if (sizes[1], sizes[3]) != ("-Y", "+X"):
-        raise FormatError(path, f"is stored as '{resolution}', expected '-Y height +X width': turn the picture first")
+        raise FormatError(path, f"is stored as '{resolution}', expected '-Y height +X width': rotate the image first")
     height, width = int(sizes[2]), int(sizes[4])
     if not width or not height:
         raise FormatError(path, f"has no pixels: {width} x {height}")

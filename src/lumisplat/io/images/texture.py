@@ -49,7 +49,7 @@ def image_size(path: PathLike) -> tuple[int, int]:
     except FormatError:
         raise
     except Exception as error:  # Pillow's decoders raise many kinds of errors
-        raise FormatError(path, "cannot be read for its size: expected PNG, JPEG or WebP") from error
+        raise FormatError(path, "is not a readable image: expected PNG, JPEG or WebP") from error
 
 
 def decode_texture(
@@ -89,7 +89,7 @@ def decode_texture(
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
         raise FormatError(path, f"{where}is too large to decode: {error}") from None
     except Exception as error:  # Pillow's decoders raise many kinds of errors
-        raise FormatError(path, f"{where}is corrupt, or no image: expected PNG, JPEG or WebP") from error
+        raise FormatError(path, f"{where}is corrupt, or not an image: expected PNG, JPEG or WebP") from error
 
 
 def check_undamaged(path: PathLike) -> None:
@@ -108,9 +108,7 @@ def check_undamaged(path: PathLike) -> None:
     except FormatError:
         if not data.startswith((_PNG, _JPEG)):
             raise
-        raise FormatError(
-            path, "is cut off or damaged: copy it anew, or remove it, and the photograph is left out"
-        ) from None
+        raise FormatError(path, "is truncated or damaged: copy it again, or remove it to leave the image out") from None
 
 
 def _is_whole_png(data: bytes) -> bool:
@@ -194,7 +192,7 @@ def to_bytes(srgb: npt.ArrayLike, path: PathLike) -> npt.NDArray[np.uint8]:
     """
     given = np.asarray(host_array(srgb))
     if given.ndim != 3 or given.shape[2] not in (3, 4) or given.size == 0:
-        raise SceneError(f"a picture takes (H, W, 3 or 4), got {given.shape}")
+        raise SceneError(f"an image must have shape (H, W, 3 or 4), got {given.shape}")
     if given.dtype == np.uint8:
         return given.astype(np.uint8, copy=False)
     pixels = np.asarray(given, dtype=np.float32)

@@ -55,7 +55,7 @@ def write_animation(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float)
     frames_8bit = [to_bytes(frame, path) for frame in frames]
     if len({frame_8bit.shape for frame_8bit in frames_8bit}) != 1 or frames_8bit[0].shape[2] != 3:
         shapes = sorted({frame_8bit.shape for frame_8bit in frames_8bit})
-        raise SceneError(f"an animation takes pictures of one shape (H, W, 3), got {shapes or 'none'}")
+        raise SceneError(f"an animation needs frames of one shape (H, W, 3), got {shapes or 'none'}")
     if suffix == ".gif":
         images = _quantise(frames_8bit)
         # Given the palette, Pillow does not repeat it for each frame.
@@ -87,8 +87,8 @@ def _quantise(frames_8bit: list[_Bytes]) -> list[Image.Image]:
     distances = np.linalg.norm(colors[:, None] - colors[None], axis=2) + 1e9 * np.eye(len(colors))
     height, width, _ = frames_8bit[0].shape
     y, x = np.mgrid[:height, :width]
-    # Interleaved gradient noise (Jimenez 2014): unlike white noise, each 3 x 3 pixels contain all values about once. Its
-    # amplitude is about the distance between colours of the palette.
+    # Interleaved gradient noise (Jimenez 2014): unlike white noise, each 3 x 3 pixels contain all values about once.
+    # Its amplitude is about the distance between colours of the palette.
     noise = (52.9829189 * ((0.06711056 * x + 0.00583715 * y) % 1.0)) % 1.0 - 0.5
     offsets = np.median(distances.min(axis=1)) * noise[..., None] + 0.5
     images: list[Image.Image] = []
@@ -131,7 +131,7 @@ def _write_video(path: PathLike, frames: Iterable[npt.ArrayLike], fps: float) ->
 
 def _with_equal_shapes(frames_8bit: Iterable[_Bytes]) -> Iterator[_Bytes]:
     """Yields the frames one by one, and raises `SceneError` if their shapes differ or are not (H, W, 3)."""
-    expected = "a video takes pictures of one shape (H, W, 3), got"
+    expected = "a video needs frames of one shape (H, W, 3), got"
     shape: tuple[int, ...] | None = None
     for frame_8bit in frames_8bit:
         if shape is None:

@@ -146,7 +146,7 @@ def _motion(table: TomlTable) -> Keyframes | None:
         if not np.isfinite(given["time"]):
             raise entry.wrong("time", "a finite number of seconds")
         if frames and given["time"] <= frames[-1]["time"]:
-            raise entry.error(f"time is {given['time']:g}, after {frames[-1]['time']:g}: times must rise", "time")
+            raise entry.error(f"time is {given['time']:g}, after {frames[-1]['time']:g}: times must increase", "time")
         last = last | given
         frames.append(last)
     if not frames:
@@ -186,7 +186,7 @@ class Subjects:
 
     def _make(self, table: TomlTable, file: Path, given: Values) -> Subject:
         if file.suffix.lower() == ".toml":
-            raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
+            raise table.error(f"path is {given['path']!r}, a scene file itself: list its entries here instead", "path")
         as_mesh = given.get("form") == "mesh"
         mesh_keys = {"form"} if as_mesh else {"form", "count"}
         if file.is_dir() and not (file / "meta.json").is_file():
@@ -203,7 +203,7 @@ class Subjects:
             self._captures.add(file)
             return loaded
         if isinstance(loaded, Scene) and not loaded.meshes:
-            raise table.error(f"path is {given['path']!r}, which has nothing to see", "path")
+            raise table.error(f"path is {given['path']!r}, which contains no mesh", "path")
         _refuse_foreign_keys(table, given, mesh_keys, "a mesh")
         if as_mesh:
             return loaded
@@ -215,4 +215,4 @@ def _refuse_foreign_keys(table: TomlTable, given: Values, known: set[str], kind:
     """Raises `FormatError` if the entry has a key that its kind of file does not accept."""
     for key, owner in _KEY_OWNERS.items():
         if key in given and key not in known:
-            raise table.error(f"{key} is of {owner}, but path is {given['path']!r}, {kind}", key)
+            raise table.error(f"{key} applies to {owner}, but path is {given['path']!r}, {kind}", key)

@@ -233,7 +233,7 @@ class Assets:
             raise table.error(f"part is {part!r}, {suggestion(part, names)}", "part")
         if isinstance(part, str) and names.count(part) > 1:
             numbers = ", ".join(str(number) for number, name in enumerate(names) if name == part)
-            raise table.error(f"part is {part!r}, as several are called: give the number of one, {numbers}", "part")
+            raise table.error(f"part is {part!r}, the name of several meshes: give a number instead, {numbers}", "part")
         return Scene(meshes=(scene.meshes[names.index(part) if isinstance(part, str) else part],))
 
     def _lift(self, given: Values, placed: Sequence[SplatInstance | MeshInstance]) -> Doubles:
@@ -253,7 +253,7 @@ class Assets:
             key, loaded = self._loaded(table, heading, given)
         else:
             if "part" in given:
-                raise table.error("part is of a file with several meshes, but there is no path", "part")
+                raise table.error("part selects a mesh of a file, but there is no path", "part")
             key = ("shape", repr((given["shape"], given.get("size"))))
             loaded = self._cached(key, lambda: _as_scene(_shape_mesh(table, given)))
         changes = {name: given[name] for name in _CHANGES if name in given}
@@ -275,7 +275,9 @@ class Assets:
         if scene is None:
             file = table.file("path")
             if file.suffix.lower() == ".toml":
-                raise table.error(f"path is {given['path']!r}, a scene file itself: list what it lists here", "path")
+                raise table.error(
+                    f"path is {given['path']!r}, a scene file itself: list its entries here instead", "path"
+                )
             level_arguments = _level_arguments(table, file, given)
             key = ("file", str(file), repr(level_arguments))
             scene = self._cached(key, lambda: _as_scene(self.load(file, **level_arguments)))
@@ -315,12 +317,12 @@ def _level_arguments(table: TomlTable, file: Path, given: Values) -> dict[str, i
     """Converts ``lod`` and ``lod_budget`` of an entry to arguments of `lumisplat.load`; empty if it has neither."""
     stated = [(key, least) for key, least in (("lod", 0), ("lod_budget", 1)) if key in given]
     if len(stated) == 2:
-        raise table.error("lod and lod_budget do not go together: each chooses the level by itself", "lod_budget")
+        raise table.error("lod and lod_budget are both given: choose one of them", "lod_budget")
     for key, least in stated:
         if given[key] < least:
             raise table.wrong(key, f"{least} or more")
         if format_of(file) != STREAMED_SOG:
-            raise table.error(f"{key} is of a streamed SOG, got {given['path']!r}", key)
+            raise table.error(f"{key} applies to a streamed SOG, but path is {given['path']!r}", key)
     return {"lod": given.get("lod"), "budget": given.get("lod_budget")} if stated else {}
 
 

@@ -156,7 +156,7 @@ def _entry_path(table: TomlTable, up: Vector) -> CameraPath:
         given = entry.take(_CAMERA_KEYFRAME_KEYS, required=("time",))
         time = given.pop("time")
         if not np.isfinite(time) or (times and time <= times[-1]):
-            raise entry.wrong("time", f"seconds after {times[-1]:g}: times must rise" if times else "seconds")
+            raise entry.wrong("time", f"seconds after {times[-1]:g}: times must increase" if times else "seconds")
         last |= given
         for key in ("eye", "target"):
             if key not in last:

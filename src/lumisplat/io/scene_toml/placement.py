@@ -80,7 +80,8 @@ def keep_saved_positions(document: TomlTable) -> None:
                 table.values["upright"] = False
                 _warn(
                     table,
-                    "has no place, and up is as in saved files: it is as in its file; upright = true stands it up",
+                    "has no position in a saved scene file, so it is placed as in its file; "
+                    "upright = true rotates it upright",
                 )
 
 
@@ -101,8 +102,8 @@ def warn_if_not_upright(document: TomlTable, up: Vector) -> None:
             ):
                 _warn(
                     table,
-                    "says a place and no rotation, and has y up as in its file, though y is not up in the scene: "
-                    "upright = true stands it up (upright = false keeps it, without this line)",
+                    "has a position but no rotation, so it is y up as in its file, although the scene is not: "
+                    "upright = true rotates it upright (upright = false silences this line)",
                 )
 
 
@@ -127,9 +128,9 @@ def insert_entry(
     matrix = found.world_from_thing
     if "ground" in table.values:
         matrix[:3, 3] = 0.0
-        _warn(table, "says no place, and stands upright where its file has it (upright = false: as in its file)")
+        _warn(table, "has no position, and is rotated upright where its file has it (upright = false: as in its file)")
     else:
-        _warn(table, f"says no place, and stands upright {found.where} (upright = false: as in its file): {found}")
+        _warn(table, f"has no position, and is put upright {found.where} (upright = false: as in its file): {found}")
     return matrix
 
 
@@ -140,7 +141,7 @@ def stand_upright(table: TomlTable, up: Vector) -> npt.NDArray[np.float64]:
         FormatError: The scale is not positive.
     """
     matrix = placement(TomlTable.of(table.path, {**table.values, "upright": True}), up)
-    _warn(table, "says no rotation, and stands upright (upright = false: as in its file)")
+    _warn(table, "has no rotation, and is rotated upright (upright = false: as in its file)")
     return matrix
 
 

@@ -119,7 +119,7 @@ def read_scene_file(path: PathLike, load: Load, up: str | npt.ArrayLike | None =
         if direction is not None:
             document.values.setdefault("up", direction)
         if all(document.values.get(key, []) == [] for key in _VISIBLE_HEADINGS):
-            raise document.error(f"lists nothing to see: expected {', '.join(map(_heading, _VISIBLE_HEADINGS))}")
+            raise document.error(f"has no visible content: expected {', '.join(map(_heading, _VISIBLE_HEADINGS))}")
         _read_timing(document)  # unused for one frame, but reports errors of [animation] early
         scene = _static_scene(document, load)
         instances = [instance for actor in read_actors(document, load, scene) for instance in actor.at(0.0)]
@@ -163,7 +163,7 @@ def read_animation(path: PathLike, load: Load, load_cameras: LoadCameras) -> Ani
     with parsing(path, "a scene file"):
         document = read_document(path)
         if not document.tables("actors") and read_camera_path(document) is None:
-            raise document.error("lists no [[actors]]: there is nothing to animate, nor a camera with keyframes")
+            raise document.error("has neither [[actors]] nor a camera with keyframes: there is nothing to animate")
         scene = _static_scene(document, load)
         animation = animation_of(document, scene, read_actors(document, load, scene))
         return replace(animation, cameras=tuple(read_scene_cameras(document, load_cameras)))

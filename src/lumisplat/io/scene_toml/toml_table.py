@@ -350,7 +350,7 @@ class TomlTable:
         """
         values = self.values.get(key, {})
         if _is_array_of_tables(values):
-            raise self.error(f"{key} is there once only: write it with single brackets, [{key}]", key)
+            raise self.error(f"{key} may appear only once: write it with single brackets, [{key}]", key)
         if not is_object(values):
             raise self.wrong(key, f"a table, [{key}]")
         return TomlTable(values, self._source, (*self._where, key))

@@ -478,8 +478,8 @@ def warn_lost_materials(path: PathLike, kind: str, gaussians: Gaussians) -> None
         _log.warning("%s: %s cannot store %s: left out", os.fspath(path), kind, ", ".join(lost))
     if any(gaussians.origin) and kind != "compressed PLY":
         _log.warning(
-            "%s: %s cannot store the origin of the capture, %s: positions are about it, and it has to be placed there "
-            "(.ply, .glb and .usdc keep it)",
+            "%s: %s cannot store the origin of the capture, %s: positions are relative to it, so place the capture "
+            "there, or save as .ply, .glb or .usdc",
             os.fspath(path),
             kind,
             origin_text(gaussians.origin),

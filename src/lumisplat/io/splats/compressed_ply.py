@@ -204,8 +204,8 @@ def _warn_coarse_positions(path: PathLike, ordered: Gaussians) -> None:
     coarse = sum(len(size) for size, width in zip(sizes, step, strict=True) if width > np.median(size))
     if coarse:
         _log.warning(
-            "%s: the positions of %s Gaussians are stored in steps larger than they are, because some of their chunk "
-            "lie far away: remove strays first, or save as .ply or .spz",
+            "%s: the positions of %s Gaussians are rounded to steps larger than the Gaussians, because of outliers in "
+            "their chunks: remove outliers first, or save as .ply or .spz",
             os.fspath(path),
             f"{coarse:,}",
         )

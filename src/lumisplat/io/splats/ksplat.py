@@ -37,7 +37,7 @@ def read_splat(path: PathLike) -> SplatColumns:
     data = read_bytes(path)
     if len(data) % _ROW.itemsize:
         raise FormatError(
-            path, f"truncated, or no .splat: {len(data):,} bytes are no whole number of {_ROW.itemsize} a Gaussian"
+            path, f"truncated, or not a .splat: {len(data):,} bytes are not a multiple of {_ROW.itemsize} per Gaussian"
         )
     rows = np.frombuffer(data, _ROW)
     rgba = rows["rgba"] / np.float32(255.0)
@@ -104,7 +104,7 @@ def read_ksplat(path: PathLike) -> SplatColumns:
     with parsing(path, "a .ksplat"):
         major, minor, sections, count, level, low, high = _HEADER.unpack_from(data)
         if (major, minor) != (0, 1):
-            raise FormatError(path, f"is version {major}.{minor} of .ksplat, or none: expected 0.1")
+            raise FormatError(path, f"is .ksplat version {major}.{minor}, or not a .ksplat: expected version 0.1")
         if level >= len(_SCALE_RANGE):
             raise FormatError(path, f"has compression level {level}, expected 0, 1 or 2")
         start = _HEADER_BYTES + sections * _SECTION_BYTES
@@ -117,7 +117,9 @@ def read_ksplat(path: PathLike) -> SplatColumns:
             part, start = _read_section(file, start, head)
             parts.append(part)
         if sum(part.count for part in parts) != count:
-            raise FormatError(path, f"damaged: its header has {count:,} Gaussians, its sections another number")
+            raise FormatError(
+                path, f"damaged: its header states {count:,} Gaussians, but its sections hold another number"
+            )
         if count == 0:
             raise FormatError(path, "holds zero Gaussians: there is nothing to render")
         return joined_columns(parts)
@@ -177,7 +179,7 @@ def _bucket_centers(file: _File, start: int, head: _Section) -> Floats:
     full = head.full_count * head.bucket_size
     if head.full_count + head.partial_count != head.bucket_count or full + int(lengths.sum()) != head.gaussians:
         raise FormatError(
-            file.path, f"damaged: buckets of {full + int(lengths.sum()):,} Gaussians of {head.gaussians:,}"
+            file.path, f"damaged: its buckets hold {full + int(lengths.sum()):,} Gaussians, expected {head.gaussians:,}"
         )
     sizes = np.concatenate([np.full(head.full_count, head.bucket_size), lengths])
     centers = np.frombuffer(file.data, "<f4", 3 * head.bucket_count, start + lengths.size * 4).reshape(-1, 3)

@@ -178,7 +178,7 @@ def _view_of(values: Any) -> Camera:
 
 
 def _reason(error: Exception) -> str:
-    return f"it has no {error}" if isinstance(error, KeyError) else str(error)[:120] or "it is no view"
+    return f"it has no {error}" if isinstance(error, KeyError) else str(error)[:120] or "it is invalid"
 
 
 def _rounded(values: Any) -> list[float]:

@@ -441,9 +441,8 @@ def warn_coarse_positions(path: PathLike, count: int, step: float) -> None:
     """
     if count:
         _log.warning(
-            "%s: the positions of %s are stored in steps larger than they are, up to %.2g, because they lie "
-            "far from the origin, or others do: move the capture there (--translate), remove strays (--floaters), or "
-            "save as .ply",
+            "%s: the positions of %s are rounded to steps larger than their size, up to %.2g, because the capture is "
+            "far from the origin or has outliers: move it (--translate), remove outliers (--floaters), or save as .ply",
             os.fspath(path),
             f"{count:,} Gaussian{'s' * (count > 1)}",
             step,

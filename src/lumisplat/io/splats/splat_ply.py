@@ -213,8 +213,8 @@ def _about_origin(path: PathLike, columns: SplatColumns) -> None:
     if origin.any():
         x, y, z = columns.origin = tuple(origin.tolist())
         _log.warning(
-            "%s: positions are about an origin, %s, as float32 cannot hold them about zero; "
-            "convert --translate=%.12g,%.12g,%.12g moves it to zero",
+            "%s: positions are relative to an origin, %s, as float32 is too coarse for them otherwise; "
+            "convert --translate=%.12g,%.12g,%.12g moves the capture to zero",
             os.fspath(path),
             origin_text(columns.origin),
             *(-x, -y, -z),
@@ -315,7 +315,7 @@ def _drop_unknown_materials(header: PlyHeader, vertex: PlyElement, columns: Spla
         return
     ours = {name for name, _ in _column_views(replace(columns, incident=None))} | {"nx", "ny", "nz"}
     foreign = [name for name in vertex.names if name not in ours]
-    reasons = [f"{', '.join(foreign[:3])} {'are' if foreign[1:] else 'is'} none of our columns"] if foreign else []
+    reasons = [f"{', '.join(foreign[:3])} {'are' if foreign[1:] else 'is'} not written by Lumisplat"] if foreign else []
     for field in fields:
         values = getattr(columns, field)
         outside = np.count_nonzero((values < 0.0) | (values > 1.0))
@@ -395,7 +395,7 @@ def write_r3dg_ply(path: PathLike, gaussians: Gaussians) -> None:
         raise FormatError(
             path,
             f"R3DG's columns hold albedo, roughness and normals, and the capture has no {' and no '.join(missing)}: "
-            "lumisplat delight, or lumisplat train --relightable, finds them",
+            "lumisplat delight, or lumisplat train --relightable, estimates them",
         )
     incident = gaussians.incident
     padded = replace(
@@ -435,8 +435,7 @@ def _warn_if_outside(path: PathLike, name: str, values: Floats) -> None:
     count = np.count_nonzero(beyond > 0.0)
     if count:
         _log.warning(
-            "%s: R3DG's columns hold %s from %.2f to %.2f: %s of %s values are outside, by up to %.2g, and become the "
-            "nearest of these",
+            "%s: R3DG's columns hold %s from %.2f to %.2f: %s of %s values are outside, by up to %.2g, and are clamped",
             os.fspath(path),
             name,
             low,

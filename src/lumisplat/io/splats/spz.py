@@ -240,7 +240,7 @@ def _read_legacy(path: PathLike, data: bytes) -> tuple[SpzHeader, SplatColumns, 
     if len(content) < _HEADER.size + size:
         raise FormatError(
             path,
-            f"truncated: {header.count:,} Gaussians take {size:,} bytes, {len(content) - _HEADER.size:,} are there",
+            f"truncated: {header.count:,} Gaussians take {size:,} bytes, but it has {len(content) - _HEADER.size:,}",
         )
     ends = np.cumsum((_HEADER.size, *header.section_sizes))
     sections = [np.frombuffer(content, np.uint8)[a:b] for a, b in itertools.pairwise(ends)]
@@ -396,10 +396,10 @@ def _warn_clamped(path: PathLike, columns: SplatColumns) -> None:
     least, most = f"{math.exp(_LOG_SCALE_MIN):.2g}", f"{math.exp(_LOG_SCALE_MAX):.3g}"
     remedy = "clipped, save as .ply to keep them"
     clamped = (
-        (columns.log_scales < _LOG_SCALE_MIN, f"are thinner than {least}, where SPZ ends: widened"),
-        (columns.log_scales > _LOG_SCALE_MAX, f"are wider than {most}, where SPZ ends: narrowed"),
+        (columns.log_scales < _LOG_SCALE_MIN, f"have scales below {least}, the smallest of SPZ: enlarged"),
+        (columns.log_scales > _LOG_SCALE_MAX, f"have scales above {most}, the largest of SPZ: reduced"),
         (np.abs(columns.sh[:, :1]) > _DC_MAX, f"have a colour too bright or too dark for SPZ: {remedy}"),
-        (np.abs(columns.sh[:, 1:]) > 1.0, f"have SH coefficients beyond -1..1, where SPZ ends: {remedy}"),
+        (np.abs(columns.sh[:, 1:]) > 1.0, f"have SH coefficients outside -1..1, the range of SPZ: {remedy}"),
     )
     for beyond, problem in clamped:
         count = np.count_nonzero(beyond.reshape(columns.count, -1).any(axis=1))
@@ -418,5 +418,5 @@ def position_bits(path: PathLike, largest: float) -> int:
     """
     fitting = 22 - math.floor(math.log2(largest)) if largest > 0.0 else _FRACTIONAL_BITS_MAX
     if fitting < 1:
-        raise FormatError(path, f"a position of {largest:g} does not fit SPZ, which ends at {2**22:,}: scale the scene")
+        raise FormatError(path, f"a position of {largest:g} is beyond {2**22:,}, the largest of SPZ: scale the scene")
     return min(fitting, max(12, fitting - 5), _FRACTIONAL_BITS_MAX)

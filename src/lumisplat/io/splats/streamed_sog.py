@@ -124,7 +124,10 @@ def _leaf(path: Path, lods: dict[str, Any], files: int, levels: int) -> Leaf:
     for name, entry in lods.items():
         rows = _Rows(*(int(entry[key]) for key in ("file", "offset", "count")))
         if not (0 <= int(name) < levels and 0 <= rows.file < files and rows.offset >= 0 and rows.count >= 0):
-            raise FormatError(path, f"damaged: level {name} of a leaf is {entry}, of {levels} levels and {files} files")
+            raise FormatError(
+                path,
+                f"damaged: a leaf has level {name} as {entry}, but the file has {levels} levels and {files} captures",
+            )
         leaf[int(name)] = rows
     if not leaf:
         raise FormatError(path, "damaged: a leaf has no level")
@@ -165,8 +168,8 @@ def _parts(path: Path, capture: Path, rows: list[_Rows]) -> Iterator[SplatColumn
         if row.offset < end or row.offset + row.count > columns.count:
             raise FormatError(
                 path,
-                f"damaged: rows {row.offset:,} to {row.offset + row.count:,} of {capture.parent.name}/{capture.name}, "
-                f"which holds {columns.count:,} Gaussians, or another leaf has some of them",
+                f"damaged: a leaf has rows {row.offset:,} to {row.offset + row.count:,} of {capture.parent.name}/"
+                f"{capture.name}, which holds {columns.count:,} Gaussians, or it overlaps another leaf",
             )
         end = row.offset + row.count
         yield replace(columns, **{name: getattr(columns, name)[row.offset : end] for name in REQUIRED})

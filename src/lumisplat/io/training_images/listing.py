@@ -66,11 +66,11 @@ def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedI
         FormatError: The file is malformed, a frame has no valid pose or intrinsics, or all images are missing and
             ``may_lack_all`` is False.
     """
-    with parsing(path, "a transforms.json of photographs"):
+    with parsing(path, "a transforms.json of training images"):
         content = parse_json(path)
         frames = content.get("frames") if is_object(content) else None
         if not is_object(content) or not is_list(frames) or not frames:
-            raise FormatError(path, "lists no photographs: expected 'frames', each with file_path and transform_matrix")
+            raise FormatError(path, "lists no images: expected 'frames', each with file_path and transform_matrix")
         found: list[ListedImage] = []
         missing: list[str] = []
         masks = Masks(path.parent)
@@ -115,7 +115,7 @@ def colmap_images(model: Path, folder: Path) -> list[ListedImage]:
     masks = Masks(folder)
     listed = read_colmap_images(model)
     for camera, name in listed:
-        with parsing(model, "a sparse model of COLMAP"):
+        with parsing(model, "a COLMAP sparse model"):
             image = referenced_file(images / "images", name)
         if os.path.isfile(image):
             found.append(ListedImage(camera, image, masks.of(image)))
@@ -156,7 +156,7 @@ def _listed_mask(path: Path, name: object) -> Path | None:
         return None
     mask = referenced_file(path, str(name))
     if not os.path.isfile(mask):
-        raise FormatError(path, f"names the mask {quote(name)}, which is not there")
+        raise FormatError(path, f"names the mask {quote(name)}, which does not exist")
     return mask
 
 
@@ -197,7 +197,10 @@ class Masks:
             return
         if masked:
             _log.warning(
-                "%s has masks of %d of %d images: the others count as a whole", self._folder, masked, len(listed)
+                "%s has masks for only %d of %d images: the other images are used without a mask",
+                self._folder,
+                masked,
+                len(listed),
             )
             return
         names, image = some_names([path.name for path in self._files]), listed[0].image
@@ -236,8 +239,8 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, expected: st
         return
     names = some_names(missing)
     if len(missing) == count:
-        raise FormatError(path, f"none of its {count:,} photographs is there ({names}): expected them in {expected}")
-    _log.warning("%s: %d of %d photographs are not in %s (%s): left out", path, len(missing), count, expected, names)
+        raise FormatError(path, f"none of its {count:,} images exists ({names}): expected them in {expected}")
+    _log.warning("%s: %d of %d images are missing in %s (%s): left out", path, len(missing), count, expected, names)
 
 
 def some_names(names: Sequence[str]) -> str:
@@ -311,9 +314,9 @@ def nerfstudio_points(path: Path) -> tuple[Doubles, FloatArray] | None:
         return None
     file = referenced_file(path, str(name))
     if not os.path.isfile(file):
-        _log.warning("%s: its ply_file_path %s is not there: training begins at random points", path, quote(name))
+        _log.warning("%s: its ply_file_path %s does not exist: training starts from random points", path, quote(name))
         return None
-    with parsing(file, "points of photographs"):
+    with parsing(file, "a point cloud of training images"):
         header = read_ply_header(file)
         rows = read_ply_element(header, header.required("vertex"))
         if not {"x", "y", "z"} <= set(rows.dtype.names or ()):
@@ -340,7 +343,7 @@ def _columns(rows: PlyRows, names: tuple[str, ...]) -> np.ndarray:
 
 
 def _content(path: Path) -> Entry:
-    with parsing(path, "a transforms.json of photographs"):
+    with parsing(path, "a transforms.json of training images"):
         content = parse_json(path)
     return content if is_object(content) else {}
 

@@ -55,7 +55,7 @@ SAME_ROTATION = 1e-3
 
 _log = logging.getLogger("lumisplat")
 
-_EXPECTED = "transforms.json (nerfstudio), transforms_train.json (Blender) or a sparse model of COLMAP"
+_EXPECTED = "transforms.json (nerfstudio), transforms_train.json (Blender) or a COLMAP sparse model"
 
 
 def camera_target(cameras: Sequence[Camera]) -> Doubles:
@@ -289,14 +289,14 @@ def load_training_images(
     check_flag("straighten", straighten)
     check_range("cache_bytes", cache_bytes, 0, 1 << 62)
     if hold_out == 1:
-        raise ConfigError("hold_out is 1, which leaves no photograph to learn from: expected 2 or more, or 0 for none")
+        raise ConfigError(
+            "hold_out is 1, which leaves no image to train with: expected 2 or more, or 0 to hold out none"
+        )
     color = display_color("background", background)
     with references_outside(allow_outside):
         found = _find(Path(folder), hold_out > 0)
     if len(found.images) < 2:
-        raise FormatError(
-            found.file, "has a single photograph, expected two or more: depth shows between photographs only"
-        )
+        raise FormatError(found.file, "has a single image, expected two or more: depth needs several viewpoints")
     views_of = partial(_views, found.file, _ImageSettings(scale, color, straighten), _PixelCache(cache_bytes))
     views = views_of(found.images)
     if found.held_out is None:
@@ -336,8 +336,8 @@ def _find(folder: Path, with_held_out: bool) -> _FolderContents:
     if model is None:
         raise FormatError(
             folder,
-            f"has no photographs with poses: expected {_EXPECTED} in sparse/0; for photographs without poses, "
-            "find_poses (--poses colmap) makes one",
+            f"has no images with poses: expected {_EXPECTED} in sparse/0; for images without poses, "
+            "find_poses (--poses colmap) creates one",
         )
     listed = colmap_images(model, folder)
     report_without_pose(model, folder, listed)
@@ -354,8 +354,8 @@ def _held_out(folder: Path) -> list[ListedImage] | None:
     found = next((number for number, listed in enumerate(lists) if listed), None)
     lacking = files[:found]
     if lacking:
-        instead = "some of those to learn from" if found is None else f"those of {files[found].name}"
-        _log.warning("%s: none of its images is there: %s are held out instead", lacking[0], instead)
+        instead = "some training images" if found is None else f"the images of {files[found].name}"
+        _log.warning("%s: none of its images exists: %s are held out instead", lacking[0], instead)
     return None if found is None else lists[found]
 
 
@@ -374,7 +374,7 @@ def find_model(folder: Path) -> Path | None:
         taken = models[best]
         del others[best]
         _log.warning(
-            "%s has %d models: %s with %d images is taken, and %s left out, whose poses are in frames of their own",
+            "%s has %d models: %s with %d images is used; %s not used, as each model has its own coordinate system",
             sparse,
             len(models),
             taken.name,
@@ -395,9 +395,7 @@ def _views(
     cameras = unique_names([entry.camera for entry in ordered])
     curvilinear = sum(is_curvilinear(camera) for camera in cameras)
     if curvilinear and settings.straighten:
-        _log.warning(
-            "%s: %d photographs of distorting lenses are straightened: resampled as of pinholes", file, curvilinear
-        )
+        _log.warning("%s: %d images of distorted or fisheye lenses are resampled to pinholes", file, curvilinear)
     views: list[TrainingImage] = []
     for camera, entry in zip(cameras, ordered, strict=True):
         lens = _scaled(camera, settings.scale)
@@ -415,8 +413,8 @@ def _check(file: Path, entry: ListedImage) -> None:
     if size != (camera.width, camera.height):
         raise FormatError(
             entry.image,
-            f"has {size[0]} x {size[1]} pixels, its camera in {file} {camera.width} x {camera.height}: expected the "
-            "photographs that the cameras were made for (scale makes them smaller)",
+            f"has {size[0]} x {size[1]} pixels, but its camera in {file} has {camera.width} x {camera.height}: "
+            "expected the images that the cameras were computed from (scale downscales them)",
         )
     check_undamaged(entry.image)
     if entry.mask is None:
@@ -556,7 +554,7 @@ def decode(source: ImageSource) -> Pixels:
     if texels.shape[2] == 4:
         planes["alpha"] = texels[..., 3:]
         if not planes["alpha"].any():
-            raise FormatError(source.image, "is transparent everywhere: it shows nothing to learn from")
+            raise FormatError(source.image, "is transparent everywhere: there is nothing to train with")
         planes["color"] = (planes["color"] * (planes["alpha"] / np.float32(255.0)) + 0.5).astype(np.uint8)
     if source.mask is not None:
         planes["mask"] = _read_mask(source.mask)
@@ -590,7 +588,7 @@ def _read_mask(path: Path) -> Plane:
     counts = counts > (127 if path.suffix.lower() in (".jpg", ".jpeg") else 0)
     if not counts.any():
         raise FormatError(
-            path, "is black everywhere: no pixel of its photograph would count, expected white where it does"
+            path, "is black everywhere, so no pixel of its image would be used: expected white where pixels are used"
         )
     return 255 * counts.astype(np.uint8)
 

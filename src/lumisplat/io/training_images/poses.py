@@ -205,7 +205,7 @@ class ColmapRun:
         }
         listed = self.work / "photographs.json"
         if listed.is_file() and self._database.is_file() and listed.read_text() == json.dumps(known):
-            _log.warning("%s: goes on from %s", self.work, self.summary())
+            _log.warning("%s: continues from %s", self.work, self.summary())
             return
         shutil.rmtree(self.work, ignore_errors=True)
         (self.work / "images").mkdir(parents=True)
@@ -219,7 +219,7 @@ class ColmapRun:
             return "nothing yet"
         with self.pycolmap.Database.open(self._database) as database:
             features, pairs = database.num_images(), database.num_matched_image_pairs()
-        return f"features of {features:,} of {len(self.names):,} photographs, {pairs:,} compared pairs"
+        return f"features of {features:,} of {len(self.names):,} images, {pairs:,} matched pairs"
 
     def extract(self) -> None:
         """Extracts SIFT features. Images of one size are assumed to share one lens."""
@@ -231,7 +231,7 @@ class ColmapRun:
         options = self.pycolmap.ImageReaderOptions(camera_model=LENS_MODEL)
         mode = self.pycolmap.CameraMode.SINGLE if one_lens else self.pycolmap.CameraMode.PER_IMAGE
         for start in range(0, len(self.names), _BATCH):
-            self.report("finding features", start / len(self.names))
+            self.report("extracting features", start / len(self.names))
             if one_lens and start > 0:
                 options.existing_camera_id = 1
             self._call(
@@ -243,23 +243,23 @@ class ColmapRun:
                 reader_options=options,
                 extraction_options=extraction,
             )
-        self.report("finding features", 1.0)
+        self.report("extracting features", 1.0)
 
     def match(self, ordered: bool) -> None:
         """Matches the features of the pairs that `compared_pairs` selects."""
         pairs = compared_pairs(
-            len(self.names), self._largest_features, ordered, lambda share: self.report("choosing pairs", share)
+            len(self.names), self._largest_features, ordered, lambda share: self.report("selecting pairs", share)
         )
-        self.report("choosing pairs", 1.0)
+        self.report("selecting pairs", 1.0)
         listed = self.work / "pairs.txt"
         for start in range(0, len(pairs), _PAIR_BATCH):
-            self.report("comparing photographs", start / len(pairs))
+            self.report("matching images", start / len(pairs))
             listed.write_text(
                 "".join(f"{self._links[i]} {self._links[j]}\n" for i, j in pairs[start : start + _PAIR_BATCH])
             )
             options = self.pycolmap.ImportedPairingOptions(match_list_path=listed)
             self._call(self.pycolmap.match_image_pairs, self._database, pairing_options=options)
-        self.report("comparing photographs", 1.0)
+        self.report("matching images", 1.0)
 
     def _largest_features(self) -> list[FloatArray]:
         """Reads the largest features of each image from the database, in the order of the images."""
@@ -286,7 +286,7 @@ class ColmapRun:
 
         def report_step() -> None:
             done = min(finished + with_pose, len(self.names))
-            step = "all placed, adjusting" if done == len(self.names) else f"{done} of {len(self.names)} placed"
+            step = "bundle adjustment" if done == len(self.names) else f"{done} of {len(self.names)} images"
             self.report(f"finding poses, {step}", min(done / len(self.names), 0.99))
 
         self.report("finding poses", 0.0)
@@ -313,10 +313,12 @@ class ColmapRun:
             features = database.num_keypoints() / len(self.names)
             pairs = sum(shared > 0 for shared in database.read_two_view_geometry_num_inliers()[1])
         if features < POINTS_PER_IMAGE_MIN:
-            return f"they show too little texture, {features:.0f} features each: more light, or something patterned"
+            return (
+                f"they have too little texture, {features:.0f} features each: use more light, or add textured objects"
+            )
         if pairs < len(self.names) - 1:
-            return f"only {pairs} pairs show the same things: neighbours must overlap by two thirds, and be sharp"
-        return "they must be taken from different places: walk around things, rather than turn on the spot"
+            return f"only {pairs} image pairs match: neighbouring images must be sharp and overlap by two thirds"
+        return "there is no parallax: move around the objects instead of rotating in one place"
 
     def _call(self, step: Callable[..., Any], *args: Any, **options: Any) -> Any:
         """Runs a COLMAP step in a thread, so that Ctrl C cancels the step soon and keeps its results so far."""
@@ -380,36 +382,34 @@ class PoseReport:
         if len(self.model_sizes) > 1:
             *others, last = map(str, self.model_sizes)
             remarks.append(
-                f"poses came out in {len(self.model_sizes)} pieces that do not join, of {', '.join(others)} and {last} "
-                "photographs: the largest is taken"
+                f"the images form {len(self.model_sizes)} separate models, of {', '.join(others)} and {last} "
+                "images: the largest is used"
             )
         if len(self.with_pose) < len(self.names):
             remarks.append(self._without_pose_text())
         if self.points_per_image < POINTS_PER_IMAGE_MIN:
             remarks.append(
-                f"a photograph shows {self.points_per_image:.0f} of {self.points:,} points, "
+                f"an image observes {self.points_per_image:.0f} of {self.points:,} points on average, "
                 f"expected {POINTS_PER_IMAGE_MIN} or more: poses are likely wrong; "
-                "the background must have texture, too"
+                "the background needs texture, too"
             )
         if self.error > REPROJECTION_ERROR_MAX:
             remarks.append(
-                f"points are {self.error:.1f} pixels off in the mean, expected below {REPROJECTION_ERROR_MAX:g}: "
-                "poses are likely wrong; nothing may move, blur or be zoomed"
+                f"the mean reprojection error is {self.error:.1f} pixels, expected below {REPROJECTION_ERROR_MAX:g}: "
+                "poses are likely wrong; avoid moving objects, blur and zooming"
             )
         if not low <= self.fov_degrees <= high:
             remarks.append(
-                f"the lens came out with a view of {self.fov_degrees:.0f} degrees, expected {low:.0f} to {high:.0f}: "
-                "poses are likely wrong; walk around things, rather than turn on the spot"
+                f"the estimated field of view is {self.fov_degrees:.0f} degrees, expected {low:.0f} to {high:.0f}: "
+                "poses are likely wrong; move around the objects instead of rotating in one place"
             )
         return remarks
 
     def _without_pose_text(self) -> str:
         without_pose = sorted({*self.names} - {*self.with_pose})
-        line = (
-            f"no pose was found for {len(without_pose)} of {len(self.names)} photographs ({some_names(without_pose)})"
-        )
+        line = f"no pose was found for {len(without_pose)} of {len(self.names)} images ({some_names(without_pose)})"
         if len(without_pose) > WITHOUT_POSE_MAX * len(self.names):
-            line += ": walk slower, without blur, past more texture, or take more frames (frames --every)"
+            line += ": move slower, avoid blur, record more texture, or extract more frames (extract-frames --every)"
         return line
 
 
@@ -442,7 +442,7 @@ def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | 
     names = _image_names(folder)
     if (folder / "sparse").exists():
         raise FormatError(
-            folder / "sparse", "is there already: load_training_images reads it; remove it to find poses anew"
+            folder / "sparse", "already exists: load_training_images reads it; remove it to find poses again"
         )
     try:
         pycolmap: Any = import_module("pycolmap")
@@ -455,7 +455,7 @@ def find_poses(folder: PathLike, *, ordered: bool = False, progress: Progress | 
         run.match(ordered)
         models = run.estimate_poses()
         if not models:
-            raise FormatError(folder, f"no poses were found for its {len(names)} photographs: {run.failure_reason()}")
+            raise FormatError(folder, f"no poses were found for its {len(names)} images: {run.failure_reason()}")
         model = run.work / "model"
         model.mkdir(exist_ok=True)
         models[0].write(model)
@@ -478,7 +478,7 @@ def _image_names(folder: Path) -> Sequence[str]:
     images = _image_folder(folder)
     names = sorted(path.name for path in images.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
     if len(names) < 2:
-        count = "one photograph" if names else "no photographs"
+        count = "one image" if names else "no images"
         raise FormatError(images, f"has {count}, expected two or more ({', '.join(IMAGE_SUFFIXES)})")
     return names
 

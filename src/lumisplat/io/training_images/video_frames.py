@@ -70,11 +70,11 @@ def extract_frames(
     if not video.is_file():
         raise MissingFileError(video, "no such file")
     if images.exists():
-        raise FormatError(images, "is there already: remove it, or give another folder")
+        raise FormatError(images, "already exists: remove it, or give another folder")
     try:
         av: Any = import_module("av")  # most of its types are unknown
     except ImportError:
-        raise MissingExtraError("reading films", "video") from None
+        raise MissingExtraError("reading videos", "video") from None
     try:
         images.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".frames-", dir=images.parent) as temporary:
@@ -89,7 +89,7 @@ def extract_frames(
                 raise FormatError(video, problem)
             os.replace(made, images)
     except av.error.FFmpegError as error:
-        raise FormatError(video, f"is no film that can be read: {error.strerror or error}") from None
+        raise FormatError(video, f"is not a readable video: {error.strerror or error}") from None
     except OSError as error:
         raise FormatError(images, f"cannot be written: {error.strerror or error}") from None
     return [images / name for name in names]
@@ -107,7 +107,7 @@ def _sharpest_frames(av: Any, video: Path, every: float, progress: Progress | No
     """Yields the sharpest frame of each interval, upright; intervals without frames yield nothing."""
     with av.open(str(video)) as container:
         if not container.streams.video:
-            raise FormatError(video, "has no pictures")
+            raise FormatError(video, "has no video stream")
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         length = (container.duration or 0) / av.time_base
@@ -128,7 +128,7 @@ def _sharpest_frames(av: Any, video: Path, every: float, progress: Progress | No
             if best is None or found > best.sharpness:
                 best = _Candidate(found, image)
             if progress is not None and length > 0.0:
-                progress("reading the film", min(time / length, 1.0))
+                progress("reading the video", min(time / length, 1.0))
         if best is not None:
             yield best.image
 
@@ -161,9 +161,7 @@ class _FrameCheck:
         if self._brightest <= _BLACK_LEVEL:
             return "is black throughout: was the lens covered?"
         if self._count > 1 and self._moved < _STILL_DIFFERENCE:
-            return (
-                "shows the same throughout: expected a walk around a thing, as depth shows from different places only"
-            )
+            return "shows no motion: expected a walk around an object, because depth needs several viewpoints"
         return None
 
 
@@ -187,7 +185,7 @@ def _upright(frame: Any) -> Image.Image:
 def _warn_if_hdr(video: Path, frame: Any) -> None:
     kind = _HDR_TRANSFERS.get(int(frame.color_trc))
     if kind is not None:
-        _log.warning("%s: is HDR (%s), and its photographs are pale: film with HDR switched off", video, kind)
+        _log.warning("%s: is HDR (%s), so its images will look pale: record with HDR switched off", video, kind)
 
 
 def _save(image: Image.Image, path: Path, size: int) -> str:
