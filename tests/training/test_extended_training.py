@@ -44,7 +44,7 @@ def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFi
     with caplog.at_level(logging.WARNING, "lumisplat"):
         result = ls.train(images, LONG, output=output, device="cpu")
     (line,) = (record.getMessage() for record in caplog.records)
-    assert "checkpoint.npz: goes on from step 120 of 120 to step 200: rates" in line
+    assert "checkpoint.npz: resumes from iteration 120 of 120 and continues to 200: learning rates" in line
     assert result.is_finished and result.iterations == 200
     np.testing.assert_array_equal(result.gaussians.means, frame.gaussians(by_hand.gaussians()).means)
     assert "iterations = 200" in (tmp_path / "a.training" / "settings.toml").read_text()
@@ -76,6 +76,6 @@ def test_fewer_steps_than_are_done_are_refused(tmp_path: Path, capsys: pytest.Ca
     held = checkpoint_of(output).read_bytes()
     capsys.readouterr()
     assert main([*command, "--iterations", "20"]) == 2
-    problem = "has 30 steps already, --iterations is 20: ask for as many or more, or overwrite it"
+    problem = "has 30 iterations, --iterations is 20: request at least as many, or overwrite it"
     assert capsys.readouterr().err == f"error: {checkpoint_of(output)}: {problem}\n"
     assert checkpoint_of(output).read_bytes() == held

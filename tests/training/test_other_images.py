@@ -49,7 +49,7 @@ def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Pat
     (folder / "transforms.json").write_text(json.dumps(content))
     with pytest.raises(
         ls.FormatError,
-        match=r"npz: is of a training with other photographs, others held out or another background: use",
+        match=r"npz: was trained with other images, another hold-out or another background: use",
     ):
         ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
 
@@ -77,7 +77,7 @@ def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> N
     Image.fromarray(np.full((30, 40, 3), 91, np.uint8)).save(image, compress_level=0)
     os.utime(image, ns=(status.st_atime_ns, status.st_mtime_ns))
     assert image.stat().st_size == len(before)
-    with pytest.raises(ls.FormatError, match=r"npz: is of a training with other photographs"):
+    with pytest.raises(ls.FormatError, match=r"npz: was trained with other images"):
         ls.train(folder, CONFIG, output=output, device="cpu")
     image.write_bytes(before)
     os.utime(image, ns=(0, 0))

@@ -103,7 +103,7 @@ def test_if_all_show_too_little_all_stay_and_a_line_says_so(tmp_path: Path, capl
         result = ls.train(folder, config, output=output, device="cpu")
     assert result.pruned == 0 and result.gaussians.count == 100 and output.exists()
     (line,) = [record.getMessage() for record in caplog.records if "prune_below" in record.getMessage()]
-    assert line.startswith("TrainConfig.prune_below is 0.9999, but the largest weight of any Gaussian is 0.")
-    assert line.endswith(": nothing is pruned")
+    assert line.startswith("TrainConfig.prune_below is 0.9999, but the largest blending weight of any Gaussian is 0.")
+    assert line.endswith(": no Gaussian is pruned")
     fewer = ls.train(folder, replace(config, prune_below=0.1), output=output, device="cpu")
     assert fewer.pruned > 0 and fewer.gaussians.count == 100 - fewer.pruned

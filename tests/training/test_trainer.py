@@ -89,7 +89,7 @@ def test_a_loss_that_is_not_finite_ends_training() -> None:
     broken = np.full((40, 40, 3), np.nan, np.float32)
     view = TrainingView("bad", cameras(1)[0], lambda: TargetPixels(broken))
     one = Trainer([view], CONFIG, device="cpu")
-    with pytest.raises(ls.training.DivergedError, match=r"^training stopped at step 1: the loss is nan$"):
+    with pytest.raises(ls.training.DivergedError, match=r"^training stopped at iteration 1: the loss is nan$"):
         one.step()
 
 
@@ -158,12 +158,12 @@ def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
     ls.train(folder, config, output=output, device="cpu")
     file = tmp_path / "a.training" / "checkpoint.npz"
     held, settings = file.read_bytes(), (tmp_path / "a.training" / "settings.toml").read_bytes()
-    with pytest.raises(ls.FormatError, match=r"checkpoint\.npz.* is of a training with cap 150, not 151"):
+    with pytest.raises(ls.FormatError, match=r"checkpoint\.npz.* was trained with cap 150, not 151"):
         ls.train(folder, replace(config, cap=151), output=output, device="cpu")
     other = folder_of(tmp_path / "other", 10)
-    with pytest.raises(ls.FormatError, match="with other photographs"):
+    with pytest.raises(ls.FormatError, match="with other images"):
         ls.train(other, config, output=output, device="cpu")
-    with pytest.raises(ls.FormatError, match="with other photographs"):
+    with pytest.raises(ls.FormatError, match="with other images"):
         ls.train(folder, config, output=output, background="white", device="cpu")
     assert file.read_bytes() == held and (tmp_path / "a.training" / "settings.toml").read_bytes() == settings
     rng = np.random.default_rng(0)
@@ -175,8 +175,8 @@ def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
         try:
             ls.train(folder, config, output=output, device="cpu")
         except ls.FormatError as error:
-            told = f"{file}: is damaged, or not a checkpoint of a training: remove it, or overwrite it (--overwrite, "
-            assert str(error) == told + "overwrite=True), to begin anew"
+            told = f"{file}: is damaged, or not a training checkpoint: remove it, or start again (--overwrite, "
+            assert str(error) == told + "overwrite=True)"
         else:
             assert len(damaged) == len(held), "bytes that say nothing: a date, say"
             file.write_bytes(held)
@@ -213,7 +213,7 @@ def test_altered_checkpoints_are_one_line(tmp_path: Path) -> None:
     del changes["all of half"]["values.sh"]
     for name, change in changes.items():
         np.savez(file, **(good | change))
-        with pytest.raises(ls.FormatError, match=r"checkpoint\.npz: is damaged, or not a checkpoint of a training: "):
+        with pytest.raises(ls.FormatError, match=r"checkpoint\.npz: is damaged, or not a training checkpoint: "):
             ls.train(folder, config, output=output, device="cpu")
             pytest.fail(name)
     bomb: dict[str, Any] = good | {"values.means": np.zeros((20_000_000, 3), np.float32)}

@@ -138,5 +138,5 @@ def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
     for settings, problem in refused:
         with pytest.raises(ls.ConfigError, match=problem):
             ls.TrainConfig(**settings)
-    with pytest.raises(ls.ConfigError, match=r"a\.spz, which cannot say its kernel degree of 4: use \.ply$"):
+    with pytest.raises(ls.ConfigError, match=r"a\.spz, but \.spz cannot store kernel degree 4: use \.ply$"):
         ls.train(tmp_path, CONFIG, output=tmp_path / "a.spz", device="cpu")

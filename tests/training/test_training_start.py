@@ -26,7 +26,7 @@ def test_a_capture_of_something_else_is_not_replaced(tmp_path: Path) -> None:
     """Unless that is asked for."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     output.write_text("precious")
-    with pytest.raises(ls.FormatError, match="is there already, and of no training that could go on"):
+    with pytest.raises(ls.FormatError, match="exists and has no training to resume: overwrite it"):
         ls.train(folder, SHORT, output=output, device="cpu")
     assert output.read_text() == "precious" and not (tmp_path / "a.training").exists()
     ls.train(folder, SHORT, output=output, overwrite=True, device="cpu", stop_after=0.01)
@@ -53,7 +53,7 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
         points, colors = with_random_points(few, None, seen, config)
         assert points is not None and colors is not None and points.shape == colors.shape == (400, 3)
         assert (points[:19] == 0.0).all() and (colors[:19] == 0.5).all() and np.ptp(points[19:], axis=0).min() > 0.1
-        assert "the images come with only 19 3D points: 381 random ones are added" in caplog.text
+        assert "the images come with only 19 3D points: adding 381 random points" in caplog.text
         caplog.clear()
         assert with_random_points(many, None, seen, config) == (many, None)
         assert with_random_points(None, None, seen, config) == (None, None)
@@ -63,10 +63,10 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
 @pytest.mark.parametrize(
     ("numbers", "problem"),
     [
-        ([0, 1], "1 photograph to learn from, taken from one place: depth follows from several positions only"),
-        ([0, 1, 1, 1], "3 photographs to learn from, taken from one place: "),
-        ([0, 1, 2, 2, 1], "4 photographs to learn from, taken from 2 places: "),
-        ([0, 1, 2, 3, 3, 2, 4], "2 of 6 photographs to learn from have the pose of another one: "),
+        ([0, 1], "1 training image from 1 camera position: depth cannot be triangulated"),
+        ([0, 1, 1, 1], "3 training images from 1 camera position: "),
+        ([0, 1, 2, 2, 1], "4 training images from 2 camera positions: "),
+        ([0, 1, 2, 3, 3, 2, 4], "2 of 6 training images have the same pose as another image "),
         ([0, 1, 2, 3], None),
     ],
 )

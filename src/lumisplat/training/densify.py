@@ -1,4 +1,4 @@
-"""How Gaussians come and go, between steps, on the host.
+"""Densification and pruning of Gaussians between iterations, on the host.
 
 Equations and sources are in docs/method/training.md.
 """
@@ -17,51 +17,53 @@ from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.training.parameters import TrainedParameters
 
 GROWTH = 1.05
-"""Factor by which their number grows in a change, up to the cap. gsplat's."""
+"""Factor by which the number of Gaussians grows in one MCMC densification, up to the cap. gsplat's value."""
 
 RELOCATED_MAX = 51
-"""Gaussians that share a place, at most: more are counted as so many. gsplat's."""
+"""Largest number of Gaussians at one position in the relocation formula; larger numbers are clamped. gsplat's value."""
 
 SPLIT_SCALE = 0.01
-"""Scale, as a share of the extent, above which a Gaussian is split and not cloned. Kerbl et al. 2023."""
+"""Scale, as a fraction of the extent, above which a Gaussian is split instead of cloned. Kerbl et al. 2023."""
 
 SPLIT_SHRINKS = 1.6
-"""Factor by which both halves are smaller. Kerbl et al. 2023, section 5.2."""
+"""Factor by which the scales of a split Gaussian are divided. Kerbl et al. 2023, section 5.2."""
 
 TOO_LARGE = 0.1
-"""Scale, as a share of the extent, above which a Gaussian is pruned."""
+"""Scale, as a fraction of the extent, above which a Gaussian is pruned."""
 
 TOO_LARGE_AFTER = 3000
 
 RESET_EVERY = 3000
-"""Steps between two resets of opacities. Kerbl et al. 2023."""
+"""Iterations between two opacity resets. Kerbl et al. 2023."""
 
 RESET_OPACITY = 0.01
-"""Opacity to which they are reset. Kerbl et al. 2023."""
+"""Upper limit of all opacities after a reset. Kerbl et al. 2023."""
 
 Doubles = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 TINY = 1e-30
-"""A pull below any."""
+"""Lower bound of the gradient threshold, which avoids a division by zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DensifyStats:
-    """What is known when Gaussians come and go."""
+    """Statistics gathered since the last densification, by which Gaussians are cloned and split."""
 
     iteration: int
-    """Steps that were made."""
+    """Number of iterations made."""
     extent: float
-    """Of the cameras, scene units."""
+    """Camera extent, scene units."""
     screen_gradient: Doubles
-    """How strongly the loss pulls at each Gaussian, halves of the image, shape (N,): the mean over frames since the
-    last change in which it was drawn."""
+    """Mean screen-space position gradient of each Gaussian, shape (N,).
+
+    In units of half the image size, averaged over the frames since the last densification that drew the Gaussian."""
     normal_gradient: Doubles
-    """How strongly terms on surfaces turn its normal, shape (N,): the mean over these frames of the derivative of their
-    sum over pixels."""
+    """Mean gradient of the surface terms by the rotation of each Gaussian's normal, shape (N,).
+
+    The terms are summed over pixels, and averaged over the same frames as ``screen_gradient``."""
 
     def excess(self, config: TrainConfig) -> Doubles:
-        """How much more than enough there is to do at each Gaussian, shape (N,): above 1, it is cloned or split."""
+        """Returns the gradient of each Gaussian over its threshold, shape (N,); above 1, it is cloned or split."""
         by_pull = self.screen_gradient / max(config.grow_pull, TINY)
         return np.maximum(by_pull, self.normal_gradient / config.grow_turn) if config.grow_turn > 0.0 else by_pull
 
@@ -69,13 +71,13 @@ class DensifyStats:
 def densified(
     parameters: TrainedParameters, stats: DensifyStats, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
-    """What there is after a change.
+    """Returns the Gaussians after one densification by the configured strategy.
 
     Args:
-        parameters: What there is before.
-        stats: What is known of it.
-        config: Settings.
-        rng: Random numbers.
+        parameters: Current Gaussians; the function may change their arrays.
+        stats: Statistics since the last densification.
+        config: Training settings.
+        rng: Random number generator.
     """
     if config.densification is Densification.MCMC:
         return grown(relocated(parameters, config, rng), config, rng)
@@ -90,7 +92,10 @@ def densified(
 
 
 def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
-    """Dead Gaussians take the places of others, which share what they show with them."""
+    """Moves dead Gaussians onto living ones, chosen in proportion to opacity.
+
+    Opacities and scales of each group are reduced so that the group renders like the living Gaussian before.
+    """
     opacities = parameters.opacities
     dead, alive = np.flatnonzero(opacities <= DEAD_OPACITY), np.flatnonzero(opacities > DEAD_OPACITY)
     if dead.size == 0 or alive.size == 0:
@@ -104,7 +109,7 @@ def relocated(parameters: TrainedParameters, config: TrainConfig, rng: np.random
 
 
 def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Generator) -> TrainedParameters:
-    """A few per cent more of them, at the places of others, up to a number."""
+    """Adds copies of existing Gaussians, chosen in proportion to opacity: `GROWTH` times as many, up to the cap."""
     more = min(config.cap, max(parameters.count + 1, int(GROWTH * parameters.count))) - parameters.count
     if more <= 0:
         return parameters
@@ -116,7 +121,13 @@ def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Gen
 
 
 def relocate_sources(parameters: TrainedParameters, sources: Indices, degree: int) -> None:
-    """Makes Gaussians such that each, with as many copies of itself as it is listed, shows what it showed alone."""
+    """Reduces opacity and scales of the sources, so that each renders with its copies as it did alone.
+
+    Args:
+        parameters: Gaussians, changed in place.
+        sources: Index of the source of each copy; repeated for several copies.
+        degree: Kernel degree.
+    """
     unique, counts = np.unique(sources, return_counts=True)
     opacity, factor = relocation(parameters.opacities[unique], counts + 1, degree)
     parameters.values["logits"][unique] = np.log(opacity / (1.0 - opacity))
@@ -124,12 +135,14 @@ def relocate_sources(parameters: TrainedParameters, sources: Indices, degree: in
 
 
 def relocation(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE) -> tuple[Doubles, Doubles]:
-    """Opacity of each of so many Gaussians at one place, and the factor of their scales (equation 9 of the paper).
+    """Returns the opacity of each of several coinciding Gaussians and the factor of their scales.
+
+    Together they render like the Gaussian that they replace (equation 9 of the paper).
 
     Args:
-        opacities: Of one Gaussian that they replace, shape (N,).
-        counts: How many there will be, 2 or more, shape (N,).
-        degree: Of their kernel.
+        opacities: Opacity of the one Gaussian that they replace, shape (N,).
+        counts: Number of coinciding Gaussians, >= 2, shape (N,).
+        degree: Kernel degree.
     """
     counts = np.minimum(counts, RELOCATED_MAX)
     each = np.clip(-np.expm1(np.log1p(-np.minimum(opacities, 1.0 - 1e-6)) / counts), DEAD_OPACITY, 1.0 - 1e-6)
@@ -141,7 +154,7 @@ def relocation(opacities: Doubles, counts: Indices, degree: int = KERNEL_DEGREE)
 
 
 def line_integral_ratio(degree: int, power: int) -> float:
-    """How much less there is of a power of the response along a line through the mean than of the response itself."""
+    """Returns the line integral of the kernel through its mean over that of the kernel to the power ``power``."""
     return 0.5 * (power + 1.0) if degree == 0 else float(power ** (1.0 / degree))
 
 
@@ -151,7 +164,7 @@ def line_integral_ratio(degree: int, power: int) -> float:
 def cloned_and_split(
     parameters: TrainedParameters, stats: DensifyStats, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
-    """Small Gaussians at which the loss pulls, or whose normals it turns, are cloned, large ones are split in two."""
+    """Clones small Gaussians and splits large ones whose screen-space or normal gradient exceeds its threshold."""
     excess = stats.excess(config)
     strongest = np.argsort(-excess, kind="stable")[: max(config.cap - parameters.count, 0)]
     chosen = np.zeros(parameters.count, bool)
@@ -170,14 +183,14 @@ def cloned_and_split(
 
 
 def pruned(parameters: TrainedParameters, extent: float) -> TrainedParameters:
-    """Without those that are transparent, or too large for the scene."""
+    """Returns the Gaussians without nearly transparent ones and ones too large for the scene."""
     return parameters.rows(
         (parameters.opacities >= DEAD_OPACITY) & (parameters.scales.max(axis=1) <= TOO_LARGE * extent)
     )
 
 
 def reset_opacities(parameters: TrainedParameters) -> None:
-    """Makes all almost transparent: what the photographs need comes back, and the rest is pruned."""
+    """Caps all opacities at `RESET_OPACITY`; Gaussians that no image needs stay transparent and are pruned."""
     logits = parameters.values["logits"]
     np.minimum(logits, np.float32(math.log(RESET_OPACITY / (1.0 - RESET_OPACITY))), out=logits)
     parameters.first["logits"][:] = 0.0

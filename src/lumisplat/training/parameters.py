@@ -1,4 +1,4 @@
-"""The parameters that training moves, on the host and on the device, and the Gaussians from which it starts."""
+"""Trained parameters of Gaussians on the host and on the device, and the initial Gaussians."""
 
 from __future__ import annotations
 
@@ -33,12 +33,15 @@ _ELEMENTS: dict[str, Any] = {
     "sh": wp.vec3,
 }
 NAMES = tuple(_ELEMENTS)
-"""Of parameters."""
+"""Names of the parameters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedParameters:
-    """TrainedParameters of Gaussians, unbounded, and their moments; by names of `NAMES`, a row a Gaussian, float32."""
+    """Unconstrained parameters of N Gaussians and their two Adam moments.
+
+    Each dictionary has the keys `NAMES` and float32 arrays with one row per Gaussian.
+    """
 
     values: dict[str, FloatArray]
     first: dict[str, FloatArray]
@@ -46,46 +49,46 @@ class TrainedParameters:
 
     @classmethod
     def new(cls, values: dict[str, FloatArray]) -> TrainedParameters:
-        """TrainedParameters that have not moved yet."""
+        """Returns parameters with zero moments."""
         arrays = {name: np.ascontiguousarray(values[name], np.float32) for name in NAMES}
         return cls(arrays, _zeros_like(arrays), _zeros_like(arrays))
 
     @property
     def count(self) -> int:
-        """Gaussians."""
+        """Number of Gaussians."""
         return len(self.values["means"])
 
     @property
     def opacities(self) -> npt.NDArray[np.float64]:
-        """0..1, shape (N,)."""
+        """Opacity of each Gaussian, 0..1, shape (N,)."""
         return 1.0 / (1.0 + np.exp(-self.values["logits"].astype(np.float64)))
 
     @property
     def scales(self) -> npt.NDArray[np.float64]:
-        """Standard deviations, shape (N, 3)."""
+        """Standard deviations along the axes of each Gaussian, shape (N, 3)."""
         return np.exp(self.values["log_scales"].astype(np.float64))
 
     def rows(self, rows: Rows) -> TrainedParameters:
-        """Some of them."""
+        """Returns the selected Gaussians with their moments."""
         return TrainedParameters(*({name: part[name][rows] for name in NAMES} for part in self._parts))
 
     def copies(self, rows: Rows) -> TrainedParameters:
-        """Copies of some of them, which have not moved yet."""
+        """Returns copies of the selected Gaussians with zero moments."""
         return TrainedParameters.new({name: self.values[name][rows] for name in NAMES})
 
     def concatenated(self, other: TrainedParameters) -> TrainedParameters:
-        """These and others."""
+        """Returns these Gaussians followed by others."""
         pairs = zip(self._parts, other._parts, strict=True)
         return TrainedParameters(*({name: np.concatenate([a[name], b[name]]) for name in NAMES} for a, b in pairs))
 
     def zero_moments(self, rows: Rows) -> None:
-        """Forgets how some of them have moved."""
+        """Zeroes the Adam moments of the selected Gaussians."""
         for part in (self.first, self.second):
             for name in NAMES:
                 part[name][rows] = 0.0
 
     def gaussians(self, config: TrainConfig) -> Gaussians:
-        """What they are, as a capture of these settings has it."""
+        """Returns the Gaussians as a capture with the antialiasing and kernel degree of ``config``."""
         return Gaussians(
             means=self.values["means"].copy(),
             rotations_wxyz=self.values["rotations"].copy(),
@@ -102,10 +105,10 @@ class TrainedParameters:
 
 
 class DeviceParameters:
-    """The same on the device.
+    """Copy of `TrainedParameters` on the device.
 
     Args:
-        buffers: Holds the arrays.
+        buffers: Owner of the device arrays.
     """
 
     def __init__(self, buffers: Buffers) -> None:
@@ -113,7 +116,7 @@ class DeviceParameters:
         self.values, self.first, self.second = SplatParameters(), SplatParameters(), SplatParameters()
 
     def upload(self, parameters: TrainedParameters) -> None:
-        """Takes over what the host has."""
+        """Copies parameters and moments from the host."""
         for kind in ("values", "first", "second"):
             struct, arrays = getattr(self, kind), getattr(parameters, kind)
             struct.sh_count = arrays["sh"].shape[1]
@@ -122,7 +125,7 @@ class DeviceParameters:
                 setattr(struct, name, self._buffers.upload(f"parameters.{kind}.{name}", element, rows))
 
     def download(self) -> TrainedParameters:
-        """What the device has."""
+        """Returns parameters and moments as host arrays."""
         return TrainedParameters(*(self._downloaded(kind) for kind in (self.values, self.first, self.second)))
 
     @staticmethod
@@ -137,49 +140,55 @@ def _zeros_like(arrays: dict[str, FloatArray]) -> dict[str, FloatArray]:
 
 
 POSITIONS_MIN = 3
-"""Places from which photographs are taken, below which a line says that this is few: two say nothing of what only one
-of them sees."""
+"""Number of camera positions below which a warning is logged.
+
+Two positions do not constrain the depth of surfaces that only one camera sees."""
 
 POINTS_FRACTION_MIN = 0.05
-"""Known points, as a share of those that training begins with where none are known, below which random ones are added:
-MCMC adds a twentieth of what there is, and never gets far from next to nothing."""
+"""Known 3D points, as a fraction of the initial number of Gaussians, below which random points are added.
+
+MCMC adds a twentieth of the current number in each densification and cannot grow from nearly nothing."""
 
 INITIAL_OPACITY = {"mcmc": 0.5, "adaptive": 0.1}
 
 INITIAL_SCALE = {"mcmc": 0.3, "adaptive": 1.0}
-"""Scale of the first Gaussians, as a share of the root mean square of the distances to their three nearest neighbours.
-That of MCMC is between gsplat's 0.1 and 1."""
+"""Initial scale, as a fraction of the root mean square distance to the three nearest neighbours.
+
+The value for MCMC lies between gsplat's 0.1 and 1."""
 
 INITIAL_DEPTHS = (0.4, 1.8)
-"""Depths of points at random, as shares of the distance to what the cameras look at."""
+"""Range of depths of random points, as fractions of the distance from the cameras to their common target."""
 
 INITIAL_SCALE_MIN = 1e-6
-"""Least scale of the first Gaussians, scene units: points may coincide."""
+"""Smallest initial scale, scene units; coinciding points have neighbours at distance 0."""
 
 _log = logging.getLogger("lumisplat")
 
 NEIGHBOURS = 3
 PARALLEL = 1e-3
-"""Mean squared sine between optical axes and their mean below which nothing says where they meet."""
+"""Mean squared sine between the optical axes and their mean below which their intersection is undefined."""
 PARALLEL_DISTANCE = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class SceneScale:
-    """What cameras say of the place that they stand in."""
+    """Length scales of a scene, estimated from its cameras."""
 
     extent: float
-    """1.1 times the largest distance of a camera from their mean, scene units (Kerbl et al. 2023); 1 of one place."""
+    """1.1 times the largest distance of a camera from the mean position, scene units (Kerbl et al. 2023).
+
+    1 if all cameras are at one position."""
     distance: float
-    """Median distance of a camera from what they look at, scene units; of cameras that look the same way, three times
-    the extent."""
+    """Median distance of the cameras from their common target, scene units.
+
+    If all cameras look in the same direction, three times the extent; 1 if all are at one position."""
 
     @classmethod
     def of(cls, cameras: Sequence[Camera]) -> SceneScale:
-        """Those of at least one camera."""
+        """Estimates the scales from at least one camera."""
         target, extent = camera_target(cameras), camera_extent(cameras)
         farthest = max(float(np.linalg.norm(camera.eye)) for camera in cameras)
-        if extent < COINCIDENT_EXTENT * max(farthest, 1.0):  # they turn on the spot: nothing says how far anything is
+        if extent < COINCIDENT_EXTENT * max(farthest, 1.0):  # no parallax, so distances are unknown
             return cls(1.0, 1.0)
         distance = float(np.median([np.linalg.norm(camera.eye - target) for camera in cameras]))
         axes = np.array([camera.camera_from_world[2, :3] for camera in cameras])
@@ -188,7 +197,7 @@ class SceneScale:
 
 
 def random_points(cameras: Sequence[Camera], scale: SceneScale, count: int, rng: np.random.Generator) -> Doubles:
-    """Points in the cameras' views, about as far as what they look at, shape (N, 3)."""
+    """Returns random points inside the views of the cameras, near the distance of their target, shape (N, 3)."""
     chosen = rng.integers(0, len(cameras), count)
     low, high = INITIAL_DEPTHS
     depths = scale.distance * rng.uniform(low, high, count)
@@ -204,13 +213,13 @@ def random_points(cameras: Sequence[Camera], scale: SceneScale, count: int, rng:
 def with_random_points(
     points: Doubles | None, colors: FloatArray | None, cameras: Sequence[Camera], config: TrainConfig
 ) -> tuple[Doubles | None, FloatArray | None]:
-    """Known points and their colours, with random ones if they are hardly any; None, if none are known.
+    """Returns known points and colours, and adds random ones if the known points are too few.
 
     Args:
-        points: World space, shape (N, 3); None: none are known.
-        colors: Display-referred sRGB, 0..1, shape (N, 3); None: not known.
-        cameras: Those that see them.
-        config: Settings.
+        points: Known points in world space, shape (N, 3); None if there are none, which returns None.
+        colors: Display-referred sRGB of ``points``, 0..1, shape (N, 3); None if unknown.
+        cameras: Training cameras, in whose views the random points are placed.
+        config: Training settings.
     """
     wanted = min(config.initial, config.cap)
     if points is None or len(points) >= POINTS_FRACTION_MIN * wanted:
@@ -218,7 +227,7 @@ def with_random_points(
     rng = np.random.default_rng([config.seed, 4])
     added = random_points(cameras, SceneScale.of(cameras), wanted - len(points), rng)
     _log.warning(
-        "the images come with only %d 3D points: %d random ones are added, which training moves where they belong",
+        "the images come with only %d 3D points: adding %d random points, which training moves onto surfaces",
         len(points),
         len(added),
     )
@@ -228,28 +237,29 @@ def with_random_points(
 
 
 def warn_if_few_positions(cameras: Sequence[Camera]) -> None:
-    """Logs a line if photographs to learn from are too few, or some of them the same."""
+    """Logs a warning if the training cameras have too few positions, or if several have the same pose."""
     count, positions, poses = len(cameras), count_positions(cameras), count_poses(cameras)
     if positions < POSITIONS_MIN:
         _log.warning(
-            "%s to learn from, taken from %s: depth follows from several positions only, so other views will look "
+            "%s from %s: depth cannot be triangulated without several camera positions, so novel views will look "
             "poor: add 20 or more images from all around",
-            "1 photograph" if count == 1 else f"{count} photographs",
-            "one place" if positions == 1 else f"{positions} places",
+            "1 training image" if count == 1 else f"{count} training images",
+            "1 camera position" if positions == 1 else f"{positions} camera positions",
         )
     elif poses < count:
         _log.warning(
-            "%d of %d photographs to learn from have the pose of another one: they show nothing new, leave them out "
-            "if they are copies",
+            "%d of %d training images have the same pose as another image and add no parallax: remove them if they "
+            "are duplicates",
             count - poses,
             count,
         )
 
 
 def _camera_rays(camera: Camera, pixels: Doubles) -> Doubles:
-    """What a camera sees at places of its image, at a view depth of 1, or at that distance if its lens bends; (N, 3).
+    """Returns the ray through each pixel position in camera space, shape (N, 3).
 
-    Where a lens sees nothing it is on the axis.
+    Rays of pinholes have view depth 1, rays of distorted lenses length 1. Pixels outside the image circle of a lens get
+    the optical axis.
     """
     if is_curvilinear(camera):
         columns, rows = np.minimum(pixels.astype(int), (camera.width - 1, camera.height - 1)).T
@@ -261,13 +271,13 @@ def _camera_rays(camera: Camera, pixels: Doubles) -> Doubles:
 def first_gaussians(
     points: npt.NDArray[np.floating], colors: FloatArray | None, config: TrainConfig, rng: np.random.Generator
 ) -> TrainedParameters:
-    """A Gaussian at each point, as wide as its neighbours are far.
+    """Returns the initial Gaussians, one at each point, scaled to the distance of its neighbours.
 
     Args:
         points: World space, shape (N, 3).
-        colors: Display-referred sRGB, 0..1, shape (N, 3); None: at random.
-        config: Settings.
-        rng: Random numbers.
+        colors: Display-referred sRGB, 0..1, shape (N, 3); None for random colours.
+        config: Training settings.
+        rng: Random number generator.
     """
     kind, count = config.densification.value, len(points)
     spread = np.maximum(INITIAL_SCALE[kind] * neighbour_distances(points), INITIAL_SCALE_MIN)
@@ -286,7 +296,10 @@ def first_gaussians(
 
 
 def neighbour_distances(points: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the root mean square distance of each point to its `NEIGHBOURS` nearest others, shape (N,); 1 for one."""
+    """Returns the root mean square distance of each point to its `NEIGHBOURS` nearest points, shape (N,).
+
+    A single point gets 1.
+    """
     if len(points) < 2:
         return np.ones(len(points))
     nearest = min(NEIGHBOURS, len(points) - 1)

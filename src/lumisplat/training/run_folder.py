@@ -1,4 +1,4 @@
-"""The folder beside a capture: the state from which a training resumes, its curve, and figures on held-out images."""
+"""Training folder beside a capture: checkpoint, PSNR curve, and images and scores of the held-out views."""
 
 from __future__ import annotations
 
@@ -37,61 +37,61 @@ _RUN_FILES = (
     *("checkpoint.npz", "curve.*", "metrics.json", "exposures.json", "poses*.json", "held out", "previews"),
     *("light.npz", "materials"),
 )
-"""What a training leaves, and finding materials, beside what tells that they have."""
+"""Glob patterns of the files that training and the material search write, without the two marker files."""
 _MARKERS = ("settings.toml", "materials.npz")
-"""What is removed last of all."""
+"""Files that mark a folder as a training folder; they are removed last."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunFolder:
-    """Files of a training."""
+    """Paths and files of one training."""
 
     path: Path
 
     @classmethod
     def of(cls, output: Path) -> RunFolder:
-        """That of a capture: ``fox.ply`` has ``fox.training``."""
+        """Returns the training folder of a capture: ``fox.training`` for ``fox.ply``."""
         return cls(output.with_suffix(".training"))
 
     @property
     def checkpoint(self) -> Path:
-        """From which training goes on."""
+        """File from which the training resumes."""
         return self.path / "checkpoint.npz"
 
     @property
     def is_begun(self) -> bool:
-        """Whether there is a training that can go on."""
+        """True if the folder holds a training that can resume."""
         return self.checkpoint.exists() or (self.path / "settings.toml").exists()
 
     def preview(self, step: int) -> Path:
-        """The picture of a step."""
+        """Returns the path of the preview image of an iteration."""
         return self.path / "previews" / f"{step:07d}.png"
 
     def prepare(self, *, overwrite: bool) -> None:
-        """Makes the folder, or empties it.
+        """Creates the folder; with ``overwrite``, removes the files of an earlier training.
 
         Raises:
-            FormatError: It cannot be made, or is none of a training.
+            FormatError: The folder cannot be created, or is not a training folder.
         """
         try:
             if overwrite and self.path.exists():
                 self._empty()
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise FormatError(self.path, f"cannot be made: {error.strerror or error}") from None
+            raise FormatError(self.path, f"cannot be created: {error.strerror or error}") from None
 
     def _empty(self) -> None:
-        """Removes what an earlier training has left, and nothing else; last of all what tells that it has."""
+        """Removes the files of an earlier training and nothing else; the marker files last."""
         stored = [self.path / name for name in _MARKERS]
         if any(self.path.iterdir()) and not any(path.exists() for path in stored):
-            raise FormatError(self.path, "is no folder of a training: it is not removed")
+            raise FormatError(self.path, "is not a training folder: nothing is removed")
         for path in (found for pattern in _RUN_FILES for found in self.path.glob(pattern)):
             shutil.rmtree(path) if path.is_dir() else path.unlink()
         for path in stored:
             path.unlink(missing_ok=True)
 
     def write_settings(self, config: TrainConfig, read_from: ReadFrom | None) -> None:
-        """Writes all that makes the same training again: from where photographs were read, and how, and settings."""
+        """Writes the source of the images and all settings, from which the training can be repeated."""
         tables = {"train": asdict(config)}
         if read_from is not None:
             background = read_from.background or "transparent"
@@ -99,23 +99,23 @@ class RunFolder:
         _write(self.path / "settings.toml", toml_text(tables))
 
     def write_curve(self, curve: Curve) -> None:
-        """Writes the numbers of a curve."""
+        """Writes the PSNR curve as JSON."""
         _write(self.path / "curve.json", json.dumps(curve.stored))
 
     def write_exposures(self, exposures: dict[str, Doubles]) -> None:
-        """Writes how photographs were exposed: three rows of four numbers each, by name."""
+        """Writes the exposure of each image by name, as three rows of four numbers."""
         stored = {name: exposure.tolist() for name, exposure in exposures.items()}
         _write(self.path / "exposures.json", json.dumps(stored, indent=2) + "\n")
 
     def write_poses(self, cameras: Sequence[Camera]) -> None:
-        """Writes cameras that have moved; those of more than one model in a file each, as a file holds one model."""
+        """Writes refined cameras, one file per camera model, because a camera file holds one model."""
         models = {camera.model for camera in cameras}
         for model in models:
             name = "poses.json" if len(models) == 1 else f"poses-{model.value}.json"
             save_cameras(self.path / name, [camera for camera in cameras if camera.model is model])
 
     def write_report(self, curve: Curve, score: HeldOutScore | None, held_out: HeldOut, gaussians: Gaussians) -> None:
-        """Writes the curve, also as a picture, and figures and pictures of what was held out."""
+        """Writes the PSNR curve as JSON and PNG, and the scores and comparison images of the held-out views."""
         self.write_curve(curve)
         with atomic_write(self.path / "curve.png") as temporary:
             curve.image().save(temporary, format="PNG")
@@ -126,18 +126,18 @@ class RunFolder:
 
 
 def forget_training(output: PathLike) -> None:
-    """Removes what a training has left beside a capture, and the capture, so that the next one begins anew.
+    """Removes a capture and the files of its training, so that the next training starts again.
 
     Args:
-        output: The capture; what `lumisplat.train` has not written stays.
+        output: Capture; files that `lumisplat.train` has not written are kept.
 
     Raises:
-        FormatError: The folder beside it is none of a training, or cannot be emptied.
+        FormatError: The folder beside the capture is not a training folder, or cannot be emptied.
     """
     folder = RunFolder.of(Path(output))
     if folder.path.exists():
         folder.prepare(overwrite=True)
-        with suppress(OSError):  # it holds something else, too
+        with suppress(OSError):  # the folder holds other files
             folder.path.rmdir()
     try:
         Path(output).unlink(missing_ok=True)
@@ -152,22 +152,22 @@ def _write(path: Path, text: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class HeldOutScore:
-    """How near a capture is to photographs that it was not learnt from."""
+    """PSNR of a capture on images that were held out of training."""
 
     psnr: float
-    """Mean over photographs, dB."""
+    """Mean over the held-out images, dB."""
     of_views: dict[str, float]
-    """PSNR of each, dB."""
+    """PSNR of each held-out image by name, dB."""
 
 
 class HeldOut:
-    """Renders and compares what was held out.
+    """Renders the held-out views and compares them with their images.
 
     Args:
-        images: Those that were not learnt from; there may be none.
-        device: As of `lumisplat.create_renderer`.
-        threads: As of `lumisplat.create_renderer`.
-        config: What draws captures; None: ellipses.
+        images: Held-out images; may be empty.
+        device: As in `lumisplat.create_renderer`.
+        threads: As in `lumisplat.create_renderer`.
+        config: Training settings, whose pipeline and projection render the views; None for the defaults.
     """
 
     def __init__(
@@ -185,89 +185,89 @@ class HeldOut:
             raster = RasterConfig(projection=drawn_by.projection)
             settings = RenderConfig(pipeline=drawn_by.pipeline, background=background, raster=raster, lighting=False)
             self._renderer = create_renderer(settings, device, threads=threads)
-            self._renderer.render(Scene(), images[0].camera)  # so that no kernel is compiled while others wait
+            self._renderer.render(Scene(), images[0].camera)  # compiles the kernels before training starts
 
     def psnr(self, gaussians: Gaussians) -> float | None:
-        """The mean, dB; None: nothing was held out."""
+        """Returns the mean PSNR, dB; None if no image was held out."""
         score = self.score(gaussians)
         return None if score is None else score.psnr
 
     def score(self, gaussians: Gaussians, progress: Callable[[str, float], None] | None = None) -> HeldOutScore | None:
-        """Of each photograph, over what counts of it; None: nothing was held out."""
+        """Returns the PSNR of each image over its mask; None if no image was held out."""
         found: dict[str, float] = {}
         for number, image in enumerate(self._images):
             if progress is not None:
                 progress("measuring", number / len(self._images))
             mask = image.mask()
-            if mask is None or mask.any():  # what a lens does not show may be all that a mask shows
+            if mask is None or mask.any():  # a mask may be empty after undistortion
                 found[image.name] = masked_psnr(self.render(gaussians, image), image)
         if progress is not None:
             progress("measuring", 1.0)
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
 
     def render(self, gaussians: Gaussians, image: TrainingImage) -> FloatArray:
-        """What a capture shows in place of a photograph, 0..1, shape (H, W, 3)."""
+        """Returns the rendered view of an image's camera, display-referred, 0..1, shape (H, W, 3)."""
         assert self._renderer is not None
         frame = self._renderer.render(Scene([gaussians]), image.camera)
         return np.clip(frame.color, 0.0, 1.0).astype(np.float32)
 
     def preview(self, gaussians: Gaussians, path: Path) -> None:
-        """Writes the first photograph beside what a capture shows in its place."""
+        """Writes the first held-out image beside its rendered view."""
         if self._images:
             write_pair(path, self._images[0].pixels(), self.render(gaussians, self._images[0]))
 
     def write_pairs(self, gaussians: Gaussians, folder: Path) -> None:
-        """Writes all photographs beside what a capture shows in their places."""
+        """Writes each held-out image beside its rendered view."""
         for image in self._images:
             write_pair(folder / f"{file_name(image.name)}.png", image.pixels(), self.render(gaussians, image))
 
 
 def file_name(name: str) -> str:
-    """A name that any file may have, another one for each name: what may not be in it becomes its number."""
+    """Returns a unique name that all file systems accept; other characters become their code points."""
     return "".join(char if char.isalnum() or char in "-_." else f"%{ord(char):02X}" for char in name)
 
 
 def masked_psnr(shown: FloatArray, image: TrainingImage) -> float:
-    """PSNR over the pixels that count, by how much they do, dB."""
+    """Returns the PSNR of an image over its mask, dB."""
     squared = ((shown - image.pixels()) ** 2).mean(axis=2)
     return decibels(float(np.average(squared, weights=image.mask())))
 
 
 def write_pair(path: Path, image: FloatArray, shown: FloatArray) -> None:
-    """Writes a photograph and, to its right, what stands for it."""
+    """Writes an image with its rendered view to its right."""
     pair = (255.0 * np.concatenate([image, shown], axis=1) + 0.5).astype(np.uint8)
     with atomic_write(path) as temporary:
         Image.fromarray(pair).save(temporary, format="PNG")
 
 
 EVERY = 50
-"""Steps that a point of the curve is the mean of."""
+"""Iterations averaged in one point of the training curve."""
 SIZE = (960, 480)
 MARGIN = 50
 DOT = 3
-"""Radius of a point of what was held out, pixels."""
+"""Radius of the dots of the held-out curve, pixels."""
 _TRAINING, _HELD_OUT, _LINES = (70, 120, 200), (210, 120, 30), (225, 225, 225)
 
 
 @dataclass(slots=True)
 class Curve:
-    """PSNR of the photographs that were learnt from, and of what was held out."""
+    """PSNR over iterations, of the training images and of the held-out images."""
 
     steps: list[int] = field(default_factory=list[int])
-    """Last step of each point."""
+    """Last iteration of each point."""
     squared: list[float] = field(default_factory=list[float])
-    """Mean squared error over the steps of each point."""
+    """Mean squared error over the iterations of each point."""
     measured: list[tuple[int, float]] = field(default_factory=list[tuple[int, float]])
-    """Step and PSNR of what was held out, dB."""
+    """Iteration and held-out PSNR of each evaluation, dB."""
     _sum: float = 0.0
     _count: int = 0
 
     @classmethod
     def of(cls, stored: dict[str, Any]) -> Curve:
-        """Returns the curve that `stored` has kept.
+        """Returns the curve of a ``stored`` dictionary.
 
         Raises:
-            ValueError: Steps or errors are none that a training can have.
+            ValueError: The iterations or errors are impossible.
         """
         measured = [(int(step), float(value)) for step, value in stored["measured"]]
         steps, squared = [int(step) for step in stored["steps"]], [float(value) for value in stored["squared"]]
@@ -276,17 +276,17 @@ class Curve:
         sound = all(0.0 <= error < math.inf for error in (*squared, curve._sum))
         sound &= all(step > 0 and not math.isnan(value) for step, value in measured)
         if len(steps) != len(squared) or not ascending or curve._count < 0 or not sound:
-            raise ValueError("no curve of a training")
+            raise ValueError("not a training curve")
         return curve
 
     @property
     def stored(self) -> dict[str, Any]:
-        """All of it, as JSON has it, to the bit; ``sum`` and ``count`` are of the steps since the last point."""
+        """Curve as a JSON dictionary, exact to the bit; ``sum`` and ``count`` cover iterations since the last point."""
         points = {"steps": self.steps, "squared": self.squared, "measured": self.measured}
         return points | {"sum": self._sum, "count": self._count}
 
     def add(self, step: int, loss: Loss) -> None:
-        """Counts a step."""
+        """Adds the loss of one iteration."""
         self._sum, self._count = self._sum + loss.squared, self._count + 1
         if step % EVERY == 0:
             self.steps.append(step)
@@ -294,19 +294,19 @@ class Curve:
             self._sum, self._count = 0.0, 0
 
     def measure(self, step: int, psnr: float | None) -> None:
-        """Notes what was measured, if anything was held out."""
+        """Adds an evaluation of the held-out images; does nothing for None."""
         if psnr is not None:
             self.measured.append((step, psnr))
 
     @property
     def psnr(self) -> float:
-        """Of the last steps, dB."""
+        """PSNR of the latest iterations, dB."""
         if self._count:
             return decibels(self._sum / self._count)
         return decibels(self.squared[-1]) if self.squared else 0.0
 
     def image(self) -> Image.Image:
-        """The curve: blue what was learnt from, orange what was held out."""
+        """Returns the plotted curve: training images in blue, held-out images in orange."""
         image = Image.new("RGB", SIZE, "white")
         draw = ImageDraw.Draw(image)
         training = [(float(step), decibels(error)) for step, error in zip(self.steps, self.squared, strict=True)]
@@ -320,35 +320,35 @@ class Curve:
             draw.line([axes.position(*point) for point in line], fill=color, width=2)
         for x, y in (axes.position(*point) for point in lines[1]):
             draw.ellipse([x - DOT, y - DOT, x + DOT, y + DOT], fill=_HELD_OUT)
-        draw.text((MARGIN + 120, 16), "learnt from", fill=_TRAINING)
+        draw.text((MARGIN + 120, 16), "training", fill=_TRAINING)
         draw.text((MARGIN + 210, 16), "held out", fill=_HELD_OUT)
         return image
 
 
 @dataclass(frozen=True, slots=True)
 class _Axes:
-    """Steps to the right, PSNR upwards."""
+    """Axes of the plot: iterations to the right, PSNR upwards."""
 
     last: float
-    """The last step."""
+    """Last iteration, at the right end."""
     low: int
     """PSNR at the bottom, dB."""
     high: int
-    """At the top."""
+    """PSNR at the top, dB."""
 
     @classmethod
     def around(cls, points: Sequence[tuple[float, float]]) -> _Axes:
-        """That hold all of the points."""
+        """Returns axes that contain all points."""
         values = [value for _, value in points]
         return cls(max(step for step, _ in points), math.floor(min(values)), math.ceil(max(values)) + 1)
 
     def position(self, step: float, value: float) -> tuple[float, float]:
-        """The pixel of a point."""
+        """Returns the pixel position of a point."""
         across, up = step / self.last, (value - self.low) / (self.high - self.low)
         return MARGIN + (SIZE[0] - 2 * MARGIN) * across, SIZE[1] - MARGIN - (SIZE[1] - 2 * MARGIN) * up
 
     def draw(self, draw: ImageDraw.ImageDraw) -> None:
-        """Lines at round numbers, with these numbers, and what they are of."""
+        """Draws grid lines at round numbers, tick labels and axis titles."""
         draw.text((8, 16), "PSNR, dB", fill="black")
         for tick in range(self.low, self.high + 1, max((self.high - self.low) // 8, 1)):
             draw.line([self.position(0.0, tick), self.position(self.last, tick)], fill=_LINES)
@@ -358,17 +358,17 @@ class _Axes:
             draw.line([(x, y), (x, y + 5)], fill="black")
             draw.text((x, y + 8), f"{tick:,}", fill="black", anchor="mt")
         draw.line([self.position(0.0, self.low), self.position(self.last, self.low)], fill="black")
-        draw.text((SIZE[0] / 2, SIZE[1] - 18), "steps", fill="black", anchor="mt")
+        draw.text((SIZE[0] / 2, SIZE[1] - 18), "iterations", fill="black", anchor="mt")
 
 
 def round_step(least: float) -> int:
-    """The smallest of 1, 2, 5, 10, 20, 50, ... that is not below a number."""
+    """Returns the smallest of 1, 2, 5, 10, 20, 50, ... that is at least ``least``."""
     power = 10 ** max(math.floor(math.log10(max(least, 1.0))), 0)
     return next(power * factor for factor in (1, 2, 5, 10) if power * factor >= least)
 
 
 def decibels(squared: float) -> float:
-    """PSNR of a mean squared error; infinite of none."""
+    """Returns the PSNR of a mean squared error, dB; infinite for 0."""
     return -10.0 * math.log10(squared) if squared > 0.0 else math.inf
 
 
@@ -377,39 +377,39 @@ _log = logging.getLogger("lumisplat")
 VERSION = 6
 _PARTS = ("values", "first", "second")
 RECORD = ("motion", "turns", "frames")
-"""What a `SplatRecord` has."""
+"""Names of the arrays of a `SplatRecord`."""
 _PER_IMAGE = "photographs."
 _MAY_CHANGE = ("iterations", "prune_below")
-"""Settings with others of which training goes on: what is done stays, and what comes goes by the new ones."""
-BEGIN_ANEW = "remove it, or overwrite it (--overwrite, overwrite=True), to begin anew"
-_KIND = f"a checkpoint of a training: {BEGIN_ANEW}"
+"""Settings that may differ when a training resumes; the new values apply to the remaining iterations."""
+BEGIN_ANEW = "remove it, or start again (--overwrite, overwrite=True)"
+_KIND = f"a training checkpoint: {BEGIN_ANEW}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """Everything that the next step depends on, but for settings and photographs."""
+    """Complete state of a training, apart from its settings and images."""
 
     iteration: int
-    """Steps that were made."""
+    """Number of iterations made."""
     parameters: TrainedParameters
     record: dict[str, FloatArray]
-    """What was noted of each Gaussian since their number changed last."""
+    """Densification statistics of each Gaussian since the last densification."""
     per_image: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
-    """What was learnt of photographs beside what they show."""
+    """Optimised exposures and poses with their moments."""
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: TrainConfig, images: str) -> None:
-    """Writes a checkpoint, which appears complete or not at all.
+    """Writes a checkpoint atomically.
 
     Args:
         path: The file, .npz.
-        checkpoint: The state.
-        curve: How it went so far.
-        config: Settings of the training.
-        images: What tells its photographs from others.
+        checkpoint: State of the training.
+        curve: PSNR curve so far.
+        config: Training settings.
+        images: Fingerprint of the training images.
 
     Raises:
-        FormatError: It cannot be written.
+        FormatError: The file cannot be written.
     """
     arrays: dict[str, Any] = {f"record.{name}": checkpoint.record[name] for name in RECORD}
     for part in _PARTS:
@@ -426,20 +426,26 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint, curve: Curve, config: T
 
 
 def write_state(path: Path, arrays: Mapping[str, Any], about: Mapping[str, Any]) -> None:
-    """Writes arrays and, as JSON, what is known about them; the file, .npz, appears complete or not at all.
+    """Writes arrays and JSON metadata to an .npz file atomically.
 
     Raises:
-        FormatError: It cannot be written.
+        FormatError: The file cannot be written.
     """
     with atomic_write(path) as temporary, temporary.open("wb") as file:
         np.savez(file, about=np.array(json.dumps(about)), **arrays)
 
 
 def read_checkpoint(path: Path, config: TrainConfig, images: str) -> tuple[Checkpoint, Curve]:
-    """Reads a checkpoint of the same settings and photographs, and how it went until then.
+    """Reads a checkpoint and its PSNR curve.
+
+    Args:
+        path: The file, .npz.
+        config: Settings of the training that resumes.
+        images: Fingerprint of its images.
 
     Raises:
-        FormatError: It cannot be read, or is of others; names the first setting that differs.
+        FormatError: The file cannot be read, or belongs to other settings or images; the message names the first
+            setting that differs.
     """
     try:
         arrays = read_arrays(path, _KIND)
@@ -460,16 +466,16 @@ def read_checkpoint(path: Path, config: TrainConfig, images: str) -> tuple[Check
         }
         state = Checkpoint(int(stored["iteration"]), TrainedParameters(*parts), record, per_image)
         if state.iteration < 0 or count == 0:
-            raise ValueError("no state of a training")
+            raise ValueError("not a training state")
         return state, Curve.of(stored["curve"])
-    except FormatError:  # of others, or unreadable
+    except FormatError:  # unreadable, or of another training
         raise
     except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError):
         raise _damaged(path) from None
 
 
 def check_images(path: Path, checkpoint: Checkpoint, now: Checkpoint) -> None:
-    """Raises a FormatError unless a checkpoint has what a training learns of each image, in the same shapes."""
+    """Raises a FormatError unless the per-image arrays of two checkpoints have the same names and shapes."""
     shapes = [{name: array.shape for name, array in state.per_image.items()} for state in (checkpoint, now)]
     if shapes[0] != shapes[1]:
         raise _damaged(path)
@@ -480,9 +486,9 @@ def _damaged(path: Path) -> FormatError:
 
 
 def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: str) -> None:
-    """Raises a FormatError unless a checkpoint is of these settings and photographs."""
+    """Raises a FormatError unless a checkpoint has these settings and this fingerprint of the images."""
     if stored["version"] != VERSION:
-        raise FormatError(path, f"is a checkpoint of version {stored['version']}, expected {VERSION}: {BEGIN_ANEW}")
+        raise FormatError(path, f"has checkpoint version {stored['version']}, expected {VERSION}: {BEGIN_ANEW}")
     settings = plain_settings(config)
     for name in dict.fromkeys([*settings, *stored["settings"]]):
         if name in _MAY_CHANGE:
@@ -490,35 +496,35 @@ def check_same(path: Path, stored: dict[str, Any], config: TrainConfig, images: 
         before, now = stored["settings"].get(name), settings.get(name)
         if before != now:
             raise FormatError(
-                path, f"is of a training with {name} {before}, not {now}: use the settings of before, or overwrite it"
+                path, f"was trained with {name} {before}, not {now}: use the earlier settings, or overwrite it"
             )
     if stored["photographs"] != images:
         raise FormatError(
             path,
-            "is of a training with other photographs, others held out or another background: use those of before, or "
+            "was trained with other images, another hold-out or another background: use the earlier ones, or "
             "overwrite it",
         )
     _check_steps(path, int(stored["iteration"]), int(stored["settings"]["iterations"]), config.iterations)
 
 
 def _check_steps(path: Path, done: int, before: int, now: int) -> None:
-    """Raises a FormatError if more steps are done than are asked for; logs how training goes on if others were."""
+    """Raises a FormatError if more iterations are done than requested; warns if the requested number has changed."""
     if done > now:
         raise FormatError(
             path,
-            f"has {done:,} steps already, TrainConfig.iterations is {now:,}: ask for as many or more, or overwrite it",
+            f"has {done:,} iterations, TrainConfig.iterations is {now:,}: request at least as many, or overwrite it",
         )
     if before != now:
         _log.warning(
-            "%s: goes on from step %s of %s to step %s: rates and what depends on the share of steps that are done "
-            "go by the new number, so that the result is not that of %s steps in one go",
+            "%s: resumes from iteration %s of %s and continues to %s: learning rates and schedules follow the new "
+            "total, so the result differs from %s iterations in one run",
             path,
             *(f"{steps:,}" for steps in (done, before, now, now)),
         )
 
 
 def plain_settings(config: TrainConfig) -> dict[str, Any]:
-    """Settings as JSON has them; groups by dotted names."""
+    """Returns the settings as JSON values; nested settings have dotted names."""
     settings = asdict(config)
     rates: dict[str, Any] = settings.pop("rates")
     plain = {name: value.value if isinstance(value, Enum) else value for name, value in settings.items()}

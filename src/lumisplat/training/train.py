@@ -1,4 +1,4 @@
-"""From a folder of photographs to a capture: ``lumisplat.train``."""
+"""Trains a capture from a folder of images with known poses: ``lumisplat.train``."""
 
 from __future__ import annotations
 
@@ -38,11 +38,13 @@ from lumisplat.training.run_folder import (
 from lumisplat.training.trainer import Trainer
 from lumisplat.training.views import TrainingView
 
-# The frame (docs/adr/0086-one-local-origin.md)
+# Local frame of training: docs/adr/0086-one-local-origin.md
 
 TRAINING_EXTENT = 4.4
-"""Extent of the cameras in the frame in which Gaussians are learnt, whatever the unit of the scene: cameras four units
-around an object, as in NeRF's synthetic sets, for which weights of scales and strengths of noise are chosen."""
+"""Camera extent of every scene in the local frame in which Gaussians are trained, whatever the scene's unit.
+
+NeRF's synthetic sets have cameras four units around an object; the weights of scale regularisation and the noise
+strengths were chosen for that size."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -51,31 +53,33 @@ CHECKPOINT_EVERY_S = 60.0
 """Seconds between two checkpoints."""
 PROGRESS_EVERY_S = 0.5
 EVALUATE_AT = (100, 200, 500)
-"""Steps after which what is held out is measured, too: whether poses are right shows early."""
+"""Early iterations after which the held-out images are evaluated, because wrong poses show early."""
 EVALUATE_EVERY = 1000
-"""Steps between two further points of the curve of what is held out."""
+"""Iterations between two further evaluations of the held-out images."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainResult:
-    """What came of a training."""
+    """Trained capture, its held-out score, and the optimised exposures and cameras."""
 
     gaussians: Gaussians
     iterations: int
-    """Steps that were made, also before this call."""
+    """Iterations run so far, including those before a resume."""
     is_finished: bool
-    """Whether these are all; else it was stopped by its time."""
+    """True if all iterations were run; False if ``stop_after`` ended the training early."""
     score: HeldOutScore | None
-    """Of what was held out; None: nothing was."""
+    """PSNR on the held-out images; None if none were held out."""
     seconds: float
-    """Of this call, without the compilation of kernels."""
+    """Duration of this call in seconds, without kernel compilation."""
     exposures: dict[str, Doubles] | None = None
-    """How each photograph that was learnt from was exposed, by name, shape (3, 4): what its colours, display-referred,
-    were multiplied by, and what was added; their mean is the identity. None: it was not learnt."""
+    """Exposure of each training image by name, shape (3, 4); None if exposures were not optimised.
+
+    The first three columns multiply the display-referred colour, the last is added. The mean over images is the
+    identity."""
     pruned: int = 0
-    """Gaussians that were removed at the end, for they showed too little."""
+    """Number of Gaussians removed at the end because their largest blending weight was below ``prune_below``."""
     cameras: tuple[Camera, ...] | None = None
-    """Of the photographs that were learnt from, where they have moved to; None: they stayed."""
+    """Refined cameras of the training images; None if poses were not refined."""
 
 
 def train(
@@ -93,36 +97,39 @@ def train(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> TrainResult:
-    """Fits Gaussians to photographs with poses (Kerbl et al. 2023), without a GPU if need be.
+    """Trains 3D Gaussians from images with known poses (Kerbl et al. 2023), on a GPU or a CPU.
 
-    With ``output``, everything that is needed to go on is kept beside it, in a folder of its name with ``.training``: a
-    checkpoint each minute, settings, a curve, pictures and figures of what was held out. The same call again goes on
-    from the checkpoint: the result has the same bits as if it had never ended. Ctrl C ends a training after its step,
-    with a checkpoint; pressed once more, at once.
+    With ``output``, the folder ``NAME.training`` beside the capture holds a checkpoint written once a minute, the
+    settings, the PSNR curve, and images and scores of the held-out views. Repeating the same call resumes from the
+    checkpoint, and the result has the same bits as an uninterrupted run. Ctrl C stops after the current iteration and
+    writes a checkpoint; a second Ctrl C stops at once.
 
     Args:
-        images: A folder, or what `lumisplat.io.load_training_images` has read; then ``scale``, ``hold_out`` and
-            ``background`` are those of it. A folder's lenses stay as they are if ``config.pipeline`` is ``TRACE``,
-            or ``config.projection`` is ``UNSCENTED``.
-        config: Settings; None: the defaults.
-        output: The capture, .ply or .spz; None: it is returned alone.
-        scale: As of `lumisplat.io.load_training_images`.
-        hold_out: As of `lumisplat.io.load_training_images`.
-        background: Behind the Gaussians, and behind what is transparent in photographs.
-        stop_after: Seconds of training, without the compilation of kernels, after which it ends before all steps are
-            made.
-        overwrite: Whether to begin anew where there is a checkpoint.
-        preview: Steps between two pictures of the first view that is held out, in the folder; None: none are made.
-        device: As of `lumisplat.create_renderer`.
-        threads: As of `lumisplat.create_renderer`.
-        progress: Called with what is being done and the fraction done, 0..1.
+        images: Folder of images, or the result of `lumisplat.io.load_training_images`. A loaded result already fixes
+            ``scale``, ``hold_out`` and ``background``. Lens distortion of a folder's images is kept if
+            ``config.pipeline`` is ``TRACE`` or ``config.projection`` is ``UNSCENTED``, and removed otherwise.
+        config: Training settings; None for the defaults.
+        output: Capture to write, .ply or .spz; None to return the result without writing files.
+        scale: As in `lumisplat.io.load_training_images`.
+        hold_out: As in `lumisplat.io.load_training_images`.
+        background: Colour behind the Gaussians and behind transparent pixels of the images.
+        stop_after: Time limit in seconds, without kernel compilation; None for no limit.
+        overwrite: If True, discards an existing checkpoint and starts again.
+        preview: Iterations between two preview images of the first held-out view in the training folder; None for no
+            previews.
+        device: As in `lumisplat.create_renderer`.
+        threads: As in `lumisplat.create_renderer`.
+        progress: Called with a description of the current work and the fraction done, 0..1.
+
+    Returns:
+        The trained capture with its held-out score.
 
     Raises:
         ConfigError: A setting is out of its range.
-        DeviceError: There is no such device, or it is out of memory.
-        DivergedError: The loss is no longer finite: the last checkpoint stays.
-        FormatError: Photographs cannot be read, a file cannot be written, a checkpoint is of another training, or the
-            output is there already and of none.
+        DeviceError: The device does not exist or is out of memory.
+        DivergedError: The loss is no longer finite; the last checkpoint is kept.
+        FormatError: An image cannot be read, a file cannot be written, the checkpoint belongs to another training, or
+            ``output`` exists and has no training to resume.
     """
     config = config or TrainConfig()
     check_kind("config", config, TrainConfig)
@@ -133,7 +140,7 @@ def train(
     if output is not None and Path(output).suffix.lower() not in CAPTURES:
         raise ConfigError(f"output is {output}, expected a file that ends in {' or '.join(CAPTURES)}")
     if output is not None and Path(output).suffix.lower() == ".spz" and config.kernel_degree != KERNEL_DEGREE:
-        raise ConfigError(f"output is {output}, which cannot say its kernel degree of {config.kernel_degree}: use .ply")
+        raise ConfigError(f"output is {output}, but .spz cannot store kernel degree {config.kernel_degree}: use .ply")
     if not isinstance(images, TrainingImages):
         straighten = not config.keeps_lenses
         images = load_training_images(
@@ -142,7 +149,8 @@ def train(
     folder = None if output is None else RunFolder.of(Path(output))
     if folder is not None and output is not None and Path(output).exists() and not (overwrite or folder.is_begun):
         raise FormatError(
-            output, "is there already, and of no training that could go on: overwrite it, or name another"
+            output,
+            "exists and has no training to resume: overwrite it (--overwrite, overwrite=True) or choose another output",
         )
     run = _Run(images, config, folder, device=device, threads=threads, progress=progress or no_progress)
     run.start(overwrite=overwrite)
@@ -151,7 +159,7 @@ def train(
 
 
 class _Run:
-    """One call of ``train``."""
+    """State of one call of ``train``."""
 
     def __init__(
         self,
@@ -166,7 +174,7 @@ class _Run:
         self._images, self._config, self._folder, self._progress = images, config, folder, progress
         views = [TrainingView.of(image) for image in images.training]
         self._frame = training_frame(images)
-        """The frame in which Gaussians are learnt."""
+        """Local frame in which the Gaussians are trained."""
         views = [replace(view, camera=self._frame.camera(view.camera)) for view in views]
         cameras = [view.camera for view in views]
         warn_if_few_positions(cameras)
@@ -185,24 +193,24 @@ class _Run:
         self._held_out = HeldOut(images.held_out, device, threads, config)
         self._curve = Curve()
         self._begun = 0.0
-        """When the first step of this call began, seconds."""
+        """Time at which the first iteration of this call began, seconds."""
         self._first = 0
 
     def start(self, *, overwrite: bool) -> None:
-        """Begins anew, or where the last call has ended."""
+        """Prepares the training folder and resumes from its checkpoint, if there is one."""
         if self._folder is None:
             return
         self._folder.prepare(overwrite=overwrite)
-        fingerprint = self._fingerprint  # of the photographs as they are now, not after the first minute
+        fingerprint = self._fingerprint  # hashed now, before an image can change
         if self._folder.checkpoint.exists():
             checkpoint, self._curve = read_checkpoint(self._folder.checkpoint, self._config, fingerprint)
             check_images(self._folder.checkpoint, checkpoint, self._trainer.checkpoint)
             self._trainer.restore(checkpoint)
-        self._folder.write_settings(self._config, self._images.read_from)  # not before: those of another training stay
+        self._folder.write_settings(self._config, self._images.read_from)  # only after the checkpoint is accepted
         self._first = self._trainer.iteration
 
     def run_steps(self, stop_after: float | None, preview: int | None) -> None:
-        """Makes the steps that are left, or those for which there is time."""
+        """Runs the remaining iterations, or as many as fit into the time limit."""
         trainer, total = self._trainer, self._config.iterations
         saved = reported = self._begun = time.monotonic()
         with deferred_interrupt() as is_interrupted:
@@ -228,7 +236,7 @@ class _Run:
             raise KeyboardInterrupt
 
     def finish(self, output: Path | None) -> TrainResult:
-        """Writes the capture, and measures it."""
+        """Prunes, evaluates and writes the capture."""
         trained, pruned = self._pruned()
         exposures, cameras = self._exposures(), self._cameras()
         gaussians = _oriented(trained, cameras or tuple(image.camera for image in self._images.training))
@@ -247,11 +255,14 @@ class _Run:
         return TrainResult(gaussians, done, done == self._config.iterations, score, seconds, exposures, pruned, cameras)
 
     def _gaussians(self) -> Gaussians:
-        """What has been learnt so far, in the world."""
+        """Returns the current Gaussians in world space."""
         return self._frame.gaussians(self._trainer.gaussians())
 
     def _pruned(self) -> tuple[Gaussians, int]:
-        """What has been learnt without what shows too little, and how many these were; all of it, if all does."""
+        """Returns the Gaussians whose largest blending weight reaches ``prune_below``, and the number removed.
+
+        If no Gaussian reaches the threshold, all are returned and a warning is logged.
+        """
         gaussians, least = self._gaussians(), self._config.prune_below
         if least == 0.0:
             return gaussians, 0
@@ -259,7 +270,8 @@ class _Run:
         shows = weights >= least
         if not shows.any():
             _log.warning(
-                "TrainConfig.prune_below is %g, but the largest weight of any Gaussian is %.2g: nothing is pruned",
+                "TrainConfig.prune_below is %g, but the largest blending weight of any Gaussian is %.2g: "
+                "no Gaussian is pruned",
                 least,
                 weights.max(),
             )
@@ -267,14 +279,14 @@ class _Run:
         return gaussians.subset(np.flatnonzero(shows)), int((~shows).sum())
 
     def _exposures(self) -> dict[str, Doubles] | None:
-        """Those that were learnt, by name."""
+        """Returns the optimised exposures by image name; None if they were not optimised."""
         if self._trainer.exposures is None:
             return None
         names = (image.name for image in self._images.training)
         return dict(zip(names, self._trainer.exposures.values, strict=True))
 
     def _cameras(self) -> tuple[Camera, ...] | None:
-        """Those of the photographs, if they have moved."""
+        """Returns the refined cameras of the training images in world space; None if poses were not refined."""
         if self._trainer.poses is None:
             return None
         return tuple(
@@ -290,24 +302,24 @@ class _Run:
 
     def _progress_text(self, now: float) -> str:
         rate = (self._trainer.iteration - self._first) / max(now - self._begun, 1e-3)
-        return f"training, {self._curve.psnr:.1f} dB, {self._trainer.count:,} Gaussians, {rate:.1f} steps a second"
+        return f"training, {self._curve.psnr:.1f} dB, {self._trainer.count:,} Gaussians, {rate:.1f} iterations/s"
 
     @cached_property
     def _fingerprint(self) -> str:
-        """What tells these photographs, their bytes, lenses, poses, masks and points from others."""
+        """Hash of the training images: their bytes, lenses, poses, masks and points."""
         return self._images.fingerprint
 
 
 def training_frame(images: TrainingImages) -> LocalFrame:
-    """Returns the frame in which Gaussians are learnt: about the cameras, in a unit in which all sets are alike.
+    """Returns the local frame of training: centred on the cameras, and scaled to a camera extent of `TRAINING_EXTENT`.
 
-    What comes of a training does not depend on the unit of a scene, nor on where its zero is.
+    The result of a training therefore depends neither on the scene's unit nor on its origin.
     """
     return LocalFrame.of_cameras([image.camera for image in images.training], TRAINING_EXTENT)
 
 
 def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
-    """Returns a capture that states up and first view, from the cameras of its images, world space."""
+    """Returns the capture with an up direction and a first view, derived from the training cameras in world space."""
     origin, to_origin = np.array(gaussians.origin), np.eye(4)
     view = first_view_of(cameras, gaussians.means + origin)
     stated = replace(gaussians, up=up_of_cameras(cameras), first_view=view)
@@ -316,5 +328,5 @@ def _oriented(gaussians: Gaussians, cameras: Sequence[Camera]) -> Gaussians:
 
 
 def is_evaluated(step: int) -> bool:
-    """Whether what is held out is measured after a step that is not the last."""
+    """Returns whether the held-out images are evaluated after an iteration other than the last."""
     return step in EVALUATE_AT or step % EVALUATE_EVERY == 0

@@ -1,4 +1,4 @@
-"""Training, a step at a time: a photograph, a frame, its derivatives, and Gaussians that move."""
+"""Optimises Gaussians one iteration at a time: loads an image, renders its view, differentiates, and updates."""
 
 from __future__ import annotations
 
@@ -51,46 +51,47 @@ from lumisplat.training.run_folder import RECORD, Checkpoint
 from lumisplat.training.views import StepInput, TrainingView
 
 SURFACES_AFTER = 0.23
-"""Share of the steps after which normals and depths count. 7,000 of 30,000, Huang et al. 2024, code."""
+"""Fraction of the iterations after which normal and depth terms count: 7,000 of 30,000 in the code of Huang et al.
+2024."""
 
 POSES_AFTER = 0.1
-"""Share of the steps after which poses are learnt: before, nothing is where it will be."""
+"""Fraction of the iterations after which poses are refined; before that, the geometry is too coarse."""
 
 DENSIFY_AFTER = 500
-"""Steps before the first change of the number of Gaussians, but for short trainings: a sixtieth of these."""
+"""Iterations before the first densification; short trainings start after a sixtieth of their iterations."""
 
 DENSIFY_EVERY = 100
-"""Steps between two changes."""
+"""Iterations between two densifications."""
 
 DENSIFY_UNTIL = {"mcmc": 0.83, "adaptive": 0.5}
-"""Share of the steps after which their number stays. gsplat's 25,000 and 15,000 of 30,000."""
+"""Fraction of the iterations after which densification stops: gsplat's 25,000 and 15,000 of 30,000."""
 
 SH_REST_SHARE = 0.05
-"""How far harmonics above the constant one move, as a share of that. Kerbl et al. 2023."""
+"""Learning rate of the SH coefficients above degree 0, as a fraction of that of degree 0. Kerbl et al. 2023."""
 
 NOISE_STRENGTH = 5e5
-"""Of the noise, times the rate of the means. gsplat's."""
+"""Strength of the MCMC position noise, multiplied by the learning rate of the means. gsplat's value."""
 
 
 class DivergedError(LumisplatError, RuntimeError):
-    """Training was stopped: its loss or its parameters are no longer finite, or no Gaussian is left."""
+    """Training stopped because the loss or a parameter is not finite, or because no Gaussian is left."""
 
 
 class Trainer:
-    """Fits Gaussians to photographs.
+    """Optimises Gaussians against training images.
 
-    All that is random is a function of the seed and of the number of the step: two trainers with the same photographs,
-    settings and state take the same steps, to the bit, on any number of threads.
+    All random numbers are functions of the seed and the iteration. Two trainers with the same images, settings and
+    state therefore make the same updates to the bit, on any number of threads.
 
     Args:
-        views: The photographs, at least one.
-        config: Settings.
+        views: Training views, at least one.
+        config: Training settings.
         background: Display-referred sRGB behind the Gaussians.
-        points: Where Gaussians begin, world space, shape (N, 3); None: at random.
-        colors: Display-referred sRGB of these, 0..1, shape (N, 3).
-        device: As of `lumisplat.create_renderer`.
-        threads: As of `lumisplat.create_renderer`.
-        progress: As of `lumisplat.create_renderer`.
+        points: Initial means in world space, shape (N, 3); None for random points.
+        colors: Display-referred sRGB of ``points``, 0..1, shape (N, 3).
+        device: As in `lumisplat.create_renderer`.
+        threads: As in `lumisplat.create_renderer`.
+        progress: As in `lumisplat.create_renderer`.
     """
 
     def __init__(
@@ -120,14 +121,14 @@ class Trainer:
         self._surfaces = self._surface_loss()
         self._device_splats = DeviceParameters(self._buffers)
         self.exposures = Exposures.neutral(len(views)) if config.exposures else None
-        """Those of the photographs, in their order; None: they are not learnt."""
+        """Exposures in the order of the views; None if they are not optimised."""
         self.poses = (
             Poses.of([view.camera for view in views], self.scene_scale.distance) if config.refine_poses else None
         )
-        """Those of the photographs, in their order; None: they stay."""
+        """Camera poses in the order of the views; None if they are not refined."""
         self._background = background
         self.iteration = 0
-        """Steps that were made."""
+        """Number of iterations made."""
         rng = np.random.default_rng([config.seed, 0])
         if points is None:
             cameras = [view.camera for view in views]
@@ -139,15 +140,15 @@ class Trainer:
 
     @property
     def count(self) -> int:
-        """Gaussians."""
+        """Number of Gaussians."""
         return self._count
 
     def gaussians(self) -> Gaussians:
-        """What has been learnt so far."""
+        """Returns the current Gaussians."""
         return self._parameters().gaussians(self.config)
 
     def largest_weights(self) -> FloatArray:
-        """The largest weight with which each Gaussian is blended in any pixel of any view, 0..1, shape (N,)."""
+        """Returns the largest blending weight of each Gaussian over all pixels of all views, 0..1, shape (N,)."""
         largest = self._buffers.get("weights.largest", wp.float32, self.count)
         largest.zero_()
         for number, view in enumerate(self._views):
@@ -158,13 +159,13 @@ class Trainer:
 
     @property
     def checkpoint(self) -> Checkpoint:
-        """The state."""
+        """State from which the training can resume."""
         record = {name: np.array(device_array(getattr(self._record, name)).numpy()) for name in RECORD}
         per_image = {name: values for correction in self._corrections for name, values in correction.state.items()}
         return Checkpoint(self.iteration, self._parameters(), record, per_image)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Goes on from a state."""
+        """Resumes from a checkpoint."""
         self._upload(checkpoint.parameters)
         for name, values in checkpoint.record.items():
             device_array(getattr(self._record, name)).assign(values)
@@ -173,10 +174,10 @@ class Trainer:
         self.iteration = checkpoint.iteration
 
     def step(self) -> Loss:
-        """Makes a step with the next photograph.
+        """Runs one iteration on the next training image.
 
         Raises:
-            DivergedError: The loss is not finite.
+            DivergedError: The loss or a parameter is not finite, or no Gaussian is left.
         """
         step_input = self._next_input()
         target = self._loss.load(step_input.image.color, step_input.image.weight, step_input.image.alpha)
@@ -193,10 +194,10 @@ class Trainer:
             self._densify()
         return loss
 
-    # --- Steps of a step ---
+    # --- Parts of an iteration ---
 
     def _next_input(self) -> StepInput:
-        """What the next step learns from."""
+        """Returns the image, camera and background of the next iteration."""
         number = self._number_of(self.iteration)
         view = self._views[number]
         camera, image = view.downscaled(self._halvings)
@@ -209,18 +210,18 @@ class Trainer:
         return StepInput(number, camera, image.over(np.subtract(behind, view.background)), behind)
 
     def _number_of(self, iteration: int) -> int:
-        """The photograph of a step: all in turn, in another order each time."""
+        """Returns the index of the view of an iteration: each epoch visits all views in a new random order."""
         epoch, index = divmod(iteration, len(self._views))
         order = np.random.default_rng([self.config.seed, 1, epoch]).permutation(len(self._views))
         return int(order[index])
 
     @property
     def _corrections(self) -> list[Exposures | Poses]:
-        """What is learnt of photographs beside what they show."""
+        """Per-image corrections that are optimised with the Gaussians: exposures and poses."""
         return [correction for correction in (self.exposures, self.poses) if correction is not None]
 
     def _compare(self, step_input: StepInput, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
-        """The loss of a frame, and its derivatives by pixels; the exposure of the photograph moves.
+        """Returns the loss of a frame and its gradient by pixels, and updates the exposure of the image.
 
         Raises:
             DivergedError: The loss is not finite.
@@ -231,7 +232,7 @@ class Trainer:
             exposed = ExposedFrame(self._launcher, self._buffers, exposure, step_input.background)
         loss, gradient = self._loss.differentiate(size, exposed.of(pixels) if exposed else pixels, target)
         if not np.isfinite(loss.total):
-            raise DivergedError(f"training stopped at step {self.iteration + 1:,}: the loss is {loss.total}")
+            raise DivergedError(f"training stopped at iteration {self.iteration + 1:,}: the loss is {loss.total}")
         if self.exposures is not None and exposed is not None:
             gradient, by_exposure = exposed.backward(pixels, gradient)
             rate = decayed_rate(self.config.rates.exposures, self.config.rates.exposures_last, self._done)
@@ -239,7 +240,7 @@ class Trainer:
         return loss, gradient
 
     def _backward(self, pixels: PixelData, target: TargetImage, gradient: PixelGradient) -> GaussianGradient:
-        """Derivatives by Gaussians, also those of terms on surfaces, given those of the photograph by pixels."""
+        """Returns the gradient of the Gaussians with surface terms, given that of the image loss by pixels."""
         raster = self._backend
         if not isinstance(raster, TrainingRaster):
             return raster.backward(pixels, gradient)
@@ -253,7 +254,7 @@ class Trainer:
         return by_gaussians
 
     def _surface_loss(self) -> SurfaceLoss | None:
-        """What is compared of surfaces, if anything is."""
+        """Returns the surface terms of the loss; None if all weights are 0 or the backend is not the rasteriser."""
         config = self.config
         weights = {"normals": config.normals, "depth": config.depth_spread, "smooth": config.normal_smoothness}
         if not any(weights.values()) or not isinstance(self._backend, TrainingRaster):
@@ -263,17 +264,20 @@ class Trainer:
 
     @property
     def _done(self) -> float:
-        """Share of the steps that were made."""
+        """Fraction of the iterations made, 0..1."""
         return self.iteration / self.config.iterations
 
     @property
     def _degree(self) -> int:
-        """Of the harmonics that are learnt by now."""
+        """Current SH degree, raised in steps up to ``config.sh_degree``."""
         return min(self.config.sh_degree, 12 * self.iteration // self.config.iterations)
 
     @property
     def _halvings(self) -> int:
-        """Of the sides of photographs: the first quarter of the steps goes from the smallest to the next to largest."""
+        """Times that the sides of the images are halved now.
+
+        The first quarter of the iterations goes from the smallest size to the last before full size.
+        """
         coarse = self.config.coarse
         return max(coarse - 4 * coarse * self.iteration // self.config.iterations, 0)
 
@@ -308,7 +312,7 @@ class Trainer:
             row.by_scale = config.scale_decay / (3 * self.count)
         return row
 
-    # --- Gaussians that come and go ---
+    # --- Densification ---
 
     @property
     def _changes_count(self) -> bool:
@@ -325,29 +329,29 @@ class Trainer:
         parameters = densified(self._parameters(), record, self.config, rng)
         if parameters.count == 0:
             raise DivergedError(
-                f"training stopped at step {self.iteration:,}: no Gaussian is left that is neither transparent nor "
-                "larger than a tenth of the extent of the cameras: use mcmc"
+                f"training stopped at iteration {self.iteration:,}: all Gaussians were pruned as nearly transparent or "
+                "larger than a tenth of the camera extent: use densification mcmc"
             )
         self._upload(parameters)
 
     def _parameters(self) -> TrainedParameters:
-        """What the device has.
+        """Downloads the parameters and their moments from the device.
 
         Raises:
-            DivergedError: Some of it is not finite.
+            DivergedError: A parameter is not finite.
         """
         parameters = self._device_splats.download()
         for name, values in parameters.values.items():
             bad = int((~np.isfinite(values.reshape(parameters.count, -1))).any(axis=1).sum())
             if bad:
                 raise DivergedError(
-                    f"training stopped at step {self.iteration:,}: {name} of {bad:,} of {parameters.count:,} Gaussians "
-                    "are not finite"
+                    f"training stopped at iteration {self.iteration:,}: {name} of {bad:,} of {parameters.count:,} "
+                    "Gaussians are not finite"
                 )
         return parameters
 
     def _upload(self, parameters: TrainedParameters) -> None:
-        """Goes on with parameters from the host."""
+        """Uploads parameters and zeroes the densification statistics."""
         self._device_splats.upload(parameters)
         self._count = parameters.count
         self._backend.bind(parameters.gaussians(self.config), self._device_splats.values)
@@ -357,25 +361,25 @@ class Trainer:
 
 
 def decayed_rate(first: float, last: float, done: float) -> float:
-    """A rate that falls by the same factor in each step.
+    """Returns a learning rate that decays exponentially over the training.
 
     Args:
-        first: At the first step.
-        last: After the last.
-        done: Share of the steps that were made.
+        first: Learning rate at the first iteration.
+        last: Learning rate after the last iteration.
+        done: Fraction of the iterations made.
     """
     return first * (last / first) ** done
 
 
 def backend_type(config: TrainConfig) -> type[TrainingRaster | TrainingRays | TrainingUnscented]:
-    """What draws the Gaussians that are learnt."""
+    """Returns the class of the backend that renders and differentiates the Gaussians."""
     if not config.pipeline.rasterises:
         return TrainingRays
     return TrainingUnscented if config.projection is Projection.UNSCENTED else TrainingRaster
 
 
 def frame_settings(config: TrainConfig, background: tuple[float, float, float]) -> RenderConfig:
-    """Settings of the frames that are compared with photographs."""
+    """Returns the render settings of the frames that are compared with training images."""
     antialiasing = Antialiasing.ON if config.antialiased else Antialiasing.OFF
     return RenderConfig(
         pipeline=config.pipeline,

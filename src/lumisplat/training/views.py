@@ -1,4 +1,4 @@
-"""What is fitted: photographs with poses, read when their turn comes."""
+"""Training views: images with poses, whose pixels are read from disk when an iteration needs them."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from lumisplat.math.arrays import FloatArray
 from lumisplat.scene.camera import Camera
 
 LEAST_WEIGHT = 1e-6
-"""Where less counts, it does not matter what is there."""
+"""Smallest total weight of a downscaled pixel; it avoids a division by zero."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetPixels:
-    """The pixels of a photograph."""
+    """Pixels of a training image."""
 
     color: FloatArray
-    """Display-referred sRGB, 0..1, over the background where it is transparent, shape (H, W, 3)."""
+    """Display-referred sRGB composited over the background, 0..1, shape (H, W, 3)."""
     weight: FloatArray | None = None
-    """What counts, 0..1, shape (H, W); None: all."""
+    """Weight of each pixel in the loss, 0..1, shape (H, W); None for weight 1 everywhere."""
     alpha: FloatArray | None = None
-    """What the frame's alpha should be, 0..1, shape (H, W); None: nobody knows."""
+    """Target alpha of the rendered frame, 0..1, shape (H, W); None if it is unknown."""
 
     def resized(self, size: tuple[int, int]) -> TargetPixels:
-        """With other pixels, each the mean over its area of what counts there.
+        """Returns the pixels at another size; each pixel is the weighted mean over its area.
 
         Args:
-            size: Width and height.
+            size: Width and height in pixels.
         """
         weight = None if self.weight is None else _resized(self.weight, size)
         color, alpha = (self._mean_of(layer, weight, size) for layer in (self.color, self.alpha))
@@ -40,17 +40,17 @@ class TargetPixels:
         return TargetPixels(color, weight, alpha)
 
     def _mean_of(self, layer: FloatArray | None, weight: FloatArray | None, size: tuple[int, int]) -> FloatArray | None:
-        """One of its layers with other pixels, of which so much counts."""
+        """Returns one layer at another size, as a mean with the weights of the loss."""
         if layer is None or self.weight is None or weight is None:
             return None if layer is None else _resized(layer, size)
         shares, total = ((w if layer.ndim == 2 else w[..., None]) for w in (self.weight, weight))
         return np.asarray(_resized(layer * shares, size) / np.maximum(total, LEAST_WEIGHT), np.float32)
 
     def over(self, change: npt.ArrayLike) -> TargetPixels:
-        """Over another background.
+        """Returns the pixels composited over another background.
 
         Args:
-            change: How it differs from that of before, shape (3,).
+            change: New background minus the old one, shape (3,).
         """
         if self.alpha is None:
             return self
@@ -60,19 +60,19 @@ class TargetPixels:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingView:
-    """A photograph, and from where it was taken."""
+    """Training image with its camera."""
 
     name: str
     camera: Camera
-    """Of the photograph's size; a pinhole, unless rays draw it."""
+    """Camera at the size of the image: a pinhole, unless the backend renders along rays."""
     read: Callable[[], TargetPixels]
-    """Reads its pixels."""
+    """Reads the pixels of the image."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Display-referred sRGB over which these are where they are transparent."""
+    """Display-referred sRGB over which transparent pixels are composited."""
 
     @classmethod
     def of(cls, image: TrainingImage) -> TrainingView:
-        """That of a photograph of a set."""
+        """Returns the view of a loaded training image."""
 
         def read() -> TargetPixels:
             return TargetPixels(image.pixels(), image.mask(), image.alpha())
@@ -80,7 +80,7 @@ class TrainingView:
         return cls(image.name, image.camera, read, image.background or (0.0, 0.0, 0.0))
 
     def downscaled(self, halvings: int) -> tuple[Camera, TargetPixels]:
-        """The camera and the pixels, with sides halved so often; pixels are means over areas."""
+        """Returns the camera and the pixels with both sides halved ``halvings`` times; pixels are means over areas."""
         if halvings == 0:
             return self.camera, self.read()
         width, height = (max(side >> halvings, 1) for side in (self.camera.width, self.camera.height))
@@ -89,18 +89,18 @@ class TrainingView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepInput:
-    """What a step learns from."""
+    """Image, camera and background of one training iteration."""
 
     number: int
-    """Of the photograph."""
+    """Index of the view."""
     camera: Camera
     image: TargetPixels
     background: tuple[float, float, float]
-    """Display-referred sRGB behind the Gaussians, and behind what is transparent in the picture."""
+    """Display-referred sRGB behind the Gaussians and behind transparent pixels of the image."""
 
 
 def _resized(layer: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Means over areas of an image of one or three channels."""
+    """Returns an image of one or three channels at another size; pixels are means over areas."""
     channels = layer[..., None] if layer.ndim == 2 else layer
     parts = [
         np.asarray(Image.fromarray(channels[..., k]).resize(size, Image.Resampling.BOX), np.float32)
