@@ -147,7 +147,7 @@ def test_what_is_of_something_else_begins_anew(
         caplog.clear()
         with caplog.at_level(logging.WARNING, logger="lumisplat"):
             assert_same(found(capture, folder, output), whole)
-        assert "materials.npz: is damaged, or of another capture, other photographs or settings" in caplog.text, why
+        assert "materials.npz: is damaged, or of another capture, other images or settings" in caplog.text, why
 
 
 def test_an_output_that_cannot_be_written_is_told_at_once(

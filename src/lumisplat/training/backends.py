@@ -1,6 +1,6 @@
-"""Host passes that draw the Gaussians that are trained, by three ways to primary hits, and differentiate the frames.
+"""Training backends: draw the trained Gaussians and return gradients of the frame, entirely on the device.
 
-All of it stays on the device.
+Three backends find primary hits: a rasteriser of ellipses, a ray tracer, and a rasteriser along camera rays.
 """
 
 from __future__ import annotations
@@ -47,31 +47,32 @@ from lumisplat.training.losses import SurfaceLoss
 
 
 class _Backend:
-    """Has the one Gaussian set that is drawn, whose means and harmonics are those of the parameters."""
+    """Base of the backends: a scene with one Gaussian set that shares means and SH coefficients with the parameters."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._scene = DeviceScene(launcher, buffers, config)
         self._synced_for: tuple[Gaussians, int, RenderConfig] | None = None
         self._synced: tuple[Scene, FramePlan]
-        """Scene and plan of the last frame, kept until what is known of them changes."""
+        """Scene and frame plan of the last frame, reused until Gaussians, SH degree or settings change."""
 
     def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
-        """Draws other Gaussians from now on.
+        """Sets the Gaussians that later frames draw.
 
         Args:
-            gaussians: As many as the parameters, with as many harmonics. What is drawn later is written to its arrays.
-            parameters: Has their means and harmonics.
+            gaussians: Gaussians with as many rows and SH coefficients as the parameters. Later frames overwrite their
+                device copy.
+            parameters: Parameters whose means and SH coefficients are drawn.
         """
         self._gaussians, self._parameters = gaussians, parameters
 
     @property
     def data(self) -> GaussianData:
-        """The Gaussians that are drawn; there after the first frame."""
+        """Drawn Gaussians on the device; available after the first frame."""
         return self._scene.assets[0].data
 
     def _sync(self, camera: Camera, sh_degree: int) -> Scene:
-        """Uploads the scene of a frame, and returns it."""
+        """Uploads the scene of a frame and returns it."""
         key = self._gaussians, sh_degree, self._config
         if self._synced_for != key:
             scene = Scene([SplatInstance(self._gaussians, sh_degree=sh_degree)])
@@ -82,7 +83,7 @@ class _Backend:
         return scene
 
     def _alias_parameters(self) -> None:
-        """Draws the means and harmonics of the parameters, in place of copies in each step."""
+        """Lets the drawn Gaussians use the means and SH coefficients of the parameters, without copies."""
         self.data.means, self.data.sh = self._parameters.means, self._parameters.sh
 
     def _activate(self) -> None:
@@ -96,11 +97,11 @@ class _Backend:
 
 
 class TrainingRaster(_Backend):
-    """Rasterises one Gaussian set as ellipses.
+    """Rasterises one Gaussian set as screen-space ellipses.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
+        buffers: Owner of the device arrays.
         config: Settings of unlit, sorted raster frames.
     """
 
@@ -114,23 +115,26 @@ class TrainingRaster(_Backend):
         )
         self._backward = SplatBackward(launcher, buffers)
         self.by_splat: DeviceArray
-        """Derivatives by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
+        """Gradient by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
 
     def modules(self) -> list[KernelModule]:
-        """The kernel modules of frames and their derivatives."""
+        """Kernel modules of the forward and the backward pass."""
         return [*self._unlit.modules(has_meshes=False), *self._backward.modules()]
 
     def bind(self, gaussians: Gaussians, parameters: SplatParameters) -> None:
-        """As of the other backends; no pass of this one reads the scene's table of sets."""
+        """Sets the Gaussians that later frames draw, as `_Backend.bind`.
+
+        The rasteriser reads no table of Gaussian sets, so one assignment of the arrays lasts until the next call.
+        """
         super().bind(gaussians, parameters)
         self._is_bound = True
 
     def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
-        """The pixels of a frame.
+        """Renders a frame and returns its pixels.
 
         Args:
             camera: A pinhole.
-            sh_degree: Of colours.
+            sh_degree: SH degree of the colours.
             background: Display-referred sRGB behind the Gaussians.
         """
         if background != self._config.background:
@@ -146,7 +150,7 @@ class TrainingRaster(_Backend):
     def compare_surfaces(
         self, surfaces: SurfaceLoss, pixels: PixelData, target: TargetImage, counted: float, gradient: PixelGradient
     ) -> SurfaceMaps:
-        """As `SurfaceLoss.differentiate`, of the last frame."""
+        """Evaluates the surface terms of the last frame, as `SurfaceLoss.differentiate`."""
         return surfaces.differentiate(self._scene, self.drawn, pixels, target, counted=counted, gradient=gradient)
 
     def backward(
@@ -156,13 +160,13 @@ class TrainingRaster(_Backend):
         surfaces: SurfaceLoss | None = None,
         record: SplatRecord | None = None,
     ) -> GaussianGradient:
-        """Derivatives by the Gaussians of the last frame.
+        """Returns the gradient by the Gaussians of the last frame.
 
         Args:
-            pixels: Of the last frame.
-            gradient: Derivatives by these.
-            surfaces: What was compared of its surfaces, if anything.
-            record: Receives how strongly these turn normals; None: nobody asks.
+            pixels: Pixels of the last frame.
+            gradient: Gradient of the loss by ``pixels``.
+            surfaces: Surface terms evaluated for the last frame; None if there are none.
+            record: Receives the gradient of the surface terms by normals; None to skip it.
         """
         self.by_splats(pixels, gradient)
         by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
@@ -174,30 +178,30 @@ class TrainingRaster(_Backend):
         return by_gaussians
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
-        """Derivatives by the splats of the last frame, ``SplatGradient``, alone; undefined where none was drawn.
+        """Returns only the gradient by the splats of the last frame, ``SplatGradient``; undefined if not drawn.
 
         Args:
-            pixels: Of the last frame.
-            gradient: Derivatives by these.
+            pixels: Pixels of the last frame.
+            gradient: Gradient of the loss by ``pixels``.
         """
         self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
         return self.by_splat
 
     def flatten(self, weight: float, gradient: GaussianGradient) -> None:
-        """Adds the derivatives of the mean least scale of what was drawn, times a weight."""
+        """Adds the gradient of the flatness term: ``weight`` times the mean smallest scale of the drawn Gaussians."""
         count = self._gaussians.count
         inputs = (weight / count, self.drawn.splats.rects, self.data, gradient)
         self._launcher.run_banded(surface_kernels.flatten, count, *inputs)
 
     def channels(self) -> FeatureChannels:
-        """What shows further features of the last frame."""
+        """Returns the renderer of further feature channels of the last frame."""
         return FeatureChannels(self._launcher, self._buffers, self._unlit, self._backward)
 
     def add_largest_weights(self, largest: DeviceArray) -> None:
-        """Notes with how much weight each Gaussian was blended at most in the last frame.
+        """Updates the largest blending weight of each Gaussian with the last frame.
 
         Args:
-            largest: The largest so far, shape (N,).
+            largest: Largest weights so far, shape (N,).
         """
         run, drawn, tiles = self._launcher.run_banded, self.drawn, math.prod(self._scene.tile_grid)
         starts = pair_starts(self._launcher, self._buffers, drawn.splats.rects)
@@ -207,28 +211,28 @@ class TrainingRaster(_Backend):
         run(weight_kernels.reduce_largest, drawn.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Derivatives by the upper rows of ``camera_from_world``, shape (3, 4); after ``backward``.
+        """Returns the gradient by the upper rows of ``camera_from_world``, shape (3, 4); call after ``backward``.
 
         Args:
-            camera: Of the last frame.
+            camera: Camera of the last frame.
         """
         sums = self._backward.pose(self._scene, self.drawn, self.by_splat, 0)
         return pose_gradient(sums, SplatInstance(self._gaussians), camera)
 
     @property
     def drawn(self) -> DrawnSplats:
-        """What the last frame was drawn from."""
+        """Splats and tile lists of the last frame."""
         assert self._unlit.drawn is not None
         return self._unlit.drawn
 
 
 class TrainingRays(_Backend):
-    """Traces one Gaussian set, as `TrainingRaster` rasterises one: of any kernel degree, by any camera.
+    """Ray traces one Gaussian set, with any kernel degree and any camera.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
-        config: Settings of unlit, sorted frames of rays.
+        buffers: Owner of the device arrays.
+        config: Settings of unlit, sorted ray-traced frames.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig) -> None:
@@ -240,17 +244,17 @@ class TrainingRays(_Backend):
         self._sums: RaySums
 
     def modules(self) -> list[KernelModule]:
-        """As of `TrainingRaster`."""
+        """Kernel modules of the forward and the backward pass."""
         plan = FramePlan.of(self._config, Scene())
         modules = [*self._tracer.modules(plan), *self._rays.modules(), *self._scene.modules(plan)]
         return [*modules, picture_kernels.RAYS, *self._backward.modules()]
 
     def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
-        """The pixels of a frame, but for images other than colour and alpha.
+        """Renders colour and alpha of a frame and returns its pixels.
 
         Args:
-            camera: Of any kind.
-            sh_degree: Of colours.
+            camera: A camera of any model.
+            sh_degree: SH degree of the colours.
             background: Display-referred sRGB behind the Gaussians.
         """
         scene = self._sync(camera, sh_degree)
@@ -263,30 +267,30 @@ class TrainingRays(_Backend):
         return self._pixels_of_rays(self._hits.count, self._hits.gaussians, background)
 
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
-        """As of `TrainingRaster`."""
+        """Returns the gradient by the Gaussians of the last frame, as `TrainingRaster.backward`."""
         by_rays = self._backward.start_pixels(self._scene.image_size, self._hits.count, pixels, gradient)
         self._sums = self._backward.begin(self._scene)
         self._backward.add(self._scene, self._hits, by_rays, self._sums)
         return self._sums.gaussians[0]
 
     def add_largest_weights(self, largest: DeviceArray) -> None:
-        """As of `TrainingRaster`."""
-        nothing = np.zeros((0, 3), np.float32)  # the derivatives are of no interest
+        """Updates the largest blending weights with the last frame, as `TrainingRaster.add_largest_weights`."""
+        nothing = np.zeros((0, 3), np.float32)  # the gradient is not needed
         by_rays = self._backward.start_rays(self._hits.count, nothing, nothing[:, 0])
         sums = replace(self._backward.begin(self._scene), largest=largest)
         self._backward.add(self._scene, self._hits, by_rays, sums)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """As of `TrainingRaster`."""
+        """Returns the gradient by the camera pose, as `TrainingRaster.by_pose`."""
         return pose_of_rays_gradient(self._sums.motions, [SplatInstance(self._gaussians)], camera)
 
 
 class TrainingUnscented(_Backend):
-    """Rasterises one Gaussian set along rays, as `TrainingRaster` does as ellipses: by any camera but apertures.
+    """Rasterises one Gaussian set by the unscented transform, for all cameras except those with an aperture.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
+        buffers: Owner of the device arrays.
         config: Settings of unlit, sorted frames of ``Projection.UNSCENTED``.
     """
 
@@ -298,16 +302,16 @@ class TrainingUnscented(_Backend):
         self._backward = UnscentedBackward(launcher, buffers)
 
     def modules(self) -> list[KernelModule]:
-        """As of `TrainingRaster`."""
+        """Kernel modules of the forward and the backward pass."""
         modules = self._raster.modules(FramePlan.of(self._config, Scene()))
         return [*modules, *self._rays.modules(), picture_kernels.RAYS, *self._backward.modules()]
 
     def draw(self, camera: Camera, sh_degree: int, background: Color) -> PixelData:
-        """The pixels of a frame, but for images other than colour and alpha.
+        """Renders colour and alpha of a frame and returns its pixels.
 
         Args:
             camera: A pinhole or a fisheye.
-            sh_degree: Of colours.
+            sh_degree: SH degree of the colours.
             background: Display-referred sRGB behind the Gaussians.
         """
         self._sync(camera, sh_degree)
@@ -322,12 +326,12 @@ class TrainingUnscented(_Backend):
         return self._pixels_of_rays(len(rays.t_max), self._last_hits.hits, background)
 
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
-        """As of `TrainingRaster`."""
+        """Returns the gradient by the Gaussians of the last frame, as `TrainingRaster.backward`."""
         by_splat = self._backward.splats(self._scene, self._last_hits, pixels, gradient)
         return self._backward.gaussians(self._scene, self._last_hits, by_splat, 0)
 
     def add_largest_weights(self, largest: DeviceArray) -> None:
-        """As of `TrainingRaster`."""
+        """Updates the largest blending weights with the last frame, as `TrainingRaster.add_largest_weights`."""
         run, hits, tiles = self._launcher.run_banded, self._last_hits, math.prod(self._scene.tile_grid)
         starts = pair_starts(self._launcher, self._buffers, hits.splats.rects)
         pairs = self._buffers.get("weights.pairs", wp.float32, hits.tiles.items.shape[0])
@@ -344,11 +348,11 @@ class TrainingUnscented(_Backend):
         run(weight_kernels.reduce_largest, hits.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """As of `TrainingRaster`."""
+        """Returns the gradient by the camera pose, as `TrainingRaster.by_pose`."""
         return pose_of_rays_gradient(self._backward.motions(self._last_hits), [SplatInstance(self._gaussians)], camera)
 
     @property
     def _last_hits(self) -> DrawnRaySplats:
-        """What the rays of the last frame hit."""
+        """Splats that the camera rays of the last frame intersected."""
         assert self._raster.drawn is not None
         return self._raster.drawn

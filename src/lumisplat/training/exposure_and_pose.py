@@ -1,4 +1,4 @@
-"""Exposure and pose of each training image, optimised with the Gaussians (Kerbl et al. 2023, code; Lin et al. 2021)."""
+"""Optimises the exposure and the pose of each training image (Kerbl et al. 2023, code; Lin et al. 2021)."""
 
 from __future__ import annotations
 
@@ -26,47 +26,47 @@ IDENTITY = np.eye(3, 4)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exposures:
-    """Those of the photographs that are learnt from; their mean stays the identity, or colours would drift."""
+    """Exposures of the K training images; their mean is kept at the identity, otherwise the colours would drift."""
 
     values: Doubles
-    """By which colours are multiplied, and what is added to them, shape (K, 3, 4)."""
+    """Colour matrix and offset of each image, shape (K, 3, 4)."""
     adam: Adam
 
     @classmethod
     def neutral(cls, count: int) -> Exposures:
-        """Of photographs that are as they are."""
+        """Returns identity exposures."""
         return cls(np.repeat(IDENTITY[None], count, axis=0), Adam.still((count, 12), by_rows=True))
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """All that the next step depends on."""
+        """Arrays on which the next update depends."""
         return {"exposures": self.values} | self.adam.state("exposures")
 
     def restore(self, state: dict[str, Doubles]) -> None:
-        """Goes on from a state."""
+        """Copies the arrays of a ``state``."""
         for name, values in self.state.items():
             values[:] = state[name]
 
     def move(self, number: int, gradient: Doubles, rate: float) -> None:
-        """A step of one of them.
+        """Makes an Adam update of one exposure and restores the mean.
 
         Args:
-            number: The photograph.
-            gradient: Derivatives of the loss by its exposure, shape (3, 4).
-            rate: How far it moves.
+            number: Index of the image.
+            gradient: Gradient of the loss by its exposure, shape (3, 4).
+            rate: Learning rate.
         """
         self.values[number] += rate * self.adam.step(gradient.reshape(12), row=number).reshape(3, 4)
         self.values[:] -= self.values.mean(axis=0) - IDENTITY
 
 
 class ExposedFrame:
-    """A frame as a photograph was exposed, and what is before it in the chain rule.
+    """Applies the exposure of an image to a frame, and propagates gradients back through it.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
-        exposure: Of the photograph, shape (3, 4).
-        background: Display-referred sRGB behind the Gaussians, which no exposure changes.
+        buffers: Owner of the device arrays.
+        exposure: Exposure of the image, shape (3, 4).
+        background: Display-referred sRGB behind the Gaussians, which exposure does not change.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, exposure: Doubles, background: Sequence[float]) -> None:
@@ -76,18 +76,18 @@ class ExposedFrame:
         self._exposure.offset, self._exposure.background = wp.vec3(*exposure[:, 3]), wp.vec3(*background)
 
     def of(self, pixels: PixelData) -> PixelData:
-        """What a photograph would have of them."""
+        """Returns the pixels with the exposure applied."""
         exposed, count = PixelData(), len(pixels.alpha)
         exposed.color, exposed.alpha = self._buffers.get("exposed.color", wp.vec3, count), pixels.alpha
         self._launcher.run_banded(kernels.expose, count, self._exposure, pixels, exposed.color)
         return exposed
 
     def backward(self, pixels: PixelData, by_exposed: PixelGradient) -> tuple[PixelGradient, Doubles]:
-        """Derivatives by pixels, and by the exposure, shape (3, 4).
+        """Returns the gradient by the pixels before exposure, and by the exposure, shape (3, 4).
 
         Args:
-            pixels: Of the frame, as it was before.
-            by_exposed: Derivatives by what ``of`` has made of them.
+            pixels: Pixels of the frame before exposure.
+            by_exposed: Gradient of the loss by the pixels after exposure.
         """
         get, count = self._buffers.get, len(pixels.alpha)
         chunks = -(-count // EXPOSURE_CHUNK)
@@ -105,58 +105,58 @@ class ExposedFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Those of the photographs that are learnt from, and where they began.
+    """Poses of the K training images, with their initial values.
 
-    If all cameras and all Gaussians move alike, no photograph changes: the mean of the motions of the cameras, seen
-    from the world, stays 0.
+    A common motion of all cameras and Gaussians changes no image. The mean motion of the cameras in world space is
+    therefore kept at 0.
     """
 
     values: Doubles
-    """``camera_from_world`` of each, shape (K, 4, 4)."""
+    """Current ``camera_from_world`` of each image, shape (K, 4, 4)."""
     given: Doubles
-    """The same, before they moved."""
+    """Initial ``camera_from_world`` of each image, shape (K, 4, 4)."""
     adam: Adam
     length: float
-    """Scene units that count as much as a radian: the distance from cameras to what they look at."""
+    """Translation in scene units that counts as much as one radian: the distance from the cameras to their target."""
 
     @classmethod
     def of(cls, cameras: Sequence[Camera], length: float) -> Poses:
-        """Those of cameras that have not moved yet.
+        """Returns the initial poses of cameras.
 
         Raises:
-            SceneError: One has a rolling shutter or an aperture: it is not in one place.
+            SceneError: A camera has a rolling shutter or an aperture, so a single pose does not describe it.
         """
         for camera in cameras:
             if camera.camera_from_world_end is not None or camera.aperture > 0.0:
                 what = "an aperture" if camera.camera_from_world_end is None else "a rolling shutter"
                 raise SceneError(
-                    f"the camera of {camera.name} has {what}, expected one that is in one place to learn where: leave "
-                    "TrainConfig.refine_poses off"
+                    f"the camera of {camera.name} has {what}, expected a single pose to refine: turn off "
+                    "TrainConfig.refine_poses"
                 )
         given = np.stack([np.asarray(camera.camera_from_world, np.float64) for camera in cameras])
         return cls(given.copy(), given, Adam.still((len(cameras), 6), by_rows=True), length)
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """All that the next step depends on."""
+        """Arrays on which the next update depends."""
         return {"poses": self.values} | self.adam.state("poses")
 
     def restore(self, state: dict[str, Doubles]) -> None:
-        """Goes on from a state."""
+        """Copies the arrays of a ``state``."""
         for name, values in self.state.items():
             values[:] = state[name]
 
     def posed(self, number: int, camera: Camera) -> Camera:
-        """A camera of a photograph where that is now."""
+        """Returns a camera of an image with its current pose."""
         return replace(camera, camera_from_world=self.values[number])
 
     def move(self, number: int, gradient: Doubles, rate: float) -> None:
-        """A step of one of them.
+        """Makes an Adam update of one pose and removes the mean motion of all poses.
 
         Args:
-            number: The photograph.
-            gradient: Derivatives of the loss by the upper rows of its ``camera_from_world``, shape (3, 4).
-            rate: How far it turns, radians.
+            number: Index of the image.
+            gradient: Gradient of the loss by the upper rows of ``camera_from_world``, shape (3, 4).
+            rate: Learning rate, radians.
         """
         by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
         step = self._twist_from_parameters @ (rate * self.adam.step(by_parameters, row=number))
@@ -167,9 +167,10 @@ class Poses:
 
     @property
     def _twist_from_parameters(self) -> Doubles:
-        """What moves: turns about a point on the optical axis, as far as what the camera looks at, and shifts.
+        """Matrix from optimised parameters to a twist of the camera, shape (6, 6).
 
-        Turns about the camera itself look like shifts, so that one would undo the other for long; shape (6, 6).
+        The parameters are a rotation about the point on the optical axis at distance ``length``, and a translation. A
+        rotation about the camera itself looks like a translation, so the two would cancel for many iterations.
         """
         point = np.array([0.0, 0.0, self.length])
         parameters = np.eye(6)
@@ -179,11 +180,13 @@ class Poses:
 
 
 def twist_gradient(pose: Doubles, gradient: Doubles) -> Doubles:
-    """Derivatives by a twist of the camera, ``exp(twist) @ pose`` at 0: a turn and a shift in its axes, shape (6,).
+    """Returns the gradient by a twist of the camera, ``exp(twist) @ pose`` at 0, shape (6,).
+
+    The twist is a rotation and a translation along the camera's axes.
 
     Args:
         pose: ``camera_from_world``, shape (4, 4).
-        gradient: Derivatives by its upper rows, shape (3, 4).
+        gradient: Gradient of the loss by its upper rows, shape (3, 4).
     """
     m = gradient @ pose[:3].T
     return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], *gradient[:, 3]])

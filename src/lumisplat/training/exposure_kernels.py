@@ -1,4 +1,4 @@
-"""What Gaussians show as a photograph was exposed, and the derivatives by it and by the exposure.
+"""Kernels that apply an image's exposure to a frame, and the gradients by the frame and by the exposure.
 
 The equations are in docs/method/training.md#exposures.
 """
@@ -17,13 +17,13 @@ CHUNK = wp.constant(EXPOSURE_CHUNK)
 
 @wp.func
 def gaussian_color(pixels: PixelData, exposure: Exposure, i: int) -> wp.vec3:
-    """What the Gaussians of a pixel show, without the background."""
+    """Returns the premultiplied colour of the Gaussians in a pixel, without the background."""
     return pixels.color[i] - (1.0 - pixels.alpha[i]) * exposure.background
 
 
 @wp.kernel
 def expose(start: int, exposure: Exposure, pixels: PixelData, color_out: wp.array[wp.vec3]):
-    """Item = pixel: what a photograph of this exposure has there; the background is as it is."""
+    """Item = pixel: applies the exposure to the Gaussians and adds the unchanged background."""
     i = start + wp.tid()
     alpha = pixels.alpha[i]
     exposed = exposure.matrix * gaussian_color(pixels, exposure, i) + alpha * exposure.offset
@@ -40,7 +40,7 @@ def differentiate_chunks(
     by_matrix_out: wp.array[wp.mat33],
     by_offset_out: wp.array[wp.vec3],
 ):
-    """Item = chunk of pixels: derivatives by these, and sums of those by the exposure."""
+    """Item = chunk of pixels: gradient by each pixel, and the chunk's sum of the gradient by the exposure."""
     chunk = start + wp.tid()
     by_matrix = wp.mat33(0.0)
     by_offset = wp.vec3(0.0)

@@ -52,38 +52,41 @@ from lumisplat.training.train import CHECKPOINT_EVERY_S
 from lumisplat.training.views import TargetPixels, TrainingView
 
 EXPOSURE_VIEWS = 24
-"""Photographs whose exposures are compared, at most."""
+"""Largest number of images whose exposures are compared."""
 
 EXPOSURE_PIXELS = 64
-"""Of a photograph, at least, for it to tell."""
+"""Smallest number of unclipped pixels from which the exposure of an image is estimated."""
 
 EXPOSURE_RANGE = (0.08, 0.92)
-"""Display values between which neither black nor white has cut off what was there."""
+"""Range of display values that are clipped neither at black nor at white."""
 
 EXPOSURE_SPREAD_MAX = 0.25
-"""Standard deviation of exposures, stops, from which on it is said: photographs of one exposure have 0.1,
-rendered ones 0.01."""
+"""Standard deviation of exposures, stops, above which a warning is logged.
+
+Photographs taken with one exposure measure 0.1, rendered images 0.01."""
 
 _log = logging.getLogger("lumisplat")
 
 ENVIRONMENT = ".environment.exr"
-"""What the file of the sky ends in."""
+"""Suffix of the environment image beside a capture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundMaterials:
-    """A capture that can be relit, and the light that it was in."""
+    """Relightable capture and the environment that lit its images."""
 
     gaussians: Gaussians
-    """The same Gaussians in the same order, with ``albedo``, ``roughness`` and ``normals``; colours as they were."""
+    """Input Gaussians in their order with ``albedo``, ``roughness`` and ``normals``; the captured colours are
+    unchanged."""
     environment: LightEnvironment
-    """The sky around the capture, 16 x 32, in world space, in units of display white."""
+    """Environment around the capture, 16 x 32 pixels in world space, in units of display white."""
     error: float
-    """Mean difference between photographs and what materials and sky show, display-referred, of the last round of
-    photographs; of no step, NaN."""
+    """Mean absolute difference between images and relit views, display-referred, over the last epoch; NaN for 0
+    iterations."""
     too_light: float
-    """Share of Gaussians, by how much of the photographs they are, whose albedo would have been above 1, and begins
-    at 1 in its lightest channel: they are highlights, or the light that reaches them was underestimated."""
+    """Fraction of Gaussians, weighted by visibility in the images, whose initial albedo was clamped at 1.
+
+    Such Gaussians are highlights, or their irradiance was underestimated."""
 
 
 def find_materials(
@@ -96,35 +99,40 @@ def find_materials(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> FoundMaterials:
-    """Finds albedo, roughness and normals of a capture, and the sky around it, from the photographs it was made of.
+    """Finds albedo, roughness and normals of a capture, and its environment, from the images that it was trained on.
 
-    The second stage of Relightable 3D Gaussians (Gao et al. 2024), with light that is traced in place of light that is
-    learnt: the geometry stays. Where other Gaussians block the sky, what they show in the capture shines on a Gaussian;
-    only the sky is unknown. The product of light and albedo alone is seen: the brightness and the tint of the sky are
-    conventions (lightest surfaces reflect 0.8).
+    This is the second stage of Relightable 3D Gaussians (Gao et al. 2024), except that visibility and indirect radiance
+    are ray traced instead of optimised. The geometry is fixed. Directions blocked by other Gaussians contribute the
+    captured radiance of those Gaussians, so the environment is the only unknown light. The images determine only the
+    product of light and albedo. The brightness and tint of the environment are therefore conventions: the lightest
+    surfaces have albedo 0.8.
 
     Args:
-        gaussians: A capture whose Gaussians lie on surfaces, as of `lumisplat.train` with terms on them.
-        images: Of it, a folder or what `lumisplat.io.load_training_images` has read; those of pinholes.
-        config: Settings; None: the defaults.
-        output: The capture with materials, .ply, beside which the sky is written as ``NAME.environment.exr``. The
-            folder ``NAME.training`` has what is needed to go on: the same call again goes on where it was interrupted,
-            to the same bits. None: nothing is written.
-        device: As of `lumisplat.create_renderer`.
-        threads: As of `lumisplat.create_renderer`.
-        progress: Called with what is being done and the fraction done, 0..1.
+        gaussians: Capture whose Gaussians lie on surfaces, such as one of `lumisplat.train` with surface terms.
+        images: Images of the capture by pinhole cameras: a folder, or the result of
+            `lumisplat.io.load_training_images`.
+        config: Settings; None for the defaults.
+        output: Capture to write with its materials, .ply. The environment is written as ``NAME.environment.exr`` beside
+            it, and the state of the search into the folder ``NAME.training``. Repeating the same call resumes an
+            interrupted search and returns the same bits. None writes nothing.
+        device: As in `lumisplat.create_renderer`.
+        threads: As in `lumisplat.create_renderer`.
+        progress: Called with a description of the current work and the fraction done, 0..1.
+
+    Returns:
+        The relightable capture and its environment.
 
     Raises:
-        ConfigError: The output is no .ply, or a lens bends.
-        FormatError: Photographs cannot be read, or a file cannot be written.
-        SceneError: ``gaussians`` is something else, or no photograph shows a surface of it.
+        ConfigError: ``output`` is not a .ply file, or a lens is distorted.
+        FormatError: An image cannot be read, or a file cannot be written.
+        SceneError: ``gaussians`` is not a `Gaussians`, or no image shows a surface of it.
     """
     config = config or MaterialsConfig()
     check_kind("config", config, MaterialsConfig)
     check_argument("find_materials", gaussians, Gaussians, "Gaussians", " (lumisplat.load reads files)")
     name = ".ply" if output is None else Path(output).name.lower()
     if not name.endswith(".ply") or name.endswith(".compressed.ply"):
-        raise ConfigError(f"output is {output}, expected a .ply: other captures have no columns for materials")
+        raise ConfigError(f"output is {output}, expected .ply: other capture formats cannot store materials")
     if output is not None:
         for path in (Path(output), environment_path(Path(output))):
             check_can_be_written(path)
@@ -136,7 +144,9 @@ def find_materials(
     views = [replace(view, camera=frame.camera(view.camera)) for view in views]
     for view in views:
         if is_curvilinear(view.camera):
-            raise ConfigError(f"photograph {view.name} is of a lens that bends: load photographs straightened")
+            raise ConfigError(
+                f"image {view.name} has lens distortion, expected a pinhole: load the images with straighten=True"
+            )
     files = None
     if output is not None:
         folder = RunFolder.of(Path(output)).path
@@ -150,7 +160,7 @@ def find_materials(
 
 
 class _Search:
-    """One call of ``find_materials``."""
+    """State of one call of ``find_materials``."""
 
     def __init__(
         self,
@@ -167,7 +177,7 @@ class _Search:
         self._device, self._threads, self._progress = device, threads, progress
 
     def found(self) -> FoundMaterials:
-        """All of it."""
+        """Runs or resumes the search."""
         state = None if self._files is None else self._files.read()
         incident = None
         if state is None:
@@ -186,7 +196,7 @@ class _Search:
         return FoundMaterials(relightable, environment, error, state.too_light)
 
     def _initial_state(self) -> tuple[SearchState, IncidentRadiance]:
-        """Where steps begin, and what was traced for them."""
+        """Returns the initial materials and environment, and the traced incident radiance."""
         config, gaussians = self._config, self._gaussians
         settings = RenderConfig(pipeline=Pipeline.RASTER, lighting=False)
         renderer = DifferentiableRenderer(settings, self._device, threads=self._threads, progress=self._progress)
@@ -210,20 +220,22 @@ class _Search:
         return state, incident
 
     def _normals(self, renderer: DifferentiableRenderer) -> tuple[Doubles, Doubles]:
-        """Of Gaussians, and how much of the photographs these are."""
+        """Returns the normals of the Gaussians and their summed blending weights over the images."""
         cameras = [view.camera for view in self._views]
         normals, weights = rendered_normals(self._gaussians, cameras, renderer, self._progress)
         if not weights.any():
-            raise SceneError("no photograph shows anything of the capture: they are of something else, or elsewhere")
+            raise SceneError(
+                "no image shows the capture: expected images of the same scene with poses in the same coordinates"
+            )
         return normals, weights
 
     def _warn_of_exposures(self, renderer: DifferentiableRenderer) -> None:
-        """Says so if photographs are brighter or darker than what the capture shows."""
+        """Logs a warning if the exposures of the images differ."""
         spread = exposure_spread(self._gaussians, self._views, renderer, self._progress)
         if spread > EXPOSURE_SPREAD_MAX:
             _log.warning(
-                "photographs are brighter or darker than the capture, by %.2g stops (standard deviation): their "
-                "exposure changes, and is taken for material and light, or the capture was trained by too few steps",
+                "image brightness varies by %.2g stops (standard deviation) relative to the capture: varying exposure "
+                "distorts materials and light, or the capture was trained for too few iterations",
                 spread,
             )
 
@@ -236,11 +248,13 @@ class _Search:
         )
 
     def _refined(self, state: SearchState, incident: IncidentRadiance | None) -> tuple[Materials, tuple[float, ...]]:
-        """Materials and sky after all steps, and their last errors; Ctrl C ends after a step.
+        """Returns materials and environment after all iterations, and the errors of the last epoch.
+
+        Ctrl C ends the search after the current iteration.
 
         Args:
-            state: From where they go on.
-            incident: What was traced; None: it is read, or traced again.
+            state: State from which the search continues.
+            incident: Traced incident radiance; None to read it from disk or trace it again.
         """
         total, start = self._config.iterations, state.start
         if total == 0:
@@ -278,46 +292,49 @@ class _Search:
         return fit.materials, tuple(errors)
 
     def _save(self, state: SearchState, fit: MaterialFit, errors: Iterable[float]) -> None:
-        """Keeps what was found until now."""
+        """Writes the current state of the search."""
         if self._files is not None:
             self._files.write(replace(state, iteration=fit.iteration, fit=fit.state, errors=tuple(errors)))
 
 
 def environment_path(output: Path) -> Path:
-    """The file of the sky beside a capture."""
+    """Returns the path of the environment image beside a capture."""
     return output.with_name(output.stem + ENVIRONMENT)
 
 
 def _write(output: Path, found: FoundMaterials) -> None:
-    """Both or neither: the sky gets its name once the capture is on the disk, and then the capture does."""
+    """Writes capture and environment, both or neither.
+
+    The environment is written after the capture's temporary file and before that file gets its final name.
+    """
     image: FloatArray | None = found.environment.image
     assert image is not None
     with atomic_write(output) as temporary:
         try:
             save(temporary, found.gaussians)
-        except FormatError as error:  # of the temporary file, which nobody has named
+        except FormatError as error:  # names the temporary file; report the output instead
             raise FormatError(output, error.problem) from None
         write_radiance(environment_path(output), image)
 
 
 _INSIDE = 0.99
-"""Alpha, or weight, from which on a pixel shows nothing else, or counts."""
+"""Alpha, or pixel weight, above which a pixel is used to compare exposures."""
 
 
 def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], renderer: Renderer, report: Progress) -> float:
-    """Standard deviation of how bright photographs are relative to what the capture shows, stops.
+    """Returns the standard deviation of the brightness of images relative to the capture, stops.
 
     Args:
         gaussians: The capture.
-        views: The photographs.
-        renderer: Rasterises without light.
-        report: Progress.
+        views: Its training views.
+        renderer: Renderer of unlit raster frames.
+        report: Progress callback.
 
     Returns:
-        0 where fewer than three photographs tell.
+        0 if fewer than three images have enough unclipped pixels.
     """
     scene, stops = Scene([gaussians]), list[float]()
-    # In no order: bracketed exposures come again every few photographs.
+    # A random sample, because bracketed exposures repeat every few images.
     chosen = random.Random(0).sample(views, min(len(views), EXPOSURE_VIEWS))
     for number, view in enumerate(chosen):
         report("comparing exposures", number / len(chosen))
@@ -326,10 +343,10 @@ def exposure_spread(gaussians: Gaussians, views: Sequence[TrainingView], rendere
 
 
 def _stops_brighter(target: TargetPixels, frame: Frame) -> list[float]:
-    """By how many stops a photograph is brighter: the ratio of medians over pixels that neither end has cut off.
+    """Returns by how many stops an image is brighter than a frame: the ratio of medians over unclipped pixels.
 
     Returns:
-        Nothing where these are few.
+        An empty list if too few pixels are unclipped.
     """
     image, shown = target.color.mean(axis=2), frame.color.mean(axis=2)
     inside = frame.alpha > _INSIDE
@@ -352,38 +369,38 @@ _MATERIAL_KEYS = {"albedo": "albedo", "roughness": "roughness", "normals": "norm
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchState:
-    """Everything that the next step depends on, but for settings, photographs, the capture and traced light."""
+    """Complete state of a search, apart from its settings, images, capture and incident radiance."""
 
     start: Materials
-    """Where steps begin."""
+    """Initial materials and environment."""
     too_light: float
-    """Of the start, as of `FoundMaterials`."""
+    """Fraction of clamped initial albedos, as in `FoundMaterials`."""
     iteration: int = 0
-    """Steps that were made."""
+    """Number of iterations made."""
     fit: dict[str, Doubles] = field(default_factory=dict[str, Doubles])
-    """What moves, and its moments; empty before the first step."""
+    """Optimised arrays and their Adam moments; empty before the first iteration."""
     errors: tuple[float, ...] = ()
-    """Of the last steps, at most as many as there are photographs."""
+    """L1 errors of the latest iterations, at most one per image."""
 
 
 @dataclass(frozen=True, slots=True)
 class MaterialFiles:
-    """The files of one search.
+    """State files of one search.
 
-    A file of another search, or a damaged one, is as good as none: then the search begins anew, and a log line says so.
+    A damaged file, or one of another search, is ignored: a warning is logged and the search starts again.
     """
 
     folder: Path
     fingerprint: str
-    """What tells the search from others."""
+    """Hash of the capture, images and settings."""
     count: int
-    """Gaussians of the capture."""
+    """Number of Gaussians of the capture."""
     directions: int
-    """Directions in which light is traced."""
+    """Number of directions in which incident radiance is traced."""
 
     @classmethod
     def of(cls, folder: Path, gaussians: Gaussians, images: str, config: MaterialsConfig) -> MaterialFiles:
-        """Those of a capture, photographs with this fingerprint, and settings."""
+        """Returns the files of a search with this capture, fingerprint of the images, and settings."""
         stored = hashlib.sha256(json.dumps([VERSION, images, asdict(config), gaussians.antialiased]).encode())
         for name in ("means", "rotations_wxyz", "scales", "opacities", "sh"):
             stored.update(getattr(gaussians, name).tobytes())
@@ -398,10 +415,10 @@ class MaterialFiles:
         return self.folder / "light.npz"
 
     def write(self, found: SearchState) -> None:
-        """Writes what was found so far.
+        """Writes the state of the search.
 
         Raises:
-            FormatError: It cannot be written.
+            FormatError: The file cannot be written.
         """
         arrays = {f"{_OF_START}{key}": getattr(found.start, name) for name, key in _MATERIAL_KEYS.items()}
         arrays |= {f"{_OF_FIT}{name}": values for name, values in found.fit.items()}
@@ -410,7 +427,7 @@ class MaterialFiles:
         write_state(self._state_path, arrays, about)
 
     def read(self) -> SearchState | None:
-        """What was found so far, if anything."""
+        """Returns the stored state of the search; None if there is none."""
         content = self._read(self._state_path)
         if content is None:
             return None
@@ -427,28 +444,28 @@ class MaterialFiles:
             names = {name.removeprefix(_OF_FIT) for name in arrays if name.startswith(_OF_FIT)}
             expected = {f"{name}{part}": shape for name, shape in moved.items() for part in ("", ".first", ".second")}
             if names and names != expected.keys():
-                raise ValueError("no state of a fit")
+                raise ValueError("not the state of a fit")
             fit = {name: checked_array(arrays, f"{_OF_FIT}{name}", expected[name], np.float64) for name in names}
             errors = tuple(checked_array(arrays, "errors", (None,), np.float64).tolist())
             iteration = int(stored["iteration"])
             if iteration < 0 or (iteration > 0) != bool(names):
-                raise ValueError("steps that do not fit the state")
+                raise ValueError("iteration does not match the state")
             return SearchState(start, float(stored["too_light"]), iteration, fit, errors)
         except (KeyError, TypeError, ValueError, OverflowError):
             self._warn_anew(self._state_path)
             return None
 
     def write_incident(self, incident: IncidentRadiance) -> None:
-        """Writes what was traced: large, and only needed until the end.
+        """Writes the traced incident radiance: a large file that is only needed until the search ends.
 
         Raises:
-            FormatError: It cannot be written.
+            FormatError: The file cannot be written.
         """
         arrays = {name: getattr(incident, name) for name in IncidentRadiance.__slots__}
         write_state(self._incident_path, arrays, {"mark": self.fingerprint})
 
     def read_incident(self) -> IncidentRadiance | None:
-        """What was traced, if it is still there."""
+        """Returns the stored incident radiance; None if there is none."""
         content = self._read(self._incident_path)
         if content is None:
             return None
@@ -464,13 +481,13 @@ class MaterialFiles:
             return None
 
     def remove_incident(self) -> None:
-        """Removes what was traced."""
+        """Removes the stored incident radiance."""
         self._incident_path.unlink(missing_ok=True)
 
     def _read(self, path: Path) -> tuple[dict[str, Any], dict[str, Any]] | None:
-        """What a file tells and holds; None: it is not there, or not of this search."""
+        """Returns metadata and arrays of a file; None if the file is missing, damaged or of another search."""
         try:
-            arrays = read_arrays(path, "what was found so far")
+            arrays = read_arrays(path, "the state of a material search")
             stored: dict[str, Any] = json.loads(str(arrays.pop("about")))
             if stored["mark"] == self.fingerprint:
                 return stored, arrays
@@ -487,5 +504,5 @@ class MaterialFiles:
     @staticmethod
     def _warn_anew(path: Path) -> None:
         _log.warning(
-            "%s: is damaged, or of another capture, other photographs or settings: materials are found anew", path
+            "%s: is damaged, or of another capture, other images or settings: the material search starts again", path
         )

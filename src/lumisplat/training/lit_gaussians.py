@@ -1,4 +1,4 @@
-"""Host pass: lights each Gaussian by incident radiance and normal, and returns gradients of its materials."""
+"""Host pass that lights each Gaussian by its incident radiance, and returns gradients of its material."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from lumisplat.scene.scene import Scene
 from lumisplat.training import material_gradient_kernels, material_kernels
 
 LIFT_SHORTEST = 4.0
-"""How far above a Gaussian rays begin, in its least scales, at which its own response is 3e-4."""
+"""Height of ray origins above a Gaussian, in units of its smallest scale; its own response there is 3e-4."""
 
 LIFT_ALONG = 1.0
-"""The same in its middle scales: neighbours lie as far above its plane."""
+"""Height of ray origins above a Gaussian, in units of its middle scale; neighbours reach that far above its plane."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Materials:
-    """What N Gaussians are made of, and the sky."""
+    """Materials of N Gaussians and the environment that lights them."""
 
     albedo: Doubles
-    """Linear, 0..1, shape (N, 3)."""
+    """Linear diffuse albedo, 0..1, shape (N, 3)."""
     roughness: Doubles
-    """Above 0, at most 1, shape (N,)."""
+    """Perceptual roughness, above 0, at most 1, shape (N,)."""
     normals: Doubles
-    """Unit, shape (N, 3)."""
+    """Unit normals in world space, shape (N, 3)."""
     environment: Doubles
-    """Radiance in K directions, shape (K, 3)."""
+    """Radiance of the environment in K directions, shape (K, 3)."""
 
 
 class LitGaussians:
-    """Gaussians under what was traced for them.
+    """Shades Gaussians by traced incident radiance, on the device.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
-        means: Of the Gaussians, shape (N, 3).
-        incident: What reaches them.
+        buffers: Owner of the device arrays.
+        means: Means of the Gaussians, shape (N, 3).
+        incident: Incident radiance of each Gaussian.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, means: FloatArray, incident: IncidentRadiance) -> None:
@@ -72,12 +72,12 @@ class LitGaussians:
         self._eye = wp.vec3()
 
     def shade(self, materials: Materials, eye: Doubles, sh_out: DeviceArray) -> None:
-        """What they show to an eye.
+        """Computes the radiance of each Gaussian towards an eye.
 
         Args:
-            materials: What they are made of.
-            eye: World space.
-            sh_out: Receives it, display-referred, as constant harmonics, shape (N,).
+            materials: Materials of the Gaussians.
+            eye: Eye position, world space.
+            sh_out: Receives the display-referred colour as SH coefficient of degree 0, shape (N,).
         """
         self._eye, on = wp.vec3(*eye), self._materials
         on.normals, on.albedo = self._vectors("normals", materials.normals), self._vectors("albedo", materials.albedo)
@@ -88,17 +88,17 @@ class LitGaussians:
             self._launcher.run_banded(material_kernels.shade, self._count, *inputs)
 
     def decode(self, rects: DeviceArray, by_splats: DeviceArray) -> None:
-        """Takes derivatives by the colours of splats of the last frame, for ``differentiate``.
+        """Converts the gradient by splat colours to the gradient by linear radiance, for ``differentiate``.
 
         Args:
-            rects: Of the splats.
-            by_splats: Derivatives of the loss by them.
+            rects: Tile rectangles of the splats of the last frame.
+            by_splats: Gradient of the loss by the splats.
         """
         inputs = (rects, by_splats, self._radiance, self._by_radiance)
         self._launcher.run_banded(material_kernels.decode_gradients, self._count, *inputs)
 
     def differentiate(self) -> Materials:
-        """Derivatives of the loss, in place of what they are by."""
+        """Returns the gradient of the loss by materials and environment, with one gradient per parameter."""
         run, get, count = self._launcher.run_banded, self._buffers.get, self._count
         gradient = MaterialGradient()
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
@@ -115,7 +115,7 @@ class LitGaussians:
 
     @property
     def radiance(self) -> Doubles:
-        """What was shown last, linear, shape (N, 3)."""
+        """Radiance of the last ``shade``, linear, shape (N, 3)."""
         return np.array(self._radiance.numpy(), np.float64)
 
     def _vectors(self, name: str, values: Doubles | FloatArray) -> DeviceArray:
@@ -128,22 +128,22 @@ def _floats(values: Doubles | FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IncidentRadiance:
-    """Light on N Gaussians from K directions that stand for as much of the sphere each."""
+    """Incident radiance of N Gaussians from K directions of equal solid angle."""
 
     directions: Doubles
-    """Unit, towards the light, shape (K, 3)."""
+    """Unit directions towards the light, shape (K, 3)."""
     open: FloatArray
-    """Share of the sky that arrives, 0..1, shape (N, K)."""
+    """Transmittance to the environment, 0..1, shape (N, K)."""
     seen: FloatArray
-    """Radiance of what blocks the rest, as it was captured, linear, in units of display white, shape (N, K, 3)."""
+    """Captured radiance of the Gaussians that block the rest, linear, in units of display white, shape (N, K, 3)."""
 
     @property
     def solid_angle(self) -> float:
-        """Of each direction, steradians."""
+        """Solid angle of each direction, steradians."""
         return 4.0 * np.pi / len(self.directions)
 
     def irradiance(self, normals: Doubles) -> Irradiance:
-        """What shines on Gaussians with these normals, shape (N, 3), by cosines; there are no lamps."""
+        """Returns the irradiance over pi of Gaussians with these normals, shape (N, 3); the scene has no lights."""
         cosines = np.maximum(normals @ self.directions.T, 0.0).astype(np.float32)
         shares = cosines * np.float32(self.solid_angle / np.pi)
         return Irradiance(
@@ -156,27 +156,27 @@ class IncidentRadiance:
 def traced_incident(
     gaussians: Gaussians, normals: Doubles, directions: Doubles, renderer: Renderer, *, seed: int, report: Progress
 ) -> IncidentRadiance:
-    """Follows a ray from each Gaussian into each direction above its horizon.
+    """Traces one ray from each Gaussian in each direction above its horizon.
 
-    Rays go anywhere within the part of the sphere that a direction stands for: where the part is blocked by half,
-    every other Gaussian sees it. They begin above the Gaussian, as far as it is wide.
+    Rays are jittered within the solid angle of their direction. If half of it is blocked, every other Gaussian
+    therefore sees through. Rays start above the Gaussian, at a height given by its scales.
 
     Args:
         gaussians: The capture.
-        normals: Unit, towards the lit side, shape (N, 3).
-        directions: Evenly spread, unit, shape (K, 3).
-        renderer: Traces unlit rays.
-        seed: Of where rays go.
-        report: Called with what is being done and the fraction done, 0..1.
+        normals: Unit normals towards the lit side, shape (N, 3).
+        directions: Evenly spread unit vectors, shape (K, 3).
+        renderer: Ray tracer of unlit frames.
+        seed: Seed of the jitter.
+        report: Called with a description of the current work and the fraction done, 0..1.
     """
     count, steps = gaussians.count, len(directions)
-    order = morton_order(gaussians.means)  # rays that go side by side are followed together
+    order = morton_order(gaussians.means)  # neighbouring rays are traced together
     scene, rng = Scene([gaussians]), np.random.default_rng([seed, 6])
     starts = ray_starts(gaussians, normals)
     open_, seen = np.zeros((count, steps), np.float32), np.zeros((count, steps, 3), np.float32)
     spread = np.sqrt(np.pi / steps)
     for k, direction in enumerate(directions):
-        report("tracing light", k / steps)
+        report("tracing incident radiance", k / steps)
         ray_directions = direction + spread * rng.uniform(-1.0, 1.0, (count, 3))
         ray_directions /= np.linalg.norm(ray_directions, axis=1, keepdims=True)
         rows = order[normals[order] @ direction > 0.0]
@@ -188,7 +188,7 @@ def traced_incident(
 
 
 def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Where rays begin: above each Gaussian, so far that it does not block its own, shape (N, 3)."""
+    """Returns ray origins above the Gaussians, high enough that no Gaussian blocks its own ray, shape (N, 3)."""
     scales = np.sort(gaussians.scales.astype(np.float64), axis=1)
     lift = np.maximum(LIFT_SHORTEST * scales[:, 0], LIFT_ALONG * scales[:, 1])
     return gaussians.means + lift[:, None] * normals
@@ -197,19 +197,19 @@ def ray_starts(gaussians: Gaussians, normals: Doubles) -> Doubles:
 def rendered_normals(
     gaussians: Gaussians, cameras: Sequence[Camera], renderer: DifferentiableRenderer, report: Progress
 ) -> tuple[Doubles, Doubles]:
-    """Unit normals towards the side that cameras see, and how much of all views each Gaussian is.
+    """Estimates the unit normal of each Gaussian towards the cameras, and its total blending weight.
 
-    In each view, the surface of mean depth has a normal at each pixel; that of a Gaussian is the mean over all pixels
-    of all views, weighted as it is blended there. One that no surface shows has its shortest axis.
+    Each view gives a normal map of the surface at mean depth. The normal of a Gaussian is the mean over all pixels of
+    all views, with its blending weights. A Gaussian without such a pixel gets its shortest axis.
 
     Args:
         gaussians: The capture.
-        cameras: Pinholes.
-        renderer: Of raster frames.
-        report: Called with what is being done and the fraction done, 0..1.
+        cameras: Pinhole cameras.
+        renderer: Renderer of raster frames.
+        report: Called with a description of the current work and the fraction done, 0..1.
 
     Returns:
-        Normals, world space, shape (N, 3), and sums of the weights of blending over all pixels, shape (N,).
+        Normals in world space, shape (N, 3), and blending weights summed over all pixels, shape (N,).
     """
     sums, towards = np.zeros((gaussians.count, 3)), np.zeros((gaussians.count, 3))
     weights = np.zeros(gaussians.count)
@@ -232,11 +232,11 @@ def rendered_normals(
 
 
 def surface_normals(camera: Camera, depth: FloatArray, alpha: FloatArray) -> FloatArray:
-    """Of the surface of mean depth, towards the camera, unit, shape (H, W, 3); zero where there is none.
+    """Returns unit normals of the surface at mean depth, towards the camera, shape (H, W, 3); zero without a surface.
 
     Args:
         camera: A pinhole.
-        depth: Sums of view depths, premultiplied, shape (H, W).
+        depth: Alpha-blended view depths, not divided by alpha, shape (H, W).
         alpha: Shape (H, W).
     """
     has = alpha > SURFACE_ALPHA

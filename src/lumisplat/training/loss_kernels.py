@@ -1,10 +1,9 @@
-"""The loss between a frame and a photograph, and its derivatives by the frame's pixels: L1 and SSIM.
+"""L1 and SSIM loss between a frame and a training image, and its gradient by the frame's pixels.
 
 An item is a run of pixels of a row: a whole row on CPUs, where loops become vector instructions, a pixel on CUDA.
 
-SSIM is that of Wang et al. 2004 with a Gaussian window of 11 pixels. Beyond its borders, a picture is mirrored about
-their outer edges (d c b a | a b c d): a blur of that kind is its own adjoint. The equations are in
-docs/method/training.md.
+SSIM is that of Wang et al. 2004 with a Gaussian window of 11 pixels. Images are mirrored at their borders
+(d c b a | a b c d), which makes the blur its own adjoint. The equations are in docs/method/training.md.
 """
 
 import math
@@ -19,10 +18,10 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 16, "cpu_compiler
 SSIM_C1 = 0.01**2
 
 SSIM_C2 = 0.03**2
-"""Wang et al. 2004, section III-C, of pictures in 0..1."""
+"""Stabilisation constants of Wang et al. 2004, section III-C, for images in 0..1."""
 
 COVERED_MIN = 1e-6
-"""Alpha, and 1 less alpha, below which the entropy of what is covered stays as it is. Gao et al. 2024, code."""
+"""Margin from 0 and 1 beyond which alpha is clamped in the cross entropy. Gao et al. 2024, code."""
 
 TAPS = wp.constant(SSIM_WINDOW_PX)
 REACH = wp.constant(SSIM_WINDOW_PX // 2)
@@ -36,7 +35,7 @@ WINDOW = wp.constant(wp.types.vector(length=SSIM_WINDOW_PX, dtype=wp.float32)(*(
 
 @wp.func
 def mirrored(x: int, size: int) -> int:
-    """A position within a picture that is mirrored about its borders."""
+    """Returns a pixel position mirrored at the borders of an image."""
     if x < 0:
         x = -1 - x
     if x >= size:
@@ -46,20 +45,20 @@ def mirrored(x: int, size: int) -> int:
 
 @wp.func
 def sign(x: float) -> float:
-    """Derivative of the magnitude; 0 at 0, where Warp's sign is 1."""
+    """Derivative of the absolute value; 0 at 0, where Warp's sign is 1."""
     return wp.where(x > 0.0, 1.0, wp.where(x < 0.0, -1.0, 0.0))
 
 
 @wp.func
 def entropy(alpha: float, wanted: float) -> float:
-    """Cross entropy of what is covered: how bad a guess alpha is (Gao et al. 2024, code)."""
+    """Binary cross entropy between rendered and target alpha (Gao et al. 2024, code)."""
     a = wp.clamp(alpha, COVERED_LEAST, 1.0 - COVERED_LEAST)
     return -(wanted * wp.log(a) + (1.0 - wanted) * wp.log(1.0 - a))
 
 
 @wp.func
 def entropy_derivative(alpha: float, wanted: float) -> float:
-    """Its derivative by alpha; 0 where alpha is clamped."""
+    """Derivative of `entropy` by alpha; 0 where alpha is clamped."""
     if alpha < COVERED_LEAST or alpha > 1.0 - COVERED_LEAST:
         return 0.0
     return (alpha - wanted) / (alpha * (1.0 - alpha))
@@ -67,7 +66,7 @@ def entropy_derivative(alpha: float, wanted: float) -> float:
 
 @wp.func
 def run_of(item: int, grid: LossGrid):
-    """The row of an item, its first column, and the one behind its last."""
+    """Returns the row of a run of pixels, its first column and its end column."""
     runs = (grid.width + grid.run - 1) // grid.run
     left = (item % runs) * grid.run
     return item // runs, left, wp.min(left + grid.run, grid.width)
@@ -75,7 +74,7 @@ def run_of(item: int, grid: LossGrid):
 
 @wp.kernel
 def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: TargetImage, maps_out: LossMaps):
-    """Item = run: what SSIM compares, blurred along the row."""
+    """Item = run: blurs means, squares and products of frame and target along the row."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
     row = y * width
@@ -104,7 +103,7 @@ def blur_rows(start: int, grid: LossGrid, color: wp.array[wp.vec3], target: Targ
 
 @wp.kernel
 def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps, ssim_out: wp.array[float]):
-    """Item = run: SSIM of its pixels, summed, and the derivatives of that by means, squares and products."""
+    """Item = run: blurs along columns, sums SSIM, and differentiates it by means, squares and products."""
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width
@@ -145,7 +144,7 @@ def compare_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps,
 
 @wp.kernel
 def spread_rows(start: int, grid: LossGrid, maps: LossMaps, maps_out: LossMaps):
-    """Item = run: derivatives blurred along the row."""
+    """Item = run: blurs the derivatives along the row, the adjoint of `blur_rows`."""
     y, left, right = run_of(start + wp.tid(), grid)
     width = grid.width
     row = y * width
@@ -177,7 +176,7 @@ def differentiate_rows(
     by_alpha_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Item = run: derivatives of the loss by its pixels; sums of L1, squares, the error of alpha, and its entropy."""
+    """Item = run: gradient of the loss by its pixels, and sums of L1, squared error, alpha error and cross entropy."""
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width
@@ -222,7 +221,7 @@ def add_rows(
     ssim_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Item = row: the sums over its runs."""
+    """Item = row: adds the sums of its runs."""
     y = start + wp.tid()
     runs = (grid.width + grid.run - 1) // grid.run
     total = float(0.0)

@@ -1,6 +1,6 @@
-"""Host passes of the loss: how a frame differs from an image, and terms that flatten Gaussians onto surfaces.
+"""Host passes of the loss: image loss, and terms that align Gaussians with surfaces.
 
-The latter are those of Huang et al. 2024 and Gao et al. 2024.
+The surface terms are those of Huang et al. 2024 and Gao et al. 2024.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ from lumisplat.training import loss_kernels, surface_kernels as kernels
 
 @dataclass(frozen=True, slots=True)
 class Loss:
-    """How far a frame is from a photograph; means over pixels and channels that count."""
+    """Loss between a frame and a training image; weighted means over pixels and channels."""
 
     l1: float
     squared: float
     """Mean squared error."""
     ssim: float
-    """-1..1."""
+    """Structural similarity, -1..1."""
     alpha: float
-    """Mean error of alpha; 0 where it is not known."""
+    """Mean absolute error of alpha; 0 if the target alpha is unknown."""
     entropy: float
-    """Mean cross entropy of alpha, likewise."""
+    """Mean cross entropy of alpha; 0 if the target alpha is unknown."""
     total: float
-    """What is minimised."""
+    """Weighted sum that is minimised."""
 
 
 class ImageLoss:
-    """Compares frames with photographs.
+    """Loss between frames and training images.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
-        ssim: Share of SSIM, 0..1; the rest is L1.
-        alpha: Weight of the error of alpha.
+        buffers: Owner of the device arrays.
+        ssim: Fraction of SSIM in the loss, 0..1; the rest is L1.
+        alpha: Weight of the alpha error.
         entropy: Weight of the cross entropy of alpha.
     """
 
@@ -67,15 +67,15 @@ class ImageLoss:
         self._launcher, self._buffers = launcher, buffers
         self._ssim, self._alpha, self._entropy = ssim, alpha, entropy
         self.counted = 1.0
-        """Sum of what counts of the photograph, pixels."""
+        """Sum of the pixel weights of the loaded image."""
 
     def load(self, color: FloatArray, weight: FloatArray | None, alpha: FloatArray | None) -> TargetImage:
-        """A photograph on the device, until the next one is loaded.
+        """Uploads an image; the result is valid until the next call.
 
         Args:
             color: Display-referred sRGB, 0..1, shape (H, W, 3).
-            weight: What counts, 0..1, shape (H, W); None: all.
-            alpha: What the frame's alpha should be, shape (H, W); None: nobody knows.
+            weight: Weight of each pixel, 0..1, shape (H, W); None for 1 everywhere.
+            alpha: Target alpha of the frame, shape (H, W); None if unknown.
         """
         target = TargetImage()
         self.counted = float(color.shape[0] * color.shape[1] if weight is None else weight.sum(dtype=np.float64)) or 1.0
@@ -89,12 +89,12 @@ class ImageLoss:
     def differentiate(
         self, size: tuple[int, int], pixels: PixelData, target: TargetImage
     ) -> tuple[Loss, PixelGradient]:
-        """The loss of a frame, and its derivatives.
+        """Returns the loss of a frame and its gradient by the pixels.
 
         Args:
-            size: Width and height, pixels.
-            pixels: Of the frame.
-            target: Of the same size.
+            size: Width and height in pixels.
+            pixels: Pixels of the frame.
+            target: Uploaded image of the same size.
         """
         width, height = size
         run, get, count = self._launcher.run_banded, self._buffers.get, width * height
@@ -126,7 +126,7 @@ class ImageLoss:
         return weights
 
     def _loss(self, count: int, ssim_rows: FloatArray, sums: FloatArray) -> Loss:
-        """Means over pixels that count; where none does, frame and photograph are the same, and SSIM is 1."""
+        """Returns weighted means; pixels of weight 0 count as equal to the image, with an SSIM of 1."""
         total = self.counted
         ssim = 1.0 - (3.0 * count - float(ssim_rows.sum(dtype=np.float64))) / (3.0 * total)
         means = sums.sum(axis=0, dtype=np.float64) / (3.0 * total, 3.0 * total, total, total)
@@ -136,21 +136,21 @@ class ImageLoss:
 
 
 FEATURES = 5
-"""Depth, its square, and normal."""
+"""Number of feature channels: depth, squared depth and normal."""
 
 
 class SurfaceLoss:
-    """Terms on normals and depths of frames.
+    """Loss terms on the depths and normals of a frame.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
-        channels: Shows features.
-        normals: Weight of 1 less the cosine between normals of Gaussians and of their depth.
-        depth: Weight of the standard deviation of depth along rays, in extents.
-        smooth: Weight of the differences between normals of neighbouring pixels, but for edges of the photograph.
-        middle: A view depth in the middle of the scene, scene units.
-        extent: Of the scene, scene units.
+        buffers: Owner of the device arrays.
+        channels: Renders feature channels.
+        normals: Weight of 1 minus the cosine between the Gaussians' normal and the normal of the depth map.
+        depth: Weight of the standard deviation of depth along a ray, in units of the extent.
+        smooth: Weight of the difference between normals of neighbouring pixels, reduced at edges of the image.
+        middle: View depth that is subtracted from depth features, scene units.
+        extent: Scene extent, scene units.
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class SurfaceLoss:
         self._by_sums: DeviceArray
         self._counted = 1.0
         self.smoothness: SmoothnessMaps | None = None
-        """With the terms of each pixel of the last frame; None: smoothness does not count."""
+        """Smoothness term of each pixel of the last frame; None if its weight is 0."""
 
     def differentiate(
         self,
@@ -185,18 +185,18 @@ class SurfaceLoss:
         counted: float,
         gradient: PixelGradient,
     ) -> SurfaceMaps:
-        """Adds derivatives by alpha to those of a frame; those by features are kept for ``backward``.
+        """Evaluates the terms; adds their gradient by alpha and stores that by features for ``backward``.
 
         Args:
-            scene: The scene on the device, as it was drawn, of one Gaussian set where it is.
-            drawn: What was drawn.
-            pixels: What came of it.
-            target: Says which pixels count.
-            counted: How many do.
-            gradient: Receives derivatives by alpha.
+            scene: Device scene of the frame, with one Gaussian set in world space.
+            drawn: Splats of the frame.
+            pixels: Pixels of the frame.
+            target: Uploaded image with the weight of each pixel.
+            counted: Sum of the pixel weights.
+            gradient: Receives the gradient by alpha.
 
         Returns:
-            With the terms of each pixel.
+            Maps with the terms of each pixel.
         """
         run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.image_size)
         self._terms.normals, self._terms.depth = self._normals / counted, self._depth / counted
@@ -219,27 +219,27 @@ class SurfaceLoss:
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
-        """Derivatives by features, shape (N, 5); adds those by splats to ``by_splat``."""
+        """Returns the gradient by the features of each splat, shape (N, 5); adds that by splats to ``by_splat``."""
         with self._launcher.stage("backward: surfaces"):
             return self._channels.backward(scene, drawn, self._shown, self._by_sums, by_splat)
 
     def add_normal_gradients(
         self, scene: DeviceScene, drawn: DrawnSplats, by_features: DeviceArray, record: SplatRecord
     ) -> None:
-        """Adds how strongly the terms turn the normals of what was drawn.
+        """Adds the magnitude of the gradient by each drawn Gaussian's normal to the densification statistics.
 
         Args:
-            scene: The scene on the device, as it was drawn.
-            drawn: What was drawn.
-            by_features: As of ``backward``.
-            record: Receives it.
+            scene: Device scene of the frame.
+            drawn: Splats of the frame.
+            by_features: Gradient by features, from ``backward``.
+            record: Receives the sums.
         """
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._counted, drawn.splats.rects, data, by_features, record)
         self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:
-        """Adds derivatives by way of features to those by Gaussians."""
+        """Adds the gradient by features, mapped to Gaussian parameters, to ``gradient``."""
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._terms, data, by_features, gradient)
         self._launcher.run_banded(kernels.add_by_features, len(data.opacities), *inputs)

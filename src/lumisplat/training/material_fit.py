@@ -1,6 +1,6 @@
-"""Steps that refine materials and environment: Gaussians are lit, drawn and compared with an image.
+"""Optimises materials and environment: shades the Gaussians, renders them, and compares the frame with an image.
 
-Neighbours are paired, so that similar Gaussians keep similar materials.
+Pairs of neighbours keep similar Gaussians at similar materials.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from lumisplat.training.trainer import frame_settings
 from lumisplat.training.views import TrainingView
 
 LOGIT_MAX = 16.0
-"""Of opacities."""
+"""Largest magnitude of opacity logits."""
 
 
 class ColoredGaussians:
-    """Gaussians whose geometry stays.
+    """Rasterises Gaussians of fixed geometry whose colours change.
 
     Args:
         launcher: Runs the kernels.
-        buffers: Holds the arrays.
+        buffers: Owner of the device arrays.
         gaussians: The capture.
-        background: Behind it, display-referred sRGB.
-        kernels: Further modules that are used.
-        progress: Told what is compiled.
+        background: Display-referred sRGB behind the capture.
+        kernels: Further kernel modules to load.
+        progress: Called while kernels compile.
     """
 
     def __init__(
@@ -73,26 +73,26 @@ class ColoredGaussians:
 
     @property
     def sh(self) -> DeviceArray:
-        """Receives what each shows, as its constant harmonic, ``wp.vec3``, shape (N,)."""
+        """Colours to draw, as SH coefficients of degree 0, ``wp.vec3``, shape (N,)."""
         return device_array(self._drawn.values.sh)
 
     @property
     def rects(self) -> DeviceArray:
-        """Of the splats of the last frame, ``TileRect``: what was not drawn is in none."""
+        """Tile rectangles of the splats of the last frame, ``TileRect``; empty for Gaussians not drawn."""
         return self._raster.drawn.splats.rects
 
     def draw(self, camera: Camera, background: Color) -> PixelData:
-        """The pixels of a frame."""
+        """Renders a frame and returns its pixels."""
         return self._raster.draw(camera, 0, background)
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
-        """Derivatives by the splats of the last frame, ``SplatGradient``; undefined where none was drawn."""
+        """Returns the gradient by the splats of the last frame, ``SplatGradient``; undefined for splats not drawn."""
         return self._raster.by_splats(pixels, gradient)
 
 
 def _unlit(gaussians: Gaussians) -> TrainedParameters:
-    """The Gaussians as training has them, with one colour each."""
-    with np.errstate(divide="ignore"):  # of 0 and 1
+    """Returns the training parameters of a capture, with one SH coefficient per Gaussian."""
+    with np.errstate(divide="ignore"):  # opacities 0 and 1 have infinite logits
         opacities = gaussians.opacities.astype(np.float64)
         logits = np.log(opacities) - np.log1p(-opacities)
     return TrainedParameters.new(
@@ -107,68 +107,68 @@ def _unlit(gaussians: Gaussians) -> TrainedParameters:
 
 
 ENVIRONMENT_PAIRS = 60_000
-"""Pairs of Gaussians by whose albedos the sky is found."""
+"""Number of random pairs of Gaussians whose albedos are compared to find the environment."""
 
 ENVIRONMENT_RATE = 0.05
-"""How far the logarithm of a radiance moves in the first step; it falls to 0."""
+"""Initial learning rate of the logarithm of the environment's radiance; it falls linearly to 0."""
 
 ENVIRONMENT_SMOOTHNESS = 1e-3
-"""Weight of squared differences between neighbouring directions, beside the mean over pairs."""
+"""Weight of squared differences between neighbouring directions, relative to the mean over pairs."""
 
 ENVIRONMENT_NEIGHBOURS = 6
 
 ENVIRONMENT_PRIOR = 1e-4
-"""Weight of the squared distance from where it begins, likewise."""
+"""Weight of the squared distance from the initial environment, relative to the mean over pairs."""
 
 ENVIRONMENT_VISIBLE_MIN = 0.02
-"""Share of the sky that Gaussians see at the median, below which there is none to be found: a closed room."""
+"""Median visible fraction of the environment below which the scene counts as a closed room without one."""
 
 CHROMA_WIDTH = 0.15
-"""Difference of chromaticity, natural logarithm, of Gaussians that may have one albedo."""
+"""Difference of log chromaticity up to which two Gaussians are assumed to have the same albedo."""
 
 EDGE_WIDTH = 0.3
-"""Difference of albedo, natural logarithm, from which on it is rather an edge of a texture (Cauchy)."""
+"""Difference of log albedo above which a pair counts as a texture edge (Cauchy loss)."""
 
 ROUGHNESS_MIN = 0.1
-"""Least roughness that is found."""
+"""Smallest roughness that is found."""
 
 NEIGHBOURS = 6
-"""Gaussians near each, whose materials are compared with its own."""
+"""Number of nearest Gaussians whose materials are compared with those of each Gaussian."""
 
 ALBEDO_RATE = 0.01
 
 ROUGHNESS_RATE = 0.02
 
 ENVIRONMENT_REFINE_RATE = 0.005
-"""How far logits and logarithms move in the first step; from half of the steps on, rates fall to a tenth."""
+"""Initial learning rate of log radiance; after half of the iterations, all rates fall to a tenth."""
 
 ALBEDO_SMOOTHNESS = 0.05
-"""Weight of squared differences, between neighbours, of what photographs change of the logarithms of albedos."""
+"""Weight of squared differences between neighbours, of the change of log albedo from its initial value."""
 
 ROUGHNESS_SMOOTHNESS = 0.05
-"""Weight of squared differences between neighbours."""
+"""Weight of squared differences of roughness between neighbours."""
 
 SSIM_FRACTION = 0.2
-"""Share of SSIM in the loss of photographs, as in training."""
+"""Fraction of SSIM in the image loss, as in training."""
 
 _ROUGHNESS_RANGE = 1.0 - ROUGHNESS_MIN
 _LOGIT_MAX = 7.0
 _STATE_KEYS = ("albedo", "roughness", "sky")
-"""Names of what moves."""
+"""Keys of the optimised arrays in ``state`` and in files."""
 
 
 class MaterialFit:
-    """Materials of Gaussians whose geometry stays.
+    """Optimises the materials of Gaussians of fixed geometry, and the environment.
 
     Args:
         gaussians: The capture.
-        views: The photographs.
-        incident: What was traced.
-        start: Where materials and sky begin.
+        views: Its training views.
+        incident: Traced incident radiance.
+        start: Initial materials and environment.
         config: Settings.
-        device: As of `lumisplat.create_renderer`.
-        threads: As of `lumisplat.create_renderer`.
-        progress: As of `lumisplat.create_renderer`.
+        device: As in `lumisplat.create_renderer`.
+        threads: As in `lumisplat.create_renderer`.
+        progress: As in `lumisplat.create_renderer`.
     """
 
     def __init__(
@@ -204,29 +204,29 @@ class MaterialFit:
         self._first = np.log(_sigmoid(self._albedo))
         self._moments = [Adam.still(array.shape) for array in (self._albedo, self._roughness, self._environment)]
         self.iteration = 0
-        """Steps that were made."""
+        """Number of iterations made."""
 
     @property
     def materials(self) -> Materials:
-        """What has been found so far."""
+        """Current materials and environment."""
         return materials_of(
             {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}, self._normals
         )
 
     @property
     def state(self) -> dict[str, Doubles]:
-        """What moves, and its moments: with the number of steps, all that the next step depends on."""
+        """Optimised arrays and their Adam moments; with the iteration, all that the next step depends on."""
         arrays: dict[str, Doubles] = {"albedo": self._albedo, "roughness": self._roughness, "sky": self._environment}
         for name, moments in zip(_STATE_KEYS, self._moments, strict=True):
             arrays |= {f"{name}.first": moments.first, f"{name}.second": moments.second}
         return arrays
 
     def restore(self, state: dict[str, Doubles], iteration: int) -> None:
-        """Goes on from there.
+        """Continues from a stored state.
 
         Args:
-            state: As of ``state``, of a fit that began at the same materials.
-            iteration: Steps that were made until then.
+            state: The ``state`` of a fit with the same initial materials.
+            iteration: Iterations made until then.
         """
         self._albedo, self._roughness, self._environment = (state[name].copy() for name in _STATE_KEYS)
         self._moments = [
@@ -236,7 +236,7 @@ class MaterialFit:
         self.iteration = iteration
 
     def step(self) -> Loss:
-        """Makes a step with the next photograph: all in turn, in another order each time."""
+        """Runs one iteration; each epoch visits all images in a new random order."""
         epoch, index = divmod(self.iteration, len(self._views))
         order = np.random.default_rng([self._config.seed, 7, epoch]).permutation(len(self._views))
         loss, gradient = self.differentiate(self._views[int(order[index])])
@@ -245,7 +245,7 @@ class MaterialFit:
         return loss
 
     def differentiate(self, view: TrainingView) -> tuple[Loss, Materials]:
-        """How far what the Gaussians show is from a photograph, and the derivatives by what they are made of."""
+        """Returns the loss between the shaded Gaussians and an image, and its gradient by materials and environment."""
         image, camera = view.read(), view.camera
         target = self._loss.load(image.color, image.weight, None)
         self._lit.shade(self.materials, camera.eye, self._gaussians.sh)
@@ -256,7 +256,7 @@ class MaterialFit:
         return loss, self._lit.differentiate()
 
     def _move(self, gradient: Materials) -> None:
-        """The chain rule to logits and logarithms, what neighbours say, and a step."""
+        """Makes an Adam step in logits and logarithms, with the smoothness terms added."""
         now = self.materials
         share = (now.roughness - ROUGHNESS_MIN) / _ROUGHNESS_RANGE
         changes = np.log(now.albedo) - self._first
@@ -276,7 +276,7 @@ class MaterialFit:
 
 
 def materials_of(state: Mapping[str, Doubles], normals: Doubles) -> Materials:
-    """What the state of a fit says, with normals that stay."""
+    """Converts optimised logits and logarithms to materials with fixed normals."""
     roughness = ROUGHNESS_MIN + _ROUGHNESS_RANGE * _sigmoid(state["roughness"])
     return Materials(_sigmoid(state["albedo"]), roughness, normals, np.exp(state["sky"]))
 
@@ -292,12 +292,12 @@ def _logits(shares: Doubles) -> Doubles:
 
 
 def white_radiance(white: Irradiance, environment: Doubles) -> Doubles:
-    """Radiance of white, matte Gaussians under a sky of radiances, shape (K, 3): shape (N, 3)."""
+    """Returns the radiance of white diffuse Gaussians under an environment of shape (K, 3): shape (N, 3)."""
     return np.maximum(white.total(environment.astype(np.float32), np.zeros((0, 3))), RADIANCE_LEAST)
 
 
 def sees_environment(white: Irradiance) -> bool:
-    """Whether there is a sky to be found."""
+    """Returns whether the Gaussians see enough of the environment to estimate it."""
     return float(np.median(white.environment.sum(axis=1))) > ENVIRONMENT_VISIBLE_MIN
 
 
@@ -311,21 +311,24 @@ def fit_environment(
     rng: np.random.Generator,
     report: Progress,
 ) -> Doubles:
-    """Radiances of the sky in K directions, shape (K, 3).
+    """Estimates the radiance of the environment in K directions, shape (K, 3).
 
-    The albedo of a matte surface is its radiance over that of a white one. What light does to a capture goes by its
-    normals and by what is open to the sky, what albedo does goes by neither: so of all skies that one is right under
-    which pairs of surfaces, anywhere, that may have one albedo, have it. A brighter sky over darker surfaces looks the
-    same: the lightest surfaces have a usual albedo.
+    The albedo of a diffuse surface is its radiance over that of a white one. Captured light varies with normal and
+    visibility; albedo does not. The estimate therefore minimises the differences of albedo over random pairs of
+    surfaces that may share one. A brighter environment over darker surfaces looks the same; the scale is chosen such
+    that the lightest surfaces have a usual albedo.
 
     Args:
-        outgoing: Radiance of Gaussians, shape (N, 3).
-        white: What shines on them.
-        weights: How often each is in a pair, shape (N,).
-        directions: Of the sky, shape (K, 3).
-        steps: How many are made.
-        rng: Chooses pairs.
-        report: Called with what is being done and the fraction done, 0..1.
+        outgoing: Radiance of the Gaussians, shape (N, 3).
+        white: Irradiance of the Gaussians.
+        weights: Sampling weight of each Gaussian in the pairs, shape (N,).
+        directions: Directions of the environment, shape (K, 3).
+        steps: Number of optimiser steps.
+        rng: Generator that chooses the pairs.
+        report: Called with a description of the current work and the fraction done, 0..1.
+
+    Returns:
+        Radiances; all 1 if the Gaussians see too little of the environment.
     """
     if not sees_environment(white):
         return np.ones((len(directions), 3))
@@ -341,7 +344,7 @@ def fit_environment(
     neighbours = nearest_directions(directions)
     moved, adam = start.copy(), Adam.still(start.shape)
     for step in range(steps):
-        report("finding the sky", step / steps)
+        report("finding the environment", step / steps)
         environment = np.exp(moved)
         light = white_radiance(part, environment)
         _, by_log_albedo = pairs.albedo_term(shown - np.log(light))
@@ -357,12 +360,12 @@ def fit_environment(
 
 
 def nearest_directions(directions: Doubles) -> np.ndarray:
-    """The neighbours of each direction, shape (K, 6)."""
+    """Returns the indices of the six nearest directions of each direction, shape (K, 6)."""
     return np.argsort(-(directions @ directions.T), axis=1, kind="stable")[:, 1 : 1 + ENVIRONMENT_NEIGHBOURS]
 
 
 def smoothness_gradient(log_environment: Doubles, neighbours: np.ndarray) -> Doubles:
-    """Derivatives of the roughness of a sky, shape (K, 3); neighbours are held where they are."""
+    """Returns the gradient of the environment's smoothness term, shape (K, 3); neighbours are held fixed."""
     return (
         ENVIRONMENT_SMOOTHNESS
         / len(log_environment)
@@ -374,12 +377,12 @@ HEIGHT, WIDTH = 16, 32
 
 
 def environment_image(directions: Doubles, environment: Doubles) -> FloatArray:
-    """The image of a `LightEnvironment`, shape (16, 32, 3).
+    """Returns the image of a `LightEnvironment`, shape (16, 32, 3).
 
-    A pixel is the mean of the directions around it, by a Gaussian of half the angle between neighbours.
+    Each pixel is a Gaussian-weighted mean of the directions around it; the width is half the angle between neighbours.
 
     Args:
-        directions: Even, unit, shape (K, 3).
+        directions: Evenly spread unit vectors, shape (K, 3).
         environment: Radiances, shape (K, 3).
     """
     pixel_directions = panorama_directions(HEIGHT, WIDTH).reshape(-1, 3)
@@ -391,17 +394,17 @@ def environment_image(directions: Doubles, environment: Doubles) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimilarPairs:
-    """P pairs, each of two rows."""
+    """P pairs of rows, whose differences are penalised."""
 
     first: Rows
-    """Shape (P,)."""
+    """First row of each pair, shape (P,)."""
     second: Rows
 
     def albedo_term(self, log_albedo: Doubles) -> tuple[float, Doubles]:
-        """How much albedos differ, and the derivatives by their logarithms, shape (N, 3).
+        """Returns the penalty on albedo differences and its gradient by log albedo, shape (N, 3).
 
-        A difference of a pair counts as ``w^2 log(1 + (d / w)^2) / 2``, so that edges of textures count little, and
-        less the more the two differ in chromaticity; that weight is held as it is.
+        The difference ``d`` of a pair costs ``w^2 log(1 + (d / w)^2) / 2``, so that texture edges count little. The
+        cost is weighted by the similarity of chromaticity, which is held fixed.
         """
         difference = log_albedo[self.first] - log_albedo[self.second]
         similarity = chroma_similarity(difference, CHROMA_WIDTH)
@@ -411,7 +414,7 @@ class SimilarPairs:
         return term, self._scattered(similarity * difference / (1.0 + ratio) * share, len(log_albedo))
 
     def square_term(self, values: Doubles) -> tuple[float, Doubles]:
-        """Half the mean squared difference of a number, and the derivatives by it, shape (N,)."""
+        """Returns half the mean squared difference of a quantity, and its gradient, shape (N,)."""
         difference = values[self.first] - values[self.second]
         share = 1.0 / max(len(self.first), 1)
         return 0.5 * share * float(difference @ difference), self._scattered(difference[:, None] * share, len(values))[
@@ -419,7 +422,7 @@ class SimilarPairs:
         ]
 
     def _scattered(self, by_difference: Doubles, count: int) -> Doubles:
-        """From derivatives by differences to those by what differs."""
+        """Sums the gradient by differences into a gradient by rows."""
         columns = [
             np.bincount(self.first, column, count) - np.bincount(self.second, column, count)
             for column in by_difference.T
@@ -428,14 +431,14 @@ class SimilarPairs:
 
 
 def neighbour_pairs(means: FloatArray) -> SimilarPairs:
-    """Returns pairs of each Gaussian with its `NEIGHBOURS` nearest others, fewer if there are not as many."""
+    """Returns the pairs of each Gaussian with its `NEIGHBOURS` nearest Gaussians, or with fewer if there are fewer."""
     count = len(means)
     most = min(NEIGHBOURS, count - 1)
     if most < 1:
         return SimilarPairs(np.empty(0, np.int64), np.empty(0, np.int64))
     _, near = cKDTree(means).query(means, k=most + 1, workers=-1)
     own = np.arange(count)[:, None]
-    # Where means coincide, another may come before the Gaussian itself, and even push it off the list.
+    # If means coincide, the Gaussian itself may come later in the list, or not at all.
     is_own = near == own
     is_own[:, -1] |= ~is_own.any(axis=1)
     return SimilarPairs(np.repeat(own, most), near[~is_own].astype(np.int64))

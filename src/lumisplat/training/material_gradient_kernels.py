@@ -1,7 +1,7 @@
-"""Derivatives of what Gaussians show by what they are made of.
+"""Gradient of the radiance of lit Gaussians by their materials.
 
-Nothing else is in this module, for Warp finds derivatives (``wp.grad``) of functions within functions only where no
-other kernel of the module has called them: they would be 0.
+The module has no other kernel: Warp differentiates nested functions (``wp.grad``) correctly only if no other kernel of
+the module has called them; otherwise their derivatives are 0.
 """
 
 import warp as wp
@@ -22,7 +22,11 @@ def differentiate(
     by_radiance: wp.array[wp.vec3],
     gradient_out: MaterialGradient,
 ):
-    """Item = Gaussian: derivatives by what it is made of; by normals, a view that is mirrored stays where it is."""
+    """Item = Gaussian: gradient by albedo, roughness and normal.
+
+    A view direction from below the horizon is mirrored; the mirrored direction is held fixed in the derivative by
+    normal.
+    """
     i = start + wp.tid()
     by_albedo = wp.vec3(0.0)
     by_roughness = float(0.0)

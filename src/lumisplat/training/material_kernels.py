@@ -1,4 +1,4 @@
-"""Gaussians that reflect light each by itself, and the derivatives of what they show.
+"""Shading of Gaussians by incident radiance, and gradients of their colours.
 
 The equations are in docs/method/relightable.md.
 """
@@ -22,7 +22,7 @@ SH_CONSTANT = wp.constant(wp.float32(SH_C0))
 
 @wp.func
 def widened_alpha(roughness: float, spread: float) -> float:
-    """Of a highlight that is as wide as directions are apart."""
+    """Returns the microfacet alpha of a highlight widened to the spacing of the incident directions."""
     alpha = roughness * roughness
     return wp.sqrt(alpha * alpha + spread)
 
@@ -44,7 +44,7 @@ def shade(
     radiance_out: wp.array[wp.vec3],
     sh_out: wp.array[wp.vec3],
 ):
-    """Item = Gaussian: what it shows to an eye, linear; and that, display-referred, as its constant harmonic."""
+    """Item = Gaussian: linear radiance towards the eye, and its display-referred value as degree-0 SH coefficient."""
     i = start + wp.tid()
     normal = materials.normals[i]
     roughness = materials.roughness[i]
@@ -78,7 +78,7 @@ def decode_gradients(
     radiance: wp.array[wp.vec3],
     by_radiance_out: wp.array[wp.vec3],
 ):
-    """Item = Gaussian: derivatives by its radiance. One above white only hears that it should be darker."""
+    """Item = Gaussian: gradient by linear radiance; radiance above white only receives gradients that darken it."""
     i = start + wp.tid()
     by_radiance = wp.vec3(0.0)
     if is_listed(rects[i]):
@@ -98,7 +98,7 @@ def differentiate_environment(
     by_radiance: wp.array[wp.vec3],
     by_environment_out: wp.array2d[wp.vec3],
 ):
-    """Item = chunk of Gaussians: derivatives by the sky's radiance, of these alone, a row each."""
+    """Item = chunk of Gaussians: the chunk's gradient by the environment's radiance, one row per chunk."""
     chunk = start + wp.tid()
     directions = light.directions.shape[0]
     for k in range(directions):

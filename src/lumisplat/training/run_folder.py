@@ -197,12 +197,12 @@ class HeldOut:
         found: dict[str, float] = {}
         for number, image in enumerate(self._images):
             if progress is not None:
-                progress("measuring", number / len(self._images))
+                progress("evaluating held-out images", number / len(self._images))
             mask = image.mask()
             if mask is None or mask.any():  # a mask may be empty after undistortion
                 found[image.name] = masked_psnr(self.render(gaussians, image), image)
         if progress is not None:
-            progress("measuring", 1.0)
+            progress("evaluating held-out images", 1.0)
         return HeldOutScore(float(np.mean(list(found.values()))), found) if found else None
 
     def render(self, gaussians: Gaussians, image: TrainingImage) -> FloatArray:

@@ -1,9 +1,9 @@
-"""Terms of the loss on the surfaces of a frame, and their derivatives.
+"""Surface terms of the loss on depths and normals, and their gradients.
 
-Features of a Gaussian are its view depth, the square of that, and its normal; depths are in units of the scene's extent
-and from a depth in the middle of the scene, so that variances keep their digits. Normals are smooth but for
-edges of the image (Gao et al. 2024): their differences are Sobel's, over 8, and pixels at borders have none. The
-equations are in docs/method/training.md#surfaces.
+The features of a Gaussian are its view depth, the squared depth, and its normal. Depths are in units of the scene's
+extent, measured from a depth in the middle of the scene, so that variances keep their digits. The smoothness term
+penalises differences of normals except at image edges (Gao et al. 2024); differences are Sobel's over 8, and border
+pixels have none. The equations are in docs/method/training.md#surfaces.
 """
 
 import warp as wp
@@ -19,29 +19,31 @@ from lumisplat.device.training import SmoothnessMaps, SplatRecord, SurfaceMaps, 
 wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS})
 
 SURFACE_VARIANCE_MIN = 1e-6
-"""Variance of depth, extents^2, below which a surface is thin enough. Gao et al. 2024, code."""
+"""Variance of depth, extents^2, below which the depth term is constant. Gao et al. 2024, code."""
 
 SURFACE_SPREAD = 0.1
-"""Standard deviation of depth, extents, beyond which it counts by ever less: what is farther apart is fog in which no
-surface is yet to be seen, and a film close to the cameras would be the thinnest of all (decision 0071)."""
+"""Standard deviation of depth, extents, beyond which the depth term saturates.
+
+A larger spread comes from semi-transparent floaters before a surface has formed. Without saturation, a thin layer
+close to the cameras would minimise the term (decision 0071)."""
 
 OPAQUE = wp.constant(wp.float32(SURFACE_ALPHA))
 VARIANCE_MIN = wp.constant(wp.float32(SURFACE_VARIANCE_MIN))
 SPREAD = wp.constant(wp.float32(SURFACE_SPREAD))
 AREA_MIN = wp.constant(wp.float32(1e-30))
-"""Length of a cross product below which it has no direction."""
+"""Length of a cross product below which its direction is undefined."""
 
 
 @wp.func
 def depth_of(view: CameraData, terms: SurfaceTerms, point: wp.vec3) -> float:
-    """View depth of a point as a feature."""
+    """Returns the view depth of a point as a feature."""
     forward = wp.vec3(view.world_from_camera[0, 2], view.world_from_camera[1, 2], view.world_from_camera[2, 2])
     return (wp.dot(forward, point - view.eye) - terms.middle) * terms.per_unit
 
 
 @wp.func
 def shortest_axis(scale: wp.vec3) -> int:
-    """Number of the axis of least scale; of equal ones the first."""
+    """Returns the index of the axis with the smallest scale; the first of equal ones."""
     if scale[0] <= scale[1] and scale[0] <= scale[2]:
         return 0
     return wp.where(scale[1] <= scale[2], 1, 2)
@@ -49,7 +51,7 @@ def shortest_axis(scale: wp.vec3) -> int:
 
 @wp.func
 def normal_of(view: CameraData, gaussians: GaussianData, i: int) -> wp.vec3:
-    """The shortest axis of a Gaussian on the side of the eye, world space, unit."""
+    """Returns the shortest axis of a Gaussian, oriented towards the eye, in world space and of unit length."""
     axis = wp.vec3(0.0)
     axis[shortest_axis(gaussians.scales[i])] = 1.0
     normal = wp.quat_rotate(gaussians.rotations[i], axis)
@@ -64,7 +66,7 @@ def find_features(
     gaussians: GaussianData,
     features_out: wp.array2d[float],
 ):
-    """Item = Gaussian: depth, its square, and normal."""
+    """Item = Gaussian: writes depth, squared depth and normal."""
     i = start + wp.tid()
     depth = depth_of(camera[0], terms, gaussians.means[i])
     normal = normal_of(camera[0], gaussians, i)
@@ -76,7 +78,7 @@ def find_features(
 
 @wp.func
 def ray_at(view: CameraData, x: int, y: int) -> wp.vec3:
-    """From the eye to the plane at view depth 1, world space."""
+    """Returns the ray of a pixel from the eye to view depth 1, world space."""
     u = (float(x) + 0.5 - view.raster_center[0]) / view.focal[0]
     v = (float(y) + 0.5 - view.raster_center[1]) / view.focal[1]
     return view.world_from_camera * wp.vec3(u, v, 1.0)
@@ -86,26 +88,26 @@ def ray_at(view: CameraData, x: int, y: int) -> wp.vec3:
 def surface_at(
     view: CameraData, terms: SurfaceTerms, sums: wp.array2d[float], alpha: wp.array[float], x: int, y: int
 ) -> wp.vec3:
-    """Where the mean depth of a pixel is, from the eye."""
+    """Returns the point at the mean depth of a pixel, relative to the eye."""
     i = y * view.width + x
     return (terms.middle + sums[i, 0] / (alpha[i] * terms.per_unit)) * ray_at(view, x, y)
 
 
 @wp.func
 def is_inner(view: CameraData, x: int, y: int) -> bool:
-    """Whether a pixel has neighbours on all sides."""
+    """Returns whether a pixel has neighbours on all four sides."""
     return x >= 1 and y >= 1 and x < view.width - 1 and y < view.height - 1
 
 
 @wp.func
 def normal_at(sums: wp.array2d[float], i: int) -> wp.vec3:
-    """The three features of an item that are its normal."""
+    """Returns the normal from the features of an item."""
     return wp.vec3(sums[i, 2], sums[i, 3], sums[i, 4])
 
 
 @wp.func
 def has_normal(view: CameraData, alpha: wp.array[float], x: int, y: int) -> bool:
-    """Whether depths around a pixel say how its surface is turned."""
+    """Returns whether the pixel and its four neighbours are opaque enough for a normal of the depth map."""
     if not is_inner(view, x, y):
         return False
     i = y * view.width + x
@@ -124,7 +126,7 @@ def compare_surfaces(
     maps_out: SurfaceMaps,
     by_sums_out: wp.array2d[float],
 ):
-    """Item = pixel: its terms, and derivatives by its own sums and by the sides of its surface."""
+    """Item = pixel: its terms, and gradients by its own features and by the two tangents of its depth-map surface."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -185,7 +187,7 @@ def gather_surfaces(
     by_sums_inout: wp.array2d[float],
     by_alpha_inout: wp.array[float],
 ):
-    """Item = pixel: derivatives by its depth from the sides of the surfaces of its neighbours."""
+    """Item = pixel: gradient by its depth, gathered from the tangents of its neighbours."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -216,7 +218,7 @@ def add_by_features(
     by_features: wp.array2d[float],
     gradient_inout: GaussianGradient,
 ):
-    """Item = Gaussian: the chain rule from its features to where it is, and how it is turned."""
+    """Item = Gaussian: maps the gradient by features to mean and rotation."""
     i = start + wp.tid()
     view = camera[0]
     depth = depth_of(view, terms, gaussians.means[i])
@@ -225,7 +227,7 @@ def add_by_features(
     gradient_inout.means[i] = gradient_inout.means[i] + by_depth * forward
     by_normal = normal_at(by_features, i)
     by_turn = wp.cross(normal_of(view, gaussians, i), by_normal)
-    # A turn by w moves the quaternion q by half of (w, 0) q.
+    # A rotation by w changes the quaternion q by half of (w, 0) q.
     q = gaussians.rotations[i]
     by_rotation = 2.0 * (wp.quat(by_turn[0], by_turn[1], by_turn[2], 0.0) * q)
     gradient_inout.rotations[i] = gradient_inout.rotations[i] + by_rotation
@@ -241,7 +243,7 @@ def add_normal_gradients(
     by_features: wp.array2d[float],
     record_inout: SplatRecord,
 ):
-    """Item = Gaussian: how strongly the terms of a frame turn its normal, over all pixels, if it was drawn."""
+    """Item = Gaussian: adds the magnitude of the gradient by its normal's rotation, if the Gaussian was drawn."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
@@ -253,7 +255,7 @@ def add_normal_gradients(
 def flatten(
     start: int, weight: float, rects: wp.array[TileRect], gaussians: GaussianData, gradient_inout: GaussianGradient
 ):
-    """Item = Gaussian: adds the derivative by its least scale, if it was drawn."""
+    """Item = Gaussian: adds the gradient by its smallest scale, if the Gaussian was drawn."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_scale = gradient_inout.scales[i]
@@ -267,20 +269,20 @@ wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": FUSED_FLA
 
 @wp.func
 def sobel_weight(along: int, across: int) -> float:
-    """Sobel's weight of a neighbour so many pixels along the direction of the difference, and across it."""
+    """Returns the Sobel weight of a neighbour at an offset along and across the direction of the difference."""
     return 0.125 * float(along * (2 - wp.abs(across)))
 
 
 @wp.func
 def edge_weight(change: wp.vec3) -> float:
-    """How little of an edge a photograph has where its colour changes so, 0..1."""
+    """Returns the weight of the smoothness term, 0..1: 1 where the image is constant, less at its edges."""
     total = wp.exp(-wp.abs(change[0])) + wp.exp(-wp.abs(change[1])) + wp.exp(-wp.abs(change[2]))
     return total / 3.0
 
 
 @wp.func
 def sign3(v: wp.vec3) -> wp.vec3:
-    """Derivatives of magnitudes; 0 at 0."""
+    """Returns the derivative of the absolute value of each component; 0 at 0."""
     found = wp.vec3(0.0)
     for c in range(3):
         found[c] = wp.where(v[c] > 0.0, 1.0, wp.where(v[c] < 0.0, -1.0, 0.0))
@@ -289,7 +291,7 @@ def sign3(v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def l1_norm(v: wp.vec3) -> float:
-    """Sum of magnitudes."""
+    """Returns the sum of absolute values."""
     return wp.abs(v[0]) + wp.abs(v[1]) + wp.abs(v[2])
 
 
@@ -302,7 +304,7 @@ def compare_smoothness(
     sums: wp.array2d[float],
     maps_out: SmoothnessMaps,
 ):
-    """Item = pixel: its term, and the derivatives by its differences."""
+    """Item = pixel: its smoothness term, and the gradient by its two differences of normals."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -335,7 +337,7 @@ def compare_smoothness(
 
 @wp.kernel
 def gather_smoothness(start: int, camera: wp.array[CameraData], maps: SmoothnessMaps, by_sums_inout: wp.array2d[float]):
-    """Item = pixel: derivatives by its normals, from the differences that it is part of."""
+    """Item = pixel: gradient by its normal, gathered from the differences of its neighbours."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width

@@ -1,6 +1,6 @@
-"""How much Gaussians show at most: each tile is blended once more, front to back.
+"""Finds the largest blending weight of each Gaussian by blending each tile front to back once more.
 
-This is done once a training, so that one way serves all devices.
+The pass runs once per training, so one implementation serves all devices.
 """
 
 import warp as wp
@@ -32,7 +32,7 @@ def find_largest_weights(
     meshes: MeshPixels,
     pairs_out: wp.array[float],
 ):
-    """Item = tile: the largest weight of each of its splats there."""
+    """Item = tile: writes the largest weight of each of its splats within the tile."""
     arrays = WeightArrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -54,7 +54,7 @@ def find_largest_ray_weights(
     limits: wp.array[float],
     pairs_out: wp.array[float],
 ):
-    """Item = tile: the largest weight of each of its Gaussians there."""
+    """Item = tile: writes the largest weight of each of its Gaussians within the tile, along rays."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -67,7 +67,7 @@ def find_largest_ray_weights(
 
 @wp.kernel
 def reduce_largest(start: int, pair_starts: wp.array[int], pairs: wp.array[float], largest_inout: wp.array[float]):
-    """Item = Gaussian: the largest of what it had before, and of its pairs with tiles."""
+    """Item = Gaussian: updates its largest weight with those in its tiles."""
     i = start + wp.tid()
     largest = largest_inout[i]
     for k in range(pair_starts[i], pair_starts[i + 1]):
