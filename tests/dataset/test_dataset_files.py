@@ -194,12 +194,12 @@ def test_ids_of_many_things_are_16_bit(tmp_path) -> None:
 
 def test_frames_in_real_time_and_albedo_without_light_are_refused(tmp_path) -> None:
     """One line each."""
-    with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME is of frames that follow"):
+    with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME renders frames that depend on earlier frames"):
         ls.dataset.render_dataset(
             block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), device="cpu"
         )
     unlit = ls.RenderConfig(lighting=False)
-    with pytest.raises(ls.ConfigError, match="layers has 'albedo', which only lit views have"):
+    with pytest.raises(ls.ConfigError, match="layers has 'albedo', which unlit views do not have"):
         ls.dataset.render_dataset(block_scene(), tmp_path, small_config(layers="albedo"), render=unlit, device="cpu")
     assert not list(tmp_path.rglob("*.json"))
 

@@ -258,7 +258,7 @@ def test_impossible_poses_are_one_line() -> None:
     """What is wrong with all of them, and what to change."""
     views = ls.dataset.DatasetViews(block_scene(), small_config(poses=ls.config.DatasetPoses(seen=1.0)), device="cpu")
     with pytest.raises(
-        ls.SceneError, match=r"view 5: none of 200 poses will do: .* poses\.seen wants 1: lower"
+        ls.SceneError, match=r"view 5: none of 200 poses is usable: .* poses\.seen requires 1: lower"
     ) as error:
         views.view(5)
     assert "\n" not in str(error.value)

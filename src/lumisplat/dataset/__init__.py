@@ -1,4 +1,4 @@
-"""Training data for vision: views of a scene at random positions, with layers."""
+"""Data sets for computer vision: random views of a scene with depth, normals, masks and other layers."""
 
 from lumisplat import lazy
 

@@ -1,4 +1,4 @@
-"""Training data for vision: views of a scene at random positions, with layers."""
+"""Data sets for computer vision: random views of a scene with depth, normals, masks and other layers."""
 
 from lumisplat.dataset.finish import DatasetSummary as DatasetSummary, finish_dataset as finish_dataset
 from lumisplat.dataset.labels import DatasetThing as DatasetThing, DatasetView as DatasetView

@@ -1,4 +1,4 @@
-"""The files of a view: pictures, layers, and what is known of it in JSON."""
+"""Files of a view: colour image, layers, and its camera, lights and labels as JSON."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from lumisplat.scene.lights import Light
 
 
 class LayerFiles(NamedTuple):
-    """Where the files of a layer are, and what they hold."""
+    """Folder, file extension and content of a layer."""
 
     folder: str
     extension: str
@@ -56,43 +56,43 @@ LAYER_FILES = {
         "32-bit: linear Rec.709 R G B A, neither exposed nor tone-mapped; depth.Z along rays, normals in world axes",
     ),
 }
-"""By the names of layers."""
+"""Files of each layer by its name."""
 
 VIEW_FOLDER = "views"
 
 
 def view_name(index: int) -> str:
-    """Stem of the files of a view."""
+    """Returns the stem of the files of a view."""
     return f"view_{index:06d}"
 
 
 def view_file(index: int) -> str:
-    """What is known of a view, from the data set's folder; it is written last: where it is, the view is."""
+    """Returns the JSON file of a view, relative to the data set; it is written last and marks the view as complete."""
     return f"{VIEW_FOLDER}/{view_name(index)}.json"
 
 
 def layer_file(layer: str, name: str) -> str:
-    """The file of a layer of a view, from the data set's folder."""
+    """Returns the file of a layer of a view, relative to the data set."""
     files = LAYER_FILES[layer]
     return f"{files.folder}/{name}.{files.extension}"
 
 
 IdTypes = Mapping[str, type[np.uint8] | type[np.uint16]]
-"""Types of the pictures of ids, by layer."""
+"""Pixel types of the ``instance`` and ``category`` layers."""
 
 
 def write_view(folder: Path, view: DatasetView, frame: Frame, config: DatasetConfig, id_types: IdTypes) -> None:
-    """Writes all files of a view, each whole or not at all; what is known of it last.
+    """Writes all files of a view atomically, the JSON file last.
 
     Args:
-        folder: The data set's.
+        folder: Folder of the data set.
         view: The view.
-        frame: Its frame.
+        frame: Its rendered frame.
         config: Settings of the data set.
-        id_types: The same for all views.
+        id_types: Pixel types of the id layers, the same for all views.
 
     Raises:
-        ConfigError: The frame has no albedo, which is wanted.
+        ConfigError: The layers include ``albedo``, and the frame has none.
         FormatError: A file cannot be written.
     """
     ids, categories = id_images(frame.instance_index, view.things)
@@ -118,7 +118,7 @@ def _write_layer(path: Path, layer: str, frame: Frame) -> None:
         write_png(path, normal_picture(frame))
     elif layer == "albedo":
         if frame.albedo is None:
-            raise ConfigError("layers has 'albedo', which only lit views have: give lights, or leave it out")
+            raise ConfigError("layers has 'albedo', which unlit views do not have: add lights, or remove the layer")
         write_png(path, np.clip(encode_srgb(np.clip(frame.albedo, 0.0, 1.0)), 0.0, 1.0))
     elif layer == "alpha":
         write_gray_png(path, (255.0 * np.clip(frame.alpha, 0.0, 1.0) + 0.5).astype(np.uint8))
@@ -130,14 +130,14 @@ def _write_layer(path: Path, layer: str, frame: Frame) -> None:
 
 
 def depth_along_z(frame: Frame) -> FloatArray:
-    """View depth of surfaces, shape (H, W); 0: there is none."""
+    """Returns the view depth of surfaces along the camera's z axis, shape (H, W); 0 without a surface."""
     depth = frame.depth_z
     return np.where(np.isfinite(depth), depth, 0.0).astype(np.float32)
 
 
 def normal_picture(frame: Frame) -> npt.NDArray[np.uint8]:
-    """Normals in the camera's axes as bytes, shape (H, W, 3); 0 0 0: there is no surface."""
-    # Not by BLAS, whose last bits depend on the number of threads.
+    """Returns normals in camera axes as bytes, shape (H, W, 3); 0 0 0 without a surface."""
+    # Not BLAS: its last bits depend on the number of threads.
     normal = np.einsum("hwi,ji->hwj", frame.normal.astype(np.float64), frame.camera.camera_from_world[:3, :3])
     shown = np.clip(127.5 * (1.0 + normal) + 0.5, 0.0, 255.0)
     seen = np.isfinite(frame.depth) & frame.normal.any(axis=2)
@@ -145,7 +145,7 @@ def normal_picture(frame: Frame) -> npt.NDArray[np.uint8]:
 
 
 def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfig) -> dict[str, Any]:
-    """What is known of a view."""
+    """Returns the content of a view's JSON file."""
     camera = view.camera
     return {
         "view": view.index,
@@ -171,7 +171,7 @@ def _record(view: DatasetView, ids: npt.NDArray[np.uint16], config: DatasetConfi
 
 
 def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
-    """A thing, with the box of its pixels."""
+    """Returns the JSON entry of an object, with the bounding box of its pixels."""
     rows, columns = np.nonzero(ids == thing.id)
     box = None
     if rows.size:
@@ -193,7 +193,7 @@ def _thing(thing: DatasetThing, ids: npt.NDArray[np.uint16]) -> dict[str, Any]:
 
 
 def _light(light: Light) -> dict[str, Any]:
-    """A light: its class and its numbers; images of environments by name."""
+    """Returns the JSON entry of a light: its class and numbers; environment images are given by name."""
     values = {
         field.name: getattr(light, field.name)
         for field in dataclasses.fields(light)
@@ -203,7 +203,7 @@ def _light(light: Light) -> dict[str, Any]:
 
 
 def _plain(value: object) -> object:
-    """A value as JSON has it, which knows no infinity."""
+    """Returns a value as JSON; infinity becomes null."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, tuple | list | np.ndarray):
@@ -212,11 +212,11 @@ def _plain(value: object) -> object:
 
 
 def id_type(count: int) -> type[np.uint8] | type[np.uint16]:
-    """Type of a picture of so many ids.
+    """Returns the pixel type of an image with ``count`` ids.
 
     Raises:
-        SceneError: There are more than 65,535.
+        SceneError: There are more than 65,535 ids.
     """
     if count > np.iinfo(np.uint16).max:
-        raise SceneError(f"there are {count:,} things, and pictures of ids hold 65,535: join some")
+        raise SceneError(f"there are {count:,} objects, and id images hold at most 65,535: merge some")
     return np.uint8 if count <= np.iinfo(np.uint8).max else np.uint16

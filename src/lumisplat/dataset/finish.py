@@ -1,6 +1,6 @@
-"""Writes what a data set has beside its views: cameras, tables of ids and layers, a contact sheet, shards.
+"""Writes the files that describe a whole data set: cameras, layers and categories, a contact sheet, and shards.
 
-Shards are those of WebDataset: tar files whose members belong together by the first part of their names.
+Shards are in the format of WebDataset: tar files whose members share the first part of their names.
 """
 
 from __future__ import annotations
@@ -35,37 +35,37 @@ _AXES = "cameras: x right, y down, z forward (OpenCV); camera_from_world takes c
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetSummary:
-    """What there is of a data set."""
+    """Number of views per split, and what is missing or was left out."""
 
     train: int
-    """Views to train by."""
+    """Number of training views."""
     val: int
-    """Views to validate by."""
+    """Number of validation views."""
     test: int
-    """Views to test by."""
+    """Number of test views."""
     missing: int
-    """Views that are not there yet; unless it is 0, nothing was written."""
+    """Number of views not rendered yet; if it is above 0, no summary file was written."""
     left_out: int
-    """Objects that found no room."""
+    """Number of objects for which no free position was found."""
     shards: tuple[Path, ...] = ()
 
 
 def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> DatasetSummary:
-    """Writes what a data set has beside its views, once all are there.
+    """Writes the files that describe a whole data set, once all views are rendered.
 
-    ``transforms.json``: cameras for nerfstudio, and which views are for what. ``layers.json``: what files hold, and the
-    names of categories. ``contact_sheet.png``: the first views. ``shards``: tar files for WebDataset, if
-    ``config.shard_views`` asks for them; else those that are there are removed.
+    ``transforms.json`` has the cameras and splits for nerfstudio, ``layers.json`` the content of the layers and the
+    names of categories, ``contact_sheet.png`` the first views. ``shards`` has tar files for WebDataset if
+    ``config.shard_views`` is above 0; otherwise existing shards are removed.
 
     Args:
-        folder: Of the data set.
+        folder: Folder of the data set.
         config: Its settings.
 
     Returns:
-        What there is; with views ``missing``, nothing has been written.
+        The number of views per split; if some are ``missing``, no file has been written.
 
     Raises:
-        ConfigError: ``config`` is no DatasetConfig.
+        ConfigError: ``config`` is not a DatasetConfig.
         FormatError: A file cannot be read or written.
     """
     check_kind("config", config, DatasetConfig)
@@ -87,7 +87,7 @@ def finish_dataset(folder: str | os.PathLike[str], config: DatasetConfig) -> Dat
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """What is known of a view; None: the view is not there.
+    """Returns the JSON record of a view; None if the view is not rendered yet.
 
     Raises:
         FormatError: The file is damaged.
@@ -101,7 +101,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _transforms(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Cameras as nerfstudio has them."""
+    """Returns the cameras in the format of nerfstudio."""
     names: dict[str, list[str]] = {split: [] for split in ("train", "val", "test")}
     frames: list[dict[str, Any]] = []
     for record in records:
@@ -127,7 +127,7 @@ def _transforms(records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _layers(config: DatasetConfig, records: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What files hold, and the categories that views have."""
+    """Returns the content of the layers, and the categories that occur in the views."""
     categories = {thing["category"]: thing["category_id"] for record in records for thing in record["things"]}
     return {
         "axes": _AXES,
@@ -145,15 +145,15 @@ SHARD_FOLDER = "shards"
 
 
 def _write_shards(folder: Path, records: Sequence[Mapping[str, Any]], views: int) -> list[Path]:
-    """Writes the views of each part into shards ``train-000000.tar`` and so on, the same bytes each time.
+    """Writes the views of each split into shards ``train-000000.tar`` and so on; repeated calls write the same bytes.
 
-    A view has the members ``view_000012.png``, ``view_000012.depth.npy`` and so on, ``view_000012.json`` last. Shards
-    that are there from before and have no views any more are removed.
+    A view has the members ``view_000012.png``, ``view_000012.depth.npy`` and so on, ``view_000012.json`` last. Existing
+    shards beyond the last one are removed.
 
     Args:
-        folder: The data set's.
-        records: What is known of the views, in order.
-        views: How many views a shard has, at most.
+        folder: Folder of the data set.
+        records: JSON records of the views, in order.
+        views: Largest number of views per shard.
 
     Raises:
         FormatError: A file cannot be read or written.
@@ -171,7 +171,7 @@ def _write_shards(folder: Path, records: Sequence[Mapping[str, Any]], views: int
 
 
 def _remove_shards(folder: Path, kept: Sequence[Path]) -> None:
-    """Removes shards that are of views from before."""
+    """Removes all shards except those in ``kept``."""
     for path in (folder / SHARD_FOLDER).glob("*-??????.tar"):
         if path not in kept:
             with suppress(OSError):
@@ -179,7 +179,7 @@ def _remove_shards(folder: Path, kept: Sequence[Path]) -> None:
 
 
 def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
-    """Writes one tar file, without times and owners."""
+    """Writes one tar file without times and owners."""
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
         for record in records:
             for member, file in _members(folder, record).items():
@@ -191,7 +191,7 @@ def _write_shard(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
 
 
 def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
-    """The files of a view by the names of members: the layer and the extension follow the view's name."""
+    """Returns the files of a view by member name: the layer and the extension follow the view's name."""
     name, files = view_name(record["view"]), record["files"]
     members: dict[str, Path] = {}
     for layer, file in files.items():
@@ -202,23 +202,23 @@ def _members(folder: Path, record: Mapping[str, Any]) -> dict[str, Path]:
 
 
 _SHEET_TILES = 48
-"""Pictures of a sheet, at most."""
+"""Largest number of images on the contact sheet."""
 _SHEET_COLUMNS = 8
-"""Pictures in a row, about."""
+"""Approximate number of images in a row."""
 _TILE_WIDTH = 200
-"""Of a picture, pixels."""
+"""Width of an image on the sheet, pixels."""
 _FAR, _NEAR = 0.1, 1.0
-"""Grey of the farthest and the nearest surface of a view."""
+"""Grey values of the farthest and the nearest surface of a view."""
 _NOT_ON_SHEET = ("exr",)
 
 
 def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]]) -> None:
-    """Writes a sheet: each view with its layers side by side. Depth is grey, near is white; ids have colours.
+    """Writes a contact sheet: each view with its layers side by side; depth is grey with near white, ids have colours.
 
     Args:
-        path: The PNG.
-        folder: The data set's.
-        records: What is known of the views, in order.
+        path: The PNG file.
+        folder: Folder of the data set.
+        records: JSON records of the views, in order.
 
     Raises:
         FormatError: A file cannot be read or written.
@@ -243,7 +243,7 @@ def _write_sheet(path: Path, folder: Path, records: Sequence[Mapping[str, Any]])
 
 
 def _tile(path: Path, layer: str) -> Image.Image:
-    """A layer as a picture."""
+    """Returns a layer as an RGB image."""
     from PIL import Image
 
     try:
@@ -260,7 +260,7 @@ def _tile(path: Path, layer: str) -> Image.Image:
 
 
 def _gray(depth: FloatArray) -> np.ndarray:
-    """Depth as bytes, near is white; black: there is no surface."""
+    """Returns depth as grey bytes, near is white; black without a surface."""
     surface = depth > 0.0
     near, far = (depth[surface].min(), depth[surface].max()) if surface.any() else (0.0, 1.0)
     share = (far - depth) / max(float(far - near), 1e-9)
@@ -269,7 +269,7 @@ def _gray(depth: FloatArray) -> np.ndarray:
 
 
 def _colors(ids: np.ndarray) -> np.ndarray:
-    """A colour for each id, shape (H, W, 3); black: 0."""
+    """Returns a colour for each id, shape (H, W, 3); id 0 is black."""
     hashed = ids.astype(np.uint32) * np.uint32(2654435761)
     colors = np.stack([(hashed >> shift) & 0xFF for shift in (8, 16, 24)], axis=-1) / 255.0
     return (255.0 * np.where(ids[..., None] > 0, 0.25 + 0.75 * colors, 0.0)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""A view of a data set and its labels: names, ids, boxes and poses of each object, as training data name them."""
+"""Views of a data set and their labels: name, id, category, bounding box and pose of each object."""
 
 from __future__ import annotations
 
@@ -14,40 +14,42 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene, SplatInstance, bulk_extent
 
 BOX_TAIL = 0.002
-"""Share of a capture's opacity outside its box at each end of each axis: it holds what is seen, and no strays."""
+"""Fraction of a capture's opacity outside its box at each end of each axis, so that stray Gaussians do not enlarge it.
+"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DatasetThing:
-    """A capture, a mesh or an object in a view."""
+    """Labels of a capture, a mesh or an inserted object in a view."""
 
     id: int
-    """In the layer ``instance``, from 1: what the scene has keeps its id in all views, objects come after it."""
+    """Id in the layer ``instance``, from 1; parts of the scene have the same id in all views, inserted objects follow.
+    """
     name: str
     category: str
-    """The name of what the scene has, the file of an object without its extension."""
+    """Category: the name of a part of the scene, or the file name of an inserted object without its extension."""
     category_id: int
-    """In the layer ``category``, from 1; the same in all views."""
+    """Id in the layer ``category``, from 1; the same in all views."""
     kind: str
-    """``capture``, ``mesh`` or, of an object that has several of them, ``scene``."""
+    """``capture``, ``mesh``, or ``scene`` for an inserted object with several of them."""
     is_object: bool
-    """Whether it was put into the scene."""
+    """True for an object that was inserted into the scene."""
     instances: tuple[int, ...]
-    """Its places in the frame's ``instance_index``."""
+    """Indices in the frame's ``instance_index``."""
     world_from_object: Doubles
-    """Shape (4, 4)."""
+    """Object-to-world transform, shape (4, 4)."""
     low: Doubles
-    """Corner of its box in its own coordinates, shape (3,); of captures without stray Gaussians."""
+    """Lower corner of the bounding box in object coordinates, shape (3,); stray Gaussians of captures are ignored."""
     high: Doubles
-    """The opposite corner."""
+    """Upper corner of the bounding box in object coordinates, shape (3,)."""
 
 
 class Catalogue:
-    """Names and ids of what views show.
+    """Assigns names, ids and categories to the scene and the inserted objects.
 
     Args:
-        scene: Without objects.
-        assets: The objects that there may be.
+        scene: Scene without inserted objects.
+        assets: Objects that may be inserted.
     """
 
     def __init__(self, scene: Scene, assets: Sequence[Asset]) -> None:
@@ -58,10 +60,10 @@ class Catalogue:
         self._boxes += [_box(mesh.mesh.positions) for mesh in scene.meshes]
         self._asset_boxes = {id(asset): _box(asset.points) for asset in assets}
         self.categories = tuple(dict.fromkeys((*self._names, *(asset.name for asset in assets))))
-        """Of the layer ``category``: the first has the id 1."""
+        """Names of the categories; the first has id 1."""
 
     def things(self, objects: Sequence[PlacedObject]) -> list[DatasetThing]:
-        """What a view shows, in the order of ids."""
+        """Returns the labels of a view, in the order of their ids."""
         things = self._scene_objects(sum(len(one.splats) for one in objects))
         next_splat = len(self._scene.splats)
         next_mesh = next_splat + sum(len(one.splats) for one in objects) + len(self._scene.meshes)
@@ -89,10 +91,10 @@ class Catalogue:
         return things
 
     def _scene_objects(self, between: int) -> list[DatasetThing]:
-        """What the scene has.
+        """Returns the labels of the captures and meshes of the scene.
 
         Args:
-            between: How many captures objects add: frames count these before the meshes.
+            between: Number of captures that inserted objects add; frames number them before the meshes.
         """
         instances = (*self._scene.splats, *self._scene.meshes)
         own = zip(instances, self._names, self._boxes, strict=True)
@@ -116,14 +118,14 @@ class Catalogue:
 def id_images(
     instance_index: npt.NDArray[np.int32], things: Sequence[DatasetThing]
 ) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]]:
-    """Ids of things, and of their categories, shape (H, W); 0 where there is nothing.
+    """Returns the images of object ids and category ids, shape (H, W) each; 0 for the background.
 
     Args:
-        instance_index: Of a frame, shape (H, W), -1: nothing.
-        things: What it shows.
+        instance_index: Instance index of a frame, shape (H, W); -1 for the background.
+        things: Labels of the view.
     """
     last = max((place for thing in things for place in thing.instances), default=-1)
-    ids, categories = np.zeros(last + 2, np.uint16), np.zeros(last + 2, np.uint16)  # the last: of -1
+    ids, categories = np.zeros(last + 2, np.uint16), np.zeros(last + 2, np.uint16)  # index -1 is the last entry
     for thing in things:
         ids[list(thing.instances)] = thing.id
         categories[list(thing.instances)] = thing.category_id
@@ -131,7 +133,7 @@ def id_images(
 
 
 def _capture_box(splat: SplatInstance) -> tuple[Doubles, Doubles]:
-    """The box of a capture in its own coordinates, without stray Gaussians."""
+    """Returns the bounding box of a capture in its own coordinates, without stray Gaussians."""
     gaussians = splat.gaussians
     ends = [bulk_extent(axis, gaussians.opacities, BOX_TAIL) for axis in gaussians.means.T.astype(np.float64)]
     low, high = np.array(ends).T
@@ -144,21 +146,21 @@ def _box(points: npt.NDArray[np.floating]) -> tuple[Doubles, Doubles]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DatasetView:
-    """A view: what is to be rendered, from where, and what of it is known."""
+    """View of a data set: the scene to render, the camera, and the labels."""
 
     index: int
-    """Its number, from 0."""
+    """Index of the view, from 0."""
     split: str
     """``train``, ``val`` or ``test``."""
     scene: Scene
-    """With its lights and objects."""
+    """Scene with the view's lights and inserted objects."""
     camera: Camera
     things: tuple[DatasetThing, ...]
-    """What there is, in the order of ids, seen or not."""
+    """Labels of all objects in the order of their ids, visible or not."""
     left_out: tuple[str, ...] = ()
-    """Names of objects that found no room."""
+    """Names of objects for which no free position was found."""
 
     @property
     def name(self) -> str:
-        """Stem of its files."""
+        """Stem of the view's files."""
         return self.camera.name

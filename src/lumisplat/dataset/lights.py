@@ -1,4 +1,4 @@
-"""Random light: environments turned, suns, lamps and skies."""
+"""Random lights: rotated environments, suns and point lights."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from lumisplat.math.transforms import axis_rotation, multiply_quaternions, quate
 from lumisplat.scene.lights import Light, LightDirectional, LightEnvironment, LightPoint
 
 _LIGHT_TRIES = 32
-"""Places that are tried for a lamp in a scene's free space; the last one is taken anyway."""
+"""Positions tried for a point light in the free space of a scene; the last one is used in any case."""
 _LIGHT_NEAREST = 0.25
-"""Lamps nearer to the middle than this share of the diagonal are as bright as if they were so far away."""
+"""Smallest distance from the scene's middle that sets a point light's intensity, as a fraction of the diagonal."""
 _LIGHT_CLEARANCE = 0.01
-"""Free space around a lamp, as a share of the diagonal."""
+"""Free space around a point light, as a fraction of the diagonal."""
 
 
 class LightSampler:
-    """Draws the lights of views.
+    """Samples the lights of views.
 
     Args:
-        config: Which there may be.
-        space: The scene.
-        environments: Those of files.
-        where: Where cameras stand.
-        needs_light: Whether there is anything that light changes.
+        config: Ranges of the lights.
+        space: Extent and free space of the scene.
+        environments: Environments loaded from files.
+        where: Placement of the cameras.
+        needs_light: True if the scene has surfaces that are black without light.
     """
 
     def __init__(
@@ -51,11 +51,11 @@ class LightSampler:
 
     @property
     def has_lights(self) -> bool:
-        """Whether views have lights."""
+        """True if views may have lights."""
         return bool(self._own or self._environments or self._suns[1] or self._config.lamps[1])
 
     def lights(self, draws: Draws) -> tuple[Light, ...]:
-        """The lights of a view."""
+        """Returns the lights of a view."""
         config = self._config
         angle, brightness = 2.0 * math.pi * draws.unit() * config.turned, draws.factor(config.brightness)
         which, sky = draws.unit(), draws.between(config.sky)
@@ -71,15 +71,15 @@ class LightSampler:
         return (*lights, *suns, *lamps)
 
     def exposure(self, draws: Draws) -> float:
-        """Stops that are added to the exposure of a view."""
+        """Returns the exposure offset of a view, stops."""
         return draws.between(self._config.exposure)
 
     def _is_replaced(self, light: Light) -> bool:
-        """Whether a light of the scene gives way to those of files."""
+        """Returns whether a light of the scene is replaced by an environment of a file."""
         return isinstance(light, LightEnvironment) and bool(self._environments)
 
     def _rotated(self, light: Light, angle: float, brightness: float) -> Light:
-        """An environment turned about the vertical, and brighter by a factor; other lights as they are."""
+        """Returns an environment rotated about the vertical and scaled in brightness; other lights unchanged."""
         if not isinstance(light, LightEnvironment):
             return light
         rotation = quaternions_from_matrices(axis_rotation(self._space.up, angle)[None])[0]
@@ -111,7 +111,7 @@ class LightSampler:
         )
 
     def _light_position(self, draws: Draws) -> Doubles:
-        """Above and around the scene, or in the upper half of its free space."""
+        """Returns a position above and around the scene, or in the upper part of its free space."""
         space = self._space
         if self._where is PosePlaces.DOME:
             direction = draws.direction()

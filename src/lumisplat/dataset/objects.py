@@ -1,4 +1,4 @@
-"""Objects that are put into a scene: each on its ground, with room around it."""
+"""Inserts objects into a scene: each on the ground, with free space around it."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 _Instance = TypeVar("_Instance", SplatInstance, MeshInstance)
 
 _POSITIONS = 32
-"""Places that are tried for an object at once."""
+"""Positions tried for an object in one batch."""
 _BATCHES = 4
-"""How often."""
+"""Largest number of batches of positions."""
 _FOOTPRINT = np.array([(0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6)])
-"""Where the ground below an object is looked for, in radii of its sphere."""
+"""Points below an object at which the ground is probed, in units of its bounding radius."""
 
 
 @dataclass(frozen=True, eq=False)
 class Asset:
-    """An object, before it is placed."""
+    """Object before it is placed."""
 
     name: str
-    """Of its file, without the extension."""
+    """File name without its extension."""
     scene: Scene
-    """It alone, in its own coordinates."""
+    """The object alone, in its own coordinates."""
     points: Doubles
-    """Its surface, without stray Gaussians, shape (N, 3)."""
+    """Points of its surface without stray Gaussians, shape (N, 3)."""
     middle: Doubles
-    """Of its box, shape (3,)."""
+    """Centre of its bounding box, shape (3,)."""
     radius: float
-    """Of the sphere around that."""
+    """Radius of its bounding sphere around ``middle``."""
 
     @classmethod
     def of(cls, name: str, loaded: Gaussians | Mesh | Scene) -> Asset:
-        """From what a file holds; its lights are left out.
+        """Returns the object of a loaded file, without its lights.
 
         Raises:
-            SceneError: There is nothing to see, or it has no size.
+            SceneError: The object is empty or has no size.
         """
         if isinstance(loaded, Gaussians):
             loaded = Scene([loaded])
@@ -63,29 +63,29 @@ class Asset:
         middle = (0.5 * (low + high)).astype(np.float32).astype(np.float64)
         radius = float(np.float32(np.linalg.norm(points - middle, axis=1).max())) if len(points) else 0.0
         if not radius > 0.0:
-            raise SceneError(f"{name} has no size: it cannot be put into a scene")
+            raise SceneError(f"{name} has no size: it cannot be inserted into a scene")
         return cls(name, scene, points, middle, radius)
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedObject:
-    """An object in a scene."""
+    """Object at its position in a scene."""
 
     asset: Asset
     world_from_object: Doubles
-    """Similarity, shape (4, 4)."""
+    """Similarity transform, shape (4, 4)."""
     center: Doubles
-    """Of its sphere, world space, shape (3,)."""
+    """Centre of its bounding sphere, world space, shape (3,)."""
     radius: float
 
     @property
     def splats(self) -> list[SplatInstance]:
-        """Its captures, in the scene."""
+        """Captures of the object in world space."""
         return [self._moved(one) for one in self.asset.scene.splats]
 
     @property
     def meshes(self) -> list[MeshInstance]:
-        """Its meshes, in the scene."""
+        """Meshes of the object in world space."""
         return [self._moved(one) for one in self.asset.scene.meshes]
 
     def _moved(self, instance: _Instance) -> _Instance:
@@ -94,27 +94,27 @@ class PlacedObject:
 
 @dataclass(frozen=True)
 class Placement:
-    """The objects of a view."""
+    """Inserted objects of a view."""
 
     placed: tuple[PlacedObject, ...] = ()
     left_out: tuple[str, ...] = ()
-    """Names of those that found no room."""
+    """Names of objects for which no free position was found."""
 
 
 class ObjectPlacer:
-    """Puts objects into a scene.
+    """Places objects at random in a scene.
 
     Args:
-        config: How many, and how.
-        assets: Those to choose from.
-        space: The scene.
+        config: Number, size and orientation of objects.
+        assets: Objects to choose from.
+        space: Extent, ground and free space of the scene.
     """
 
     def __init__(self, config: DatasetObjects, assets: list[Asset], space: Space) -> None:
         self._config, self._assets, self._space = config, assets, space
 
     def place(self, draws: Draws) -> Placement:
-        """The objects of a view; the larger ones of each draw have no advantage: who comes first has the room."""
+        """Places the objects of a view in the order in which they are drawn, whatever their size."""
         if not self._assets:
             return Placement()
         placed: list[PlacedObject] = []
@@ -129,11 +129,11 @@ class ObjectPlacer:
         return Placement(tuple(placed), tuple(left_out))
 
     def _place(self, asset: Asset, others: list[PlacedObject], draws: Draws) -> PlacedObject | None:
-        """An object somewhere on the ground; None: there is no room."""
+        """Places one object at random on the ground; returns None if no free position is found."""
         scale, rotation = self._scale(asset, draws), self._rotation(asset, draws)
         linear, radius, up = scale * rotation, scale * asset.radius, self._space.up
         foot = float(np.einsum("ni,i->n", asset.points - asset.middle, linear.T @ up).min())
-        for points in draws.units(_BATCHES, _POSITIONS, 3):  # all of them are drawn, whichever is taken
+        for points in draws.units(_BATCHES, _POSITIONS, 3):  # draws all positions of a batch, whichever is used
             center = self._free_center(points, radius, foot, others)
             if center is not None:
                 matrix = np.eye(4)
@@ -143,13 +143,13 @@ class ObjectPlacer:
         return None
 
     def _free_center(self, units: Doubles, radius: float, foot: float, others: list[PlacedObject]) -> Doubles | None:
-        """The first of some places on the ground that has room, as the centre of the object's sphere.
+        """Returns the first candidate centre of the bounding sphere with level ground and free space; else None.
 
         Args:
-            units: Places in the scene's box, 0..1, shape (N, 3).
-            radius: Of the sphere.
-            foot: Height of the lowest point of the object above the centre, below 0.
-            others: What stands already.
+            units: Candidate positions in the scene's box, 0..1, shape (N, 3).
+            radius: Radius of the bounding sphere.
+            foot: Height of the object's lowest point relative to the centre, below 0.
+            others: Objects placed before.
         """
         space = self._space
         starts = space.low + units * (space.high - space.low)
@@ -169,12 +169,12 @@ class ObjectPlacer:
         return centers[free[0]] if free.size else None
 
     def _scale(self, asset: Asset, draws: Draws) -> float:
-        """Its size, and how much larger that makes it."""
+        """Returns the random scale factor of an object."""
         own, wanted = draws.factor(self._config.scale), draws.factor(self._config.size)
         return own if self._config.own_size else 0.5 * wanted * self._space.diagonal / asset.radius
 
     def _rotation(self, asset: Asset, draws: Draws) -> Doubles:
-        """A rotation, shape (3, 3)."""
+        """Returns the random rotation of an object, shape (3, 3)."""
         share, first, second = draws.units(3)
         if not self._config.upright:
             return rotation_matrix(uniform_quaternion(share, first, second))
@@ -183,7 +183,7 @@ class ObjectPlacer:
 
 
 def uniform_quaternion(share: float, first: float, second: float) -> Doubles:
-    """A rotation from three numbers that are spread evenly from 0 to 1; all are as likely (Shoemake 1992).
+    """Maps three uniform numbers of 0..1 to a uniformly distributed rotation (Shoemake 1992).
 
     Returns:
         A unit quaternion, scalar first, shape (4,).

@@ -1,4 +1,4 @@
-"""Random cameras: around a scene, in its free space, or near given ones."""
+"""Random cameras: around a scene, in its free space, or near given cameras."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from lumisplat.scene.ops.views import frame_camera
 from lumisplat.scene.placing import front_vector
 
 _TRIES = 200
-"""Poses of a view that are tried."""
+"""Poses tried for a view."""
 _NEAR = 1e-3
-"""Near plane, as a share of the scene's diagonal: below it, nothing would be drawn."""
+"""Near plane, as a fraction of the scene's diagonal."""
 _UPRIGHT = 1e-3
-"""Sine of the angle to the vertical below which up in the picture is what is in front."""
+"""Sine of the angle between view direction and vertical below which the image's up direction is arbitrary."""
 
 
 class PoseSampler:
-    """Draws cameras.
+    """Samples the cameras of views.
 
     Args:
-        config: Where they may be.
-        space: The scene.
-        cameras: Given ones, of `PosePlaces.CAMERAS`.
+        config: Settings of the data set.
+        space: Extent and free space of the scene.
+        cameras: Given cameras, for `PosePlaces.CAMERAS`.
 
     Raises:
-        SceneError: Given ones are wanted, and there are none.
+        SceneError: `PosePlaces.CAMERAS` is set, and ``cameras`` is empty.
     """
 
     def __init__(self, config: DatasetConfig, space: Space, cameras: Sequence[Camera]) -> None:
@@ -43,18 +43,18 @@ class PoseSampler:
         self._cameras = list(cameras)
         self._center_of_view = 0.5 * config.width, 0.5 * config.height
         if config.poses.where is PosePlaces.CAMERAS and not self._cameras:
-            raise SceneError("poses.where is cameras, and there are no cameras: name a file that has some")
+            raise SceneError("poses.where is cameras, but no cameras were given: name a file with cameras")
 
     def camera(self, view: int, draws: Draws, objects: Sequence[PlacedObject]) -> Camera:
-        """The camera of a view.
+        """Returns the camera of a view.
 
         Args:
-            view: Its number.
-            draws: Its random numbers.
-            objects: What was put into the scene.
+            view: Index of the view.
+            draws: Random numbers of the view.
+            objects: Inserted objects.
 
         Raises:
-            SceneError: None of many poses has free space around it, and sees enough.
+            SceneError: No tried pose has enough free space around it and surfaces in view.
         """
         blocked = hidden = 0
         most = 0.0
@@ -69,14 +69,14 @@ class PoseSampler:
             else:
                 most = max(most, share)
         raise SceneError(
-            f"view {view}: none of {_TRIES} poses will do: {blocked} are nearer to a surface than poses.clearance "
-            f"({self._poses.clearance:g} of the diagonal), {hidden} do not see the object that they look at, in the "
-            f"others surfaces are at most {most:.2g} of the picture, poses.seen wants {self._poses.seen:g}: lower "
-            "these, or let cameras stand elsewhere"
+            f"view {view}: none of {_TRIES} poses is usable: {blocked} are nearer to a surface than poses.clearance "
+            f"({self._poses.clearance:g} of the diagonal), in {hidden} the target object is hidden, in the others "
+            f"surfaces cover at most {most:.2g} of the image, poses.seen requires {self._poses.seen:g}: lower these "
+            "settings, or change poses.where"
         )
 
     def _sampled(self, view: int, draws: Draws, objects: Sequence[PlacedObject]) -> tuple[Camera, PlacedObject | None]:
-        """A camera, and the object that it looks at; None: it looks at the scene."""
+        """Returns a random camera and the object that it looks at; None if it looks at the scene."""
         fov = math.radians(draws.between(self._poses.fov))
         looks_at_object, which = draws.unit() < self._poses.at_objects, draws.unit()
         wanted = objects[int(which * len(objects))] if objects and looks_at_object else None
@@ -103,7 +103,7 @@ class PoseSampler:
         return camera, wanted
 
     def _on_dome(self, draws: Draws, fov: float, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
-        """Eye, right and forward of a camera around the scene, or around an object."""
+        """Returns eye, right and forward of a camera around the scene, or around an object."""
         poses, space = self._poses, self._space
         azimuth, elevation = (math.radians(draws.between(ends)) for ends in (poses.azimuth, poses.elevation))
         shares = draws.units(3) - 0.5
@@ -123,11 +123,13 @@ class PoseSampler:
             height=self._config.height,
             target=target,
         )
-        distance = float(np.float32(np.linalg.norm(framing.eye - target)))  # as the corners of the space
+        distance = float(
+            np.float32(np.linalg.norm(framing.eye - target))
+        )  # single precision, as the corners of the space
         return _looking(target + factor * distance * backward, -backward, space.up)
 
     def _inside(self, draws: Draws, wanted: PlacedObject | None) -> tuple[Doubles, Doubles, Doubles]:
-        """Eye, right and forward of a camera anywhere in the scene's box."""
+        """Returns eye, right and forward of a camera anywhere in the scene's box."""
         poses, space = self._poses, self._space
         eye = space.low + draws.units(3) * (space.high - space.low)
         height = space.bottom + draws.between(poses.height) * (space.top - space.bottom)
@@ -141,7 +143,7 @@ class PoseSampler:
         return _looking(eye, forward, space.up)
 
     def _near_camera(self, draws: Draws) -> tuple[Doubles, Doubles, Doubles]:
-        """Eye, right and forward of one of the given cameras, moved and turned a little."""
+        """Returns eye, right and forward of one of the given cameras, shifted and rotated at random."""
         poses = self._poses
         given = self._cameras[draws.below(len(self._cameras))].world_from_camera
         shift = poses.shift * self._space.diagonal * draws.unit() * draws.direction()
@@ -149,7 +151,7 @@ class PoseSampler:
         return given[:3, 3] + shift, turn @ given[:3, 0], turn @ given[:3, 2]
 
     def _is_free(self, eye: Doubles, objects: Sequence[PlacedObject]) -> bool:
-        """Whether there is free space around an eye."""
+        """Returns whether there is enough free space around an eye."""
         clearance = self._poses.clearance * self._space.diagonal
         if any(np.linalg.norm(eye - one.center) < one.radius + clearance for one in objects):
             return False
@@ -157,7 +159,7 @@ class PoseSampler:
 
 
 def _looking(eye: Doubles, forward: Doubles, up: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """The eye, right and forward, with up in the picture."""
+    """Returns eye, right and forward of an upright camera."""
     right = np.cross(forward, up)
     if np.linalg.norm(right) < _UPRIGHT:
         right = level_axes(up)[0]

@@ -1,4 +1,4 @@
-"""Finds the space of a scene by rays: how large it is, where it is free and where there is ground; closed meshes."""
+"""Probes a scene by rays: its extent, free space and ground; finds points inside closed meshes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import MeshInstance, Scene
 
 _INSIDE = 0.5
-"""Winding number above which a point counts as inside: meshes with small holes have fractions."""
+"""Winding number above which a point counts as inside; meshes with small holes have fractional numbers."""
 
 
 def winding_number(triangles: Doubles, point: Doubles) -> float:
-    """How often triangles go round a point: 1 inside of a closed mesh that faces outwards, 0 outside.
+    """Returns the winding number of a mesh around a point: 1 inside a closed mesh that faces outwards, 0 outside.
 
-    Solid angles of triangles (Van Oosterom and Strackee 1983, equation 8), added up and divided by 4 pi.
+    It is the sum of the triangles' solid angles (Van Oosterom and Strackee 1983, equation 8) divided by 4 pi.
 
     Args:
-        triangles: Corners, counter-clockwise seen from outside, shape (N, 3, 3).
+        triangles: Corners, counter-clockwise as seen from outside, shape (N, 3, 3).
         point: Shape (3,).
     """
     a, b, c = np.moveaxis(triangles - point, 1, 0)
@@ -35,14 +35,14 @@ def winding_number(triangles: Doubles, point: Doubles) -> float:
 
 
 class Solids:
-    """Meshes that a camera must not be inside of.
+    """Meshes that must not contain a camera.
 
-    Those that surround most of the scene do not count: they are rooms and skies.
+    Meshes whose box covers at least half of the scene's box are ignored; they are rooms and sky domes.
 
     Args:
-        meshes: Those of the scene.
-        low: Corner of the scene's box, shape (3,).
-        high: The opposite one.
+        meshes: Meshes of the scene.
+        low: Lower corner of the scene's box, shape (3,).
+        high: Upper corner of the scene's box, shape (3,).
     """
 
     def __init__(self, meshes: tuple[MeshInstance, ...], low: Doubles, high: Doubles) -> None:
@@ -56,7 +56,7 @@ class Solids:
                 self._boxes.append((lowest, highest, points[instance.mesh.indices[:, ::flip]]))
 
     def contain(self, point: Doubles) -> bool:
-        """Whether a point is inside of one of them."""
+        """Returns whether a point is inside one of the meshes."""
         return any(
             bool((low < point).all() and (point < high).all()) and winding_number(triangles, point) > _INSIDE
             for low, high, triangles in self._boxes
@@ -68,26 +68,26 @@ def _dot(a: Doubles, b: Doubles) -> Doubles:
 
 
 _SPHERE_RAYS = 32
-"""Rays that look for surfaces around a point."""
+"""Number of rays that look for surfaces around a point."""
 _ACROSS, _DOWN = 16, 12
-"""Rays that look what a camera sees."""
+"""Columns and rows of the ray grid that estimates what a camera sees."""
 
 
 class Space:
-    """A scene's size and surfaces.
+    """Extent, surfaces and free space of a scene.
 
     Args:
         scene: The scene.
-        device: Where rays are traced, as for ``create_renderer``.
+        device: Device that traces rays, as in ``create_renderer``.
 
     Raises:
-        DeviceError: There is no such device.
+        DeviceError: The device does not exist.
         SceneError: The scene is empty.
     """
 
     def __init__(self, scene: Scene, device: str) -> None:
         self.scene = scene
-        # Single precision: the last bits of doubles depend on how many threads have added them up.
+        # Single precision: the last bits of double sums depend on the number of threads.
         self.low, self.high = (corner.astype(np.float32).astype(np.float64) for corner in scene.bulk_bounds())
         self.up = np.array(scene.up_direction)
         self.middle = 0.5 * (self.low + self.high)
@@ -100,34 +100,34 @@ class Space:
         self._sphere_directions = even_directions(_SPHERE_RAYS)
 
     def depths(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Distances to the surfaces that rays meet, scene units, shape (N,); inf: none.
+        """Returns the distances to the surfaces that rays hit, scene units, shape (N,); inf for no hit.
 
         Args:
-            origins: World space, shape (N, 3).
-            directions: Likewise, of length 1.
+            origins: Ray origins, world space, shape (N, 3).
+            directions: Unit ray directions, world space, shape (N, 3).
         """
         return self._renderer.trace_rays(self.scene, origins, directions).depth.astype(np.float64)
 
     def is_free(self, point: Doubles, radius: float) -> bool:
-        """Whether a point is inside of no mesh, and has no surface nearer than a radius."""
+        """Returns whether a point is outside all meshes and at least ``radius`` from every surface."""
         if self._solids.contain(point):
             return False
         nearest = self.depths(np.repeat(point[None], _SPHERE_RAYS, axis=0), self._sphere_directions).min()
         return bool(nearest >= radius)
 
     def surface_fraction(self, camera: Camera) -> float:
-        """Share of a camera's picture that shows a surface, roughly, 0..1."""
+        """Estimates the fraction of a camera's image that shows a surface, 0..1."""
         origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera.scaled(_ACROSS, _DOWN)))
         return float(np.isfinite(self.depths(origins, directions)).mean())
 
     def is_visible(self, eye: Doubles, point: Doubles, radius: float) -> bool:
-        """Whether nothing of the scene is between an eye and a sphere around a point."""
+        """Returns whether no surface of the scene lies between an eye and a sphere around a point."""
         away = point - eye
         distance = float(np.linalg.norm(away))
         return bool(self.depths(eye[None], away[None] / distance)[0] >= distance - radius)
 
     def hemispheres_free(self, centers: Doubles, radii: Doubles) -> Flags:
-        """Whether the upper halves of spheres are free of surfaces, shape (N,).
+        """Returns whether the upper halves of spheres contain no surface, shape (N,).
 
         Args:
             centers: Shape (N, 3).
@@ -139,12 +139,12 @@ class Space:
         return nearest >= radii
 
     def ground_heights(self, points: Doubles) -> Doubles:
-        """Heights along up of the first surfaces straight below points, shape (N,); -inf: there is none."""
+        """Returns the heights along up of the first surfaces below points, shape (N,); -inf without a surface."""
         return points @ self.up - self.depths(points, np.repeat(-self.up[None], len(points), axis=0))
 
 
 def even_directions(count: int) -> Doubles:
-    """Unit vectors that are spread evenly (a spherical Fibonacci lattice), shape (count, 3)."""
+    """Returns evenly spread unit vectors of a spherical Fibonacci lattice, shape (count, 3)."""
     z = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(count)
     level = np.sqrt(1.0 - z * z)
@@ -152,7 +152,7 @@ def even_directions(count: int) -> Doubles:
 
 
 def level_axes(up: Doubles) -> tuple[Doubles, Doubles]:
-    """Two perpendicular level unit vectors, shape (3,) each."""
+    """Returns two perpendicular horizontal unit vectors, shape (3,) each."""
     other = np.eye(3)[int(np.argmin(np.abs(up)))]
     first = np.asarray(np.cross(up, other), np.float64)
     first /= np.linalg.norm(first)

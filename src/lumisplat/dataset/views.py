@@ -1,4 +1,4 @@
-"""Makes the views of a data set, each from its number alone; reads its settings, and renders all of it by one call."""
+"""Generates the views of a data set, loads its settings, and renders all of it in one call."""
 
 from __future__ import annotations
 
@@ -36,24 +36,25 @@ from lumisplat.scene.scene import Scene, SplatInstance
 _log = logging.getLogger("lumisplat")
 
 Loader = Callable[[Path], Gaussians | Mesh | Scene]
-"""Loads a capture, a mesh or a scene."""
+"""Function that loads a capture, a mesh or a scene."""
 
 
 class DatasetViews:
-    """Draws the views of a data set. A view follows from the scene, the settings and its number, and nothing else.
+    """Generates the views of a data set; a view depends only on the scene, the settings and its index.
 
-    Free space and ground are found by rays, on a renderer of its own: the scene is held once more on the device.
+    Free space and ground are found by rays of a separate renderer, which holds a second copy of the scene on the
+    device.
 
     Args:
         scene: The scene.
-        config: Settings; None: the defaults.
-        cameras: Given ones, of ``PosePlaces.CAMERAS``.
-        load: Reads an object; None: `lumisplat.load`.
-        device: As for ``create_renderer``.
+        config: Settings; None for the defaults.
+        cameras: Given cameras, for ``PosePlaces.CAMERAS``.
+        load: Loads an object; None for `lumisplat.load`.
+        device: As in ``create_renderer``.
 
     Raises:
-        ConfigError: ``config`` is no DatasetConfig.
-        DeviceError: There is no such device.
+        ConfigError: ``config`` is not a DatasetConfig.
+        DeviceError: The device does not exist.
         FormatError: The file of an object or of an environment cannot be read.
         SceneError: The scene is empty, an object has no size, or ``cameras`` are needed.
     """
@@ -71,7 +72,7 @@ class DatasetViews:
         self.config = DatasetConfig() if config is None else config
         check_kind("config", self.config, DatasetConfig)
         self.base = scene
-        """The scene, without what views put into it."""
+        """Scene without inserted objects."""
         assets = _loaded_assets(self.config.objects.files, load)
         environments = self._environments(scene)
         self._space = space = Space(scene, device)
@@ -92,23 +93,23 @@ class DatasetViews:
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of the categories: the first has the id 1."""
+        """Names of the categories; the first has id 1."""
         return self._catalogue.categories
 
     @property
     def are_lit(self) -> bool:
-        """Whether views have lights, or may have."""
+        """True if views may have lights."""
         return self._light_sampler.has_lights
 
     def view(self, index: int) -> DatasetView:
-        """One of the views.
+        """Returns a view by its index.
 
         Args:
-            index: Its number, from 0; there are as many as one likes.
+            index: Index of the view, from 0; it may exceed ``config.views``.
 
         Raises:
-            ConfigError: It is below 0.
-            SceneError: No pose of many has free space and sees enough.
+            ConfigError: ``index`` is below 0.
+            SceneError: No tried pose has enough free space around it and surfaces in view.
         """
         check_whole("index", index, 0, 2**62)
         pose, objects, light = (
@@ -116,7 +117,7 @@ class DatasetViews:
         )
         placement = self._placer.place(objects)
         if placement.left_out:
-            _log.info("view %d: no room for %s", index, ", ".join(placement.left_out))
+            _log.info("view %d: no free position for %s", index, ", ".join(placement.left_out))
         camera = self._pose_sampler.camera(index, pose, placement.placed)
         exposure = self._light_sampler.exposure(light)
         return DatasetView(
@@ -129,23 +130,23 @@ class DatasetViews:
         )
 
     def save(self, view: DatasetView, frame: Frame, folder: str | os.PathLike[str]) -> None:
-        """Writes the files of a view into the folder of the data set, each whole or not at all.
+        """Writes the files of a view into the folder of the data set, each atomically.
 
-        The last one is ``views/view_000000.json``: where it is, the others are.
+        ``views/view_000000.json`` is written last; if it exists, the view is complete.
 
         Args:
             view: The view.
-            frame: Its frame, rendered with ``albedo`` in ``RenderConfig.aovs`` if the layers have it.
-            folder: The data set's.
+            frame: Its frame, rendered with ``albedo`` in ``RenderConfig.aovs`` if that is one of the layers.
+            folder: Folder of the data set.
 
         Raises:
-            ConfigError: The frame has no albedo, which is wanted.
+            ConfigError: The layers include ``albedo``, and the frame has none.
             FormatError: A file cannot be written.
         """
         write_view(Path(folder), view, frame, self.config, self._id_types)
 
     def _scene(self, placement: Placement, light: Draws) -> Scene:
-        """The scene with objects and lights."""
+        """Returns the scene with inserted objects and lights."""
         scene, placed = self.base, placement.placed
         lights = self._light_sampler.lights(light)
         splats = scene.splats
@@ -160,7 +161,7 @@ class DatasetViews:
         )
 
     def _environments(self, scene: Scene) -> list[LightEnvironment]:
-        """The environments of files, upright in the scene."""
+        """Loads the environment files, upright in the scene."""
         lights = self.config.lights
         return [
             LightEnvironment(
@@ -174,11 +175,11 @@ class DatasetViews:
 
 
 def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
-    """The objects of files, each loaded once.
+    """Loads the objects of files, each file once.
 
     Raises:
         FormatError: A file cannot be read.
-        SceneError: An object has no size; names the file.
+        SceneError: An object has no size; the message names the file.
     """
     loaded: dict[str, Asset] = {}
     for file in files:
@@ -194,7 +195,7 @@ def _loaded_assets(files: Sequence[str], loader: Loader | None) -> list[Asset]:
 
 
 def _as_shadow_catcher(splats: SplatInstance) -> SplatInstance:
-    """A capture that keeps its look, and receives shadows."""
+    """Returns a capture without a material as a shadow catcher; a capture with a material unchanged."""
     return splats if splats.material is not None else replace(splats, shadow_catcher=True)
 
 
@@ -208,26 +209,29 @@ def render_dataset(
     device: str = "auto",
     progress: Callable[[float], None] | None = None,
 ) -> DatasetSummary:
-    """Renders views of a scene from random places, in random light, with objects put into it, as training data.
+    """Renders random views of a scene with random lights and inserted objects, as training data.
 
-    Views that are there stay, whatever they are of: ``lumisplat dataset`` checks that, and shares the work among
-    processes; `DatasetViews` has the views one by one.
+    Views already rendered are kept without a check; ``lumisplat dataset`` checks their settings and divides the work
+    among processes. `DatasetViews` gives single views.
 
     Args:
         scene: The scene.
-        folder: Where files go (docs/guide/dataset.md): ``images``, a folder for each layer, ``views`` with what is
-            known of each, and what `finish_dataset` writes.
-        config: Settings of the data set; None: the defaults.
-        render: Settings of frames; None: the defaults.
-        cameras: Given ones, of ``PosePlaces.CAMERAS``.
-        device: As for ``create_renderer``.
+        folder: Output folder (docs/guide/dataset.md): ``images``, one folder per layer, ``views`` with a JSON file per
+            view, and the files of `finish_dataset`.
+        config: Settings of the data set; None for the defaults.
+        render: Render settings; None for the defaults.
+        cameras: Given cameras, for ``PosePlaces.CAMERAS``.
+        device: As in ``create_renderer``.
         progress: Called after each view with the fraction done, 0..1.
 
+    Returns:
+        The number of views per split.
+
     Raises:
-        ConfigError: A setting is wrong, or ``albedo`` is wanted of views without light.
-        DeviceError: There is no such device, or it is out of memory.
+        ConfigError: A setting is invalid, or ``albedo`` is requested of unlit views.
+        DeviceError: The device does not exist or is out of memory.
         FormatError: A file cannot be read or written.
-        SceneError: As of `DatasetViews` and `DatasetViews.view`.
+        SceneError: As in `DatasetViews` and `DatasetViews.view`.
     """
     frame_config = _frame_config(checked_config(render), config or DatasetConfig())
     views = DatasetViews(scene, config, cameras=cameras, device=device)
@@ -243,14 +247,14 @@ def render_dataset(
 
 
 def _frame_config(render: RenderConfig, config: DatasetConfig) -> RenderConfig:
-    """Settings of frames that have what the layers need.
+    """Returns the render settings with the AOVs that the layers need.
 
     Raises:
-        ConfigError: The pipeline is in real time: its frames follow from each other, and views do not.
+        ConfigError: The pipeline is real time, whose frames depend on earlier ones.
     """
     if render.pipeline.is_sequence:
         raise ConfigError(
-            "Pipeline.REALTIME is of frames that follow from each other, and views do not: "
+            "Pipeline.REALTIME renders frames that depend on earlier frames, and views of a data set are independent: "
             "use Pipeline.PATH or Pipeline.HYBRID"
         )
     return replace(render, aovs=(*render.aovs, "albedo")) if "albedo" in config.layers else render
@@ -269,11 +273,11 @@ def load_dataset_config(path: PathLike) -> DatasetConfig:
     files = ["chair.glb"]                   # relative to the settings file
 
     Args:
-        path: A TOML file, whose keys are the settings of `DatasetConfig`, with tables ``[poses]``, ``[lights]`` and
-            ``[objects]``; what it does not name has its default. Paths in it begin at its folder.
+        path: TOML file with the settings of `DatasetConfig` and the tables ``[poses]``, ``[lights]`` and ``[objects]``.
+            Missing settings have their defaults. Paths are relative to the file's folder.
 
     Raises:
-        FormatError: The file cannot be read, has an unknown or invalid setting, or names a file that is not there.
+        FormatError: The file cannot be read, has an unknown or invalid setting, or names a missing file.
     """
     document = TomlTable.read(path, "settings of a data set")
     config = read_settings(document, DatasetConfig)
@@ -286,10 +290,10 @@ def load_dataset_config(path: PathLike) -> DatasetConfig:
 
 
 def _files(table: TomlTable, key: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Paths from the folder of the settings file.
+    """Returns paths relative to the folder of the settings file.
 
     Raises:
-        FormatError: One of them is not there.
+        FormatError: A file does not exist.
     """
     paths = [table.path.parent / name for name in names]
     for name, path in zip(names, paths, strict=True):

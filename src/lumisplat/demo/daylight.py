@@ -1,8 +1,7 @@
-"""Daylight baked into colours, so that the demo's capture looks photographed.
+"""Bakes daylight into the colours of the demo's capture, so that it looks photographed.
 
-The colours of a capture contain the light of its surroundings: here a sun and an overcast sky. Their visibility is
-found by depth maps of the scene's own points, one per direction (shadow maps, Williams 1978; many of them give ambient
-occlusion).
+The light is a sun and an overcast sky. Visibility is found by shadow maps of the scene's own points, one per direction
+(Williams 1978); many of them give ambient occlusion.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ _Floats = npt.NDArray[np.floating]
 
 @dataclass(frozen=True, kw_only=True)
 class Daylight:
-    """Sun, sky and the light that the room reflects."""
+    """Sun light, sky light, and light reflected by the room."""
 
     sun_direction: tuple[float, float, float]
     """Direction towards the sun, of any length."""
@@ -28,8 +27,8 @@ class Daylight:
     sky_color: tuple[float, float, float] = (0.74, 0.80, 0.86)
     """Irradiance of an open, horizontal surface from the sky alone."""
     bounce_color: tuple[float, float, float] = (0.36, 0.28, 0.20)
-    """Irradiance from the lit floor: 1.35 times this on a surface that faces down, 0.35 times (by way of the ceiling)
-    on one that faces up; less where the sky in front is blocked."""
+    """Irradiance from the lit floor: 1.35 times this on a surface that faces down, and 0.35 times, via the ceiling, on
+    one that faces up. It is reduced where the sky in front of the surface is blocked."""
     sky_directions: int = 48
     """Number of depth maps for the sky."""
     texel: float = 0.012
@@ -39,7 +38,7 @@ class Daylight:
 def irradiance(
     casters: npt.ArrayLike, receivers: npt.ArrayLike, normals: npt.ArrayLike, light: Daylight
 ) -> npt.NDArray[np.float32]:
-    """Baked light at surface points, linear Rec.709, compressed to 0..1 by a soft shoulder, shape (N, 3).
+    """Returns the daylight at surface points, linear Rec.709, compressed to 0..1 by a soft shoulder, shape (N, 3).
 
     Args:
         casters: Points that block light, dense enough to leave no gaps, shape (M, 3).
@@ -63,7 +62,7 @@ def irradiance(
 
 
 def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight) -> tuple[_Floats, _Floats]:
-    """Sky light relative to an open horizontal surface, and the unblocked share of the sky, shape (N,) each."""
+    """Returns sky light relative to an open horizontal surface, and the open fraction of the sky, shape (N,) each."""
     start = receivers + 2.2 * light.texel * normals
     lit, weight = (np.zeros(receivers.shape[0], dtype=np.float32) for _ in range(2))
     for direction in _hemisphere(light.sky_directions):
@@ -78,7 +77,7 @@ def _sky(casters: _Floats, receivers: _Floats, normals: _Floats, light: Daylight
 
 
 def _hemisphere(count: int) -> FloatArray:
-    """Evenly spread directions of the upper hemisphere (Fibonacci lattice), shape (count, 3)."""
+    """Returns evenly spread directions of the upper hemisphere (Fibonacci lattice), shape (count, 3)."""
     k = np.arange(count) + 0.5
     y = k / count
     around = k * (np.pi * (1.0 + 5.0**0.5))
@@ -87,10 +86,10 @@ def _hemisphere(count: int) -> FloatArray:
 
 
 def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel: float, *, blur: int) -> _Floats:
-    """Share of a parallel light that reaches each receiver, 0..1, shape (N,).
+    """Returns the fraction of a directional light that reaches each receiver, 0..1, shape (N,).
 
     Each texel stores its nearest caster, also from neighbouring texels, so that points form closed surfaces. Depths are
-    compared at texels; the results are interpolated, bilinearly or, if ``blur`` is 2, by a cubic B-spline.
+    compared at texels; the results are interpolated bilinearly or, if ``blur`` is 2, by a cubic B-spline.
     """
     axes = _basis(direction) / np.float32(texel)
     # Sums of columns: BLAS starts threads for products this thin, and they cost more than they help.
@@ -121,21 +120,21 @@ def _visibility(casters: _Floats, receivers: _Floats, direction: _Floats, texel:
 
 
 def _spline(t: _Floats, tap: int) -> _Floats:
-    """Weight of the tap at -1, 0, 1 or 2 of a cubic B-spline at offset t."""
+    """Returns the weight of the tap at -1, 0, 1 or 2 of a cubic B-spline at offset ``t``."""
     distance = np.abs(t - tap)
     near = (4.0 + distance * distance * (3.0 * distance - 6.0)) / 6.0
     return np.where(distance < 1.0, near, np.maximum(2.0 - distance, 0.0) ** 3 / 6.0)
 
 
 def _dilate(depth: _Floats) -> _Floats:
-    """Maximum over each texel and its neighbours."""
+    """Returns the maximum over each texel and its neighbours."""
     padded = np.pad(depth, 1, constant_values=-np.inf)
     tall = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     return np.maximum(np.maximum(tall[:, :-2], tall[:, 1:-1]), tall[:, 2:])
 
 
 def _basis(direction: _Floats) -> FloatArray:
-    """Rows: two unit vectors perpendicular to ``direction``, and ``direction`` itself."""
+    """Returns two unit vectors perpendicular to ``direction``, and ``direction`` itself, as rows."""
     helper = np.eye(3, dtype=np.float32)[np.abs(direction).argmin()]
     across = np.cross(helper, direction)
     across /= np.linalg.norm(across)

@@ -1,4 +1,4 @@
-"""The demo's room, an oak floor, lime-washed walls, an arched niche and a tall window, and the objects in it."""
+"""Geometry of the demo's room (oak floor, lime-washed walls, arched niche, tall window) and of the objects in it."""
 
 from __future__ import annotations
 
@@ -51,23 +51,25 @@ NICHE_X, NICHE_WIDTH, NICHE_HEIGHT, NICHE_DEPTH = -0.62, 1.04, 1.86, 0.42
 """Centre and size of the arched niche in the back wall, metres."""
 
 WINDOW_LOW, WINDOW_HIGH, WINDOW_BACK, WINDOW_FRONT = 0.62, 2.22, -1.32, 0.66
-"""The opening of the window: y and z, metres."""
+"""Extent of the window opening in y and z, metres."""
 
 _RECESS = 0.03
-"""Distance of the window's frame behind the wall, metres. Meshes hide Gaussians by the depth of their centres, so those
-at the edge of the wall must be nearer than the frame from every viewpoint."""
+"""Distance of the window's frame behind the wall, metres.
+
+Meshes hide Gaussians by the depth of their centres. Gaussians at the edge of the wall must therefore be nearer than the
+frame from every viewpoint."""
 _CASING = 0.02
 """Visible width of the frame around the window's opening, metres."""
 
 
 def _placement(x: float, y: float, z: float, *, turn: float = 0.0, size: float = 1.0) -> _Floats:
-    """The transform that scales by ``size``, rotates about y by ``turn`` radians, then translates, shape (4, 4)."""
+    """Returns the transform that scales, rotates about y by ``turn`` radians, then translates, shape (4, 4)."""
     cos, sin = size * np.cos(turn), size * np.sin(turn)
     return np.array([[cos, 0.0, sin, x], [0.0, size, 0.0, y], [-sin, 0.0, cos, z], [0.0, 0.0, 0.0, 1.0]])
 
 
 def floor(rng: np.random.Generator) -> Mesh:
-    """The oak floor, laid in herringbone."""
+    """Returns the oak floor, laid in herringbone."""
     width, depth = RIGHT - LEFT, FRONT - BACK
     texture = herringbone((int(240 * depth), int(240 * width)), 27.0, (0.56, 0.35, 0.18), (0.27, 0.135, 0.06), rng)
     material = MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.45, base_color_texture=texture, name="oak")
@@ -76,13 +78,13 @@ def floor(rng: np.random.Generator) -> Mesh:
 
 
 def back_wall(rng: np.random.Generator) -> Mesh:
-    """The back wall around the opening of the niche."""
+    """Returns the back wall around the opening of the niche."""
     opening = _arch(NICHE_WIDTH + 0.06, NICHE_HEIGHT + 0.03, foot=SKIRTING - 0.01)
     return _with_material(_wall_around(opening), _lime_wash((0.22, 0.34, 0.33), rng))
 
 
 def niche(rng: np.random.Generator) -> Mesh:
-    """The sides, the back and the floor of the niche."""
+    """Returns the sides, the back and the floor of the niche."""
     outline = _arch(NICHE_WIDTH, NICHE_HEIGHT)
     front = np.column_stack([outline[:, 0] + NICHE_X, outline[:, 1], np.full(len(outline), BACK)])
     rear = front - (0.0, 0.0, NICHE_DEPTH)
@@ -95,7 +97,7 @@ def niche(rng: np.random.Generator) -> Mesh:
 
 
 def side_walls(rng: np.random.Generator) -> list[Mesh]:
-    """The right wall, and the four pieces around the window on the left."""
+    """Returns the right wall, and the four pieces around the window on the left."""
     wash = _lime_wash((0.22, 0.34, 0.33), rng)
     # The left wall continues beyond the back wall, so that no sunlight enters behind the niche.
     rear = BACK - NICHE_DEPTH
@@ -111,7 +113,7 @@ def side_walls(rng: np.random.Generator) -> list[Mesh]:
 
 
 def woodwork() -> Mesh:
-    """The white woodwork: skirting, the arch's moulding, the window's sill, frame and bars."""
+    """Returns the white woodwork: skirting, the arch's moulding, the window's sill, frame and bars."""
     white = MaterialPbr(base_color=(0.80, 0.77, 0.70), roughness=0.4, name="white paint")
     depth = FRONT - BACK
     beside = NICHE_X - 0.5 * NICHE_WIDTH - 0.05 - LEFT, RIGHT - NICHE_X - 0.5 * NICHE_WIDTH - 0.05
@@ -126,7 +128,7 @@ def woodwork() -> Mesh:
 
 
 def garden() -> Mesh:
-    """The view from the window: a bright sky over blurred green, on a screen outside."""
+    """Returns the view from the window: a screen outside with a bright sky over blurred green."""
     height, width = 128, 256
     v, _ = np.mgrid[0:height, 0:width] / height
     rng = np.random.default_rng(3)
@@ -141,7 +143,7 @@ def garden() -> Mesh:
 
 
 def _window() -> list[Mesh]:
-    """Frame, sill and bars of the window."""
+    """Returns the frame, sill and bars of the window."""
     wide, tall = WINDOW_FRONT - WINDOW_BACK, WINDOW_HIGH - WINDOW_LOW
     z, y, deep = 0.5 * (WINDOW_FRONT + WINDOW_BACK), 0.5 * (WINDOW_HIGH + WINDOW_LOW), 0.16
     x = LEFT - 0.5 * deep - _RECESS
@@ -155,7 +157,7 @@ def _window() -> list[Mesh]:
 
 
 def _arch(width: float, height: float, *, foot: float = 0.0, steps: int = 48) -> _Floats:
-    """Outline (x, y) of an opening with a round top, from the left foot over the top to the right foot."""
+    """Returns the outline (x, y) of an opening with a round top, from the left foot over the top to the right foot."""
     radius = 0.5 * width
     around = np.linspace(np.pi, 0.0, steps + 1)
     top = np.stack([radius * np.cos(around), height - radius + radius * np.sin(around)], axis=1)
@@ -163,7 +165,7 @@ def _arch(width: float, height: float, *, foot: float = 0.0, steps: int = 48) ->
 
 
 def _wall_around(opening: npt.NDArray[np.floating]) -> Mesh:
-    """The back wall between an opening and the wall's own left, top and right edges."""
+    """Returns the back wall between an opening and the wall's own left, top and right edges."""
     x, y = opening[:, 0] + NICHE_X, opening[:, 1]
     centre = np.array([NICHE_X, NICHE_HEIGHT - 0.5 * NICHE_WIDTH])
     toward = np.stack([x, y], axis=1) - centre
@@ -180,14 +182,14 @@ def _wall_around(opening: npt.NDArray[np.floating]) -> Mesh:
 
 
 def _with_corners(outer: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """The outer edge, with the points closest to the two upper corners of the wall moved to them."""
+    """Returns the outer edge, with the points closest to the two upper corners of the wall moved to them."""
     for x in (LEFT, RIGHT):
         outer[np.hypot(outer[:, 0] - x, outer[:, 1] - HEIGHT).argmin()] = (x, HEIGHT)
     return outer
 
 
 def _moulding(outline: npt.NDArray[np.floating], radius: float) -> Mesh:
-    """A half-round bar on the wall along an outline; its axis is just outside of the outline."""
+    """Returns a half-round bar on the wall along an outline; its axis is just outside of the outline."""
     steps = np.gradient(outline, axis=0)
     outwards = np.stack([-steps[:, 1], steps[:, 0]], axis=1)
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
@@ -198,19 +200,19 @@ def _moulding(outline: npt.NDArray[np.floating], radius: float) -> Mesh:
 
 
 def _panel(start: tuple[float, float, float], end: tuple[float, float, float], height: float) -> Mesh:
-    """An upright rectangle; seen from the front, ``start`` is its lower left corner and ``end`` its lower right one."""
+    """Returns an upright rectangle, which runs from ``start`` to ``end`` (lower left and right, seen from the front)."""
     lower = np.array([start, end])
     return _world_uvs(grid_surface(np.stack([lower + np.array([0.0, height, 0.0]), lower])))
 
 
 def _beam(size: tuple[float, float, float], centre: tuple[float, float, float]) -> Mesh:
-    """A bar with a vertex every 3 cm, so that it can show shadows."""
+    """Returns a bar with a vertex every 3 cm, so that it can show shadows."""
     x, y, z = (max(1, round(extent / 0.03)) for extent in size)
     return transform_mesh(rounded_box(size, 0.006, segments=1, flat_segments=(x, y, z)), _placement(*centre))
 
 
 def _world_uvs(mesh: Mesh) -> Mesh:
-    """Texture coordinates from positions, repeated every 2 m, so that neighbouring panels match."""
+    """Returns texture coordinates from positions, repeated every 2 m, so that neighbouring panels match."""
     along = mesh.positions[:, 0] + mesh.positions[:, 2]
     return replace(mesh, uvs=np.stack([0.5 * along, -0.5 * mesh.positions[:, 1]], axis=1))
 
@@ -237,12 +239,12 @@ def _stuff(
 
 
 def _place(mesh: Mesh, material: MaterialPbr, where: npt.NDArray[np.floating]) -> Mesh:
-    """The mesh with a material, transformed to world space."""
+    """Returns the mesh with a material, transformed to world space."""
     return replace(transform_mesh(mesh, where), material=material, name=material.name)
 
 
 def vase(rng: np.random.Generator) -> Mesh:
-    """A tall painted vase on the round plinth."""
+    """Returns a tall painted vase on the round plinth."""
     knots = [(0.070, 0.60), (0.082, 0.585), (0.062, 0.55), (0.058, 0.50), (0.105, 0.44), (0.165, 0.36)]
     knots += [(0.178, 0.28), (0.150, 0.18), (0.100, 0.08), (0.080, 0.03), (0.094, 0.0)]
     outside = smooth_profile(knots, segments=6)
@@ -254,7 +256,7 @@ def vase(rng: np.random.Generator) -> Mesh:
 
 
 def plinth(rng: np.random.Generator) -> Mesh:
-    """The round plinth under the vase: veined marble."""
+    """Returns the round plinth under the vase: veined marble."""
     profile = rounded_profile(
         [(0.0, 0.52), (0.34, 0.52), (0.34, 0.46), (0.30, 0.46), (0.30, 0.05), (0.34, 0.05)], 0.012
     )
@@ -267,7 +269,7 @@ def plinth(rng: np.random.Generator) -> Mesh:
 
 
 def column(rng: np.random.Generator) -> Mesh:
-    """A short fluted column of travertine in the niche."""
+    """Returns a short fluted column of travertine in the niche."""
     stone = _stuff("travertine", roughness=0.7, texture=travertine((0.70, 0.58, 0.43), (0.50, 0.37, 0.24), rng))
     shaft = fluted_lathe([(0.125, 0.84), (0.135, 0.55), (0.145, 0.12)], 20, 0.07, columns=200)
     base = rounded_profile([(0.13, 0.17), (0.165, 0.17), (0.165, 0.10), (0.19, 0.10), (0.19, 0.0)], 0.02)
@@ -279,7 +281,7 @@ def column(rng: np.random.Generator) -> Mesh:
 
 
 def ammonite(rng: np.random.Generator) -> Mesh:
-    """An ammonite that stands on the column."""
+    """Returns an ammonite that stands on the column."""
     stone = travertine((0.80, 0.52, 0.36), (0.48, 0.19, 0.10), rng)
     body = spiral_shell(radius=0.15)
     assert body.uvs is not None
@@ -290,7 +292,7 @@ def ammonite(rng: np.random.Generator) -> Mesh:
 
 
 def bench() -> Mesh:
-    """A low block with plum lacquer at the right."""
+    """Returns a low block with plum lacquer at the right."""
     return _place(
         rounded_box((0.62, 0.30, 0.40), 0.03),
         _stuff("lacquer", (0.26, 0.045, 0.05), roughness=0.25),
@@ -299,7 +301,7 @@ def bench() -> Mesh:
 
 
 def fruit_bowl() -> list[Mesh]:
-    """A celadon bowl of oranges on the block."""
+    """Returns a celadon bowl of oranges on the block."""
     profile = [(0.0, 0.022), (0.07, 0.026), (0.13, 0.065), (0.168, 0.115), (0.176, 0.118)]
     profile += [(0.174, 0.108), (0.138, 0.052), (0.080, 0.010), (0.062, 0.0), (0.0, 0.0)]
     bowl = lathe(smooth_profile(profile, segments=5), columns=96)
@@ -313,7 +315,7 @@ def fruit_bowl() -> list[Mesh]:
 
 
 def stones(rng: np.random.Generator) -> list[Mesh]:
-    """Two polished stones on the floor: a cushion and a ring."""
+    """Returns two polished stones on the floor: a cushion and a ring."""
     black = _stuff("portoro", roughness=0.2, texture=marble((0.022, 0.02, 0.02), (0.70, 0.48, 0.18), rng, cells=4))
     green = _stuff("verde", roughness=0.2, texture=marble((0.035, 0.115, 0.08), (0.42, 0.55, 0.44), rng))
     cushion = superellipsoid((0.17, 0.15, 0.17), north_south=0.55, east_west=0.55, rows=40, columns=80)
@@ -325,14 +327,14 @@ def stones(rng: np.random.Generator) -> list[Mesh]:
 
 
 def ball(rng: np.random.Generator) -> Mesh:
-    """A striped glass ball, not part of the capture."""
+    """Returns a striped glass ball, not part of the capture."""
     swirl = stripes(((0.78, 0.72, 0.60), (0.50, 0.075, 0.035), (0.80, 0.37, 0.06)), 2, rng)
     material = _stuff("striped glass", roughness=0.05, texture=swirl)
     return _place(sphere(0.19, rows=96, columns=192), material, _placement(-0.46, 0.193, 0.30, turn=0.4))
 
 
 def knot() -> Mesh:
-    """A brass torus knot on its cube, not part of the capture."""
+    """Returns a brass torus knot on its cube, not part of the capture."""
     brass = _stuff("brass", (0.80, 0.53, 0.17), roughness=0.25, metallic=1.0)
     body = torus_knot(2, 3, major=0.155, minor=0.075, radius=0.042, columns=420, rows=40)
     up = np.eye(4)
@@ -341,13 +343,13 @@ def knot() -> Mesh:
 
 
 def cube(rng: np.random.Generator) -> Mesh:
-    """The stone cube under the knot."""
+    """Returns the stone cube under the knot."""
     stone = _stuff("limestone", roughness=0.8, texture=travertine((0.70, 0.44, 0.31), (0.55, 0.29, 0.18), rng))
     return _place(rounded_box((0.40, 0.38, 0.40), 0.02), stone, _placement(-1.28, 0.19, -0.42, turn=0.35))
 
 
 def jewel() -> Mesh:
-    """A cut stone on the cushion, not part of the capture."""
+    """Returns a cut stone on the cushion, not part of the capture."""
     cos, sin = np.cos(-0.765), np.sin(-0.765)
     lying = np.eye(4)
     lying[:2, :2] = [[cos, -sin], [sin, cos]]

@@ -28,10 +28,10 @@ from lumisplat.scene.placing import up_vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 DAYLIGHT = Daylight(sun_direction=(-1.0, 0.52, 0.36))
-"""The light in which the demo's capture was taken: through the window on the left."""
+"""Daylight baked into the demo's capture; it enters through the window on the left."""
 
 GARDEN_COUNT = 4_000
-"""Number of Gaussians, the last ones of the capture, that show the garden outside of the window."""
+"""Number of Gaussians of the garden outside of the window; they are the last ones of the capture."""
 
 _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], float]] = {
     "hero": ((0.95, 1.30, 3.25), (-0.06, 0.70, -0.55), 0.585),
@@ -45,7 +45,7 @@ _VIEWS: dict[str, tuple[tuple[float, float, float], tuple[float, float, float], 
 
 
 def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
-    """A furnished room, without any file: one Gaussian set and four meshes.
+    """Makes a furnished room without any file: one Gaussian set and four meshes.
 
     The set is a capture of procedural meshes. As in any capture, daylight is baked into its display colours (``sh``);
     ``albedo``, ``normals``, ``roughness`` and ``metallic`` describe the surfaces without that light. The vertex
@@ -56,7 +56,7 @@ def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
         progress: Called with the name of a step and the fraction done, 0..1.
 
     Returns:
-        World y up, metres, floor at y = 0.
+        Scene with y up, in metres, with the floor at y = 0.
     """
     report = progress or _ignore
     report("building the demo scene", 0.0)
@@ -78,12 +78,12 @@ def demo_scene(progress: Callable[[str, float], None] | None = None) -> Scene:
 
 
 def demo_cameras(width: int = 1280, height: int = 720, count: int | None = None) -> list[Camera]:
-    """Views of the demo scene: the hero first, then others from the sides and close up.
+    """Returns cameras of the demo scene: the hero view first, then others from the sides and close up.
 
     Args:
         width: Image width, pixels.
         height: Image height, pixels.
-        count: Number of views, from the first; None: all.
+        count: Number of views, from the first; None for all.
     """
     return [
         Camera.look_at(eye, target, width=width, height=height, fov_y=fov_y, name=name)
@@ -92,7 +92,7 @@ def demo_cameras(width: int = 1280, height: int = 720, count: int | None = None)
 
 
 def _captured_meshes(rng: np.random.Generator) -> list[tuple[Mesh, float]]:
-    """The meshes that the capture shows, each with the distance between its Gaussians, metres."""
+    """Returns the meshes that become the capture, each with the distance between its Gaussians, metres."""
     walls = [(mesh, 0.022) for mesh in demo_room.side_walls(rng)]
     return [
         (demo_room.floor(rng), 0.0132),
@@ -125,7 +125,7 @@ def _bake_daylight(capture: Gaussians, meshes: list[Mesh]) -> tuple[Gaussians, l
 
 
 def _dense_points(mesh: Mesh, spacing: float) -> npt.NDArray[np.floating]:
-    """The vertices, and points on all triangles that are at most ``spacing`` apart along their edges."""
+    """Returns the vertices, and further points on all triangles at most ``spacing`` apart."""
     corners = mesh.positions[mesh.indices]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     steps = np.ceil(longest / spacing).astype(int)
@@ -156,19 +156,19 @@ _POLISHED = {
 
 
 def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], None] | None = None) -> Scene:
-    """The demo scene, relit: the room that was captured in daylight, in the light of an evening.
+    """Makes the demo scene relit: the room captured in daylight, under evening light.
 
-    The room's Gaussians reflect by their albedo, roughness and metallic, so that nothing of the captured daylight is
-    left; the baked daylight of the meshes is removed. The brass knot is a mirror, the jewel is glass. The garden
-    outside is a set without a material and shines as captured. The lights are, in order, a warm ``spot``, a soft
-    ``lamp`` in the niche, and a dim, cool ``sky``.
+    The room's Gaussians reflect by their albedo, roughness and metallic, so that none of the captured daylight
+    is left; the baked daylight of the meshes is removed. The brass knot is a mirror, the jewel is glass. The garden
+    outside is a set without a material and emits its captured radiance. The lights are, in order, a warm ``spot``, a
+    soft ``lamp`` in the niche, and a dim, cool ``sky``.
 
     Args:
-        scene: The result of `demo_scene`; None: it is made again, which takes seconds.
+        scene: Result of `demo_scene`; None to make it again, which takes seconds.
         progress: As for `demo_scene`.
 
     Returns:
-        World y up, metres, floor at y = 0.
+        Scene with y up, in metres, with the floor at y = 0.
     """
     scene = scene or demo_scene(progress)
     capture = scene.splats[0].gaussians
@@ -184,7 +184,7 @@ def demo_scene_lit(scene: Scene | None = None, progress: Callable[[str, float], 
 
 
 def _without_daylight(instance: MeshInstance) -> MeshInstance:
-    """The instance without baked daylight, and with its polished material if it has one."""
+    """Returns the instance without baked daylight, and with its polished material if it has one."""
     mesh = instance.mesh
     assert isinstance(mesh.material, MaterialPbr)
     material = mesh.material
@@ -209,7 +209,7 @@ def _lights() -> tuple[Light, ...]:
 
 
 def _evening_sky(rows: int = 64) -> FloatArray:
-    """Linear radiance of all directions, shape (rows, 2 rows, 3).
+    """Returns an environment image of linear radiance, shape (rows, 2 rows, 3).
 
     The sky is blue above and pale at the horizon, the ground dark; brighter clouds are where light enters the room.
     """

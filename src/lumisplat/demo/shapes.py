@@ -20,7 +20,7 @@ _Floats = npt.NDArray[np.floating]
 
 
 def grid_surface(points: npt.ArrayLike, *, wrap_rows: bool = False, wrap_columns: bool = False) -> Mesh:
-    """The surface over a grid of points, smooth except where neighbouring rows or columns coincide.
+    """Returns the surface over a grid of points, smooth except where neighbouring rows or columns coincide.
 
     Seen from outside, columns run to the right and rows down. A row or column of coincident points is a pole. In a
     closed direction the last row or column repeats the first; a row or column repeated inside the grid makes a crease.
@@ -54,7 +54,7 @@ def _grid_normals(
     wrap_rows: bool,
     wrap_columns: bool,
 ) -> _Floats:
-    """Normals weighted by area, shape (R C, 3), shared across seams and at poles."""
+    """Returns normals weighted by area, shape (R C, 3), shared across seams and at poles."""
     normals = sum_at_vertices(areas, quads, points.shape[0] * points.shape[1]).reshape(points.shape)
     if wrap_columns:
         normals[:, 0] = normals[:, -1] = normals[:, 0] + normals[:, -1]
@@ -110,7 +110,7 @@ def join_meshes(meshes: Sequence[Mesh]) -> Mesh:
 
 
 def plane(width: float, depth: float, *, segments: tuple[int, int] = (1, 1)) -> Mesh:
-    """A rectangle in the plane y = 0 that faces up; u runs along x, v along z."""
+    """Returns a rectangle in the plane y = 0 that faces up; u runs along x, v along z."""
     x, z = (np.linspace(-0.5, 0.5, n + 1) * size for n, size in zip(segments, (width, depth), strict=True))
     grid_x, grid_z = np.meshgrid(x, z)
     return grid_surface(np.stack([grid_x, np.zeros_like(grid_x), grid_z], axis=-1))
@@ -124,7 +124,9 @@ def superellipsoid(
     rows: int = 48,
     columns: int = 96,
 ) -> Mesh:
-    """Barr's superellipsoid (1981) around the y axis: an ellipsoid at exponents 1, towards 0 a box, at 2 an octahedron.
+    """Returns Barr's superellipsoid (1981) around the y axis.
+
+    It is an ellipsoid at exponents 1, a box towards 0, and an octahedron at 2.
 
     Args:
         radii: Half sizes along x, y, z.
@@ -142,13 +144,13 @@ def superellipsoid(
 
 
 def sphere(radius: float = 1.0, *, rows: int = 48, columns: int = 96) -> Mesh:
-    """A latitude-longitude sphere; u runs eastwards and begins and ends at -z, v runs from the top down."""
+    """Returns a latitude-longitude sphere; u runs eastwards and begins and ends at -z, v runs from the top down."""
     mesh = superellipsoid((radius, radius, radius), rows=rows, columns=columns)
     return replace(mesh, normals=mesh.positions / np.float32(radius))
 
 
 def icosphere(radius: float = 1.0, *, subdivisions: int = 3) -> Mesh:
-    """An icosahedron projected to a sphere, each triangle split into four ``subdivisions`` times; without uvs."""
+    """Returns an icosahedron projected to a sphere; each triangle is split in four ``subdivisions`` times; no uvs."""
     g = (1.0 + 5.0**0.5) / 2.0
     corners = [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g)]
     corners += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
@@ -170,7 +172,7 @@ def icosphere(radius: float = 1.0, *, subdivisions: int = 3) -> Mesh:
 
 
 def torus(major: float = 1.0, minor: float = 0.3, *, rows: int = 48, columns: int = 96) -> Mesh:
-    """A torus around the y axis; u runs around the ring, v around the tube."""
+    """Returns a torus around the y axis; u runs around the ring, v around the tube."""
     around = np.linspace(0.0, 2.0 * np.pi, columns + 1)
     tube = np.linspace(0.0, -2.0 * np.pi, rows + 1)[:, None]
     ring = major + minor * np.cos(tube)
@@ -185,7 +187,7 @@ def rounded_box(
     segments: int = 6,
     flat_segments: tuple[int, int, int] = (1, 1, 1),
 ) -> Mesh:
-    """A box with rounded edges and corners; the uvs of each side run from 0 to 1.
+    """Returns a box with rounded edges and corners; the uvs of each side run from 0 to 1.
 
     Args:
         size: Full extents along x, y, z.
@@ -226,7 +228,7 @@ def _rounded_side(cube: _Floats, inner: _Floats, radius: float) -> Mesh:
 
 
 def _latitude_longitude(rows: int, columns: int) -> tuple[_Floats, _Floats]:
-    """Latitudes from the top down, shape (R, 1), and longitudes eastwards, shape (1, C)."""
+    """Returns latitudes from the top down, shape (R, 1), and longitudes eastwards, shape (1, C)."""
     return np.linspace(0.5 * np.pi, -0.5 * np.pi, rows + 1)[:, None], np.linspace(-np.pi, np.pi, columns + 1)[None]
 
 
@@ -240,7 +242,7 @@ _Indices = npt.NDArray[np.integer]
 
 
 def lathe(profile: npt.ArrayLike, *, columns: int = 96) -> Mesh:
-    """A surface of revolution: a profile swept around the y axis.
+    """Returns a surface of revolution: a profile swept around the y axis.
 
     Args:
         profile: Points (radius, height) from the top down the outside, shape (R, 2). Radius 0 at both ends closes the
@@ -257,7 +259,10 @@ def lathe(profile: npt.ArrayLike, *, columns: int = 96) -> Mesh:
 
 
 def fluted_lathe(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: int = 192) -> Mesh:
-    """A surface of revolution with vertical grooves, like a column's shaft; ``depth`` is a share of the radius."""
+    """Returns a surface of revolution with vertical grooves, like a column's shaft.
+
+    ``depth`` is the depth of the grooves as a fraction of the radius.
+    """
     profile = np.asarray(profile, dtype=np.float64)
     if profile.ndim != 2 or profile.shape[0] < 2 or profile.shape[1] != 2 or (profile[:, 0] < 0.0).any():
         raise SceneError(f"a profile is at least two (radius >= 0, height) points, got shape {profile.shape}")
@@ -271,7 +276,7 @@ def fluted_lathe(profile: npt.ArrayLike, flutes: int, depth: float, *, columns: 
 
 
 def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6) -> _Floats:
-    """A polyline whose inner corners are rounded by ``radius``, or less where an edge is short, shape (R, 2)."""
+    """Returns a polyline whose inner corners are rounded by ``radius``, or less at short edges, shape (R, 2)."""
     corners = np.asarray(corners, dtype=np.float64)
     points = [corners[:1]]
     for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):
@@ -285,7 +290,10 @@ def rounded_profile(corners: npt.ArrayLike, radius: float, *, segments: int = 6)
 
 
 def smooth_profile(knots: npt.ArrayLike, *, segments: int = 8) -> _Floats:
-    """A Catmull-Rom spline through ``knots``, shape (K, 2): ``segments`` steps between two knots, radii >= 0."""
+    """Returns a Catmull-Rom spline through ``knots``, shape (K, 2).
+
+    It has ``segments`` steps between two knots; radii are clamped to >= 0.
+    """
     knots = np.asarray(knots, dtype=np.float64)
     padded = np.concatenate([2.0 * knots[:1] - knots[1:2], knots, 2.0 * knots[-1:] - knots[-2:-1]])
     t = np.linspace(0.0, 1.0, segments, endpoint=False)[:, None]
@@ -298,7 +306,7 @@ def smooth_profile(knots: npt.ArrayLike, *, segments: int = 8) -> _Floats:
 
 
 def tube(curve: npt.ArrayLike, radius: float, *, rows: int = 24) -> Mesh:
-    """A closed tube of round section along a closed curve.
+    """Returns a closed tube of round section along a closed curve.
 
     The frame is moved along the curve by parallel transport, and its final twist is distributed over the length, so
     that the seam closes (Wang et al. 2008 discuss such frames).
@@ -336,7 +344,10 @@ def torus_knot(
     columns: int = 320,
     rows: int = 24,
 ) -> Mesh:
-    """A tube along the (p, q) torus knot, which winds p times around the y axis and q times through the hole."""
+    """Returns a tube along the (p, q) torus knot.
+
+    The knot winds p times around the y axis and q times through the hole.
+    """
     t = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)
     ring = major + minor * np.cos(q * t)
     curve = np.stack([ring * np.cos(p * t), minor * np.sin(q * t), ring * np.sin(p * t)], axis=1)
@@ -354,7 +365,7 @@ def spiral_shell(
     columns: int = 480,
     rows: int = 32,
 ) -> Mesh:
-    """A shell: a ribbed tube, closed at its ends, that grows exponentially along a spiral (Moseley 1838).
+    """Returns a shell: a ribbed tube, closed at its ends, that grows exponentially along a spiral (Moseley 1838).
 
     Args:
         turns: Number of whorls.
@@ -380,7 +391,7 @@ def spiral_shell(
 
 
 def gem(*, radius: float = 1.0, sides: int = 8) -> Mesh:
-    """A cut stone with flat facets: table, crown, girdle and pavilion, its tip at the bottom.
+    """Returns a cut stone with flat facets: table, crown, girdle and pavilion, its tip at the bottom.
 
     Args:
         radius: Radius of the girdle.
@@ -410,7 +421,7 @@ def gem(*, radius: float = 1.0, sides: int = 8) -> Mesh:
 
 
 def faceted_mesh(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
-    """A mesh whose triangles share no vertices, so that each has its own flat normal."""
+    """Returns a mesh whose triangles share no vertices, so that each has its own flat normal."""
     corners = np.asarray(points, dtype=np.float64)[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -419,7 +430,10 @@ def faceted_mesh(points: npt.ArrayLike, faces: npt.NDArray[np.integer]) -> Mesh:
 
 
 def _parallel_transport(tangents: _Floats) -> _Floats:
-    """Unit vectors perpendicular to a closed curve, without twist; one more at the end for the first point again."""
+    """Returns unit vectors perpendicular to a closed curve, without twist.
+
+    The last one belongs to the first point again.
+    """
     side = np.cross(tangents[0], np.eye(3)[np.abs(tangents[0]).argmin()])
     sides: list[_Floats] = []
     for tangent in np.concatenate([tangents, tangents[:1]]):
@@ -430,7 +444,7 @@ def _parallel_transport(tangents: _Floats) -> _Floats:
 
 
 def _with_arc_length_v(mesh: Mesh, profile: _Floats, columns: int) -> Mesh:
-    """A surface of revolution with v by the profile's arc length instead of its row."""
+    """Returns a surface of revolution whose v follows the profile's arc length instead of its rows."""
     assert mesh.uvs is not None
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1))])
     v = np.repeat(length / length[-1], columns)

@@ -17,7 +17,9 @@ _Floats = npt.NDArray[np.floating]
 def fractal_noise(
     height: int, width: int, cells: tuple[int, int], rng: np.random.Generator, *, octaves: int = 5
 ) -> _Floats:
-    """Periodic value noise, summed over octaves that are each twice as fine and half as strong; about -1..1, (H, W).
+    """Returns periodic value noise of about -1..1, shape (H, W).
+
+    Octaves are summed, each twice as fine and half as strong as the one before.
 
     Args:
         height: Rows.
@@ -35,7 +37,7 @@ def fractal_noise(
 
 
 def _interpolation(samples: int, cells: int) -> _Floats:
-    """Smoothstep weights of the cells of a periodic lattice at equally spaced samples, shape (samples, cells)."""
+    """Returns smoothstep weights of the cells of a periodic lattice at even samples, shape (samples, cells)."""
     position = (np.arange(samples) + 0.5) / samples * cells
     cell = np.floor(position).astype(np.int64)
     t = position - cell
@@ -54,19 +56,19 @@ def blend(a: Rgb | _Floats, b: Rgb | _Floats, share: _Floats) -> _Floats:
 
 
 def texels(linear: _Floats) -> Texture:
-    """Linear colours as an sRGB texture."""
+    """Encodes linear colours as an sRGB texture."""
     return np.round(255.0 * encode_srgb(np.clip(linear, 0.0, 1.0))).astype(np.uint8)
 
 
 def plaster(color: Rgb, rng: np.random.Generator, *, size: int = 384, contrast: float = 0.14) -> Texture:
-    """Hand-made lime wash: broad clouds and fine trowel marks of one colour."""
+    """Returns hand-made lime wash: broad clouds and fine trowel marks of one colour."""
     clouds = fractal_noise(size, size, (3, 3), rng, octaves=4)
     marks = fractal_noise(size, size, (10, 36), rng, octaves=3)
     return texels(np.asarray(color) * (1.0 + contrast * (0.8 * clouds + 0.25 * marks))[..., None])
 
 
 def marble(ground: Rgb, vein: Rgb, rng: np.random.Generator, *, size: int = 384, cells: int = 3) -> Texture:
-    """Stone with thin veins along the zero lines of warped noise, and faint clouds between them."""
+    """Returns stone with thin veins along the zero lines of warped noise, and faint clouds between them."""
     warp = fractal_noise(size, size, (cells, cells), rng, octaves=4)
     veins = np.abs(fractal_noise(size, size, (cells, cells), rng) + 0.35 * warp)
     hairs = np.abs(fractal_noise(size, size, (2 * cells, 2 * cells), rng) - 0.2 * warp)
@@ -75,7 +77,7 @@ def marble(ground: Rgb, vein: Rgb, rng: np.random.Generator, *, size: int = 384,
 
 
 def travertine(light: Rgb, dark: Rgb, rng: np.random.Generator, *, size: int = 384) -> Texture:
-    """Limestone in uneven horizontal layers, with small elongated pits."""
+    """Returns limestone in uneven horizontal layers, with small elongated pits."""
     layers = fractal_noise(size, size, (14, 2), rng, octaves=4)
     pits = fractal_noise(size, size, (48, 10), rng, octaves=2)
     share = 0.45 + 0.45 * layers
@@ -85,7 +87,7 @@ def travertine(light: Rgb, dark: Rgb, rng: np.random.Generator, *, size: int = 3
 def herringbone(
     shape: tuple[int, int], plank_px: float, light: Rgb, dark: Rgb, rng: np.random.Generator, *, aspect: int = 5
 ) -> Texture:
-    """Oak planks laid in herringbone at 45 degrees; not seamless.
+    """Returns oak planks laid in herringbone at 45 degrees; not seamless.
 
     Args:
         shape: Rows and columns.
@@ -116,7 +118,7 @@ def herringbone(
 
 
 def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: int = 768, width: int = 768) -> Texture:
-    """Painted pottery, for u around and v down: rings, a frieze of scales, a wave and a row of leaves."""
+    """Returns painted pottery, u around and v down: rings, a frieze of scales, a wave and a row of leaves."""
     v, u = (np.mgrid[0:height, 0:width] + 0.5) / np.array([[[height]], [[width]]])
     wobble = 0.004 * fractal_noise(height, width, (6, 12), rng, octaves=3)
     w = v + wobble
@@ -140,12 +142,12 @@ def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: i
 
 
 def _edge(distance: _Floats, softness: float) -> _Floats:
-    """A soft step: 0 at negative distances, 1 at positive ones."""
+    """Returns a soft step: 0 at negative distances, 1 at positive ones."""
     return np.clip(0.5 + 0.5 * distance / softness, 0.0, 1.0)
 
 
 def _scales(u: _Floats, v: _Floats) -> _Floats:
-    """Overlapping arcs like the scales of a fish: 1 on their outlines."""
+    """Returns overlapping arcs like the scales of a fish: 1 on their outlines."""
     rows = v / 0.075
     row = np.floor(rows)
     x = np.mod(16.0 * u + 0.5 * np.mod(row, 2.0), 1.0) - 0.5
@@ -155,7 +157,7 @@ def _scales(u: _Floats, v: _Floats) -> _Floats:
 
 
 def stripes(colors: tuple[Rgb, ...], repeats: int, rng: np.random.Generator, *, size: int = 512) -> Texture:
-    """A glass marble: bands of colour along u that twist with v."""
+    """Returns the texture of a glass marble: bands of colour along u that twist with v."""
     v, u = (np.mgrid[0:size, 0:size] + 0.5) / size
     swirl = 0.5 * fractal_noise(size, size, (3, 3), rng, octaves=3)
     phase = np.mod(repeats * u + 1.6 * v + 0.35 * swirl, 1.0) * len(colors)
