@@ -200,7 +200,7 @@ def _moulding(outline: npt.NDArray[np.floating], radius: float) -> Mesh:
 
 
 def _panel(start: tuple[float, float, float], end: tuple[float, float, float], height: float) -> Mesh:
-    """Returns an upright rectangle, which runs from ``start`` to ``end`` (lower left and right, seen from the front)."""
+    """Returns an upright rectangle, from ``start`` to ``end``, its lower left and right corner seen from the front."""
     lower = np.array([start, end])
     return _world_uvs(grid_surface(np.stack([lower + np.array([0.0, height, 0.0]), lower])))
 
