@@ -1,4 +1,4 @@
-"""Random numbers of views, and the geometry that poses and objects are judged by."""
+"""Random numbers of views, and the geometry by which poses and objects are accepted."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from lumisplat.dataset.space import Solids, even_directions, level_axes, winding
 from lumisplat.math.transforms import matrices_from_quaternions
 
 
-def test_numbers_follow_from_seed_view_and_purpose_alone() -> None:
-    """The same again, others for any other; pinned, as data sets are to be the same next year."""
+def test_random_numbers_depend_only_on_seed_view_and_purpose() -> None:
+    """Values are pinned, because data sets must not change between versions."""
     first = Draws(7, 12, Purpose.POSE).units(3)
     np.testing.assert_array_equal(first, Draws(7, 12, Purpose.POSE).units(3))
     for other in (Draws(8, 12, Purpose.POSE), Draws(7, 13, Purpose.POSE), Draws(7, 12, Purpose.LIGHTS)):
@@ -23,8 +23,8 @@ def test_numbers_follow_from_seed_view_and_purpose_alone() -> None:
     )
 
 
-def test_ranges_are_filled_evenly_and_kept() -> None:
-    """Whole numbers with both ends, as often each; factors evenly in their logarithm; directions with mean 0."""
+def test_random_numbers_fill_their_ranges_uniformly() -> None:
+    """Integers include both ends, factors have a uniform logarithm, directions have mean 0."""
     draws = Draws(1, 2, Purpose.OBJECTS)
     wholes = np.bincount([draws.whole((2, 4)) for _ in range(3000)])
     assert wholes[:2].sum() == 0 and len(wholes) == 5 and abs(wholes[2:] - 1000).max() < 130  # 5 deviations
@@ -37,8 +37,8 @@ def test_ranges_are_filled_evenly_and_kept() -> None:
 
 
 @pytest.mark.parametrize("count", [20, 101, 1000])
-def test_parts_have_their_shares_of_any_number_of_views(count: int) -> None:
-    """Within two views, from any seed; a view's part does not depend on how many there are."""
+def test_splits_have_their_fractions_of_any_number_of_views(count: int) -> None:
+    """Within three views for any seed; the split of a view does not depend on the number of views."""
     shares = (0.7, 0.2, 0.1)
     for seed in range(20):
         parts = [split_of(seed, view, shares) for view in range(count)]
@@ -47,17 +47,17 @@ def test_parts_have_their_shares_of_any_number_of_views(count: int) -> None:
     assert {split_of(0, view, (0.0, 0.0, 1.0)) for view in range(50)} == {"test"}
 
 
-def test_rotations_are_even() -> None:
-    """What turns a vector evenly has mean 0 and second moments of a third, about all axes."""
+def test_rotations_are_uniform() -> None:
+    """Matrix elements have mean 0 and second moment 1/3."""
     quaternions = np.array([uniform_quaternion(*row) for row in Draws(3, 0, Purpose.OBJECTS).units(4000, 3)])
     np.testing.assert_allclose(np.linalg.norm(quaternions, axis=1), 1.0, atol=1e-12)
-    turned = matrices_from_quaternions(quaternions)
-    assert np.abs(turned.mean(axis=0)).max() < 0.05
-    np.testing.assert_allclose((turned**2).mean(axis=0), 1.0 / 3.0, atol=0.03)
+    rotations = matrices_from_quaternions(quaternions)
+    assert np.abs(rotations.mean(axis=0)).max() < 0.05
+    np.testing.assert_allclose((rotations**2).mean(axis=0), 1.0 / 3.0, atol=0.03)
 
 
 def test_winding_numbers_of_a_box() -> None:
-    """1 inside, 0 outside; of a box that faces inwards -1 inside."""
+    """1 inside and 0 outside; -1 inside a box that faces inwards."""
     mesh = ls.box((2.0, 1.0, 1.0))
     triangles = mesh.positions[mesh.indices].astype(np.float64)
     for point, expected in (((0.9, 0.4, -0.4), 1.0), ((1.1, 0.0, 0.0), 0.0), ((0.0, 5.0, 0.0), 0.0)):
@@ -65,18 +65,18 @@ def test_winding_numbers_of_a_box() -> None:
         assert winding_number(triangles[:, ::-1], np.array(point)) == pytest.approx(-expected, abs=1e-6)
 
 
-def test_solids_hold_what_is_inside_of_things_and_not_of_rooms() -> None:
-    """A mirrored thing is a thing; a box around most of the scene is a room."""
+def test_solids_contain_the_inside_of_objects_but_not_of_rooms() -> None:
+    """A mirrored mesh is solid; a box around most of the scene is a room."""
     low, high = np.full(3, -3.0), np.full(3, 3.0)
     mirrored = np.diag((-1.0, 1.0, 1.0, 1.0))
     mirrored[0, 3] = 2.0
-    thing = ls.MeshInstance(ls.box(1.0), mirrored)
-    solids = Solids((thing, ls.MeshInstance(ls.box(6.0))), low, high)
+    mesh = ls.MeshInstance(ls.box(1.0), mirrored)
+    solids = Solids((mesh, ls.MeshInstance(ls.box(6.0))), low, high)
     assert solids.contain(np.array([2.2, 0.1, 0.3])) and not solids.contain(np.array([0.0, 0.1, 0.3]))
 
 
 def test_even_directions_are_even() -> None:
-    """Unit vectors whose moments are those of the sphere; level axes are level."""
+    """Directions have the moments of the sphere; level axes are horizontal."""
     directions = even_directions(32)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, atol=1e-12)
     np.testing.assert_allclose(directions.mean(axis=0), 0.0, atol=0.02)

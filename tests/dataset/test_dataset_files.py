@@ -1,4 +1,4 @@
-"""Files of data sets: layers against what is known by formula, cameras as others read them, shards, settings."""
+"""Files of data sets: layers against known geometry, cameras read by others, shards, settings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ VIEWS = 12
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A data set with all layers, an object and shards."""
+    """Data set with all layers, an inserted object and shards."""
     home = tmp_path_factory.mktemp("dataset")
     (home / "duck.obj").write_text("v -1 0 -1\nv 1 0 -1\nv 0 0 1\nv 0 1 0\nf 1 2 3\nf 1 4 2\nf 2 4 3\nf 3 4 1\n")
     summary = ls.dataset.render_dataset(block_scene(), home / "set", config_of(home), device="cpu")
@@ -33,36 +33,36 @@ def folder(tmp_path_factory) -> Path:
 
 
 def config_of(home: Path) -> ls.config.DatasetConfig:
-    """Its settings."""
+    """Returns the settings of the data set."""
     objects = ls.config.DatasetObjects(files=(str(home / "duck.obj"),), count=(1, 1), size=(0.1, 0.1))
     config = small_config(views=VIEWS, layers=LAYERS, objects=objects, shard_views=3, split=(0.5, 0.25, 0.25))
     return replace(config, poses=ls.config.DatasetPoses(fov=(50.0, 60.0)))
 
 
 def record_of(folder: Path, index: int) -> dict:
-    """What is known of a view."""
+    """Returns the JSON record of a view."""
     return json.loads((folder / f"views/view_{index:06d}.json").read_text())
 
 
 def camera_of(record: dict) -> ls.Camera:
-    """The camera of a view."""
+    """Returns the camera of a view."""
     return ls.Camera(**record["camera"])
 
 
 def image(folder: Path, record: dict, layer: str) -> np.ndarray:
-    """A layer that is a picture."""
+    """Returns a layer that is stored as PNG."""
     return picture(folder / record["files"][layer])
 
 
 def picture(path: Path) -> np.ndarray:
-    """Values of a PNG."""
+    """Returns the pixels of a PNG file."""
     with Image.open(path) as opened:
         return np.asarray(opened)
 
 
 @pytest.mark.parametrize("index", range(3))
-def test_layers_are_what_they_say(folder, index: int) -> None:
-    """Depth along z and normals of the floor by formula; ids where their things are; boxes are tight."""
+def test_layers_match_known_geometry(folder, index: int) -> None:
+    """Depth and normals of the floor are computed; ids and tight boxes belong to their objects."""
     record = record_of(folder, index)
     camera = camera_of(record)
     ids, depth = image(folder, record, "instance"), np.load(folder / record["files"]["depth"])
@@ -106,28 +106,30 @@ def test_layers_are_what_they_say(folder, index: int) -> None:
 
 
 def along_rays(camera: ls.Camera, depth: np.ndarray) -> np.ndarray:
-    """Distances along rays, of depths along z."""
+    """Converts depths along z to distances along rays."""
     return depth / camera.ray_directions()[..., 2]
 
 
-def test_photographs_come_back(folder) -> None:
-    """`ls.io.load_training_images` has the same cameras, pixels, masks and parts."""
-    photographs = ls.io.load_training_images(folder)
-    learnt, held = photographs.training, photographs.held_out
+def test_data_set_loads_as_training_images(folder) -> None:
+    """`ls.io.load_training_images` returns the same cameras, pixels, masks and splits."""
+    images = ls.io.load_training_images(folder)
+    training, held_out = images.training, images.held_out
     records = [record_of(folder, index) for index in range(VIEWS)]
     parts = {record["name"]: record["split"] for record in records}
-    assert {photograph.name.split("/")[-1] for photograph in learnt} == {
+    assert {training_image.name.split("/")[-1] for training_image in training} == {
         n for n, part in parts.items() if part == "train"
     }
-    assert {photograph.name.split("/")[-1] for photograph in held} == {n for n, part in parts.items() if part == "test"}
-    for photograph in (*learnt, *held):
-        record = next(record for record in records if record["name"] == photograph.name.split("/")[-1])
+    assert {training_image.name.split("/")[-1] for training_image in held_out} == {
+        n for n, part in parts.items() if part == "test"
+    }
+    for training_image in (*training, *held_out):
+        record = next(record for record in records if record["name"] == training_image.name.split("/")[-1])
         camera = camera_of(record)
-        np.testing.assert_allclose(photograph.camera.camera_from_world, camera.camera_from_world, atol=1e-12)
+        np.testing.assert_allclose(training_image.camera.camera_from_world, camera.camera_from_world, atol=1e-12)
         for name in ("width", "height", "fx", "fy", "cx", "cy"):
-            assert getattr(photograph.camera, name) == pytest.approx(getattr(camera, name), abs=1e-12)
+            assert getattr(training_image.camera, name) == pytest.approx(getattr(camera, name), abs=1e-12)
         shown = image(folder, record, "color")
-        np.testing.assert_allclose(photograph.pixels(), shown / 255.0, atol=1e-6)
+        np.testing.assert_allclose(training_image.pixels(), shown / 255.0, atol=1e-6)
     content = json.loads((folder / "transforms.json").read_text())
     assert all(
         (folder / frame[key]).is_file() for frame in content["frames"] for key in ("depth_file_path", "mask_path")
@@ -136,7 +138,7 @@ def test_photographs_come_back(folder) -> None:
 
 
 def test_shards_hold_the_files(folder) -> None:
-    """At most three views each, of one part, members next to each other and equal to the files; nothing of when."""
+    """A shard has at most three views of one split; members are adjacent, equal to the files, and without times."""
     shards = sorted((folder / "shards").iterdir())
     seen = {}
     for shard in shards:
@@ -158,14 +160,14 @@ def test_shards_hold_the_files(folder) -> None:
 
 
 def member_bytes(tar: tarfile.TarFile, name: str) -> bytes:
-    """A member of a shard."""
+    """Returns the bytes of a shard's member."""
     member = tar.extractfile(name)
     assert member is not None
     return member.read()
 
 
-def test_finishing_again_writes_the_same_bytes_and_only_what_is_wanted(folder, tmp_path) -> None:
-    """Cameras, tables, sheet and shards follow from views alone; shards of before go; a view that lacks is counted."""
+def test_finishing_again_writes_the_same_bytes(folder, tmp_path) -> None:
+    """Output depends only on the views; old shards are removed, and missing views are counted."""
     names = ("transforms.json", "layers.json", "contact_sheet.png", "shards/train-000000.tar")
     before = {name: (folder / name).read_bytes() for name in names}
     config = config_of(folder.parent)
@@ -178,22 +180,22 @@ def test_finishing_again_writes_the_same_bytes_and_only_what_is_wanted(folder, t
     assert picture(folder / "contact_sheet.png").shape == (6 * 150, 200 * 8, 3)
 
 
-def test_what_is_there_stays(folder, monkeypatch) -> None:
-    """Another call renders nothing."""
+def test_existing_views_are_not_rendered_again(folder, monkeypatch) -> None:
+    """A second call renders nothing."""
     monkeypatch.setattr(ls.Renderer, "render", None)
     assert ls.dataset.render_dataset(block_scene(), folder, config_of(folder.parent), device="cpu").missing == 0
 
 
-def test_ids_of_many_things_are_16_bit(tmp_path) -> None:
-    """By how many there may be, not by how many a view has."""
+def test_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
+    """The largest possible number of objects decides, not the number in a view."""
     scene = ls.Scene(meshes=[*block_scene().meshes, *([ls.MeshInstance(ls.box(0.01), position=(9, 9, 9))] * 300)])
     config = small_config(views=1, layers="instance,category", poses=ls.config.DatasetPoses(seen=0.0))
     ls.dataset.render_dataset(scene, tmp_path, config, device="cpu")
     assert picture(tmp_path / "instance/view_000000.png").dtype == np.uint16
 
 
-def test_frames_in_real_time_and_albedo_without_light_are_refused(tmp_path) -> None:
-    """One line each."""
+def test_real_time_frames_and_unlit_albedo_are_refused(tmp_path) -> None:
+    """Each in one line."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME renders frames that depend on earlier frames"):
         ls.dataset.render_dataset(
             block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), device="cpu"
@@ -204,8 +206,8 @@ def test_frames_in_real_time_and_albedo_without_light_are_refused(tmp_path) -> N
     assert not list(tmp_path.rglob("*.json"))
 
 
-def test_settings_are_read(tmp_path) -> None:
-    """All groups, words for None, paths from the file's folder."""
+def test_data_set_settings_are_read(tmp_path) -> None:
+    """All groups, words for None, and paths relative to the file's folder."""
     (tmp_path / "duck.obj").write_text("v 0 0 0\n")
     file = tmp_path / "set.toml"
     file.write_text(
@@ -220,7 +222,7 @@ def test_settings_are_read(tmp_path) -> None:
 
 
 def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
-    """But for names of files, the size of shards, and the number and the seed of views."""
+    """Except file names, the shard size, and the number and seed of views."""
     guide = Path(__file__).parents[2] / "docs" / "guide" / "dataset.md"
     (text,) = re.findall(r"```toml\n(.*?)```", guide.read_text(), re.DOTALL)
     for name in ("sky.exr", "statue.glb"):
@@ -265,8 +267,8 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
         ("seed = ", "is not valid TOML"),
     ],
 )
-def test_mistakes_in_settings_are_one_line(tmp_path, text: str, message: str) -> None:
-    """What, where, what was expected."""
+def test_mistakes_in_settings_are_named_in_one_line(tmp_path, text: str, message: str) -> None:
+    """The message says what, where, and what was expected."""
     file = tmp_path / "set.toml"
     file.write_text(text + "\n")
     with pytest.raises(ls.FormatError) as error:

@@ -1,4 +1,4 @@
-"""Views of data sets keep what their settings promise, beside free space that is known by formula."""
+"""Views of data sets stay within their settings, in a scene of known free space."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ DIAGONAL = math.sqrt(4.0**2 + 4.0**2 + 1.0)
 def views_of(
     config: ls.config.DatasetConfig, scene: ls.Scene | None = None, **changes: Any
 ) -> list[ls.dataset.DatasetView]:
-    """Some views."""
+    """Returns some views."""
     views = ls.dataset.DatasetViews(block_scene() if scene is None else scene, config, device="cpu", **changes)
     return [views.view(index) for index in range(COUNT)]
 
 
 @pytest.fixture
-def duck(tmp_path) -> str:
-    """An object: a box that is not around its origin, y up."""
+def object_file(tmp_path) -> str:
+    """Path of an object: a box that is off its origin, y up."""
     path = tmp_path / "duck.v2.obj"
     corners = ls.box((0.4, 0.2, 0.3)).positions + np.array((5.0, 1.0, 0.0))
     faces = ls.box(1.0).indices + 1
@@ -39,8 +39,8 @@ def duck(tmp_path) -> str:
     return str(path)
 
 
-def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
-    """Elevation, distance, field of view and aim are within their ranges; up is up in the picture."""
+def test_dome_cameras_are_within_their_ranges() -> None:
+    """Elevation, distance, field of view and aim; images are upright."""
     poses = ls.config.DatasetPoses(
         elevation=(20.0, 40.0), azimuth=(0.0, 90.0), distance=(0.9, 1.1), aim=0.05, fov=(40.0, 50.0)
     )
@@ -66,7 +66,7 @@ def test_cameras_of_a_dome_look_at_the_scene_from_where_they_may() -> None:
 
 
 def test_views_of_the_default_dome_contain_the_whole_scene() -> None:
-    """The corners of the scene's box lie in every image, wherever in the scene it aims."""
+    """The corners of the scene's box lie in every image, whatever the aim."""
     corners = np.array(np.meshgrid(*np.stack(block_scene().bulk_bounds(), axis=1))).reshape(3, -1).T
     for view in views_of(small_config(poses=ls.config.DatasetPoses(aim=0.3))):
         camera = view.camera
@@ -77,7 +77,7 @@ def test_views_of_the_default_dome_contain_the_whole_scene() -> None:
 
 
 def test_cameras_in_free_space_keep_their_clearance() -> None:
-    """Never inside of the block, though most of its inside is farther from its sides than that; nor at the floor."""
+    """Cameras are neither inside the block, which has room for the clearance, nor close to the floor."""
     space = Space(block_scene(), "cpu")
     inside, beside = np.array([0.1, 0.5, 0.1]), np.array([0.9, 0.5, 0.1])
     assert not space.is_free(inside, 0.05) and space.is_free(beside, 0.35) and not space.is_free(beside, 0.45)
@@ -92,8 +92,8 @@ def test_cameras_in_free_space_keep_their_clearance() -> None:
         assert -60.0 - 1e-9 <= math.degrees(math.asin(forward[1])) <= -10.0 + 1e-9
 
 
-def test_cameras_near_given_ones() -> None:
-    """Moved and turned by no more than is allowed; without given ones, a line."""
+def test_cameras_near_given_ones_move_within_their_limits() -> None:
+    """Without given cameras, an error of one line."""
     given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
     poses = ls.config.DatasetPoses(where=ls.config.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
     used = set()
@@ -104,13 +104,13 @@ def test_cameras_near_given_ones() -> None:
         turn = view.camera.camera_from_world[:3, :3] @ given[nearest].camera_from_world[:3, :3].T
         assert math.degrees(math.acos(min(1.0, 0.5 * (np.trace(turn) - 1.0)))) <= 4.0 + 1e-6
     assert used == {0, 1}
-    with pytest.raises(ls.SceneError, match=r"poses\.where is cameras, and there are no cameras"):
+    with pytest.raises(ls.SceneError, match=r"poses\.where is cameras, but no cameras were given"):
         ls.dataset.DatasetViews(block_scene(), small_config(poses=poses), device="cpu")
 
 
-def test_objects_stand_on_the_ground_and_touch_nothing(duck) -> None:
-    """On the floor or the block, upright, of the right size, with room around them; cameras look at one."""
-    objects = ls.config.DatasetObjects(files=(duck,), count=(2, 4), size=(0.05, 0.1))
+def test_objects_stand_on_the_ground_without_contact(object_file) -> None:
+    """On the floor or the block, upright, of the right size, with free space around; cameras look at one object."""
+    objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 4), size=(0.05, 0.1))
     poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
     turns, looked_at = set(), 0
     for view in views_of(small_config(objects=objects, poses=poses)):
@@ -142,24 +142,24 @@ def test_objects_stand_on_the_ground_and_touch_nothing(duck) -> None:
     assert looked_at == COUNT and len(turns) > COUNT
 
 
-def test_objects_stand_upright_whatever_way_up_they_and_the_scene_are(duck, tmp_path) -> None:
-    """Captures have y down, meshes y up: of both, up is up in scenes of either kind."""
+def test_objects_stand_upright_for_any_up_direction(object_file, tmp_path) -> None:
+    """Captures have y down, meshes y up; both stand upright in scenes of either kind."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     turned = ls.MeshInstance(ls.plane(4.0, 4.0), rotation_degrees=(180.0, 0.0, 0.0))
     block = ls.MeshInstance(ls.box(1.0), position=(0.0, -0.5, 0.0))
     for scene, up in ((block_scene(), 1.0), (ls.Scene(meshes=[turned, block], up="y-down"), -1.0)):
-        for file, own_up in ((duck, 1.0), (str(tmp_path / "ball.ply"), -1.0)):
+        for file, own_up in ((object_file, 1.0), (str(tmp_path / "ball.ply"), -1.0)):
             objects = ls.config.DatasetObjects(files=(file,), count=(1, 1), size=(0.05, 0.05))
             thing = ls.dataset.DatasetViews(scene, small_config(objects=objects), device="cpu").view(0).things[2]
             axis = thing.world_from_object[:3, 1] / np.cbrt(np.linalg.det(thing.world_from_object[:3, :3]))
             np.testing.assert_allclose(own_up * axis, (0.0, up, 0.0), atol=1e-9)
 
 
-def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
-    """Frames count captures before meshes, and objects may be either, or several of both."""
+def test_labels_have_their_instance_indices(object_file, tmp_path) -> None:
+    """Frames number captures before meshes; an object may be either, or contain several of both."""
     ls.save(tmp_path / "ball.ply", random_gaussians(2, count=40, extent=(0.3, 0.3, 0.3)))
     ls.save(tmp_path / "pair.glb", ls.Scene(meshes=[ls.box(0.2), ls.MeshInstance(ls.box(0.1), position=(0.3, 0, 0))]))
-    files = (duck, str(tmp_path / "ball.ply"), str(tmp_path / "pair.glb"))
+    files = (object_file, str(tmp_path / "ball.ply"), str(tmp_path / "pair.glb"))
     objects = ls.config.DatasetObjects(files=files, count=(3, 4), size=(0.05, 0.05))
     scene = replace(block_scene(), splats=[random_gaussians(1, count=30)], up="y-up")
     kinds = set()
@@ -178,16 +178,16 @@ def test_things_know_their_places_in_frames(duck, tmp_path) -> None:
     assert kinds == {"capture", "mesh", "scene"}
 
 
-def test_what_finds_no_room_is_left_out_and_named(duck) -> None:
-    """Objects as large as the scene; the view is there without them."""
-    objects = ls.config.DatasetObjects(files=(duck,), count=(2, 2), size=(2.0, 2.0))
+def test_objects_without_free_space_are_left_out_and_named(object_file) -> None:
+    """The view is made without objects as large as the scene."""
+    objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 2), size=(2.0, 2.0))
     view = views_of(small_config(objects=objects))[0]
     assert view.left_out == ("duck", "duck") and len(view.things) == 2
 
 
-def test_a_view_follows_from_its_number_alone(duck) -> None:
-    """However many views there are, whichever came before, and whatever another group of settings says."""
-    objects = ls.config.DatasetObjects(files=(duck,))
+def test_view_depends_only_on_its_index(object_file) -> None:
+    """Neither the number of views, nor earlier views, nor other groups of settings change it."""
+    objects = ls.config.DatasetObjects(files=(object_file,))
     config = small_config(objects=objects, lights=ls.config.DatasetLights(lamps=(1, 2)))
     views = ls.dataset.DatasetViews(block_scene(), config, device="cpu")
     first = [views.view(index) for index in (0, 3)]
@@ -204,31 +204,31 @@ def test_a_view_follows_from_its_number_alone(duck) -> None:
 
 
 def test_lights_are_within_their_ranges() -> None:
-    """Suns by elevation, lux and angle; lamps by what they give the middle; a sky where there is no environment."""
+    """Suns by elevation, lux and angle; point lights by illuminance at the middle; a sky if there is no environment."""
     lights = ls.config.DatasetLights(
         suns=(1, 2), sun_elevation=(30.0, 60.0), sun_lux=(2.0, 3.0), lamps=(1, 1), tint=0.1
     )
     for view in views_of(small_config(lights=lights)):
         suns = [light for light in view.scene.lights if isinstance(light, LightDirectional)]
-        (lamp,) = [light for light in view.scene.lights if isinstance(light, LightPoint)]
+        (point_light,) = [light for light in view.scene.lights if isinstance(light, LightPoint)]
         (sky,) = [light for light in view.scene.lights if isinstance(light, LightEnvironment)]
         assert 1 <= len(suns) <= 2 and 0.1 <= sky.intensity <= 0.5 and not sky.visible
         for sun in suns:
             assert 30.0 - 1e-6 <= math.degrees(math.asin(-sun.direction[1])) <= 60.0 + 1e-6
             assert 2.0 <= sun.intensity <= 3.0 and min(sun.color) >= 0.9
-        distance = np.linalg.norm(np.array(lamp.position) - (0.0, 0.5, 0.0))
-        assert 1.0 <= lamp.intensity / distance**2 <= 4.0 and lamp.position[1] >= 0.5
+        distance = np.linalg.norm(np.array(point_light.position) - (0.0, 0.5, 0.0))
+        assert 1.0 <= point_light.intensity / distance**2 <= 4.0 and point_light.position[1] >= 0.5
 
 
-def test_environments_are_turned_about_the_vertical() -> None:
-    """The scene's own, too: up stays up, brightness is within its range, and other lights stay as they are."""
+def test_environments_are_rotated_about_the_vertical() -> None:
+    """Also the scene's own; brightness is within its range, and other lights are unchanged."""
     own = (ls.LightEnvironment(intensity=2.0), ls.LightPoint((0.0, 3.0, 0.0)))
     angles = set()
     for view in views_of(
         small_config(lights=ls.config.DatasetLights(brightness=(0.5, 0.6))), replace(block_scene(), lights=own)
     ):
-        environment, lamp = view.scene.lights
-        assert isinstance(environment, LightEnvironment) and lamp is own[1]
+        environment, point_light = view.scene.lights
+        assert isinstance(environment, LightEnvironment) and point_light is own[1]
         w, x, y, z = np.asarray(environment.rotation_wxyz, np.float64)
         assert x == pytest.approx(0.0) and z == pytest.approx(0.0)
         assert 1.0 <= environment.intensity <= 1.2
@@ -242,20 +242,20 @@ def test_environments_are_turned_about_the_vertical() -> None:
     )
 
 
-def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(duck) -> None:
-    """Without anything to light, no lights; with objects, a sun, a sky, and captures that are darkened by shadows."""
+def test_captures_alone_stay_unlit_and_receive_the_shadows_of_objects(object_file) -> None:
+    """A scene of captures gets no lights; with inserted objects, a sun, a sky, and captures as shadow catchers."""
     capture = ls.Scene([random_gaussians(1, count=300)])
     poses = ls.config.DatasetPoses(seen=0.0)
     assert views_of(small_config(poses=poses), capture)[0].scene.lights == ()
-    objects = ls.config.DatasetObjects(files=(duck,), count=(1, 1))
+    objects = ls.config.DatasetObjects(files=(object_file,), count=(1, 1))
     view = views_of(small_config(poses=poses, objects=objects), capture)[0]
     assert len(view.scene.lights) == 2 and view.scene.splats[0].shadow_catcher
     kept = replace(objects, shadows=False)
     assert not views_of(small_config(poses=poses, objects=kept), capture)[0].scene.splats[0].shadow_catcher
 
 
-def test_impossible_poses_are_one_line() -> None:
-    """What is wrong with all of them, and what to change."""
+def test_impossible_poses_are_explained_in_one_line() -> None:
+    """The message says what is wrong with the poses and what to change."""
     views = ls.dataset.DatasetViews(block_scene(), small_config(poses=ls.config.DatasetPoses(seen=1.0)), device="cpu")
     with pytest.raises(
         ls.SceneError, match=r"view 5: none of 200 poses is usable: .* poses\.seen requires 1: lower"
@@ -270,14 +270,14 @@ def _corners(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T
 
 
-def test_the_block_is_where_it_is_said_to_be() -> None:
-    """The formula of free space is of the scene."""
+def test_known_block_is_where_the_scene_has_it() -> None:
+    """The known free space of the other tests is that of the scene."""
     low, high = block_scene().meshes[1].bounds()
     np.testing.assert_allclose([low, high], [BLOCK_LOW, BLOCK_HIGH], atol=1e-6)
 
 
-def test_the_box_of_a_capture_holds_all_but_its_strays() -> None:
-    """999 of 1,000 Gaussians are in a cube, one is far away: a box may miss 1 % of the cube's side at each end."""
+def test_box_of_a_capture_ignores_stray_gaussians() -> None:
+    """999 of 1,000 Gaussians are in a cube; the box is within 1 % of the cube at each end."""
     captured = random_gaussians(5, count=1000)
     means = np.random.default_rng(2).uniform(-1.0, 1.0, (1000, 3)).astype(np.float32)
     means[0] = 50.0

@@ -1,4 +1,4 @@
-"""The demo scene: complete, within its promises, and solid from its own cameras."""
+"""The demo scene: contents, exposure, and views without holes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lumisplat.math.color import decode_srgb
 from support.kinds import pbr_of
 
 
-def test_demo_scene_has_what_it_promises(demo: ls.Scene) -> None:
-    """One set of 150,000 to 300,000 Gaussians with surface data, some meshes, all in a room of a few metres."""
+def test_demo_scene_has_its_documented_contents(demo: ls.Scene) -> None:
+    """One set of 150,000 to 300,000 Gaussians with surface data, and some meshes, in a room of a few metres."""
     assert len(demo.splats) == 1
     assert 150_000 <= demo.gaussian_count <= 300_000
     assert {instance.name for instance in demo.meshes} == {"white paint", "striped glass", "brass", "aquamarine"}
@@ -27,8 +27,8 @@ def test_demo_scene_has_what_it_promises(demo: ls.Scene) -> None:
     assert (high < [3.0, 4.0, 3.5]).all()
 
 
-def test_the_room_is_seen_from_inside() -> None:
-    """Walls, niche and floor face their middle: the sun must not shine on the outside of what is seen from within."""
+def test_surfaces_of_the_room_face_inwards() -> None:
+    """Otherwise the sun would light the outside of walls that are seen from inside."""
     rng = np.random.default_rng(0)
     room, niche = (-0.05, 1.2, 0.0), (demo_room.NICHE_X, 0.9, demo_room.BACK - 0.1)
     walls = [*demo_room.side_walls(rng), demo_room.back_wall(rng), demo_room.floor(rng)]
@@ -48,7 +48,7 @@ def test_demo_is_made_of_different_materials(demo: ls.Scene) -> None:
 
 
 def test_baked_daylight_only_darkens_the_albedo(demo: ls.Scene) -> None:
-    """Display colour is albedo times a light of 0..1, and that light varies: there is sun and shade."""
+    """The display colour is albedo times light of 0..1, with both sun and shade."""
     gaussians = demo.splats[0].gaussians
     assert gaussians.albedo is not None
     shown = decode_srgb(np.clip(gaussians.sh[:, 0] * SH_C0 + 0.5, 0.0, 1.0)).sum(axis=1)
@@ -72,7 +72,7 @@ def test_demo_cameras_are_named_and_start_with_the_hero() -> None:
 
 
 def test_every_view_of_the_demo_is_filled_without_holes(demo: ls.Scene) -> None:
-    """Behind every pixel of every view there is something opaque."""
+    """Every pixel of every view is opaque."""
     renderer = ls.create_renderer(device="cpu")
     for camera in ls.demo_cameras(480, 270):
         frame = renderer.render(demo, camera)
@@ -91,12 +91,12 @@ def test_demo_reports_progress(demo_and_progress: tuple[ls.Scene, list[float]]) 
 
 @pytest.fixture(scope="module")
 def lit(demo: ls.Scene) -> ls.Scene:
-    """The scene in the evening."""
+    """Demo scene under evening light."""
     return ls.demo_scene_lit(demo)
 
 
-def test_relit_demo_holds_the_same_things(demo: ls.Scene, lit: ls.Scene) -> None:
-    """Room and garden are the capture, meshes are where they were; a mirror, glass, and three kinds of light."""
+def test_relit_demo_has_the_same_capture_and_meshes(demo: ls.Scene, lit: ls.Scene) -> None:
+    """Meshes are at the same positions; there is a mirror, glass, and three kinds of lights."""
     assert [instance.name for instance in lit.splats] == ["room", "garden"]
     means = np.concatenate([instance.gaussians.means for instance in lit.splats])
     np.testing.assert_array_equal(means, demo.splats[0].gaussians.means)
@@ -111,7 +111,7 @@ def test_relit_demo_holds_the_same_things(demo: ls.Scene, lit: ls.Scene) -> None
 
 
 def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
-    """Where all lights are off, the room is black, and the garden shines as in a picture without lights."""
+    """With all lights off, the room is black, and the garden emits its captured radiance."""
     camera = ls.demo_cameras(160, 90, count=1)[0]
     off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
     dark = ls.render(off, camera, ls.RenderConfig(shadows=ls.Shadows.OFF), device="cpu")
@@ -128,7 +128,7 @@ def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
 
 
 def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
-    """From every camera, most of the picture is neither black nor white, and warm and cool light are both there."""
+    """From every camera, most pixels are neither black nor white, and both warm and cool light are visible."""
     config = ls.RenderConfig(shadows=ls.Shadows.OFF, tone_map=ls.ToneMap.NEUTRAL, samples=2)
     renderer = ls.create_renderer(config, "cpu")
     for camera in ls.demo_cameras(160, 90):
@@ -142,7 +142,7 @@ def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
 
 
 def test_y_is_up(demo_and_progress: tuple[ls.Scene, list[float]]) -> None:
-    """The capture says so, also where it is taken out of the scene: nothing has to be guessed."""
+    """The capture states its up direction, also outside of the scene."""
     scene = demo_and_progress[0]
     for shown in (scene, ls.demo_scene_lit(), ls.Scene(splats=scene.splats)):
         assert (shown.up_direction, shown.up_source) == ((0.0, 1.0, 0.0), "capture")

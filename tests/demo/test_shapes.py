@@ -35,14 +35,14 @@ CLOSED: dict[str, tuple[Callable[[], Mesh], int, float | None, float | None]] = 
 
 
 def euler_characteristic(mesh: Mesh) -> int:
-    """V - E + F of the mesh with equal positions made one."""
+    """Returns V - E + F of the mesh with equal positions merged."""
     faces = welded_indices(mesh)
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     return np.unique(faces).size - np.unique(edges, axis=0).shape[0] + faces.shape[0]
 
 
 def directed_edges(mesh: Mesh) -> set[tuple[int, int]]:
-    """All (start, end) of all triangles."""
+    """Returns the (start, end) edges of all triangles."""
     faces = welded_indices(mesh)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     assert len(edges) == len({*map(tuple, edges.tolist())}), "an edge is used twice in one direction"
@@ -50,7 +50,7 @@ def directed_edges(mesh: Mesh) -> set[tuple[int, int]]:
 
 
 def volume_and_area(mesh: Mesh) -> tuple[float, float]:
-    """Signed volume (divergence theorem) and area."""
+    """Returns the signed volume (divergence theorem) and the area."""
     a, b, c = mesh.positions.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     cross = np.cross(b - a, c - a)
     return float((a * cross).sum() / 6.0), float(0.5 * np.linalg.norm(cross, axis=1).sum())
@@ -108,13 +108,13 @@ def test_smooth_normals_match_the_gradient(mesh: Mesh, expected: Callable) -> No
 
 
 def shapes_ring(points: np.ndarray) -> np.ndarray:
-    """Nearest points on the centre line of a torus of major radius 1."""
+    """Returns the nearest points on the centre line of a torus of major radius 1."""
     flat = points * (1.0, 0.0, 1.0)
     return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
 
-def test_turned_profile_is_smooth_across_its_seam_and_even_in_v() -> None:
-    """First and last column share their normals, and v grows with the length of the profile, not with its rows."""
+def test_lathe_is_smooth_across_its_seam_with_v_by_arc_length() -> None:
+    """First and last column share their normals; v follows the profile's length, not its rows."""
     mesh = shapes.lathe([(0.2, 1.0), (0.3, 0.9), (0.3, 0.0)], columns=8)
     assert mesh.normals is not None and mesh.uvs is not None
     normals = mesh.normals.reshape(3, 9, 3)
@@ -124,8 +124,8 @@ def test_turned_profile_is_smooth_across_its_seam_and_even_in_v() -> None:
     np.testing.assert_allclose(mesh.uvs.reshape(3, 9, 2)[:, 0, 1], [0.0, first / (first + 0.9), 1.0], atol=1e-6)
 
 
-def test_spiral_shell_turns_its_outside_out() -> None:
-    """The open shell's normals point away from the centre line of its tube."""
+def test_normals_of_the_spiral_shell_point_outwards() -> None:
+    """Normals of the open shell point away from the centre line of its tube."""
     mesh = shapes.spiral_shell()
     assert mesh.normals is not None
     rows = mesh.positions.reshape(33, -1, 3)

@@ -1,4 +1,4 @@
-"""The rules of the house, read off the source: which way imports point, and where launches and allocations happen."""
+"""Architecture rules checked on the source: direction of imports, and where launches and allocations are."""
 
 from __future__ import annotations
 
@@ -96,18 +96,18 @@ LAYERS = (
     "cli",
     "__main__",
 )
-"""Folders from the bottom to the top: a module imports from its own folder and from those before it.
+"""Folders from the bottom to the top; a module imports from its own folder and from earlier ones.
 
 ``public`` is ``import lumisplat`` and its names.
 """
 
 PUBLIC = {"avatars", "editing", "farm", "gradients", "inverse", "layers", "rays"}
-"""Modules that only name what users import from them; packages such as ``io`` do so lazily."""
+"""Modules that only re-export names for users; packages such as ``io`` do so lazily."""
 
 HOST_ONLY = {
     "constants", "errors", "lazy", "memory", "progress", "config", "math", "scene", "demo", "metrics", "io", "frame"
 }  # fmt: skip
-"""Top folders that neither import Warp nor what does."""
+"""Top folders that import neither Warp nor modules that import it."""
 
 MORE_NARROW = {
     "constants": {"constants"},
@@ -128,50 +128,53 @@ MORE_NARROW = {
         "shadow_maps",
     },
     "palette": {"constants", "errors", "runtime", "device", "kernels", "palette"},
-    "io": HOST_ONLY | {"palette"},  # as it writes SOG; see test_warp_stays_out_of_what_needs_none
+    "io": HOST_ONLY | {"palette"},  # as it writes SOG; see test_host_only_folders_do_not_load_warp
     "viewer": {"public", "viewer"},
     "cli": {"public", "io", "cli"},  # of io, documented functions
     "__main__": {"cli"},
 } | dict.fromkeys(HOST_ONLY - {"constants", "io"}, HOST_ONLY)
-"""Top folder or kind of file -> the top folders that it may import, where the order alone would allow more."""
+"""Allowed imports of a top folder or kind of file, where the order of layers alone would allow more."""
 
 
 DOCUMENTED = {"config.setting"}
-"""Modules that every folder above them may import, the command line and the viewer too."""
+"""Modules that every folder above them may import, including the command line and the viewer."""
 
 
 def module_name(path: Path) -> str:
-    """Dotted name below the package, e.g. ``scene.camera``."""
+    """Returns the dotted name below the package, e.g. ``scene.camera``."""
     parts = path.relative_to(PACKAGE).with_suffix("").parts
     return ".".join(part for part in parts if part != "__init__")
 
 
 def layer(name: str) -> str:
-    """The layer of a module: the longest of `LAYERS` that its dotted name starts with."""
+    """Returns the layer of a module: the longest of `LAYERS` that its dotted name starts with."""
     if not name or name in PUBLIC:
         return "public"
     return max((layer for layer in LAYERS if name == layer or name.startswith(f"{layer}.")), key=len)
 
 
 def kind(name: str) -> str:
-    """What `MORE_NARROW` goes by: the kernels, or the top folder."""
+    """Returns the key of `MORE_NARROW` for a module: ``kernels``, or its top folder."""
     if name in PUBLIC:
         return "public"
     return "kernels" if name.endswith("_kernels") else name.partition(".")[0] or "public"
 
 
 def tree(path: Path) -> ast.Module:
-    """A file's syntax."""
+    """Returns the syntax tree of a file."""
     return ast.parse(path.read_text(), filename=str(path))
 
 
 def is_type_checking(node: ast.AST) -> bool:
-    """``if TYPE_CHECKING:``."""
+    """Returns whether a node is ``if TYPE_CHECKING:``."""
     return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
 def imports(node: ast.AST, lazy: bool = False, typing: bool = False) -> Iterator[tuple[str, bool]]:
-    """Full names of what a file imports at run time, or with ``typing`` for type checkers too, and if in a function."""
+    """Yields the full name of each run-time import, and whether it is inside a function.
+
+    ``typing`` adds the imports for type checkers.
+    """
     for child in ast.iter_child_nodes(node):
         if is_type_checking(child) and not typing:
             continue
@@ -185,7 +188,7 @@ def imports(node: ast.AST, lazy: bool = False, typing: bool = False) -> Iterator
 
 
 def imported_modules(path: Path, typing: bool = False) -> Iterator[str]:
-    """Dotted names below the package of our modules that a file imports, lazily or not, see `imports`."""
+    """Yields the dotted names of our modules that a file imports, see `imports`."""
     for full, _ in imports(tree(path), typing=typing):
         head, *rest = full.split(".")
         if head == "lumisplat":
@@ -198,14 +201,14 @@ def imported_modules(path: Path, typing: bool = False) -> Iterator[str]:
 
 
 def calls(path: Path) -> Iterator[tuple[str, int]]:
-    """Dotted names of what a file calls, and on which line."""
+    """Yields the dotted name and line of each call in a file."""
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.Call):
             yield ast.unparse(node.func), node.lineno
 
 
 def broken_imports(path: Path) -> Iterator[str]:
-    """What a file imports against the order of the layers."""
+    """Yields the imports of a file that break the order of the layers."""
     name = module_name(path)
     allowed = MORE_NARROW.get(kind(name))
     for target in imported_modules(path):
@@ -214,8 +217,8 @@ def broken_imports(path: Path) -> Iterator[str]:
             yield f"{name} imports {target}"
 
 
-def test_imports_point_one_way() -> None:
-    """A module imports from its own layer and from those below it, also inside functions; the front door is lazy."""
+def test_modules_import_only_their_own_and_lower_layers() -> None:
+    """Also inside functions; ``lumisplat/__init__.py`` imports lazily."""
     inner = [path for path in FILES if module_name(path)]
     assert not [line for path in inner for line in broken_imports(path)]
     front = tree(PACKAGE / "__init__.py")
@@ -226,8 +229,8 @@ def test_imports_point_one_way() -> None:
     ]
 
 
-def test_no_modules_import_each_other() -> None:
-    """The imports of modules form no circle, counting those inside functions and those for type checkers."""
+def test_imports_have_no_cycles() -> None:
+    """Counts imports inside functions and those for type checkers."""
     targets = {module_name(path): {*imported_modules(path, typing=True)} - {module_name(path), ""} for path in FILES}
     done: set[str] = set()
     while ready := {name for name in targets.keys() - done if targets[name] & targets.keys() <= done}:
@@ -235,8 +238,8 @@ def test_no_modules_import_each_other() -> None:
     assert not targets.keys() - done
 
 
-def test_warp_stays_out_of_what_needs_none() -> None:
-    """No module of the host-only folders names Warp, and importing all of them does not load it by a detour."""
+def test_host_only_folders_do_not_load_warp() -> None:
+    """Neither directly nor indirectly."""
     files = [path for path in FILES if kind(module_name(path)) in HOST_ONLY]
     for path in files:
         assert not [full for full, _ in imports(tree(path)) if full.split(".")[0] == "warp"], path
@@ -254,20 +257,20 @@ assert "lumisplat.renderer" not in sys.modules
     assert done.returncode == 0, done.stderr
 
 
-def test_import_is_light() -> None:
-    """``import lumisplat`` alone loads neither NumPy nor anything heavier."""
+def test_import_loads_no_heavy_packages() -> None:
+    """``import lumisplat`` loads neither NumPy nor anything heavier."""
     heavy = "{'numpy', 'warp', 'zstandard', 'PIL', 'OpenEXR', 'rich'}"
     program = f"import sys, lumisplat; print(sorted({heavy} & set(sys.modules)))"
     assert subprocess.check_output([sys.executable, "-c", program], text=True).strip() == "[]"
 
 
 def is_device_code(path: Path) -> bool:
-    """Whether a file is compiled by Warp: kernels, or functions and structs of ``device``."""
+    """Returns whether Warp compiles a file: kernels, or functions and structs of ``device``."""
     return path.name.endswith("_kernels.py") or module_name(path).startswith("device.")
 
 
 def misplaced_device_code(path: Path) -> Iterator[str]:
-    """Launches, kernels and device functions where they do not belong."""
+    """Yields launches, kernels and device functions outside of their files."""
     name = module_name(path)
     if name != "runtime.launcher":
         for call, line in calls(path):
@@ -282,8 +285,8 @@ def misplaced_device_code(path: Path) -> Iterator[str]:
                 yield f"{name}:{node.lineno} {node.name} is a wp.func"
 
 
-def test_launches_and_kernels_have_one_home() -> None:
-    """Launches and graph captures happen in launcher.py only, kernels are defined in *_kernels.py only."""
+def test_launches_and_kernels_are_only_in_their_files() -> None:
+    """Launches and graph captures are in launcher.py, kernels in *_kernels.py."""
     assert not [line for path in FILES for line in misplaced_device_code(path)]
 
 
@@ -291,8 +294,8 @@ ALLOCATORS = {f"wp.{name}" for name in ("zeros", "empty", "full", "ones", "array
 ALLOCATORS |= {f"wp.{name}_like" for name in ("zeros", "empty", "full", "ones")} | {"DeviceArray"}
 
 
-def test_frames_allocate_in_buffers_only() -> None:
-    """Memory is allocated in buffers.py, assets.py, struct_tables.py and downloads.py (host copies) only."""
+def test_device_memory_is_allocated_only_in_its_files() -> None:
+    """These are buffers.py, assets.py, struct_tables.py, and downloads.py for host copies."""
     offenders = []
     for path in FILES:
         # In device code, wp.array(dtype=...) is the type of a parameter.
@@ -303,7 +306,7 @@ def test_frames_allocate_in_buffers_only() -> None:
 
 
 def undocumented(path: Path) -> Iterator[str]:
-    """Public names of a file that do not say what they are."""
+    """Yields the public names of a file without a docstring."""
     module = tree(path)
     if module.body and not ast.get_docstring(module):
         yield f"{path}: the module"
@@ -317,18 +320,18 @@ def undocumented(path: Path) -> Iterator[str]:
 
 
 def test_public_code_is_documented() -> None:
-    """Every module, and every public class, function, method and property, says what it is."""
+    """Every module, public class, function, method and property has a docstring."""
     assert not [name for path in FILES for name in undocumented(path)]
 
 
-def test_folders_say_what_lives_there() -> None:
-    """The ``__init__`` of every folder says in a sentence what lives there."""
+def test_every_folder_is_documented() -> None:
+    """The ``__init__`` of every folder describes its content."""
     folders = {path.parent for path in FILES}
     assert not [str(folder) for folder in folders if not ast.get_docstring(tree(folder / "__init__.py"))]
 
 
 def test_config_fields_are_documented() -> None:
-    """Every setting says what it does, right below its name."""
+    """Every setting has a docstring right below its name."""
     for node in (node for path in PACKAGE.glob("config/*.py") for node in ast.walk(tree(path))):
         if isinstance(node, ast.ClassDef):
             for field, after in zip(node.body, [*node.body[1:], None], strict=True):
@@ -337,8 +340,8 @@ def test_config_fields_are_documented() -> None:
                     assert documented, f"{node.name}.{ast.unparse(field.target)} has no docstring"
 
 
-def test_the_rules_can_fail(tmp_path: Path) -> None:
-    """The readers of imports and calls find what is there, and skip what is for type checkers only."""
+def test_import_and_call_readers_find_all_cases(tmp_path: Path) -> None:
+    """Imports for type checkers are skipped by default."""
     path = tmp_path / "sample.py"
     path.write_text(
         "from typing import TYPE_CHECKING\nimport warp as wp\n"
@@ -365,10 +368,10 @@ def test_the_rules_can_fail(tmp_path: Path) -> None:
         ("scene/sample.py", '"""Module."""\ndef f():\n    pass\n', "sample.py: f"),
     ],
 )
-def test_offenders_are_named(
+def test_broken_rules_name_the_offender(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, source: str, offence: str
 ) -> None:
-    """Rules on imports, launches, device code and docstrings, each broken once, name what broke them."""
+    """Rules on imports, launches, device code and docstrings are each broken once."""
     package = tmp_path / "lumisplat"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / place).write_text(source)

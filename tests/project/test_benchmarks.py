@@ -1,4 +1,4 @@
-"""The benchmarks run on any device, and time stages where a GPU does not time them by itself."""
+"""Benchmarks run on any device, and report stage times also where a GPU does not time stages itself."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ CPU_ONLY = {"mitsuba_peer.py"}
 
 
 def renderer_as_on_a_gpu(config: ls.RenderConfig | None = None, device: str = "auto", **options: Any) -> ls.Renderer:
-    """One that times its stages if it is told to, as on CUDA."""
+    """Returns a renderer that times its stages only on request, as on CUDA."""
     launcher = GraphLauncher()
     launcher.profile = bool(options.get("profile"))
     return ls.Renderer(config or ls.RenderConfig(), launcher)
 
 
 @pytest.mark.parametrize("path", sorted(BENCH.glob("*.py")), ids=lambda path: path.name)
-def test_no_benchmark_is_bound_to_the_cpu(path: Path) -> None:
-    """Each takes its device from the command line."""
+def test_every_benchmark_has_a_device_option(path: Path) -> None:
+    """No source names the CPU as a fixed device."""
     if path.name not in CPU_ONLY:
         assert not re.search(r"device=\"cpu\"|_renderer\([^)]*\"cpu\"", path.read_text())
 
 
-def test_devices_that_are_not_there_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """In one line, with those that are."""
+def test_missing_devices_are_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    """The message lists the available devices."""
     with pytest.raises(SystemExit):
         timing.parser("run", None).parse_args(["--device", "cuda:99"])
     assert "there is no device 'cuda:99' on this machine: use auto or one of cpu" in capsys.readouterr().err
@@ -43,7 +43,7 @@ def test_devices_that_are_not_there_are_refused(capsys: pytest.CaptureFixture[st
 
 
 def test_stages_are_timed_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A frame there has no stage times: those of one that waits are reported, and the frame's own time is not its."""
+    """Stage times come from a synchronised frame, the frame time from another one."""
     monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
     case = raster_scenes.cases()[3]
     timed = timing.TimedRenderer(case.config, "cuda").render(case.scene, case.camera)
@@ -53,18 +53,18 @@ def test_stages_are_timed_on_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
     assert timed.wall_ms > 0.0
 
 
-def test_bench_command_lists_stages_of_a_gpu(
+def test_bench_command_lists_gpu_stage_times(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """So does the command."""
+    """The command ``lumisplat bench`` prints the stages of a GPU frame."""
     monkeypatch.setattr(ls, "create_renderer", renderer_as_on_a_gpu)
     ls.save(tmp_path / "capture.ply", raster_scenes.random_gaussians(1, 20))
     assert main(["bench", str(tmp_path / "capture.ply"), "--width", "32", "--repeats", "2"]) == 0
     assert "composite" in capsys.readouterr().out
 
 
-def test_all_benchmarks_are_listed_with_a_line() -> None:
-    """``python -m bench`` names each command of the docs that is not of an earlier revision, and how long it runs."""
+def test_every_documented_benchmark_is_listed() -> None:
+    """``python -m bench`` names each current command of the docs and its run time."""
     listed = benchmarks()
     assert {"bench.run", "bench.first_light", "bench.realtime_truth.bias"} <= listed.keys()
     assert not [name for name, line in listed.items() if not re.search(r"\(.*(second|minute)s?\b.*\)\.$", line)]

@@ -1,4 +1,4 @@
-"""What must pass before a change is taken is one list, in the Makefile and in the pre-commit hooks."""
+"""The Makefile and the pre-commit hooks run the same checks."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ TOOLS = {"ruff", "pyright", "typos", "check-added-large-files"}
 
 
 def commands_of_make() -> list[str]:
-    """The commands of ``make check`` in order, from the tool's name on."""
+    """Returns the commands of ``make check`` in order, without the path of the tool."""
     recipe = re.search(r"^check:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
     assert recipe
     return re.findall(r"\$\(BIN\)/(.*)", recipe[1])
 
 
 def commands_of_hooks() -> list[str]:
-    """The same of the pre-commit hooks."""
+    """Returns the commands of the pre-commit hooks in order."""
     return re.findall(r"entry: \.venv/bin/(.*)", (ROOT / ".pre-commit-config.yaml").read_text())
 
 
 def test_hooks_and_make_run_the_same_commands() -> None:
-    """Tools, arguments and order agree."""
+    """Tools, arguments and order are equal."""
     assert commands_of_hooks() == commands_of_make()
     assert {command.split()[0] for command in commands_of_make()} == TOOLS
 
 
-def test_versions_of_the_tools_are_held() -> None:
-    """The extra [dev] pins each tool: a new version's new rules must not fail a check that nobody touched."""
+def test_tool_versions_are_pinned() -> None:
+    """The extra [dev] pins each tool, so that new rules of a release cannot fail a check."""
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     held = {re.split(r"[\[=]", requirement)[0] for requirement in extras["dev"] if "==" in requirement}
     assert held == {"ruff", "pyright", "typos", "pre-commit", "pre-commit-hooks"}

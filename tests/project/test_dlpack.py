@@ -1,4 +1,4 @@
-"""Arrays of other packages: whatever has ``__dlpack__`` is an array, wherever the Python interface takes one."""
+"""Arrays of other packages: any object with ``__dlpack__`` is accepted as an array."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POINTS = RNG.normal(size=(5, 3))
 
 
 class Foreign:
-    """An array of a package that has DLPack and nothing else."""
+    """Array type with DLPack and nothing else."""
 
     def __init__(self, values: Any, device: int = 1) -> None:
         self._values, self._device = np.array(values), device
@@ -108,7 +108,7 @@ TAKERS: dict[str, Callable[[Callable[[Any], Any]], Any]] = {
 
 
 def _same(one: Any, other: Any) -> None:
-    """Compares what was made from NumPy's arrays and from others."""
+    """Compares results of NumPy arrays and of foreign arrays."""
     if isinstance(one, np.ndarray):
         np.testing.assert_array_equal(one, other)
     elif isinstance(one, dict):
@@ -125,13 +125,13 @@ def _same(one: Any, other: Any) -> None:
 
 
 @pytest.mark.parametrize("name", TAKERS)
-def test_arrays_with_dlpack_are_arrays(name: str) -> None:
-    """They give the same as NumPy's with the same numbers."""
+def test_dlpack_arrays_give_the_same_as_numpy_arrays(name: str) -> None:
+    """Every function and class of the list takes both."""
     _same(TAKERS[name](np.asarray), TAKERS[name](Foreign))
 
 
-def test_memory_of_others_is_copied() -> None:
-    """What a scene has checked does not change afterwards."""
+def test_arrays_of_the_caller_are_copied() -> None:
+    """A scene does not change when the caller's array changes later."""
     means = Foreign(np.zeros((2, 3), np.float32))
     gaussians = ls.Gaussians(means, np.tile(WXYZ, (2, 1)), np.ones((2, 3)), np.ones(2), np.zeros((2, 1, 3)))  # pyright: ignore[reportArgumentType]
     means._values[:] = np.nan
@@ -139,7 +139,7 @@ def test_memory_of_others_is_copied() -> None:
 
 
 @pytest.mark.parametrize("take", ["Gaussians", "Mesh", "placement", "environment"])
-def test_memory_that_is_out_of_reach_is_named(take: str) -> None:
-    """One line, in place of a traceback, that says where an array is expected."""
+def test_arrays_in_inaccessible_memory_are_refused(take: str) -> None:
+    """One line, without a traceback, says where an array is expected."""
     with pytest.raises(ls.SceneError, match=r"cannot be read \(this memory is on a GPU\): copy it to the CPU"):
         TAKERS[take](lambda values: Foreign(values, device=2))

@@ -1,4 +1,4 @@
-"""What README and guide say is true: their Python runs, their links lead somewhere, their options exist."""
+"""README and guide are correct: their Python runs, their links exist, their options exist."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ COMMANDS = sorted({line for page in PAGES for line in re.findall(rf"lumisplat (?
 
 @pytest.fixture
 def beside(tmp_path, monkeypatch):
-    """A folder to be in, with a capture, meshes, a rig, frames, an environment, photographs and a camera file."""
+    """Working folder with a capture, meshes, a rig, frames, an environment, images and a camera file."""
     import trimesh
 
     from lumisplat.io.images.exr import write_exr
@@ -71,15 +71,15 @@ def beside(tmp_path, monkeypatch):
 @pytest.mark.parametrize("program", PROGRAMS)
 @pytest.mark.usefixtures("beside")
 def test_python_of_the_docs_runs(program):
-    """Every block marked runnable runs, beside a capture, a mesh and a camera file."""
+    """Runs every block marked runnable beside a capture, a mesh and a camera file."""
     exec(compile(program, "docs", "exec"), {})
 
 
 @pytest.mark.parametrize(("package", "program"), OTHERS_PROGRAMS)
 @pytest.mark.usefixtures("beside")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # others may leave files open
-def test_python_of_the_docs_runs_with_others(package, program):
-    """Every block marked runnable with a package runs where that is installed, and is Python where it is not."""
+def test_python_of_the_docs_runs_with_optional_packages(package, program):
+    """Runs blocks that need a package if it is installed, and only parses them otherwise."""
     compiled = compile(program, "docs", "exec")
     pytest.importorskip(package)
     if package == "av":
@@ -90,7 +90,7 @@ def test_python_of_the_docs_runs_with_others(package, program):
 
 @pytest.mark.parametrize("text", SCENE_FILES)
 def test_scene_files_of_the_docs_load(text, beside):
-    """Every TOML block marked runnable is a scene file, of which all loads."""
+    """Every TOML block marked runnable loads completely as a scene file."""
     (beside / "scene.toml").write_text(text)
     ls.load_config("scene.toml")
     ls.load_cameras("scene.toml")
@@ -99,14 +99,14 @@ def test_scene_files_of_the_docs_load(text, beside):
 
 
 def test_the_guide_shows_every_setting(tmp_path):
-    """The settings in the guide are those that are saved of the defaults: none is missing, or has changed since."""
+    """The guide's settings are exactly the saved defaults."""
     ls.save_config(tmp_path / "settings.toml", ls.RenderConfig())
     shown = (ROOT / "docs" / "guide" / "scenes.md").read_text()
     assert f"```toml\n{(tmp_path / 'settings.toml').read_text()}```" in shown
 
 
 def test_the_guide_shows_every_key_of_a_scene_file():
-    """Each key of entries, lights, materials, the environment and cameras is on the page about scene files."""
+    """Keys of entries, lights, materials, the environment and cameras are on the page about scene files."""
     from lumisplat.io.scene_toml import (
         assets,
         cameras as scene_cameras,
@@ -130,7 +130,7 @@ def test_the_guide_shows_every_key_of_a_scene_file():
 
 
 def test_the_guide_shows_every_key_of_an_animation():
-    """Each key of actors, their keyframes and the animation is on the page about them."""
+    """Keys of actors, keyframes and the animation are on the page about them."""
     from lumisplat.io.scene_toml.actors import ACTOR_KEYS, KEYFRAME_KEYS
     from lumisplat.io.scene_toml.scene_file import ANIMATION_KEYS
 
@@ -140,14 +140,14 @@ def test_the_guide_shows_every_key_of_an_animation():
 
 
 def test_all_python_of_the_docs_is_marked():
-    """A Python block that is not run is a claim that nothing checks."""
+    """No Python block is left unchecked."""
     blocks = sum(page.read_text().count("```python") for page in PAGES)
     assert len(PROGRAMS) + len(OTHERS_PROGRAMS) == blocks > 0
     assert len(SCENE_FILES) > 0
 
 
 def test_every_public_name_is_in_the_reference():
-    """The page on the Python API documents each public name by the path that users write, and each submodule."""
+    """The API page documents each public name by its import path, and each submodule."""
     listed = (ROOT / "docs" / "api.md").read_text()
     described = re.search(r"automodule:: lumisplat.errors\n +:members: (.*)", listed)
     assert described
@@ -162,15 +162,15 @@ def test_every_public_name_is_in_the_reference():
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_links_lead_somewhere(page):
-    """Relative links of a page exist."""
+def test_relative_links_of_the_docs_exist(page):
+    """Targets are files of the repository."""
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text()):
         assert (page.parent / target).exists(), target
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_options_of_the_docs_exist(command, capsys):
-    """Every option that the docs use is one that the command's help lists."""
+    """The command's help lists every option that the docs use."""
     words = command.split()
     assert main([*words[1 : 3 if words[1] == "farm" else 2], "--help"]) == 0
     listed = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""The examples run as they are."""
+"""The examples run unchanged."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ LONG = {
     "lights_of_a_photograph": {"width": 48, "samples": 2, "size": 32},
     "relight_a_figure": {"width": 48, "count": 2000},
 }
-"""Examples that take long, and what makes their pictures small."""
+"""Slow examples, with arguments that make their frames small."""
 TAKES_A_CAPTURE = ("compose_scene", "points_from_depth", "turntable")
 
 
 @pytest.mark.parametrize("name", TAKES_A_CAPTURE)
-def test_example_says_what_it_takes(name, monkeypatch):
-    """Without its argument, an example ends with a line on how to call it."""
+def test_example_without_arguments_prints_its_usage(name, monkeypatch):
+    """The program ends with one line of usage."""
     (example,) = (path for path in EXAMPLES if path.stem == name)
     monkeypatch.setattr("sys.argv", [str(example)])
     with pytest.raises(SystemExit, match=f"usage: python examples/{name}.py CAPTURE"):
@@ -42,13 +42,13 @@ def test_example_says_what_it_takes(name, monkeypatch):
 
 @pytest.fixture
 def demo_is_ready(demo, monkeypatch):
-    """Examples that take their scene from the demo find it built."""
+    """Gives examples the demo scene of the session."""
     monkeypatch.setattr(ls, "demo_scene", lambda: demo)
 
 
 @pytest.mark.parametrize("name", LONG)
 def test_long_example_runs_small(name, tmp_path, monkeypatch, demo_is_ready):
-    """With small pictures and coarse Gaussians, an example ends without an error and leaves a file in out/."""
+    """With small frames and few Gaussians, an example ends without an error and writes a file to out/."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ls, "gaussians_from_mesh", lambda mesh, count: gaussians_from_mesh(mesh, min(count, 500)))
     (example,) = (path for path in EXAMPLES if path.stem == name)
@@ -62,7 +62,7 @@ def test_long_example_runs_small(name, tmp_path, monkeypatch, demo_is_ready):
     [pytest.param(path, id=path.stem, marks=[pytest.mark.deep] if path.stem in LONG else []) for path in EXAMPLES],
 )
 def test_example_runs(example, tmp_path, monkeypatch, demo_is_ready):
-    """An example ends without an error and leaves a file in out/."""
+    """An example ends without an error and writes a file to out/."""
     monkeypatch.chdir(tmp_path)
     ls.save("capture.ply", random_gaussians(1, count=200))
     arguments = ["capture.ply"] if example.stem in TAKES_A_CAPTURE else []
@@ -71,8 +71,8 @@ def test_example_runs(example, tmp_path, monkeypatch, demo_is_ready):
     assert any((tmp_path / "out").rglob("*.*"))
 
 
-def test_a_walking_figure_stands_on_the_floor(tmp_path, monkeypatch):
-    """A rig begins with its lowest point at height 0."""
+def test_lowest_point_of_a_rig_is_on_the_floor(tmp_path, monkeypatch):
+    """Its height is 0 at time 0."""
     rig = TubeRig(clips={"bend": BEND})
     path = rig.write(tmp_path / "tube.glb")
     (example,) = (path for path in EXAMPLES if path.stem == "avatar_in_capture")

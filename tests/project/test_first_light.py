@@ -1,4 +1,4 @@
-"""The first run on a new device: whatever a step does, the others run and the report is written."""
+"""First run on a new device: a failing step does not stop other steps, and the report is written."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NAMES = ("raises", "dies", "hangs", "finds", "skips", "passes")
 
 
 def test_failing_steps_do_not_end_the_run(tmp_path: Path) -> None:
-    """An error, a crash and a hang each lose no more than what came after them in their own step."""
+    """An error, a crash or a hang loses only later results of the same step."""
     steps = [Step(name, f"support.failing_steps:{name}", 4.0 if name == "hangs" else 60.0) for name in NAMES]
     rows = run_steps(steps, Setting("cpu", [10], 32), tmp_path, 200.0)
     stored = [json.loads(line) for line in (tmp_path / "first_light.jsonl").read_text().splitlines()]
@@ -24,21 +24,21 @@ def test_failing_steps_do_not_end_the_run(tmp_path: Path) -> None:
     expected = {"raises": "failed", "dies": "failed", "hangs": "timed out", "finds": "wrong", "skips": "skipped"}
     assert status == {**expected, "passes": "ok"}
     for row in rows[:3]:
-        assert [finding.name for finding in row.findings] == ["before"], "what was found before the failure is kept"
+        assert [finding.name for finding in row.findings] == ["before"], "findings before the failure are kept"
     assert "the context is poisoned" in rows[0].problem
     text = (tmp_path / "first_light.md").read_text()
     assert "| hangs | timed out |" in text and "- **wrong** a pixel: [1.0, 2.0]" in text
 
 
 def test_steps_without_time_are_skipped(tmp_path: Path) -> None:
-    """The budget ends the run, not the machine's owner."""
+    """A step that exceeds the remaining budget does not start."""
     steps = [Step("late", "support.failing_steps:passes", 60.0)]
     (row,) = run_steps(steps, Setting("cpu", [10], 32), tmp_path, 1.0)
     assert (row.status, row.problem) == ("skipped", "no time")
 
 
 def test_rehearsal_on_the_cpu(tmp_path: Path) -> None:
-    """The command runs, and finds the schedule of GPUs right."""
+    """The command runs on a CPU with the schedule of GPUs."""
     command = [sys.executable, "-m", "bench.first_light", "--device", "cpu", "--out", str(tmp_path), "--every", "16"]
     done = subprocess.run(
         [*command, "--only", "machine", "small raster frames", "sorts, times", "--sizes", "1000"],
@@ -58,7 +58,7 @@ def test_rehearsal_on_the_cpu(tmp_path: Path) -> None:
 
 
 def test_steps_fit_the_time_that_a_machine_is_lent() -> None:
-    """What says whether anything is wrong comes first; all steps are functions that exist."""
+    """Correctness checks come before timings; all steps are existing functions."""
     import importlib
 
     for step in STEPS:

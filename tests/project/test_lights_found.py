@@ -1,4 +1,4 @@
-"""What is counted as found: lights at lamps, lamps with a light, degrees between suns."""
+"""Scores of estimated lights: lights near true ones, true lights found, and angles between suns."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FOUND = [(0.0, 2.0, 0.0), (3.0, 2.0, 0.0)]
 
 
 def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, float]], unit: float) -> dict:
-    """The row of a capture in which two lights and a sun from +x are found; the true sun is 30 degrees off."""
+    """Returns the score of a capture with two estimated lights and a sun from +x; the true sun is 30 degrees off."""
     lights = [ls.LightPoint(place) for place in FOUND]
     estimate = SimpleNamespace(lights=lights, evidence=np.array([0.3, 0.2]))
     sun = SimpleNamespace(light=ls.LightDirectional((-1.0, 0.0, 0.0)), confidence=0.5)
@@ -26,8 +26,8 @@ def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, fl
     return lights_found.found_lights(LitCapture("room 1", ls.Scene(), np.zeros(3), np.array(lamps), towards, unit))
 
 
-def test_lights_count_where_a_lamp_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Within 0.4 m of one, in the capture's own unit; a lamp that two lights are at is found once."""
+def test_lights_count_only_near_a_true_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within 0.4 m in the capture's own unit; a true light with two estimates counts as found once."""
     row = searched(monkeypatch, [(0.3, 2.0, 0.0), (0.0, 0.0, 3.0), (9.0, 0.0, 0.0)], 1.0)
     assert (row["lamps"], row["lamps_found"], row["lights"], row["lights_right"]) == (3, 1, 2, 1)
     assert searched(monkeypatch, [(0.3, 2.0, 0.0)], 0.5)["lights_right"] == 0
@@ -35,15 +35,15 @@ def test_lights_count_where_a_lamp_is(monkeypatch: pytest.MonkeyPatch) -> None:
     assert (both["lamps_found"], both["lights_right"]) == (1, 2)
 
 
-def test_the_table_sums_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Numbers are added over captures of a kind; of the suns' errors the median and the worst are given."""
+def test_table_sums_captures_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Counts are summed over captures of a kind; sun errors give the median and the maximum."""
     rows = [searched(monkeypatch, [(0.3, 2.0, 0.0)], 1.0) for _ in range(2)]
     assert rows[0]["degrees_off"] == pytest.approx(30.0, abs=0.1)
     assert lights_found.table(rows)[2:] == ["| room | 2 | 2 | 2 | 4 | 2 | 2 | 2 | 30.0 (at most 30.0) |"]
 
 
-def test_nothing_found_is_counted_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error is no light, and no sun is none."""
+def test_failed_estimates_count_as_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error gives no light, and None gives no sun."""
 
     def nothing(*_: object) -> None:
         raise ls.SceneError("no lamp found within 3 of (0, 0, 0)")

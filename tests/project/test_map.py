@@ -9,13 +9,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def folders_of_tree(package: Path) -> set[str]:
-    """Folders with modules, ``io/`` and ``io/gltf/``."""
+    """Returns the folders with modules, such as ``io/`` and ``io/gltf/``."""
     files = [path.relative_to(package) for path in package.rglob("*.py")]
     return {f"{'/'.join(path.parts[:depth])}/" for path in files for depth in (1, 2) if len(path.parts) > depth}
 
 
 def folders_of_map(page: str) -> set[str]:
-    """Folders that lines of the map begin with; those two spaces in are within the last one that is not."""
+    """Returns the folders at the start of the map's lines; indented ones belong to the last folder that is not."""
     found: set[str] = set()
     top = ""
     for indent, names in re.findall(r"^(|  )((?:[a-z_]+/(?: +|$))+)", page, re.MULTILINE):
@@ -26,7 +26,7 @@ def folders_of_map(page: str) -> set[str]:
 
 
 def test_the_map_names_every_folder() -> None:
-    """Each folder of the first two levels stands in the map, and nothing else does."""
+    """The map has exactly the folders of the first two levels."""
     page = (ROOT / "docs" / "architecture.md").read_text()
     shown = folders_of_map(page.partition("## The map")[2].split("```")[1])
     there = folders_of_tree(ROOT / "src" / "lumisplat")
@@ -35,7 +35,7 @@ def test_the_map_names_every_folder() -> None:
     assert not gone, f"docs/architecture.md's map names {', '.join(gone)}, which the package has not: remove them"
 
 
-def test_folders_are_read_off_the_map() -> None:
-    """A folder, one within it, and several on one line, but not the text behind them."""
+def test_map_reader_finds_nested_folders() -> None:
+    """Also several folders on one line, but not the text after them."""
     page = "io/        files\n  gltf/ usd/\n  ply.py    a module\n           and usd/ again\nmath/   numbers\n"
     assert folders_of_map(page) == {"io/", "io/gltf/", "io/usd/", "math/"}

@@ -1,4 +1,4 @@
-"""The pages of the method and the sources point to each other: what is cited exists."""
+"""Pages of the method and source files cite each other: every citation exists."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LABEL = re.compile(r"^\$\$ \(([\w-]+)\)$", re.MULTILINE)
 
 
 def texts() -> Iterator[tuple[Path, str]]:
-    """Every source, test and page of ours."""
+    """Returns the text of every source, test and page."""
     for folder, pattern in (
         *((name, "*.py") for name in ("src", "tests", "bench", "tools", "examples")),
         *(("docs", name) for name in ("*.md", "adr/*.md", "guide/*.md", "method/*.md")),
@@ -28,7 +28,7 @@ def texts() -> Iterator[tuple[Path, str]]:
 
 
 def anchors(page: Path) -> set[str]:
-    """Headings of a page as its links spell them, and labels of its equations."""
+    """Returns the headings of a page as links spell them, and the labels of its equations."""
     text = page.read_text()
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     return {re.sub(r"[^\w -]", "", heading).strip().lower().replace(" ", "-") for heading in headings} | {
@@ -36,8 +36,8 @@ def anchors(page: Path) -> set[str]:
     }
 
 
-def test_citations_of_the_method_lead_somewhere() -> None:
-    """Each page of docs/method that a source names exists, and its anchor is a heading or an equation on it."""
+def test_cited_method_pages_and_anchors_exist() -> None:
+    """An anchor is a heading or an equation of a page of docs/method."""
     known = {page.name: anchors(page) for page in METHOD}
     found = [(path, *match.groups()) for path, text in texts() for match in CITED.finditer(text)]
     assert len(found) > 30
@@ -49,8 +49,8 @@ def test_citations_of_the_method_lead_somewhere() -> None:
     assert not lost
 
 
-def test_files_that_are_named_exist() -> None:
-    """Each path of a page, test, benchmark or tool in sources and docs is there."""
+def test_named_files_exist() -> None:
+    """Each path of a page, test, benchmark or tool in sources and docs exists."""
     named = [(path, name) for path, text in texts() for name in NAMED.findall(text)]
     assert len(named) > 50
     assert not [f"{path.relative_to(ROOT)}: {name}" for path, name in named if not any(ROOT.glob(name))]
@@ -59,16 +59,16 @@ def test_files_that_are_named_exist() -> None:
 @pytest.mark.parametrize(
     "page", [*METHOD, ROOT / "CONTRIBUTING.md", ROOT / "docs" / "architecture.md"], ids=lambda page: page.stem
 )
-def test_pages_name_files_of_the_package(page: Path) -> None:
-    """Each page says where things are in the code, from the package's folder or the root, and all of it exists."""
+def test_method_pages_name_existing_source_files(page: Path) -> None:
+    """Each page names its source files, relative to the package or the root."""
     named = re.findall(r"`((?:[\w-]+/)+[\w-]*(?:\.py|\.md)?)`", page.read_text())
     assert named
     places = [ROOT / "src" / "lumisplat", ROOT]
     assert not [name for name in named if not any((place / name).exists() for place in places)]
 
 
-def test_equations_have_one_name() -> None:
-    """Labels of equations are unique over all pages, and every reference to one is to a label."""
+def test_equation_labels_are_unique_and_referenced() -> None:
+    """Labels are unique over all pages, and every reference has a label."""
     labels = [label for page in METHOD for label in LABEL.findall(page.read_text())]
     assert len(labels) == len(set(labels)) > 50
     referred = {name for page in METHOD for name in re.findall(r"\{eq\}`([\w-]+)`", page.read_text())}

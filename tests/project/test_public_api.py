@@ -1,4 +1,4 @@
-"""The names that others rely on: all there, true, sorted and documented."""
+"""Public names: all exist, sorted and documented."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ SUBMODULES = (
     "rays",
     "training",
 )
-"""Public modules: what more than the first ten minutes needs, by topic."""
+"""Public modules by topic, for everything beyond the first ten minutes."""
 
 PUBLIC = [("", name) for name in ls.__all__ if name not in SUBMODULES] + [
     (module, name) for module in SUBMODULES for name in getattr(ls, module).__all__
 ]
-"""Public names and their submodules."""
+"""Pairs of submodule and public name; "" is the top level."""
 
 
-def test_the_first_names_are_few() -> None:
-    """A user who types ``ls.`` finds what the first ten minutes need, and the submodules, in order."""
+def test_top_level_has_few_sorted_names() -> None:
+    """``ls`` has what the first programs use, and the submodules."""
     assert len(ls.__all__) <= 95
     assert ls.__all__ == sorted(ls.__all__)
     assert set(SUBMODULES) <= set(ls.__all__) <= set(dir(ls))
@@ -45,7 +45,7 @@ def test_the_first_names_are_few() -> None:
 
 @pytest.mark.parametrize(("module", "name"), PUBLIC)
 def test_every_name_resolves(module: str, name: str) -> None:
-    """Each public name is there, is called that, and has a docstring."""
+    """Each public name exists, has this ``__name__``, and has a docstring."""
     value = getattr(getattr(ls, module) if module else ls, name)
     assert inspect.getdoc(value)
     assert callable(value)
@@ -53,8 +53,8 @@ def test_every_name_resolves(module: str, name: str) -> None:
         assert value.__name__ == name
 
 
-def test_each_name_is_one_thing() -> None:
-    """A name that the top and a submodule have, or two submodules, means the same in both."""
+def test_a_name_means_the_same_in_all_modules() -> None:
+    """Names in several modules are the same object."""
     values: dict[str, object] = {}
     for module, name in PUBLIC:
         value = getattr(getattr(ls, module) if module else ls, name)
@@ -64,27 +64,27 @@ def test_each_name_is_one_thing() -> None:
 @pytest.mark.parametrize(
     "first", ["ls.Frame", "ls.load", "ls.render", "ls.create_renderer", "__import__('lumisplat.frame.frame')"]
 )
-def test_names_resolve_whatever_came_first(first: str) -> None:
-    """Names work as the first thing that a program asks for; `render` also once the package of that name is loaded."""
+def test_names_resolve_in_any_import_order(first: str) -> None:
+    """Each name may be the first one used; `render` also after the package of that name is loaded."""
     program = f"import lumisplat as ls; {first}; ls.create_renderer; assert callable(ls.render), ls.render"
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
 
 
 def test_star_import_gives_the_public_names() -> None:
-    """``from lumisplat import *`` brings every name, and no other."""
+    """``from lumisplat import *`` imports exactly ``__all__``."""
     names: dict[str, object] = {}
     exec("from lumisplat import *", names)
     assert set(names) - {"__builtins__"} == set(ls.__all__)
 
 
 def test_unknown_names_are_refused() -> None:
-    """A typo is an AttributeError that names it."""
+    """A typo raises an AttributeError that names it."""
     with pytest.raises(AttributeError, match="no attribute 'rendre'"):
         _ = cast(Any, ls).rendre
 
 
-def test_names_of_submodules_are_pointed_at() -> None:
-    """Who asks `ls` for a name that a submodule has reads where it is."""
+def test_missing_name_points_to_its_submodule() -> None:
+    """The AttributeError of a name that moved to a submodule says where it is."""
     with pytest.raises(AttributeError, match=r"no attribute 'psnr': it is lumisplat\.metrics\.psnr"):
         _ = cast(Any, ls).psnr
 
@@ -98,8 +98,8 @@ def test_names_of_submodules_are_pointed_at() -> None:
         ("DeviceError", RuntimeError),
     ],
 )
-def test_errors_form_a_tree(error: str, builtin: type) -> None:
-    """Every error is a LumisplatError, and what a caller who does not know us would expect."""
+def test_errors_have_the_expected_base_classes(error: str, builtin: type) -> None:
+    """Every error is a LumisplatError and the built-in error that callers expect."""
     assert issubclass(getattr(ls, error), ls.LumisplatError)
     assert issubclass(getattr(ls, error), builtin)
 
@@ -114,20 +114,20 @@ def test_errors_form_a_tree(error: str, builtin: type) -> None:
     ],
 )
 def test_settings_are_checked(settings: dict[str, float], message: str) -> None:
-    """A setting out of range is named with its value and its range."""
+    """The error names the setting, its value and its range."""
     with pytest.raises(ls.ConfigError, match=message):
         replace(ls.RasterConfig(), **settings)
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0), (0.0, 0.0, 1.1), (0.0, -0.1, 0.0), (float("nan"), 0.0, 0.0)])
 def test_backgrounds_are_checked(background: tuple[float, ...]) -> None:
-    """Three numbers in 0..1."""
+    """A background is three numbers in 0..1."""
     with pytest.raises(ls.ConfigError, match="background"):
         ls.RenderConfig(background=background)  # pyright: ignore[reportArgumentType]
 
 
 def test_missing_devices_are_named() -> None:
-    """A device that is not here is an error that lists those that are."""
+    """The error lists the available devices."""
     with pytest.raises(ls.DeviceError, match=r"there is no device 'cuda:97' on this machine: use auto or one of cpu"):
         ls.create_renderer(device="cuda:97")
     with pytest.raises(ls.DeviceError, match="no device 'tpu'"):

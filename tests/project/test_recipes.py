@@ -1,4 +1,4 @@
-"""Recipes of CONTRIBUTING name the files that they touch."""
+"""Recipes of CONTRIBUTING name the files that they change."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ SOURCE = ROOT / "src" / "lumisplat"
 
 
 def recipe(title: str) -> str:
-    """The text of a section of CONTRIBUTING."""
+    """Returns the text of a section of CONTRIBUTING."""
     return (ROOT / "CONTRIBUTING.md").read_text().split(f"## {title}\n")[1].split("\n## ")[0]
 
 
-def test_the_recipe_for_lights_names_every_file_that_knows_a_type_of_light() -> None:
-    """The numbered steps name the six files in which the newest type stands, by class, constant or kind."""
+def test_light_recipe_names_every_file_of_a_light_type() -> None:
+    """The steps name the six files that mention the newest light type, by class, constant or kind."""
     words = re.compile(r"\bLightDisk\b|\bLIGHT_DISK\b|\"disk\"")
     found = {
         path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if words.search(path.read_text("utf-8"))
@@ -25,8 +25,8 @@ def test_the_recipe_for_lights_names_every_file_that_knows_a_type_of_light() -> 
     assert len(found) <= 6
 
 
-def test_the_recipe_for_layers_names_every_file_of_a_layer() -> None:
-    """Every file with the name, the field or the array of a layer that all steps are about."""
+def test_layer_recipe_names_every_file_of_a_layer() -> None:
+    """The steps name every file with the name, field or array of a layer."""
     words = re.compile(r"\"reflection\"|\breflection: |\.reflection\b")
     found = {
         path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if words.search(path.read_text("utf-8"))

@@ -1,4 +1,4 @@
-"""Rooms of tools/make_relightable_room.py are what they say: our own path tracer sees the same of the same meshes."""
+"""Rooms of tools/make_relightable_room.py match our path tracer on the same meshes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tool():
 
 @pytest.fixture(scope="module")
 def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A mesh without a texture."""
+    """Returns a mesh without a texture."""
     import trimesh
 
     path = tmp_path_factory.mktemp("meshes") / "ball.obj"
@@ -42,7 +42,7 @@ def ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
-    """A set of two balls."""
+    """Room with two balls."""
     if importlib.util.find_spec("mitsuba") is None:
         pytest.skip("needs Mitsuba")
     out = tmp_path_factory.mktemp("sets") / "room"
@@ -55,8 +55,8 @@ def made(tmp_path_factory: pytest.TempPathFactory, ball: Path) -> Path:
     return out
 
 
-def test_walls_face_the_middle_and_figures_stand_in_it(tool: ModuleType, ball: Path) -> None:
-    """Six walls and two plates, all triangles towards the middle; two balls on the floor, 1.3 m high."""
+def test_walls_face_inwards_and_figures_stand_inside(tool: ModuleType, ball: Path) -> None:
+    """Six walls and two plates face the middle; two balls of 1.3 m stand on the floor."""
     scene = tool.room_of([ball, ball])
     for instance in scene.meshes[:8]:
         mesh = instance.mesh
@@ -71,15 +71,15 @@ def test_walls_face_the_middle_and_figures_stand_in_it(tool: ModuleType, ball: P
     assert len(scene.meshes) == 10
 
 
-def test_views_are_inside(tool: ModuleType) -> None:
-    """No eye is in a wall."""
+def test_eyes_of_views_are_inside_the_room(tool: ModuleType) -> None:
+    """No eye is inside a wall."""
     for camera in tool.inside(88, 40, 30):
         x, y, z = np.abs(camera.eye)
         assert x < tool.HALF[0] and z < tool.HALF[1] and 0.3 < y < tool.HEIGHT - 0.3
 
 
-def test_lamps_are_stored_as_scenes_have_them(tool: ModuleType, tmp_path: Path) -> None:
-    """Both kinds come back."""
+def test_lights_of_the_room_round_trip_through_scenes(tool: ModuleType, tmp_path: Path) -> None:
+    """Both kinds of light are read back."""
     lamps = (*tool.old_lamps(), tool.ball())
     tool.save_lamps(tmp_path / "lamps.toml", lamps)
     scene: Any = ls.load(tmp_path / "lamps.toml")
@@ -88,8 +88,8 @@ def test_lamps_are_stored_as_scenes_have_them(tool: ModuleType, tmp_path: Path) 
 
 
 @pytest.mark.deep
-def test_a_room_is_what_our_paths_see(tool: ModuleType, made: Path, ball: Path) -> None:
-    """Pictures by all lamps where none is seen: more than 34 dB; with 0.7 of the light, less than 30. And albedo."""
+def test_room_images_match_the_path_tracer(tool: ModuleType, made: Path, ball: Path) -> None:
+    """More than 34 dB in views without a visible light, less than 30 dB with 0.7 of the light; albedo matches, too."""
     room = tool.room_of([ball, ball])
     matt: list[ls.MeshInstance] = []
     for one in room.meshes:

@@ -1,4 +1,4 @@
-"""Sets of tools/make_relightable_set.py are what they say: our own path tracer sees the same of the same meshes."""
+"""Sets of tools/make_relightable_set.py match our path tracer on the same meshes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def tool(monkeypatch_module: pytest.MonkeyPatch) -> ModuleType:
 
 @pytest.fixture(scope="module")
 def monkeypatch_module():
-    """Undone after this file."""
+    """Monkeypatch that is undone after this file."""
     with pytest.MonkeyPatch.context() as patch:
         yield patch
 
@@ -63,14 +63,14 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 
 def sky() -> np.ndarray:
-    """A panorama that differs on all sides."""
+    """Returns an environment that differs on all sides."""
     x, y, z = np.moveaxis(panorama_directions(32, 64), -1, 0)
     return np.stack([0.6 + 0.5 * x, 0.5 + 0.4 * y, 0.5 + 0.45 * z], axis=-1) ** 2
 
 
 @pytest.fixture(scope="module")
 def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three balls that shade each other, no side like another."""
+    """Returns three balls that shadow each other, different from every side."""
     import trimesh
 
     parts = [trimesh.creation.icosphere(3, radius) for radius in (0.8, 0.5, 0.3)]
@@ -82,7 +82,7 @@ def balls(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def seen(tool: ModuleType, folder: Path, mesh: Path, environment: str | None) -> list[ls.Frame]:
-    """What we see of a Lambertian set's meshes; None: no matter in what light."""
+    """Renders the meshes of a Lambertian set with our path tracer; None for any light."""
     meshes: list[ls.MeshInstance] = []
     for instance in tool.scene_of(mesh).meshes:
         material: Any = replace(instance.mesh.material, specular=0.0, metallic=0.0, base_color=(1.0, 1.0, 1.0))
@@ -95,13 +95,13 @@ def seen(tool: ModuleType, folder: Path, mesh: Path, environment: str | None) ->
 
 
 def layer(folder: Path, name: str, index: int, channels: str) -> tuple[np.ndarray, np.ndarray]:
-    """Values of a layer, and where the object fills the pixel."""
+    """Returns the values of a layer, and the pixels that the object fills."""
     stored = read_exr(folder / "truth" / name / f"r_{index:03}.exr")
     return np.stack([stored[channel] for channel in channels], axis=-1), stored["A"] > 0.999
 
 
 def test_views_are_held_out_between_the_others(tool: ModuleType, balls: Path) -> None:
-    """As many as asked for, none at the ends, all as far from the object, all of it in sight."""
+    """As many as requested, none at the ends; all cameras are at one distance and see the whole object."""
     scene = tool.scene_of(balls)
     views = tool.views_around(scene, SIZE, 12, 4)
     assert [name.startswith("test") for name in views] == 4 * [False, False, True, False]
@@ -111,8 +111,8 @@ def test_views_are_held_out_between_the_others(tool: ModuleType, balls: Path) ->
     np.testing.assert_allclose(away, away[0])
 
 
-def test_panoramas_become_smaller_by_means(tool: ModuleType) -> None:
-    """Of blocks; small ones stay."""
+def test_panoramas_are_downscaled_by_block_means(tool: ModuleType) -> None:
+    """Small panoramas are unchanged."""
     image = np.random.default_rng(0).random((600, 1200, 3))
     smaller = tool.reduced(image)
     assert smaller.shape == (200, 400, 3)
@@ -122,8 +122,8 @@ def test_panoramas_become_smaller_by_means(tool: ModuleType) -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("environment", LIT_IN)
-def test_photographs_are_what_our_paths_see(tool, made, balls, environment: str) -> None:
-    """Axes of the light, exposure, bounces and encoding: more than 38 dB; turned or mirrored, not even 30."""
+def test_images_match_the_path_tracer(tool, made, balls, environment: str) -> None:
+    """More than 38 dB, which checks light axes, exposure, bounces and encoding; less than 30 dB rotated or mirrored."""
     folder = made(balls)
     insides = [layer(folder, "albedo", index, "RGB")[1] for index in range(2)]
     photographs = [ls.load_image(folder / LIT_IN[environment] / f"r_{index:03}.png") for index in range(2)]
@@ -138,8 +138,8 @@ def test_photographs_are_what_our_paths_see(tool, made, balls, environment: str)
 
 
 @pytest.mark.deep
-def test_layers_are_those_of_the_mesh(tool, made, balls) -> None:
-    """Base colour, normals in the world, and coverage."""
+def test_layers_match_the_mesh(tool, made, balls) -> None:
+    """Base colour, world normals and coverage."""
     folder = made(balls)
     for index, frame in enumerate(seen(tool, folder, balls, None)):
         assert frame.albedo is not None
@@ -157,8 +157,8 @@ def test_layers_are_those_of_the_mesh(tool, made, balls) -> None:
 
 
 @pytest.mark.deep
-def test_roughness_is_that_of_the_place(tool, made, balls) -> None:
-    """That of the vertices, between them; and a set that shines has highlights."""
+def test_roughness_is_interpolated_between_vertices(tool, made, balls) -> None:
+    """A glossy set has highlights."""
     folder, matt = made(balls, "--material", "varied"), made(balls)
     scene = tool.scene_of(balls)
     for index, frame in enumerate(seen(tool, folder, balls, None)):
@@ -175,8 +175,8 @@ def test_roughness_is_that_of_the_place(tool, made, balls) -> None:
 @pytest.mark.deep
 @pytest.mark.parametrize("roughness", [0.2, 0.8])
 @pytest.mark.parametrize("degrees", [10.0, 75.0])
-def test_the_dielectric_of_gltf(tool: ModuleType, roughness: float, degrees: float) -> None:
-    """Its values are those of the specification, and samples of it bring what there is to be brought."""
+def test_gltf_dielectric_matches_the_specification(tool: ModuleType, roughness: float, degrees: float) -> None:
+    """Importance sampling estimates the same reflectance."""
     if importlib.util.find_spec("mitsuba") is None:
         pytest.skip("needs Mitsuba")
     try:
@@ -215,8 +215,8 @@ def test_the_dielectric_of_gltf(tool: ModuleType, roughness: float, degrees: flo
 
 @pytest.mark.deep
 @pytest.mark.data
-def test_textures_are_the_same_way_up(tool, made, data_dir: Path) -> None:
-    """Of a duck, seen by both."""
+def test_textures_have_the_same_orientation_as_ours(tool, made, data_dir: Path) -> None:
+    """Compares a textured duck in both renderers."""
     duck = data_dir / "meshes" / "Duck.glb"
     folder = made(duck)
     for index, frame in enumerate(seen(tool, folder, duck, "environment")):

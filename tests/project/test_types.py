@@ -1,4 +1,4 @@
-"""What is written for the type checker alone is true: stubs of other packages."""
+"""Stubs of other packages match the installed packages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STUBS = sorted((ROOT / "typings").glob("*.pyi"))
 
 
 def unknown_names(stub: str, module: ModuleType) -> list[str]:
-    """Constants, classes, attributes, methods and parameters of a stub that its package does not have."""
+    """Returns constants, classes, attributes, methods and parameters of a stub that its package lacks."""
     missing = []
     for node in ast.parse(stub).body:
         if isinstance(node, ast.AnnAssign) and not hasattr(module, ast.unparse(node.target)):
@@ -30,7 +30,7 @@ def unknown_names(stub: str, module: ModuleType) -> list[str]:
 
 
 def _names(kind: ast.ClassDef) -> Iterator[str]:
-    """Attributes and methods of a class of a stub, and ``method(parameter)`` for each parameter by name."""
+    """Returns attributes and methods of a stub class, and ``method(parameter)`` for each parameter by name."""
     for node in kind.body:
         if isinstance(node, ast.AnnAssign):
             yield ast.unparse(node.target)
@@ -40,7 +40,7 @@ def _names(kind: ast.ClassDef) -> Iterator[str]:
 
 
 def _has(kind: type, name: str) -> bool:
-    """Whether a class has an attribute, or a method that parameter; methods in C++ name theirs in their docstrings."""
+    """Returns whether a class has an attribute or a method parameter; C++ methods list theirs in docstrings."""
     name, _, parameter = name.rstrip(")").partition("(")
     known: Any = getattr(kind, "__dataclass_fields__", {})
     if not parameter:
@@ -53,13 +53,13 @@ def _has(kind: type, name: str) -> bool:
 
 
 @pytest.mark.parametrize("path", STUBS, ids=lambda path: path.stem)
-def test_stubs_describe_what_there_is(path: Path) -> None:
-    """Everything that a stub names exists in the package that is installed."""
+def test_stubs_match_the_installed_packages(path: Path) -> None:
+    """Everything that a stub names exists."""
     assert unknown_names(path.read_text(), importlib.import_module(path.stem)) == []
 
 
-def test_wrong_stubs_are_found() -> None:
-    """A constant, a class, an attribute, a method and a parameter that do not exist."""
+def test_wrong_stubs_are_reported() -> None:
+    """A missing constant, class, attribute, method and parameter."""
     stub = (
         "ONE: int\nclass Two: ...\nclass Node:\n    mesh: int\n    three: int\n    def to_json(self, four: int): ...\n"
     )

@@ -1,4 +1,4 @@
-"""What is transparent, and what does not count, in photographs that are learnt from."""
+"""Training with transparent and masked pixels."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ BLACK = (0.0, 0.0, 0.0)
 
 
 def dark(count: int, size: int = 40) -> list[TrainingView]:
-    """Photographs, with alpha, of Gaussians that are black: over black, nobody sees them."""
+    """Returns views with alpha of black Gaussians, which are invisible over black."""
     gaussians = replace(known(), sh=np.full((30, 1, 3), -5.0))
     renderer, found = ls.create_renderer(ls.RenderConfig(), "cpu"), list[TrainingView]()
     for number, camera in enumerate(cameras(count, size)):
@@ -27,7 +27,7 @@ def dark(count: int, size: int = 40) -> list[TrainingView]:
 
 
 def error_of_alpha(config: ls.TrainConfig) -> float:
-    """Mean over pixels between those that were learnt from."""
+    """Returns the mean alpha error over views between the training views."""
     one = Trainer(dark(8), config, device="cpu")
     for _ in range(config.iterations):
         one.step()
@@ -39,16 +39,16 @@ def error_of_alpha(config: ls.TrainConfig) -> float:
     return float(np.mean(errors))
 
 
-def test_alpha_is_learnt_by_its_loss_or_by_random_backgrounds() -> None:
-    """Of what has the colour of the background; without either, there is nothing to learn from."""
+def test_alpha_needs_its_loss_or_random_backgrounds() -> None:
+    """Gaussians in the colour of the background leave no trace in the colour loss."""
     config = ls.TrainConfig(iterations=300, cap=100, initial=100, sh_degree=0, alpha=0.0)
     nothing = error_of_alpha(config)
     assert error_of_alpha(replace(config, alpha=1.0)) < 0.4 * nothing
     assert error_of_alpha(replace(config, random_background=True)) < 0.5 * nothing
 
 
-def test_random_backgrounds_are_of_the_seed_and_the_step() -> None:
-    """They are behind photograph and frame alike; photographs without alpha keep theirs."""
+def test_random_backgrounds_depend_on_seed_and_iteration() -> None:
+    """Frame and image have the same background; images without alpha keep theirs."""
     config = ls.TrainConfig(iterations=50, cap=50, initial=50, sh_degree=0, random_background=True)
     behind = (0.2, 0.4, 0.6)
     clear, solid = dark(1)[0], dark(1)[0]
@@ -74,8 +74,8 @@ def test_random_backgrounds_are_of_the_seed_and_the_step() -> None:
     )
 
 
-def test_what_does_not_count_does_not_bleed_into_smaller_photographs() -> None:
-    """A pixel of a smaller one is the mean of what counts of its area: colours and alpha."""
+def test_masked_pixels_do_not_bleed_into_downscaled_images() -> None:
+    """Colour and alpha of a downscaled pixel are means over the unmasked pixels of its area."""
     rng = np.random.default_rng(0)
     color, alpha = rng.uniform(size=(8, 6, 3)).astype(np.float32), rng.uniform(size=(8, 6)).astype(np.float32)
     weight = rng.integers(0, 2, (8, 6)).astype(np.float32)

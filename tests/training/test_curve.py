@@ -1,4 +1,4 @@
-"""How a training went, as numbers and as a picture that can be read."""
+"""PSNR curve of a training, as numbers and as a readable plot."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ WIDTH, HEIGHT = SIZE
 
 
 def dark(part: np.ndarray) -> int:
-    """Pixels of a picture that are written in black."""
+    """Returns the black pixels of a plot."""
     return int((part.max(axis=-1) < 100).sum())
 
 
 def colored(part: np.ndarray) -> int:
-    """Pixels that are orange."""
+    """Returns the orange pixels of a plot."""
     red, _, blue = np.moveaxis(part.astype(int), -1, 0)
     return int((red - blue > 120).sum())
 
 
-def test_both_axes_have_numbers_and_names() -> None:
-    """Left of it and below it, along the whole of each; and what was held out once shows, too."""
+def test_both_axes_of_the_curve_have_tick_labels_and_titles() -> None:
+    """Labels lie along the whole of both axes; a single held-out evaluation is drawn, too."""
     curve = Curve(steps=[50, 700], squared=[0.1, 0.001], measured=[(700, 28.0)])
     pixels = np.asarray(curve.image())
     left, below = pixels[:, : MARGIN - 2], pixels[HEIGHT - MARGIN + 2 :]
@@ -37,21 +37,21 @@ def test_both_axes_have_numbers_and_names() -> None:
     assert colored(pixels[MARGIN:, WIDTH - MARGIN - 10 :]) > 20
 
 
-def test_steps_of_the_axis_are_round() -> None:
-    """One, two or five of a power of ten, and no more than nine numbers."""
+def test_ticks_of_the_curve_are_round_numbers() -> None:
+    """Ticks are 1, 2 or 5 times a power of ten apart, and at most nine."""
     assert [round_step(least) for least in (0.1, 1.0, 1.5, 3.75, 6, 62.5, 875)] == [1, 1, 2, 5, 10, 100, 1000]
     for last in range(1, 20_000, 37):
         assert math.floor(last / round_step(last / 8)) <= 8
 
 
-def test_nothing_learnt_is_an_empty_picture() -> None:
-    """And what is exact has no place on it."""
+def test_curve_without_points_is_a_blank_image() -> None:
+    """Infinite PSNR is not drawn either."""
     for curve in (Curve(), Curve(steps=[50], squared=[0.0])):
         assert (np.asarray(curve.image()) == 255).all()
 
 
-def test_what_is_held_out_is_measured_early(tmp_path: Path) -> None:
-    """After 100 and 200 steps, and at the end."""
+def test_held_out_images_are_evaluated_early(tmp_path: Path) -> None:
+    """Evaluations are after 100 and 200 iterations, and at the end."""
     config = ls.TrainConfig(iterations=210, cap=80, initial=60, sh_degree=0)
     ls.train(folder_of(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")
     told = json.loads((tmp_path / "a.training" / "curve.json").read_text())

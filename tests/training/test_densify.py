@@ -1,4 +1,4 @@
-"""How Gaussians come and go between steps."""
+"""Densification and pruning of Gaussians."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CONFIG = TrainConfig(densification=Densification.ADAPTIVE, cap=100)
 
 
 def parameters(opacities: list[float], scales: list[float] | None = None) -> TrainedParameters:
-    """Gaussians with moments that are not 0."""
+    """Returns Gaussians with non-zero moments."""
     count, rng = len(opacities), np.random.default_rng(1)
     o = np.array(opacities)
     scales = scales or [0.1] * count
@@ -47,10 +47,10 @@ def parameters(opacities: list[float], scales: list[float] | None = None) -> Tra
 @pytest.mark.parametrize("count", [2, 3, 10, 51])
 @pytest.mark.parametrize("opacity", [0.01, 0.3, 0.9])
 @pytest.mark.parametrize("degree", [2, 0, 1, 5])
-def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float, degree: int) -> None:
-    """At its centre exactly; and as much in all along a line through it, which fixes the scale (equation 9)."""
+def test_relocated_gaussians_together_render_like_the_original(count: int, opacity: float, degree: int) -> None:
+    """Alpha at the centre and the integral along a line through it are equal (equation 9)."""
     each, factor = relocation(np.array([opacity]), np.array([count]), degree)
-    assert each[0] >= 0.005, "none is dead"
+    assert each[0] >= 0.005, "no Gaussian is dead"
     if 1.0 - (1.0 - opacity) ** (1.0 / count) < 0.005:
         assert each[0] == 0.005
     if each[0] > 0.005:
@@ -62,8 +62,8 @@ def test_what_shares_a_place_shows_what_one_showed(count: int, opacity: float, d
         assert many.sum() == pytest.approx(one.sum(), rel=1e-5)
 
 
-def test_dead_gaussians_take_the_places_of_others() -> None:
-    """Their number stays; who was copied, and who copied, has not moved yet; all others are untouched."""
+def test_dead_gaussians_are_relocated_onto_living_ones() -> None:
+    """The number stays; moments of sources and copies are zero; other Gaussians are unchanged."""
     before, after = parameters([0.9, 0.001, 0.5, 0.002]), parameters([0.9, 0.001, 0.5, 0.002])
     after = relocated(after, TrainConfig(), np.random.default_rng(0))
     assert after.count == 4 and (after.opacities > 0.005).all()
@@ -76,33 +76,33 @@ def test_dead_gaussians_take_the_places_of_others() -> None:
         assert all((after.values[name][i] == before.values[name][i]).all() for name in NAMES)
 
 
-def test_their_number_grows_to_the_cap_and_no_further() -> None:
-    """By a twentieth at a time."""
+def test_number_of_gaussians_grows_up_to_the_cap() -> None:
+    """Each densification adds a twentieth."""
     rng = np.random.default_rng(0)
     assert grown(parameters([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
     assert grown(parameters([0.5] * 100), TrainConfig(cap=102), rng).count == 102
     assert grown(parameters([0.5] * 100), TrainConfig(cap=100), rng).count == 100
 
 
-def test_small_ones_are_cloned_and_large_ones_split() -> None:
-    """Where the loss pulls; a split one leaves two smaller ones within it."""
+def test_small_gaussians_are_cloned_and_large_ones_split() -> None:
+    """Only Gaussians with a large screen-space gradient; a split leaves two smaller ones inside the original."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
     after = cloned_and_split(before, record, CONFIG, np.random.default_rng(0))
     assert after.count == 4 + 1 + 1
-    places = after.values["means"]
-    assert (places == before.values["means"][0]).all(axis=1).sum() == 2, "a clone is where its source is"
-    assert not (places == before.values["means"][2]).all(axis=1).any(), "what was split is gone"
+    positions = after.values["means"]
+    assert (positions == before.values["means"][0]).all(axis=1).sum() == 2, "a clone is where its source is"
+    assert not (positions == before.values["means"][2]).all(axis=1).any(), "the split Gaussian is gone"
     halves = np.flatnonzero(np.isclose(after.scales[:, 0], 0.5 / 1.6, rtol=1e-5))
-    assert halves.size == 2 and np.linalg.norm(places[halves] - before.values["means"][2], axis=1).max() < 4 * 0.5
+    assert halves.size == 2 and np.linalg.norm(positions[halves] - before.values["means"][2], axis=1).max() < 4 * 0.5
     strongest = cloned_and_split(
         before, record, TrainConfig(densification=Densification.ADAPTIVE, cap=5), np.random.default_rng(0)
     )
     assert strongest.count == 5, "no more than the cap"
 
 
-def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
-    """Only if it is asked for; the farther above its threshold, the sooner, whatever asks for more."""
+def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
+    """Only if ``grow_turn`` is set; under the cap, the largest excess over a threshold comes first."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
     settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}
@@ -112,23 +112,23 @@ def test_those_whose_normals_are_turned_are_cloned_or_split_too() -> None:
         return cloned_and_split(before, record, config, np.random.default_rng(0))
 
     sizes = lambda one: sorted(np.round(one.scales[:, 0], 4))  # noqa: E731
-    assert sizes(after()) == [0.001, 0.001, 0.001, 0.5, 0.5], "not asked for: a clone of the first"
+    assert sizes(after()) == [0.001, 0.001, 0.001, 0.5, 0.5], "without grow_turn: a clone of the first"
     assert sizes(after(grow_turn=0.5)) == [0.001, 0.001, 0.001, 0.001, 0.5, 0.5], "a clone of the second, too"
     assert sizes(after(grow_turn=0.05)) == [0.001] * 4 + [0.3125, 0.3125, 0.5], "and the last is split"
     assert sizes(after(grow_turn=0.5, cap=5)) == [0.001, 0.001, 0.001, 0.5, 0.5]
-    places = after(grow_turn=0.5, cap=5).values["means"]
-    assert (places == before.values["means"][1]).all(axis=1).sum() == 2, "of these, what is most above comes first"
+    positions = after(grow_turn=0.5, cap=5).values["means"]
+    assert (positions == before.values["means"][1]).all(axis=1).sum() == 2, "the largest excess comes first"
 
 
-def test_transparent_and_oversized_ones_are_pruned() -> None:
-    """All others stay, in their order."""
+def test_transparent_and_oversized_gaussians_are_pruned() -> None:
+    """Other Gaussians stay in their order."""
     after = pruned(parameters([0.5, 0.001, 0.5, 0.4], [0.01, 0.01, 5.0, 0.02]), extent=1.0)
     np.testing.assert_allclose(after.opacities, [0.5, 0.4], rtol=1e-5)
     assert pruned(parameters([0.5], [5.0]), extent=math.inf).count == 1
 
 
-def test_a_reset_makes_all_almost_transparent() -> None:
-    """Those that were more so stay; and nothing pulls them back by what was before."""
+def test_reset_caps_opacities_and_zeroes_their_moments() -> None:
+    """Lower opacities stay as they are."""
     after = parameters([0.9, 0.006])
     reset_opacities(after)
     np.testing.assert_allclose(after.opacities, [0.01, 0.006], rtol=1e-4)
@@ -136,8 +136,8 @@ def test_a_reset_makes_all_almost_transparent() -> None:
 
 
 @pytest.mark.parametrize("kind", list(Densification))
-def test_a_seed_gives_one_result(kind: Densification) -> None:
-    """And another seed another."""
+def test_same_seed_gives_same_densification(kind: Densification) -> None:
+    """Another seed gives another result."""
     config = TrainConfig(densification=kind, cap=200)
     record = DensifyStats(100, 1.0, np.linspace(0.0, 2e-3, 100), np.zeros(100))
     ones = [

@@ -1,4 +1,4 @@
-"""How photographs were exposed is learnt with what they show."""
+"""Exposures of images are optimised together with the Gaussians."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ WIDTH, HEIGHT = SIZE
 
 
 def exposed(color: np.ndarray, alpha: np.ndarray, exposure: np.ndarray) -> np.ndarray:
-    """The method's equation, float64."""
+    """Applies an exposure in float64."""
     behind = (1.0 - alpha)[..., None] * np.array(BACKGROUND)
     return (color - behind) @ exposure[:, :3].T + alpha[..., None] * exposure[:, 3] + behind
 
 
-def test_derivatives_by_exposures_colors_and_alphas() -> None:
-    """Of the whole loss, against central differences of its float64 statement."""
+def test_gradients_by_exposures_colors_and_alphas_match_central_differences() -> None:
+    """The reference is the whole loss in float64."""
     color, alpha = images(1).astype(np.float64), images(2, None).astype(np.float64)
     wanted = images(3), images(4, None), images(5, None)
     exposure = np.eye(3, 4) + 0.2 * np.random.default_rng(6).normal(size=(3, 4))
@@ -64,8 +64,8 @@ def test_derivatives_by_exposures_colors_and_alphas() -> None:
             assert by[place] == pytest.approx(slope, abs=1e-4 * scale), (which, place)
 
 
-def test_their_mean_stays_neutral() -> None:
-    """However each of them moves, so that the colours of the capture do not drift."""
+def test_mean_exposure_stays_the_identity() -> None:
+    """The colours of the capture therefore do not drift, however single exposures move."""
     exposures, rng = Exposures.neutral(5), np.random.default_rng(0)
     for _ in range(19):
         for number in rng.permutation(5):
@@ -75,7 +75,7 @@ def test_their_mean_stays_neutral() -> None:
 
 
 def neutral_psnr(of: Trainer) -> float:
-    """On photographs between those that were learnt from, exposed as the mean of these."""
+    """Returns the PSNR on views between the training views, without exposure."""
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     scores: list[float] = []
     for camera in cameras(40)[33:]:
@@ -85,19 +85,19 @@ def neutral_psnr(of: Trainer) -> float:
 
 
 def gains_of(count: int) -> np.ndarray:
-    """From 0.7 to 1.3, 1 in the mean, shape (count, 3)."""
+    """Returns random gains of 0.7 to 1.3 with mean 1, shape (count, 3)."""
     gains = np.random.default_rng(2).uniform(0.7, 1.3, (count, 3))
     return gains / gains.mean(axis=0)
 
 
 def errors_of(of: Trainer, gains: np.ndarray) -> np.ndarray:
-    """Of the gains that were found, as shares."""
+    """Returns the relative errors of the estimated gains."""
     assert of.exposures is not None
     return np.abs(np.diagonal(of.exposures.values, axis1=1, axis2=2) / gains - 1.0)
 
 
-def test_gains_of_photographs_are_found() -> None:
-    """Of a scene that is known at first: without exposures, its colours become wrong, with them, they stay."""
+def test_exposure_gains_of_images_of_a_known_scene_are_found() -> None:
+    """Starting from the true scene, colours become wrong without exposures and stay right with them."""
     gains, rates = gains_of(8), ls.config.LearningRates(exposures=5e-2, exposures_last=5e-3)
     config = ls.TrainConfig(iterations=450, cap=30, sh_degree=1, opacity_decay=0.0, scale_decay=0.0, rates=rates)
     psnr: dict[bool, float] = {}
@@ -115,9 +115,9 @@ def test_gains_of_photographs_are_found() -> None:
 
 
 def shown_gains(of: Trainer, seen: Sequence[ls.Camera]) -> np.ndarray:
-    """The gains by which the learnt exposures come nearest to what they make of the true scene, shape (count, 3).
+    """Returns the gains that best fit the effect of the exposures on the true scene, shape (count, 3).
 
-    Its colours are not independent, so that other entries of a map stand for a part of its gains.
+    The scene's colours are correlated, so other entries of the colour matrix stand for a part of the gains.
     """
     assert of.exposures is not None
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
@@ -133,15 +133,15 @@ def shown_gains(of: Trainer, seen: Sequence[ls.Camera]) -> np.ndarray:
 
 
 def beyond_directions(errors: np.ndarray, seen: Sequence[ls.Camera]) -> np.ndarray:
-    """What no function that is linear in the direction of view explains: harmonics of degree 1 show such as well."""
+    """Returns the residual of a linear fit by view direction, because degree-1 SH explains such errors as well."""
     directions = [camera.eye / np.linalg.norm(camera.eye) for camera in seen]
     basis = np.column_stack([np.ones(len(seen)), np.array(directions)])
     return errors - basis @ np.linalg.lstsq(basis, errors, rcond=None)[0]
 
 
 @pytest.mark.deep
-def test_gains_are_found_with_the_scene() -> None:
-    """Of which nothing is known; but for those that change with the direction of view as colours may, too."""
+def test_exposure_gains_are_found_together_with_the_scene() -> None:
+    """The scene starts unknown; errors that vary linearly with the view direction are ignored."""
     gains, rates = gains_of(32), ls.config.LearningRates(exposures=3e-2)
     config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, rates=rates)
     psnr: dict[bool, float] = {}

@@ -1,4 +1,4 @@
-"""Trainings that are asked for another number of steps than before."""
+"""Resuming a training with another number of iterations."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ LONG = replace(SHORT, iterations=200)
 
 
 def checkpoint_of(output: Path) -> Path:
-    """Of a capture."""
+    """Returns the checkpoint of a capture."""
     return output.with_suffix(".training") / "checkpoint.npz"
 
 
-def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """From its checkpoint, by the rates of the new number; one line says so, and it leaves what it should."""
+def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Learning rates follow the new total; one log line reports it, and the usual files are written."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     images = ls.io.load_training_images(folder, background="black")
     ls.train(images, SHORT, output=output, device="cpu")
@@ -53,10 +53,8 @@ def test_a_finished_training_goes_on(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert not caplog.records, "from now on, that is its number"
 
 
-def test_a_prolonged_training_that_is_stopped_leaves_the_same_bits(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The same command again goes on, wherever it was stopped."""
+def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same command resumes, wherever it was stopped."""
     monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
     folder, whole, parts = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
     for output in (whole, parts):
@@ -68,8 +66,8 @@ def test_a_prolonged_training_that_is_stopped_leaves_the_same_bits(
     assert not list(lengths) and whole.read_bytes() == parts.read_bytes()
 
 
-def test_fewer_steps_than_are_done_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In one line; nothing is lost."""
+def test_fewer_iterations_than_done_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The message has one line, and the files are unchanged."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     command = ["train", str(folder), "-o", str(output), "--cap", "80", "--sh-degree", "1", "--device", "cpu"]
     assert main([*command, "--iterations", "30"]) == 0

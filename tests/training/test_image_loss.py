@@ -1,4 +1,4 @@
-"""The loss between frames and photographs, against SciPy's filters in float64 and central differences."""
+"""Image loss, against SciPy's filters in float64 and central differences."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Wanted = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
 
 
 def images(seed: int = 0, channels: int | None = 3) -> np.ndarray:
-    """Random values 0..1."""
+    """Returns random values 0..1."""
     shape = (SIZE[1], SIZE[0]) if channels is None else (SIZE[1], SIZE[0], channels)
     return np.random.default_rng(seed).uniform(size=shape).astype(np.float32)
 
@@ -34,7 +34,7 @@ def differentiate(
     size: tuple[int, int] = SIZE,
     parallel: bool | None = None,
 ) -> tuple[Loss, np.ndarray, np.ndarray]:
-    """The loss of a frame, and its derivatives by colour and alpha."""
+    """Returns the loss of a frame, and its gradient by colour and alpha."""
     launcher, buffers = Launcher("cpu", threads, parallel=parallel), Buffers("cpu")
     loss = ImageLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
     pixels = PixelData()
@@ -47,7 +47,7 @@ def differentiate(
 
 
 def blurred(values: np.ndarray) -> np.ndarray:
-    """By the window of SSIM; SciPy's "reflect" mirrors about the outer edges of the border pixels."""
+    """Blurs by the window of SSIM; SciPy's "reflect" mirrors at the outer edges of border pixels, as the kernels do."""
     window = np.exp(-0.5 * ((np.arange(11) - 5) / 1.5) ** 2)
     for axis in (0, 1):
         values = correlate1d(values, window / window.sum(), axis=axis, mode="reflect")
@@ -55,7 +55,7 @@ def blurred(values: np.ndarray) -> np.ndarray:
 
 
 def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
-    """The loss in float64: equation 7 of Kerbl et al. 2023, with Wang's SSIM."""
+    """Returns the loss in float64: equation 7 of Kerbl et al. 2023, with the SSIM of Wang et al. 2004."""
     y, weight, wanted_alpha = wanted
     y = y.astype(np.float64)
     x = color if weight is None else y + weight[..., None] * (color - y)
@@ -73,8 +73,8 @@ def expected(color: np.ndarray, alpha: np.ndarray, wanted: Wanted) -> float:
 
 
 @pytest.mark.parametrize("kind", ["plain", "masked", "transparent", "both"])
-def test_the_loss_and_its_derivatives(kind: str) -> None:
-    """Against the float64 loss and its central differences, at pixels inside, at borders and in a corner."""
+def test_loss_and_gradient_match_float64(kind: str) -> None:
+    """Gradients are compared inside, at borders and in a corner."""
     color, alpha, image = images(1).astype(np.float64), images(2, None).astype(np.float64), images(3)
     weight = images(4, None) if kind in ("masked", "both") else None
     wanted = image, weight, images(5, None) if kind in ("transparent", "both") else None
@@ -95,8 +95,8 @@ def test_the_loss_and_its_derivatives(kind: str) -> None:
         np.testing.assert_allclose(by_alpha, share * slope / share.sum(), rtol=1e-4, atol=1e-7)
 
 
-def test_what_is_as_covered_as_it_should_be_has_no_more_to_learn() -> None:
-    """Alpha of exactly 0 and 1 has a finite entropy and no derivative; the wrong one has a large, finite entropy."""
+def test_cross_entropy_of_exact_alpha_is_finite_with_zero_gradient() -> None:
+    """Alpha of exactly 0 or 1 that is wrong has a large, finite cross entropy."""
     wanted = (images(2, None) > 0.5).astype(np.float32)
     right, _, by_alpha = differentiate(images(1), wanted, (images(3), None, wanted))
     assert 0.0 <= right.entropy < 1e-5 and not by_alpha.any()
@@ -105,8 +105,8 @@ def test_what_is_as_covered_as_it_should_be_has_no_more_to_learn() -> None:
     assert (np.sign(by_alpha) == np.where(wanted > 0.5, -1.0, 1.0)).all()
 
 
-def test_what_does_not_count_does_not_pull() -> None:
-    """Where the mask is black, the frame may show anything: no derivatives, and the same loss."""
+def test_masked_pixels_have_no_gradient() -> None:
+    """The frame may show anything where the mask is black; the loss is the same."""
     image, weight = images(3), np.zeros((SIZE[1], SIZE[0]), np.float32)
     weight[:, :9] = 1.0
     one, two = images(1), images(1)
@@ -120,23 +120,23 @@ def test_what_does_not_count_does_not_pull() -> None:
     np.testing.assert_array_equal(by_one, by_two)
 
 
-def test_a_frame_like_its_photograph_has_nothing_to_learn() -> None:
-    """No error, SSIM 1, and no derivatives but for rounding."""
+def test_frame_equal_to_its_image_has_no_loss_and_no_gradient() -> None:
+    """SSIM is 1; gradients are 0 up to rounding."""
     image = images(3)
     found, by_color, _ = differentiate(image, images(2, None), (image, None, None))
     assert found.l1 == 0.0 and found.ssim == pytest.approx(1.0, abs=1e-5) and np.abs(by_color).max() < 1e-6
 
 
-def test_bits_do_not_depend_on_threads() -> None:
-    """Rows are summed by one writer each."""
+def test_loss_has_the_same_bits_on_any_number_of_threads() -> None:
+    """Each row is summed by one thread."""
     results = [differentiate(images(1), images(2, None), (images(3), None, None), threads) for threads in (1, 2, 5)]
     for other in results[1:]:
         assert other[0] == results[0][0]
         np.testing.assert_array_equal(other[1], results[0][1])
 
 
-def test_pixels_one_by_one_are_the_rows() -> None:
-    """CUDA's items are pixels, whose sums are added up afterwards."""
+def test_loss_by_pixels_equals_loss_by_rows() -> None:
+    """On CUDA an item is a pixel, and the sums are added up afterwards."""
     wanted = images(3), images(4, None), images(5, None)
     rows, pixels = (differentiate(images(1), images(2, None), wanted, parallel=parallel) for parallel in (False, True))
     for row, pixel in zip(rows[1:], pixels[1:], strict=True):

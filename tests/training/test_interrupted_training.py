@@ -1,4 +1,4 @@
-"""Trainings that are killed go on, and give the same bits as one that never was."""
+"""Killed trainings resume and give the same bits as uninterrupted ones."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ RESULTS = ("curve.json", "curve.png", "metrics.json", "settings.toml", "held out
 
 
 def command(folder: Path, output: Path, moment: str, number: int, *more: str) -> list[str]:
-    """A training in a process of its own."""
+    """Returns the command of a training in its own process."""
     program = [sys.executable, "-m", "support.killed_training", moment, str(number)]
     return [*program, "train", str(folder), "-o", str(output), *OPTIONS, *more]
 
 
 def killed(folder: Path, output: Path, moment: str, number: int, *more: str) -> None:
-    """A training that has killed itself."""
+    """Runs a training that kills itself."""
     done = subprocess.run(
         command(folder, output, moment, number, *more), check=False, capture_output=True, text=True, env=ENVIRONMENT
     )
@@ -42,7 +42,7 @@ def killed(folder: Path, output: Path, moment: str, number: int, *more: str) -> 
 
 
 def killed_at_random(folder: Path, output: Path, rng: np.random.Generator, *more: str) -> None:
-    """Kills a training from outside, after some checkpoints that it has written."""
+    """Kills a training from outside, after it has written some checkpoints."""
     checkpoint = output.with_suffix(".training") / "checkpoint.npz"
 
     def written() -> int:
@@ -60,7 +60,7 @@ def killed_at_random(folder: Path, output: Path, rng: np.random.Generator, *more
 
 
 def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
-    """What a training leaves that comes to its end."""
+    """Runs a training to its end and returns its files."""
     done = subprocess.run(
         command(folder, output, "never", 0, *more), check=False, capture_output=True, text=True, env=ENVIRONMENT
     )
@@ -76,8 +76,8 @@ def finished(folder: Path, output: Path, *more: str) -> dict[str, bytes]:
     }
 
 
-def test_a_training_that_is_killed_leaves_the_same_bits(tmp_path: Path) -> None:
-    """In the middle of a checkpoint's bytes, and at a random moment."""
+def test_killed_training_resumes_to_the_same_bits(tmp_path: Path) -> None:
+    """Kills within the bytes of a checkpoint, and at a random moment."""
     folder = folder_of(tmp_path / "set")
     whole = finished(folder, tmp_path / "whole" / "a.ply")
     assert len(json.loads(whole["curve.json"])["steps"]) == 5
@@ -103,8 +103,8 @@ MOMENTS = (
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", ["mcmc", "adaptive"])
-def test_it_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
-    """One training, killed at all of them, and six times at random."""
+def test_training_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
+    """One training is killed at all moments, and six times at random."""
     folder, more = folder_of(tmp_path / "set"), ("--densification", kind)
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
     output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(1)
@@ -118,8 +118,8 @@ def test_it_may_be_killed_at_any_moment(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.deep
-def test_finding_materials_may_be_killed_at_any_moment(tmp_path: Path) -> None:
-    """In steps, as what is found is written, before the capture gets it, and at random."""
+def test_material_search_may_be_killed_at_any_moment(tmp_path: Path) -> None:
+    """Kills during iterations, while the state is written, before the capture is written, and at random."""
     folder, more = folder_of(tmp_path / "set"), ("--relightable", "--material-steps", "40")
     whole = finished(folder, tmp_path / "whole" / "a.ply", *more)
     output, rng = tmp_path / "killed" / "a.ply", np.random.default_rng(2)
@@ -132,8 +132,8 @@ def test_finding_materials_may_be_killed_at_any_moment(tmp_path: Path) -> None:
     assert finished(folder, output, *more) == whole
 
 
-def test_the_time_to_stop_after_is_that_of_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels that take long to compile do not count."""
+def test_time_limit_excludes_kernel_compilation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slow compilation does not reduce the number of iterations."""
     clock, load = [0.0], Launcher.load
 
     def slow(self: Launcher, modules: Sequence[KernelModule], *arguments: Any) -> None:
@@ -147,11 +147,11 @@ def test_the_time_to_stop_after_is_that_of_training(tmp_path: Path, monkeypatch:
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     result = ls.train(folder, config, output=output, stop_after=50.0, device="cpu")
     assert clock[0] > 0.0 and result.is_finished and result.seconds == 0.0
-    state, _ = read_checkpoint(tmp_path / "a.training" / "checkpoint.npz", config, mark_of(tmp_path))
+    state, _ = read_checkpoint(tmp_path / "a.training" / "checkpoint.npz", config, fingerprint_of(tmp_path))
     assert state.iteration == 8
 
 
-def mark_of(path: Path) -> str:
-    """What tells the photographs of a checkpoint from others."""
+def fingerprint_of(path: Path) -> str:
+    """Returns the fingerprint of the images in a checkpoint."""
     with np.load(path / "a.training" / "checkpoint.npz") as file:
         return json.loads(str(file["about"]))["photographs"]

@@ -1,4 +1,4 @@
-"""Gaussians that reflect light each by itself, and the derivatives of what they show."""
+"""Shading of single Gaussians by incident radiance, and gradients of their radiance."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EYE = np.array([0.3, -0.4, 9.0])
 
 
 def some(seed: int = 0, directions: int = DIRECTIONS, brightest: float = 0.4) -> Lit:
-    """Materials, all but a few of which face the eye, under any light."""
+    """Returns random materials and light; all but a few Gaussians face the eye."""
     rng = np.random.default_rng(seed)
     normals = unit(seed + 1, COUNT)
     normals[:-20, 2] = np.abs(normals[:-20, 2]) + 0.5
@@ -47,7 +47,7 @@ def some(seed: int = 0, directions: int = DIRECTIONS, brightest: float = 0.4) ->
 
 
 class Shown:
-    """The same on the device."""
+    """Shaded Gaussians on the device."""
 
     def __init__(self, lit: Lit) -> None:
         self.launcher = Launcher("cpu", 2)
@@ -58,7 +58,7 @@ class Shown:
         self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.sky), EYE, self.sh)
 
     def by_radiance(self, given: np.ndarray) -> Materials:
-        """Derivatives by materials, given those by display-referred colours."""
+        """Returns the gradient by materials, given that by display-referred colours."""
         rects, splats = (np.zeros(len(given), table_dtype(struct)) for struct in (TileRect, SplatGradient))
         rects["x1"], rects["y1"], splats["color"] = 1, 1, given
         arrays: list[Any] = [
@@ -69,8 +69,8 @@ class Shown:
         return self.gaussians.differentiate()
 
 
-def test_radiance_is_that_of_the_books() -> None:
-    """Against the float64 statement; display-referred, it is at most white."""
+def test_radiance_matches_float64() -> None:
+    """The display-referred colour is at most white."""
     lit = some(brightest=4.0)
     shown, expected = Shown(lit), radiance(lit, EYE)
     np.testing.assert_allclose(shown.gaussians.radiance, expected, rtol=2e-4, atol=1e-6)
@@ -79,71 +79,76 @@ def test_radiance_is_that_of_the_books() -> None:
     assert (expected > 1.0).any() and (expected < 1.0).any()
 
 
-def test_from_below_it_shows_what_a_mirror_there_would_show() -> None:
-    """As frames have it of normals up to 30 degrees beyond the horizon: to an eye as far above, each shows the same."""
+def test_view_from_below_the_horizon_is_mirrored() -> None:
+    """Gaussians show the same to an eye as far above their plane, as frames do for normals up to 30 degrees off."""
     lit = some(2)
-    ways = EYE - lit.means
-    heights = (ways * lit.normals).sum(axis=1, keepdims=True)
+    directions = EYE - lit.means
+    heights = (directions * lit.normals).sum(axis=1, keepdims=True)
     assert (heights < -1.0).any()
     above = replace(lit, means=lit.means + 2.0 * np.minimum(heights, 0.0) * lit.normals)
     np.testing.assert_allclose(Shown(lit).gaussians.radiance, Shown(above).gaussians.radiance, rtol=1e-4, atol=1e-6)
 
 
-def test_directions_are_a_quadrature_of_the_material() -> None:
-    """Of what `pbr_eval` reflects of a smooth sky, over the hemisphere."""
+def test_sum_over_directions_converges_to_the_hemisphere_integral() -> None:
+    """The reference integrates `pbr_eval` under a smooth environment."""
     lit = replace(some(directions=1024), seen=np.zeros((COUNT, 1024, 3)), open=np.ones((COUNT, 1024)))
-    sky = lambda ways: (1.0 + 0.5 * ways[:, :1] + 0.3 * ways[:, 1:2] * ways[:, 2:]) * (0.3, 0.4, 0.5)  # noqa: E731
-    lit = replace(lit, sky=sky(lit.directions), roughness=np.maximum(lit.roughness, 0.5))
+
+    def environment(directions: np.ndarray) -> np.ndarray:
+        return (1.0 + 0.5 * directions[:, :1] + 0.3 * directions[:, 1:2] * directions[:, 2:]) * (0.3, 0.4, 0.5)
+
+    lit = replace(lit, sky=environment(lit.directions), roughness=np.maximum(lit.roughness, 0.5))
     found = Shown(lit).gaussians.radiance
-    ways, weights = sphere_quadrature(120)
+    directions, weights = sphere_quadrature(120)
     for i in range(0, 40, 4):
         view = lit_view(lit.normals[i], EYE - lit.means[i])
         material = {"model": "pbr", "diffuse": lit.albedo[i], "specular": [0.04] * 3, "grazing": 1.0}
         material |= {"dielectric": 1.0, "eta": 1.0 / 1.5, "alpha": lit.roughness[i] ** 2}
-        normals, views = (np.broadcast_to(one, ways.shape) for one in (lit.normals[i], view))
-        reflected = evaluate(material, normals, views, ways) * (ways @ lit.normals[i])[:, None]
+        normals, views = (np.broadcast_to(one, directions.shape) for one in (lit.normals[i], view))
+        reflected = evaluate(material, normals, views, directions) * (directions @ lit.normals[i])[:, None]
         expected = (
-            weights[:, None] * np.where((ways @ lit.normals[i] > 0.0)[:, None], reflected, 0.0) * sky(ways)
+            weights[:, None]
+            * np.where((directions @ lit.normals[i] > 0.0)[:, None], reflected, 0.0)
+            * environment(directions)
         ).sum(axis=0)
         np.testing.assert_allclose(found[i], expected, rtol=0.01)
 
 
 def slope(of: Callable[[float], np.ndarray], step: float) -> np.ndarray:
-    """Central differences."""
+    """Returns central differences."""
     return (of(step) - of(-step)) / (2.0 * step)
 
 
 def encoded_slope(linear: np.ndarray) -> np.ndarray:
-    """Derivative of the encoding."""
+    """Returns the derivative of the sRGB encoding."""
     return slope(lambda h: encode_srgb(linear + h), 1e-6)
 
 
 @pytest.mark.parametrize("name", ["albedo", "roughness", "sky"])
-def test_derivatives(name: str) -> None:
-    """Against central differences of the float64 statement, in a random direction of all of it."""
+def test_gradients_by_materials_match_central_differences(name: str) -> None:
+    """The reference is float64, along random directions in the space of parameters."""
     lit, rng = some(3), np.random.default_rng(4)
     given = rng.normal(size=(COUNT, 3))
     found = getattr(Shown(lit).by_radiance(given), "environment" if name == "sky" else name)
     linear = given * encoded_slope(radiance(lit, EYE))
     values = getattr(lit, name)
 
-    def changed(way: np.ndarray, h: float) -> np.ndarray:
-        return (linear * radiance(replace(lit, **{name: values + h * way}), EYE)).sum(axis=1)
+    def changed(step: np.ndarray, h: float) -> np.ndarray:
+        return (linear * radiance(replace(lit, **{name: values + h * step}), EYE)).sum(axis=1)
 
-    ways = rng.normal(size=(3, *values.shape))
+    steps = rng.normal(size=(3, *values.shape))
     if name == "sky":
-        for way in ways:
-            expected = slope(partial(changed, way), 1e-5).sum()
-            assert (found * way).sum() == pytest.approx(expected, rel=1e-3, abs=1e-4)
+        for step in steps:
+            expected = slope(partial(changed, step), 1e-5).sum()
+            assert (found * step).sum() == pytest.approx(expected, rel=1e-3, abs=1e-4)
     else:
-        for way in ways:
-            expected = slope(partial(changed, way), 1e-5)
-            change = (found * way).reshape(COUNT, -1).sum(axis=1)
+        for step in steps:
+            expected = slope(partial(changed, step), 1e-5)
+            change = (found * step).reshape(COUNT, -1).sum(axis=1)
             np.testing.assert_allclose(change, expected, rtol=2e-3, atol=5e-4)
 
 
-def test_derivatives_by_normals_of_what_faces_the_eye() -> None:
-    """Along tangents, where the view is not mirrored, and no direction crosses the horizon."""
+def test_gradients_by_normals_match_central_differences() -> None:
+    """Only for normals that face the eye, along tangents, where no direction crosses the horizon."""
     lit, rng = some(5), np.random.default_rng(6)
     given = rng.normal(size=(COUNT, 3))
     found = Shown(lit).by_radiance(given).normals
@@ -162,8 +167,8 @@ def test_derivatives_by_normals_of_what_faces_the_eye() -> None:
     np.testing.assert_allclose((found * tangents).sum(axis=1)[faces], expected[faces], rtol=5e-3, atol=5e-4)
 
 
-def test_white_hears_only_that_it_should_be_darker() -> None:
-    """A Gaussian above white is as good as one that is white; Gaussians that were not drawn hear nothing."""
+def test_radiance_above_white_only_gets_darkening_gradients() -> None:
+    """Gaussians that were not drawn get no gradient."""
     lit = replace(some(8), sky=np.full((DIRECTIONS, 3), 9.0), open=np.ones((COUNT, DIRECTIONS)))
     shown = Shown(lit)
     bright = shown.gaussians.radiance.min(axis=1) > 1.0

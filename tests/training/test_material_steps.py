@@ -1,4 +1,4 @@
-"""Single steps that refine materials: which way derivatives and neighbours move what Gaussians are made of."""
+"""Single steps of the material fit: effect of gradients and of smoothness terms."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ SHAPES = {"albedo": (COUNT, 3), "roughness": (COUNT,), "environment": (DIRECTION
 
 @pytest.fixture(scope="module")
 def images(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two, of a grey ball."""
+    """Folder with two images of a grey ball."""
     folder = tmp_path_factory.mktemp("set")
     return photographed(folder, matte(ball(COUNT), np.full(3, 0.5), np.ones_like), count=2, size=8)
 
 
 @pytest.fixture
 def fit(images: Path) -> MaterialFit:
-    """Of that ball, from one albedo, one roughness and one radiance everywhere."""
+    """Material fit of the ball, from constant albedo, roughness and environment."""
     capture, directions = matte(ball(COUNT), np.full(3, 0.5), np.ones_like), even_directions(DIRECTIONS)
     light = np.ones((COUNT, DIRECTIONS), np.float32), np.zeros((COUNT, DIRECTIONS, 3), np.float32)
     normals = capture.means / np.linalg.norm(capture.means, axis=1, keepdims=True)
@@ -38,15 +38,15 @@ def fit(images: Path) -> MaterialFit:
 
 
 def moved(fit: MaterialFit, **gradient: np.ndarray) -> Materials:
-    """What a step by some derivatives, the others being 0, makes of the materials."""
+    """Returns the materials after a step with some gradients; the others are 0."""
     given = {name: np.zeros(shape) for name, shape in SHAPES.items()} | gradient
     fit._move(Materials(normals=np.zeros((COUNT, 3)), **given))  # pyright: ignore[reportPrivateUsage]
     return fit.materials
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_materials_move_against_derivatives(fit: MaterialFit, name: str) -> None:
-    """Each number where it has one, and no other."""
+def test_materials_move_against_their_gradients(fit: MaterialFit, name: str) -> None:
+    """Only parameters with a gradient move."""
     sign = np.where(np.random.default_rng(0).random(SHAPES[name]) < 0.5, -1.0, 1.0)
     before = fit.materials
     after = moved(fit, **{name: sign})
@@ -56,8 +56,8 @@ def test_materials_move_against_derivatives(fit: MaterialFit, name: str) -> None
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_neighbours_hold_on_to_each_other(fit: MaterialFit, name: str) -> None:
-    """One that has left the others comes back, and some of these follow it."""
+def test_smoothness_terms_pull_neighbours_together(fit: MaterialFit, name: str) -> None:
+    """An outlier moves back, and some of its neighbours follow it."""
     state = {key: values.copy() for key, values in fit.state.items()}
     state["sky" if name == "environment" else name][3] += 1.0
     fit.restore(state, 0)

@@ -1,4 +1,4 @@
-"""Finding materials goes on where it was interrupted, and its output is there as a whole or not at all."""
+"""An interrupted material search resumes, and its output is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ CONFIG = ls.config.MaterialsConfig(directions=32, sky_steps=20, iterations=9)
 
 
 class Killed(Exception):
-    """As a signal that no program hears: nothing is tidied, nothing is written."""
+    """Simulates a signal that cannot be handled: nothing is cleaned up or written."""
 
 
-def bright_above(ways: np.ndarray) -> np.ndarray:
-    """Bluish, and brighter where y is less."""
-    return (1.0 - 0.8 * ways[:, 1:2]) * (0.6, 0.7, 0.9)
+def bright_above(ray_directions: np.ndarray) -> np.ndarray:
+    """Returns bluish radiance that grows towards smaller y."""
+    return (1.0 - 0.8 * ray_directions[:, 1:2]) * (0.6, 0.7, 0.9)
 
 
 @pytest.fixture(scope="module")
@@ -34,20 +34,20 @@ def capture() -> ls.Gaussians:
 
 @pytest.fixture(scope="module")
 def folder(capture: ls.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four photographs of it."""
+    """Folder with four images of the ball."""
     return photographed(tmp_path_factory.mktemp("set"), capture, count=4, size=24)
 
 
 @pytest.fixture(autouse=True)
 def always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is found is kept after each step."""
+    """Writes the state after each iteration."""
     monkeypatch.setattr(find_materials, "CHECKPOINT_EVERY_S", 0.0)
 
 
 def found(
     capture: ls.Gaussians, folder: Path, output: Path | None, dies_at: int | None = None
 ) -> ls.inverse.FoundMaterials:
-    """What is found, unless it dies before a step."""
+    """Runs the search, or dies before an iteration."""
     steps = iter(range(100))
 
     def progress(label: str, fraction: float) -> None:
@@ -58,7 +58,7 @@ def found(
 
 
 def files_of(output: Path) -> dict[str, bytes]:
-    """What is left beside a capture, and itself."""
+    """Returns the files of a capture and of its training folder."""
     return {
         str(path.relative_to(output.parent)): path.read_bytes() for path in output.parent.rglob("*.*") if path.is_file()
     }
@@ -66,12 +66,12 @@ def files_of(output: Path) -> dict[str, bytes]:
 
 @pytest.fixture(scope="module")
 def whole(capture: ls.Gaussians, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> ls.inverse.FoundMaterials:
-    """Found in one go."""
+    """Result of an uninterrupted search."""
     return found(capture, folder, tmp_path_factory.mktemp("whole") / "a.ply")
 
 
 def assert_same(first: ls.inverse.FoundMaterials, second: ls.inverse.FoundMaterials) -> None:
-    """To the bit."""
+    """Compares two results to the bit."""
     for name in ("albedo", "roughness", "normals"):
         np.testing.assert_array_equal(getattr(first.gaussians, name), getattr(second.gaussians, name), name)
     np.testing.assert_array_equal(first.environment.image, second.environment.image)  # pyright: ignore[reportArgumentType]
@@ -79,18 +79,18 @@ def assert_same(first: ls.inverse.FoundMaterials, second: ls.inverse.FoundMateri
 
 
 def never(*arguments: Any, **options: Any) -> Any:
-    """What was done already."""
+    """Fails if a finished stage is run again."""
     raise AssertionError("done again")
 
 
-def test_it_goes_on_to_the_same_bits(
+def test_interrupted_material_search_resumes_to_the_same_bits(
     capture: ls.Gaussians,
     folder: Path,
     whole: ls.inverse.FoundMaterials,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """After several deaths; nothing is traced again, and light is there no longer than it is needed."""
+    """After several deaths, no ray is traced again; incident radiance is stored only as long as it is needed."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=0)
@@ -106,10 +106,10 @@ def test_it_goes_on_to_the_same_bits(
     assert_same(found(capture, folder, output), whole)  # at once
 
 
-def test_light_that_is_lost_is_traced_again(
+def test_missing_incident_radiance_is_traced_again(
     capture: ls.Gaussians, folder: Path, whole: ls.inverse.FoundMaterials, tmp_path: Path
 ) -> None:
-    """To the same bits."""
+    """The result has the same bits."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=4)
@@ -117,14 +117,14 @@ def test_light_that_is_lost_is_traced_again(
     assert_same(found(capture, folder, output), whole)
 
 
-def test_what_is_of_something_else_begins_anew(
+def test_state_of_another_search_is_discarded(
     capture: ls.Gaussians,
     folder: Path,
     whole: ls.inverse.FoundMaterials,
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Other colours, other settings, damage: a log line says so, and the result is that of a first call."""
+    """Other colours, other settings, or damage: a log line reports it, and the search starts again."""
     output, path = tmp_path / "a.ply", tmp_path / "a.training" / "materials.npz"
     with pytest.raises(Killed):
         found(matte(ball(150), 0.5 * GREY, bright_above), folder, output, dies_at=4)
@@ -150,10 +150,10 @@ def test_what_is_of_something_else_begins_anew(
         assert "materials.npz: is damaged, or of another capture, other images or settings" in caplog.text, why
 
 
-def test_an_output_that_cannot_be_written_is_told_at_once(
+def test_unwritable_output_is_refused_at_once(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before anything is read or found."""
+    """The error comes before any input is read."""
     monkeypatch.setattr(find_materials, "load_training_images", never)
     (tmp_path / "file").write_text("")
     (tmp_path / "b.environment.exr").mkdir()
@@ -167,10 +167,10 @@ def test_an_output_that_cannot_be_written_is_told_at_once(
 
 
 @pytest.mark.parametrize("fails", ["save", "write_radiance"])
-def test_sky_and_capture_are_written_both_or_not_at_all(
+def test_environment_and_capture_are_written_both_or_neither(
     capture: ls.Gaussians, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
-    """Those of before stay if the disk is full, and the message names what was asked for."""
+    """Earlier files stay if the disk is full, and the message names the requested output."""
     output = tmp_path / "a.ply"
     found(capture, folder, output)
     for path in (output, tmp_path / "a.environment.exr"):
@@ -186,8 +186,8 @@ def test_sky_and_capture_are_written_both_or_not_at_all(
     assert len(files_of(output)) == 3  # what was found waits for the next call
 
 
-def test_a_training_that_begins_anew_forgets_it(capture: ls.Gaussians, folder: Path, tmp_path: Path) -> None:
-    """Overwriting removes what materials have left, too, also where nothing else is there."""
+def test_overwriting_a_training_removes_its_material_files(capture: ls.Gaussians, folder: Path, tmp_path: Path) -> None:
+    """Also if the folder holds nothing else."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=1)

@@ -1,4 +1,4 @@
-"""A training does not go on with other photographs than those with which it began."""
+"""A training does not resume with images other than its own."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONFIG = ls.TrainConfig(iterations=1, cap=60, initial=60, sh_degree=0)
 
 
 def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
-    """Another value for each field of a camera."""
+    """Returns cameras with another value for one field each."""
     turned = np.diag((1.0, -1.0, -1.0, 1.0)) @ camera.camera_from_world
     return {
         "width": camera.width + 1,
@@ -38,8 +38,8 @@ def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("lens", [{}, {"projection": ls.config.Projection.UNSCENTED}], ids=["straightened", "as it is"])
-def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Path) -> None:
-    """Also where its pixels are resampled, and the pinhole stays."""
+def test_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: Path) -> None:
+    """Also if the images are undistorted and the pinhole stays the same."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
     config = replace(CONFIG, **lens)
     ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
@@ -54,8 +54,8 @@ def test_with_another_lens_it_does_not_go_on(lens: dict[str, Any], tmp_path: Pat
         ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
 
 
-def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
-    """Each of its fields."""
+def test_fingerprint_depends_on_every_camera_field(tmp_path: Path) -> None:
+    """Each field is changed alone."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     images = ls.io.load_training_images(folder)
     one = images.training[0]
@@ -67,8 +67,8 @@ def test_everything_that_a_camera_is_tells(tmp_path: Path) -> None:
     assert ls.io.load_training_images(folder).fingerprint == images.fingerprint
 
 
-def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> None:
-    """A training does not go on with them, whenever they were written; with those of before it does."""
+def test_other_images_of_the_same_names_and_sizes_are_refused(tmp_path: Path) -> None:
+    """File times do not matter; with the original images the training resumes."""
     folder, output = write_nerfstudio_images(tmp_path / "set", ring_cameras(3)), tmp_path / "a.ply"
     image = folder / "images" / "view_1.png"
     Image.fromarray(np.full((30, 40, 3), 90, np.uint8)).save(image, compress_level=0)
@@ -84,8 +84,8 @@ def test_other_photographs_of_the_same_names_and_sizes_tell(tmp_path: Path) -> N
     ls.train(folder, CONFIG, output=output, device="cpu")
 
 
-def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
-    """Also if files have the size of before."""
+def test_fingerprint_depends_on_masks_and_point_colours(tmp_path: Path) -> None:
+    """Also if the files have the same size."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     found = [ls.io.load_training_images(folder).fingerprint]
     (folder / "masks").mkdir()
@@ -100,8 +100,8 @@ def test_masks_and_colours_of_points_tell(tmp_path: Path) -> None:
     assert len(set(found)) == 5
 
 
-def test_a_photograph_that_is_gone_is_one_line(tmp_path: Path) -> None:
-    """It is named."""
+def test_missing_image_is_named(tmp_path: Path) -> None:
+    """The error names the file."""
     images = ls.io.load_training_images(write_nerfstudio_images(tmp_path, ring_cameras(3)))
     images.training[1].path.unlink()
     with pytest.raises(ls.FormatError, match=r"view_2\.png: cannot be read: No such file"):

@@ -1,4 +1,4 @@
-"""What shows nothing is removed at the end."""
+"""Gaussians of small blending weight are pruned at the end of training."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_l
 
 
 @pytest.mark.parametrize("threads", [1, 5])
-def test_largest_weights_are_those_of_frames(threads: int) -> None:
-    """Each Gaussian's weight in each pixel is a feature that it alone has; one that no camera sees has none."""
+def test_largest_weights_match_rendered_frames(threads: int) -> None:
+    """Each Gaussian has a feature channel of its own; one that no camera sees has weight 0."""
     given = views(3, 45)
     parameters = known_learnt().rows(np.arange(30))
     parameters.values["means"][4] = (0.0, 50.0, 0.0)
@@ -50,10 +50,10 @@ ALONG = ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)
     ],
     ids=["rays", "along rays", "along rays of a lens that moves"],
 )
-def test_largest_weights_of_rays_are_those_of_frames(
+def test_largest_weights_along_rays_match_rendered_frames(
     settings: dict[str, Any], frames: dict[str, Any], lens: dict[str, Any], moves: bool
 ) -> None:
-    """A frame in which one Gaussian is white, and all others are black, is its weights."""
+    """A frame with one white Gaussian among black ones is the image of its weights."""
     given = [replace(view, camera=replace(view.camera, **lens)) for view in views(2, 40)]
     if moves:
         shift = rigid_from_twist(np.array([0.0, 0.02, 0.0, 0.3, 0.1, 0.0]))
@@ -78,8 +78,8 @@ def test_largest_weights_of_rays_are_those_of_frames(
     assert found[4] == 0.0 and found.max() > 0.3
 
 
-def test_what_shows_too_little_is_removed_and_counted(tmp_path: Path) -> None:
-    """From the capture, not from the checkpoint; those that stay are as they were."""
+def test_gaussians_of_small_weight_are_pruned_and_counted(tmp_path: Path) -> None:
+    """They are removed from the capture, not from the checkpoint; the other Gaussians are unchanged."""
     folder = folder_of(tmp_path / "set")
     config = ls.TrainConfig(iterations=150, cap=150, initial=100, sh_degree=1)
     whole = ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
@@ -95,8 +95,8 @@ def test_what_shows_too_little_is_removed_and_counted(tmp_path: Path) -> None:
     assert ls.load(tmp_path / "b.ply").count == some.gaussians.count  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_if_all_show_too_little_all_stay_and_a_line_says_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """And the same training, called again, may remove less, or nothing: no step depends on it."""
+def test_nothing_is_pruned_if_all_weights_are_too_small(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line reports it; the same training may be called again with another threshold."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     config = ls.TrainConfig(iterations=5, cap=100, initial=100, sh_degree=1, prune_below=0.9999)
     with caplog.at_level(logging.WARNING, "lumisplat"):

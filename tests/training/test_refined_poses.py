@@ -1,4 +1,4 @@
-"""Poses of photographs that are a little off are found again."""
+"""Refinement of camera poses during training."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CONFIG = ls.TrainConfig(iterations=600, cap=30, sh_degree=1, refine_poses=True, 
 
 
 def moved(given: list[TrainingView], degrees: float, shift: float) -> list[TrainingView]:
-    """Views whose cameras have turned and moved, by nothing in the mean."""
+    """Returns views with perturbed cameras; the mean perturbation is 0."""
     twists = np.random.default_rng(5).normal(size=(len(given), 6)) * np.repeat([np.radians(degrees), shift], 3)
     twists -= twists.mean(axis=0)
     return [
@@ -38,22 +38,22 @@ def moved(given: list[TrainingView], degrees: float, shift: float) -> list[Train
 
 
 def started(given: list[TrainingView], config: ls.TrainConfig) -> Trainer:
-    """A training whose Gaussians are those that the photographs show."""
+    """Returns a trainer that starts with the true Gaussians."""
     one = Trainer(given, config, background=BACKGROUND, points=known().means, device="cpu")
     one._upload(known_learnt())
     return one
 
 
 def errors(poses: np.ndarray, true: list[TrainingView]) -> np.ndarray:
-    """Root mean squares of how far cameras are turned, degrees, and how far their eyes are off, scene units."""
+    """Returns root mean square errors of rotation, degrees, and eye position, scene units."""
     truth = np.stack([view.camera.camera_from_world for view in true])
     turns = [twist_from_rigid(pose @ np.linalg.inv(one))[:3] for pose, one in zip(poses, truth, strict=True)]
     eyes = np.linalg.inv(poses)[:, :3, 3] - np.linalg.inv(truth)[:, :3, 3]
     return np.sqrt([np.sum(np.square(np.degrees(turns)), axis=1).mean(), np.sum(eyes**2, axis=1).mean()])
 
 
-def test_poses_that_are_off_are_found_again() -> None:
-    """Of known Gaussians, by turns of a degree and shifts by a hundredth of the distance: errors shrink to a fifth."""
+def test_perturbed_poses_are_recovered() -> None:
+    """With known Gaussians, rotations of a degree and shifts of a hundredth of the distance shrink to a fifth."""
     true = views(12)
     one = started(moved(true, 1.0, 0.03), CONFIG)
     assert one.poses is not None
@@ -70,8 +70,8 @@ def test_poses_that_are_off_are_found_again() -> None:
     [{}, {"pipeline": ls.Pipeline.TRACE}, {"projection": ls.config.Projection.UNSCENTED}],
     ids=["ellipses", "rays", "along rays"],
 )
-def test_a_step_goes_against_the_derivatives_of_the_loss(drawn_by: dict[str, Any]) -> None:
-    """Those by turns and shifts of the camera are central differences of the loss of the trainer's own frames."""
+def test_pose_gradients_match_central_differences(drawn_by: dict[str, Any]) -> None:
+    """The reference is the loss of the trainer's own frames."""
     given = moved(views(2), 1.0, 0.03)
     one = started(given, replace(CONFIG, **drawn_by))
     camera, wanted = given[0].camera, given[0].read()
@@ -94,8 +94,8 @@ def test_a_step_goes_against_the_derivatives_of_the_loss(drawn_by: dict[str, Any
     np.testing.assert_allclose(found, slopes, atol=0.03 * np.abs(slopes).max())
 
 
-def test_what_no_photograph_shows_stays() -> None:
-    """All cameras do not turn or move together, and parameters are independent of one another."""
+def test_mean_motion_of_cameras_stays_zero() -> None:
+    """Rotations stay orthogonal."""
     poses = Poses.of([view.camera for view in views(5)], 3.0)
     rng = np.random.default_rng(0)
     for _ in range(9):
@@ -109,8 +109,8 @@ def test_what_no_photograph_shows_stays() -> None:
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.repeat(np.eye(3)[None], 5, axis=0), atol=1e-12)
 
 
-def test_corrections_are_resumed_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """To the bit; a file of cameras that have moved, and one of exposures."""
+def test_poses_and_exposures_resume_and_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Resumed results have the same bits, in the capture, the poses file and the exposures file."""
     monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
     folder = folder_of(tmp_path / "set")
     config = ls.TrainConfig(iterations=60, cap=100, initial=80, sh_degree=1, exposures=True, refine_poses=True)
@@ -130,8 +130,8 @@ def test_corrections_are_resumed_and_written(tmp_path: Path, monkeypatch: pytest
         assert np.abs(camera.camera_from_world - given[camera.name].camera_from_world).max() > 1e-4
 
 
-def test_lenses_of_more_than_one_model_have_a_file_each(tmp_path: Path) -> None:
-    """A fisheye between pinholes, all learnt from as they are."""
+def test_refined_poses_have_one_file_per_camera_model(tmp_path: Path) -> None:
+    """The set mixes a fisheye with pinholes and is trained without undistortion."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(4))
     change_frame(folder / "transforms.json", 2, camera_model="OPENCV_FISHEYE")
     config = replace(CONFIG, iterations=2, sh_degree=0, projection=ls.config.Projection.UNSCENTED)
@@ -149,15 +149,15 @@ def test_lenses_of_more_than_one_model_have_a_file_each(tmp_path: Path) -> None:
     ("change", "what"),
     [({"camera_from_world_end": np.eye(4)}, "a rolling shutter"), ({"aperture": 0.1}, "an aperture")],
 )
-def test_cameras_that_are_not_in_one_place_are_refused(change: dict[str, Any], what: str) -> None:
-    """A pose alone would not say where they have moved to."""
+def test_cameras_without_a_single_pose_are_refused(change: dict[str, Any], what: str) -> None:
+    """A rolling shutter or an aperture is not described by one pose."""
     some = [replace(camera, name="left") for camera in ring_cameras(2)]
-    with pytest.raises(ls.SceneError, match=rf"^the camera of left has {what}.*: leave TrainConfig\.refine_poses off$"):
+    with pytest.raises(ls.SceneError, match=rf"^the camera of left has {what}.*: turn off TrainConfig\.refine_poses$"):
         Poses.of([some[0], replace(some[1], **change)], 3.0)
 
 
-def test_bits_do_not_depend_on_threads() -> None:
-    """With all that may be learnt or added."""
+def test_training_with_all_terms_has_the_same_bits_on_any_number_of_threads() -> None:
+    """All optional parameters and loss terms are on."""
     config = ls.TrainConfig(
         iterations=40,
         cap=60,

@@ -1,4 +1,4 @@
-"""Terms that make Gaussians flat and lie on surfaces."""
+"""Surface terms of the loss, which flatten Gaussians onto surfaces."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ NORMALS, DEPTH, SMOOTH, FLATNESS = 0.7, 1.3, 0.9, 2.0
 
 
 def wall(count: int = 14) -> ls.Gaussians:
-    """Large Gaussians, some thin, on a wall that is not even."""
+    """Returns large Gaussians, some thin, on an uneven wall."""
     rng = np.random.default_rng(1)
-    places = rng.uniform(-1.0, 1.0, (count, 2))
+    positions = rng.uniform(-1.0, 1.0, (count, 2))
     rotations = np.column_stack([np.full(count, 2.0), rng.normal(size=(count, 3))])
     return ls.Gaussians(
-        means=np.column_stack([places, 0.2 * np.sin(3.0 * places[:, 0]) + 0.1 * rng.normal(size=count)]),
+        means=np.column_stack([positions, 0.2 * np.sin(3.0 * positions[:, 0]) + 0.1 * rng.normal(size=count)]),
         rotations_wxyz=rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
         scales=rng.uniform(0.25, 0.6, (count, 3)) * (1.0, 1.0, 0.5),
         opacities=rng.uniform(0.5, 0.9, count),
@@ -40,7 +40,7 @@ def wall(count: int = 14) -> ls.Gaussians:
 
 
 def started(**settings: Any) -> Trainer:
-    """A trainer that is at the wall, and has drawn it."""
+    """Returns a trainer with the Gaussians of the wall."""
     size = {"width": SIZE[0], "height": SIZE[1], "fov_y": 0.5}
     camera = ls.Camera.look_at((0.4, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
     other = ls.Camera.look_at((-0.6, 0.2, -3.0), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), **size)
@@ -58,7 +58,7 @@ def started(**settings: Any) -> Trainer:
 
 
 def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
-    """The terms of the first view, and the derivatives by Gaussians."""
+    """Returns the terms of the first view, and the gradient by Gaussians."""
     camera, picture = one._views[0].downscaled(0)
     target = one._loss.load(picture.color, picture.weight, None)
     pixels = one._backend.draw(camera, 0, (0.0, 0.0, 0.0))
@@ -83,7 +83,7 @@ def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
 
 @dataclass(frozen=True)
 class Sums(Loss):
-    """Sums of depths and their squares in place of colours, and of normals."""
+    """Float64 renderer of depth, squared depth and normals in place of colours."""
 
     middle: float = 0.0
     extent: float = 1.0
@@ -94,12 +94,12 @@ class Sums(Loss):
 
 
 def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
-    """The terms once more, float64: equation 13 of Huang et al. 2024, two like those of Gao et al. 2024.
+    """Returns the terms in float64: equation 13 of Huang et al. 2024, and two terms like those of Gao et al. 2024.
 
     Args:
         p: The Gaussians.
-        one: Has the settings, the photograph and its camera.
-        normals: The first channel that normals are read from.
+        one: Trainer with the settings, the image and its camera.
+        normals: Index of the first normal channel.
     """
     camera, picture = one._views[0].downscaled(0)
     none = np.zeros((SIZE[1], SIZE[0], 3))
@@ -130,8 +130,8 @@ def expected(p: Parameters, one: Trainer, normals: int = 4) -> float:
     ("normals", "depth", "smooth"),
     [(NORMALS, 0.0, 0.0), (0.0, DEPTH, 0.0), (0.0, 0.0, SMOOTH), (NORMALS, DEPTH, SMOOTH)],
 )
-def test_derivatives_of_normals_and_depths(normals: float, depth: float, smooth: float) -> None:
-    """By all that Gaussians are, against central differences of the float64 statement."""
+def test_gradients_of_surface_terms_match_central_differences(normals: float, depth: float, smooth: float) -> None:
+    """By all parameters of the Gaussians, in float64."""
     one = started(normals=normals, depth_spread=depth, normal_smoothness=smooth)
     total, found = found_by(one)
     p = Parameters.of(one.gaussians(), (0.0, 0.0, 0.0), one._views[0].camera)
@@ -146,8 +146,8 @@ def test_derivatives_of_normals_and_depths(normals: float, depth: float, smooth:
         assert np.median(error) < 1e-3 and error.max() < 2e-2, (name, np.median(error), error.max())
 
 
-def test_turns_are_derivatives_by_normals() -> None:
-    """Across them, over all pixels, against central differences by normals that are features of their own."""
+def test_normal_statistics_match_central_differences() -> None:
+    """Normals are separate features here; the gradient across them is summed over pixels."""
     one = started(normals=NORMALS, normal_smoothness=SMOOTH, densification="adaptive", grow_turn=1.0)
     found_by(one)
     noted: Any = one._record.turns
@@ -161,8 +161,8 @@ def test_turns_are_derivatives_by_normals() -> None:
     np.testing.assert_allclose(noted.numpy()[whole], turns[whole], rtol=2e-2, atol=1e-3 * float(turns.max()))
 
 
-def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
-    """And no other."""
+def test_flatness_acts_only_on_drawn_gaussians() -> None:
+    """The gradient acts on the smallest scale."""
     one = started(flatness=FLATNESS)
     _, found = found_by(one)
     scales = one.gaussians().scales
@@ -178,8 +178,8 @@ def test_the_least_scale_counts_where_a_gaussian_is_drawn() -> None:
 
 
 @pytest.mark.deep
-def test_surfaces_come_nearer_to_known_ones() -> None:
-    """Of a ball over a disc: normals and depths, for a small part of the quality of its pictures."""
+def test_surface_terms_improve_normals_and_depths() -> None:
+    """On a ball over a disc, at a small cost in PSNR."""
     plain = known_surfaces.score(known_surfaces.fitted(known_surfaces.CONFIG))
     weights = {"flatness": 0.3, "normals": 0.05}
     flat = known_surfaces.score(known_surfaces.fitted(replace(known_surfaces.CONFIG, **weights)))

@@ -1,4 +1,4 @@
-"""Terms on surfaces where cameras are inside of what they see."""
+"""Surface terms in scenes with cameras inside."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RELIGHTABLE = {"flatness": 0.3, "normals": 0.05, "depth_spread": 0.3}
 
 
 def camera(number: float) -> ls.Camera:
-    """One near a wall, that looks across the box."""
+    """Returns a camera near a wall that looks across the box."""
     turn = 2.399963 * number
     eye = 0.8 * HALF * (np.cos(turn), np.sin(5.0 * number), np.sin(turn))
     at = -0.6 * HALF * (np.cos(turn + 0.5), np.sin(3.0 * number), np.sin(turn + 0.5))
@@ -27,7 +27,7 @@ def camera(number: float) -> ls.Camera:
 
 
 def image(by: ls.Camera) -> TargetPixels:
-    """The walls of the box, by the mean of four rays a pixel."""
+    """Returns the image of the box's walls, as the mean of four rays per pixel."""
     rays = by.scaled(2 * by.width, 2 * by.height).ray_directions() @ by.camera_from_world[:3, :3]
     away = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     distance = ((np.sign(away) * HALF - by.eye) / away).min(axis=-1)
@@ -36,7 +36,7 @@ def image(by: ls.Camera) -> TargetPixels:
 
 
 def held_out_psnr(config: ls.TrainConfig) -> float:
-    """Of eight views that a training has not seen, dB."""
+    """Returns the PSNR of eight held-out views, dB."""
     views = [TrainingView(str(k), camera(k), lambda k=k: image(camera(k))) for k in range(32)]
     trainer = Trainer(views, config, device="cpu")
     for _ in range(config.iterations):
@@ -47,7 +47,7 @@ def held_out_psnr(config: ls.TrainConfig) -> float:
     return float(np.mean([ls.metrics.psnr(one, image(by).color) for one, by in zip(shown, others, strict=True)]))
 
 
-def test_terms_on_surfaces_leave_a_room_as_it_is() -> None:
-    """Thin depths are no reason to put a film before each camera (decision 0071)."""
+def test_surface_terms_keep_the_quality_of_a_room() -> None:
+    """The depth term must not create a thin layer of Gaussians in front of each camera (decision 0071)."""
     plain, flat = held_out_psnr(CONFIG), held_out_psnr(replace(CONFIG, **RELIGHTABLE))
     assert flat > plain - 1.0, (plain, flat)

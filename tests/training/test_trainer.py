@@ -1,4 +1,4 @@
-"""Training as a whole, on small sets that it renders itself."""
+"""Whole trainings on small rendered sets."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ CONFIG = ls.TrainConfig(iterations=400, cap=150, initial=80, sh_degree=1, coarse
 
 
 def trainer(config: ls.TrainConfig = CONFIG, threads: int | None = None, count: int = 8) -> Trainer:
-    """One that has made no step."""
+    """Returns a trainer before its first iteration."""
     return Trainer(views(count), config, background=BACKGROUND, device="cpu", threads=threads)
 
 
 def arrays(of: Trainer) -> dict[str, np.ndarray]:
-    """Everything that the next step depends on."""
+    """Returns all arrays on which the next iteration depends."""
     state = of.checkpoint
     parts = {"values": state.parameters.values, "first": state.parameters.first, "second": state.parameters.second}
     return {f"{part}.{name}": values for part, held in parts.items() for name, values in held.items()}
 
 
 def held_out_psnr(of: Trainer) -> float:
-    """On views between those that were learnt from."""
+    """Returns the PSNR on views between the training views."""
     renderer = ls.create_renderer(ls.RenderConfig(background=BACKGROUND), "cpu")
     between = cameras(40)[33:]
     scores = [
@@ -51,8 +51,8 @@ def held_out_psnr(of: Trainer) -> float:
 
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
-def test_training_learns(kind: ls.config.Densification) -> None:
-    """What it was not shown, too: 4 dB nearer after 400 small steps."""
+def test_training_improves_held_out_views(kind: ls.config.Densification) -> None:
+    """400 small iterations gain 4 dB."""
     one = trainer(replace(CONFIG, densification=kind))
     before, losses = held_out_psnr(one), [one.step().total for _ in range(400)]
     assert np.mean(losses[-40:]) < 0.6 * np.mean(losses[:20])
@@ -61,7 +61,7 @@ def test_training_learns(kind: ls.config.Densification) -> None:
 
 @pytest.mark.deep
 def test_known_gaussians_are_recovered() -> None:
-    """From 32 renders of them: above 40 dB on views that were held out."""
+    """32 rendered images give more than 40 dB on held-out views."""
     config = ls.TrainConfig(iterations=6000, cap=400, initial=400, sh_degree=1, coarse=0)
     one = Trainer(views(32, 64), config, background=BACKGROUND, device="cpu")
     for _ in range(config.iterations):
@@ -70,8 +70,8 @@ def test_known_gaussians_are_recovered() -> None:
 
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
-def test_a_seed_gives_the_same_bits_on_any_number_of_threads(kind: ls.config.Densification) -> None:
-    """Over changes of their number, too; another seed gives others."""
+def test_training_has_the_same_bits_on_any_number_of_threads(kind: ls.config.Densification) -> None:
+    """Also across densifications; another seed gives another result."""
     config = replace(CONFIG, densification=kind, iterations=700)
     made = [trainer(config, threads) for threads in (1, 2, 5)] + [trainer(replace(config, seed=4))]
     for one in made:
@@ -84,8 +84,8 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads(kind: ls.config.Den
     assert made[3].count != made[0].count or (arrays(made[3])["values.means"] != first["values.means"]).any()
 
 
-def test_a_loss_that_is_not_finite_ends_training() -> None:
-    """At once, with the step."""
+def test_non_finite_loss_ends_training() -> None:
+    """The iteration itself raises the error."""
     broken = np.full((40, 40, 3), np.nan, np.float32)
     view = TrainingView("bad", cameras(1)[0], lambda: TargetPixels(broken))
     one = Trainer([view], CONFIG, device="cpu")
@@ -94,10 +94,10 @@ def test_a_loss_that_is_not_finite_ends_training() -> None:
 
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
-def test_training_that_is_stopped_goes_on_to_the_same_bits(
+def test_stopped_training_resumes_to_the_same_bits(
     kind: ls.config.Densification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As if it had never ended, over changes of their number; and leaves what people want to look at."""
+    """Also across densifications; the training folder has all documented files."""
     folder = folder_of(tmp_path / "set")
     config = replace(CONFIG, iterations=260 if kind is ls.config.Densification.MCMC else 420, densification=kind)
     color = "#1a334d"
@@ -121,19 +121,19 @@ def test_training_that_is_stopped_goes_on_to_the_same_bits(
     assert ls.load_image(tmp_path / "b.training" / "held out" / "00.png").shape == (40, 80, 3)
 
 
-def test_what_is_written_makes_the_same_training_again(tmp_path: Path) -> None:
-    """From the settings of its folder alone, the same bits."""
+def test_written_settings_reproduce_the_training(tmp_path: Path) -> None:
+    """The settings file alone gives the same bits."""
     folder, outputs = folder_of(tmp_path / "set"), (tmp_path / "a.ply", tmp_path / "b.ply")
     config = replace(CONFIG, iterations=6, seed=3, rates=ls.config.LearningRates(sh=0.004))
     first = ls.io.load_training_images(
         os.path.relpath(folder), scale=0.5, hold_out=4, background="#1a334d", allow_outside=True
     )
     ls.train(first, config, output=outputs[0], device="cpu")
-    told = tomllib.loads((tmp_path / "a.training" / "settings.toml").read_text())
-    assert list(told) == ["photographs", "train"] and told["photographs"]["folder"] == str(folder)
-    again = ls.io.load_training_images(**told["photographs"])
-    rates = ls.config.LearningRates(**told["train"].pop("rates"))
-    ls.train(again, ls.TrainConfig(**told["train"], rates=rates), output=outputs[1], device="cpu")
+    message = tomllib.loads((tmp_path / "a.training" / "settings.toml").read_text())
+    assert list(message) == ["photographs", "train"] and message["photographs"]["folder"] == str(folder)
+    again = ls.io.load_training_images(**message["photographs"])
+    rates = ls.config.LearningRates(**message["train"].pop("rates"))
+    ls.train(again, ls.TrainConfig(**message["train"], rates=rates), output=outputs[1], device="cpu")
     assert outputs[0].read_bytes() == outputs[1].read_bytes()
     assert again.read_from == first.read_from and len(again.held_out) == 3
     see_through = ls.io.load_training_images(folder)
@@ -145,14 +145,14 @@ def test_what_is_written_makes_the_same_training_again(tmp_path: Path) -> None:
 
 
 def flipped(data: bytes, rng: np.random.Generator) -> bytes:
-    """With other bits in one of its bytes."""
+    """Returns the data with one byte changed."""
     changed = bytearray(data)
     changed[rng.integers(len(data))] ^= int(rng.integers(1, 256))
     return bytes(changed)
 
 
-def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
-    """Other settings, other photographs, damage: one line each, and nothing is lost."""
+def test_checkpoints_of_other_trainings_are_refused_and_kept(tmp_path: Path) -> None:
+    """Other settings, other images and damage are each reported in one line."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20)
     ls.train(folder, config, output=output, device="cpu")
@@ -175,17 +175,17 @@ def test_checkpoints_of_others_are_refused_and_stay(tmp_path: Path) -> None:
         try:
             ls.train(folder, config, output=output, device="cpu")
         except ls.FormatError as error:
-            told = f"{file}: is damaged, or not a training checkpoint: remove it, or start again (--overwrite, "
-            assert str(error) == told + "overwrite=True)"
+            message = f"{file}: is damaged, or not a training checkpoint: remove it, or start again (--overwrite, "
+            assert str(error) == message + "overwrite=True)"
         else:
-            assert len(damaged) == len(held), "bytes that say nothing: a date, say"
+            assert len(damaged) == len(held), "bytes without meaning, such as a date"
             file.write_bytes(held)
     again = ls.train(folder, config, output=output, overwrite=True, device="cpu")
     assert again.iterations == 20 and file.read_bytes() == held
 
 
-def test_altered_checkpoints_are_one_line(tmp_path: Path) -> None:
-    """Whole archives with other arrays: half of the Gaussians, doubled records, wrong ranks, steps below 0, a bomb."""
+def test_altered_checkpoints_are_refused_in_one_line(tmp_path: Path) -> None:
+    """Intact archives with wrong arrays: missing Gaussians, wrong shapes, negative iterations, a decompression bomb."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     config = replace(CONFIG, iterations=20, exposures=True)
     ls.train(folder, config, output=output, device="cpu")
@@ -227,18 +227,18 @@ def test_altered_checkpoints_are_one_line(tmp_path: Path) -> None:
             ls.train(folder, config, output=output, device="cpu")
 
 
-def test_parameters_that_are_not_finite_end_training_before_anything_is_written() -> None:
-    """They do not show: what is not finite is not drawn."""
+def test_non_finite_parameters_end_training_before_any_file_is_written() -> None:
+    """The loss does not reveal them, because non-finite Gaussians are not drawn."""
     one = trainer()
     one.step()
     means: Any = one._device_splats.values.means
     means.numpy()[3:5, 1] = np.nan  # the memory itself, on a CPU
-    with pytest.raises(ls.training.DivergedError, match=r"step 1: means of 2 of 80 Gaussians are not finite$"):
+    with pytest.raises(ls.training.DivergedError, match=r"iteration 1: means of 2 of 80 Gaussians are not finite$"):
         _ = one.checkpoint
 
 
-def test_cameras_that_say_nothing_of_distances_are_taken_for_some() -> None:
-    """That turn on the spot, or that look the same way."""
+def test_scene_scale_without_parallax_has_defaults() -> None:
+    """Cameras at one position, or with parallel axes."""
     spot = [ls.Camera.look_at((1.3, 0.7, -2.1), target) for target in np.random.default_rng(0).normal(size=(8, 3))]
     assert SceneScale.of(spot) == SceneScale(1.0, 1.0)
     rig = [ls.Camera.look_at((x, 0.0, 0.0), (x, 0.0, 1.0)) for x in (-0.1, 0.0, 0.1)]
@@ -247,7 +247,7 @@ def test_cameras_that_say_nothing_of_distances_are_taken_for_some() -> None:
 
 
 def test_initial_scales_follow_the_three_nearest_points() -> None:
-    """Against all distances of points on a plane, which many-sided blocks of space would cut; and few points."""
+    """The reference is all distances of points on a plane; also for very few points."""
     points = np.random.default_rng(5).uniform(size=(2000, 3)) * (1.0, 1.0, 0.0)
     nearest = np.sort(np.linalg.norm(points[:, None] - points, axis=2), axis=1)[:, 1:4]
     np.testing.assert_allclose(neighbour_distances(points), np.sqrt(np.square(nearest).mean(axis=1)))

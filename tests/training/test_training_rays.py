@@ -1,4 +1,4 @@
-"""Training through rays: of kernels of any degree, by cameras that no rasteriser draws."""
+"""Training by ray tracing: any kernel degree and any camera."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ FRAMES = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, ligh
 
 
 def fisheyes(count: int) -> list[ls.Camera]:
-    """Around what is to be found, with a lens that distorts."""
+    """Returns distorted fisheye cameras around the known Gaussians."""
     lens: dict[str, Any] = {"model": ls.CameraModel.FISHEYE, "distortion": (0.1, -0.02, 0.01, 0.0, 0.0, 0.0)}
     return [replace(camera, fx=55.0, fy=55.0, name=f"{n:02d}", **lens) for n, camera in enumerate(cameras(count))]
 
 
 def seen(of: ls.Gaussians, some: list[ls.Camera]) -> list[np.ndarray]:
-    """Frames of rays."""
+    """Returns ray-traced training views."""
     renderer = ls.create_renderer(FRAMES, "cpu")
     return [np.array(renderer.render(ls.Scene([of]), camera).color, np.float32) for camera in some]
 
 
 def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None = None) -> Trainer:
-    """One that has made no step, with frames of what is to be found."""
+    """Returns a trainer before its first iteration, with ray-traced images of the known Gaussians."""
     truth = replace(known(), kernel_degree=config.kernel_degree)
     views = [
         TrainingView(camera.name, camera, lambda color=color: TargetPixels(color))
@@ -45,14 +45,14 @@ def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None =
 
 
 def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
-    """On other views than those that were learnt from."""
+    """Returns the PSNR on views other than the training views."""
     truth = replace(known(), kernel_degree=of.config.kernel_degree)
     pairs = zip(seen(of.gaussians(), some), seen(truth, some), strict=True)
     return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
-def test_what_is_compared_is_what_every_renderer_shows() -> None:
-    """Also after the Gaussians have moved, and are others: the hierarchy follows them."""
+def test_training_frame_equals_the_renderer_frame() -> None:
+    """Also after the Gaussians have moved or been replaced: the BVH is refitted."""
     one, camera = trainer(CONFIG, cameras(4, 20)), cameras(6)[5]
     for _ in range(30):
         one.step()
@@ -66,15 +66,15 @@ def test_what_is_compared_is_what_every_renderer_shows() -> None:
 
 
 def check_frame(one: Trainer, camera: ls.Camera) -> None:
-    """The trainer's frame against that of another renderer."""
+    """Compares the trainer's frame with that of a renderer."""
     pixels = one._backend.draw(camera, 1, BACKGROUND)
     expected = seen(one.gaussians(), [camera])[0]
     shown = device_array(pixels.color).numpy().reshape(expected.shape)
     assert np.abs(shown - expected).max() < 2e-6
 
 
-def test_training_learns() -> None:
-    """What it was not shown, too: 4 dB nearer after 200 small steps."""
+def test_training_by_rays_improves_held_out_views() -> None:
+    """200 small iterations gain 4 dB."""
     one, others = trainer(CONFIG, cameras(8, 32)), cameras(40)[33:36]
     before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]
     assert np.mean(losses[-40:]) < 0.6 * np.mean(losses[:20])
@@ -85,7 +85,7 @@ def test_training_learns() -> None:
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", ["pinhole", "fisheye"])
 def test_known_gaussians_of_degree_4_are_recovered(kind: str) -> None:
-    """From 32 renders of them by rays: above 40 dB on views that were held out."""
+    """32 ray-traced images give more than 40 dB on held-out views."""
     config = replace(CONFIG, iterations=6000, cap=400, initial=400)
     views = fisheyes(40) if kind == "fisheye" else cameras(40, 64)
     one = trainer(config, views[:32])
@@ -94,8 +94,8 @@ def test_known_gaussians_of_degree_4_are_recovered(kind: str) -> None:
     assert held_out_psnr(one, views[33:]) > 40.0
 
 
-def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
-    """Adding up is in one order, refits are as well."""
+def test_training_by_rays_has_the_same_bits_on_any_number_of_threads() -> None:
+    """Sums and BVH refits have a fixed order."""
     made = [trainer(CONFIG, cameras(4, 20), threads) for threads in (1, 2, 5)]
     for one in made:
         for _ in range(40):
@@ -106,8 +106,8 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
             np.testing.assert_array_equal(values, first.values[name], err_msg=name)
 
 
-def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> None:
-    """A folder of them becomes a capture whose file says its degree; pixels without a ray do not count."""
+def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None:
+    """The capture file stores its kernel degree; pixels without a ray do not count."""
     some = [replace(camera, fx=2.5, fy=2.5) if n == 4 else camera for n, camera in enumerate(fisheyes(9))]
     frames = [np.clip(frame, 0.0, 1.0) for frame in seen(replace(known(), kernel_degree=4), some)]
     folder = tmp_path / "set"
@@ -127,8 +127,8 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     assert result.score.of_views["00"] == pytest.approx(ls.metrics.psnr(np.clip(shown, 0.0, 1.0), frames[0]), abs=0.05)
 
 
-def test_what_does_not_go_together_is_refused(tmp_path: Path) -> None:
-    """In a line."""
+def test_incompatible_settings_are_refused(tmp_path: Path) -> None:
+    """Each in one line."""
     refused: list[tuple[dict[str, Any], str]] = [
         ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show: use Pipeline.TRACE"),
         ({"kernel_degree": 6, "pipeline": "trace"}, "kernel_degree is 6, expected"),

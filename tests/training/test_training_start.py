@@ -1,4 +1,4 @@
-"""What a training begins with and leaves alone; what Ctrl C leaves."""
+"""Start of a training: existing files, initial points and warnings; and what Ctrl C leaves."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from support.scenes.training_scenes import cameras, folder_of
 SHORT = ls.TrainConfig(iterations=60, cap=80, sh_degree=1, prune_below=0.0)
 
 
-def test_a_capture_of_something_else_is_not_replaced(tmp_path: Path) -> None:
-    """Unless that is asked for."""
+def test_existing_capture_is_replaced_only_if_asked(tmp_path: Path) -> None:
+    """A capture without a training is kept unless ``overwrite`` is set."""
     folder, output = folder_of(tmp_path / "set"), tmp_path / "a.ply"
     output.write_text("precious")
     with pytest.raises(ls.FormatError, match="exists and has no training to resume: overwrite it"):
@@ -34,8 +34,8 @@ def test_a_capture_of_something_else_is_not_replaced(tmp_path: Path) -> None:
     assert isinstance(ls.load(output), ls.Gaussians)
 
 
-def test_overwriting_removes_what_a_training_has_left_and_nothing_else(tmp_path: Path) -> None:
-    """Notes beside it stay."""
+def test_overwriting_removes_only_files_of_a_training(tmp_path: Path) -> None:
+    """Other files in the folder are kept."""
     folder, output, left = folder_of(tmp_path / "set"), tmp_path / "a.ply", tmp_path / "a.training"
     ls.train(folder, SHORT, output=output, device="cpu", preview=20)
     (left / "notes.txt").write_text("mine")
@@ -45,8 +45,8 @@ def test_overwriting_removes_what_a_training_has_left_and_nothing_else(tmp_path:
     assert (left / "notes.txt").read_text() == "mine" and not (left / "previews").exists()
 
 
-def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFixture) -> None:
-    """Random ones are added, and that is said; where there are enough, or none at all, nothing is."""
+def test_random_points_are_added_to_few_known_points(caplog: pytest.LogCaptureFixture) -> None:
+    """A log line reports it; with enough points, or with none, nothing is added."""
     config, seen = ls.TrainConfig(cap=1000, initial=400), cameras(5)
     few, many = np.zeros((19, 3)), np.zeros((20, 3))
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -70,10 +70,10 @@ def test_hardly_any_points_are_not_all_that_there_is(caplog: pytest.LogCaptureFi
         ([0, 1, 2, 3], None),
     ],
 )
-def test_few_and_equal_photographs_are_told(
+def test_few_positions_and_duplicate_poses_are_reported(
     numbers: list[int], problem: str | None, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In one line, with what to do; of as many as there should be, nothing is said."""
+    """One log line with advice; no line for enough distinct cameras."""
     seen = cameras(max(numbers) + 1, 16)
     listed = [replace(seen[number], name=f"v{index}") for index, number in enumerate(numbers)]
     folder = write_nerfstudio_images(tmp_path / "set", listed)
@@ -83,8 +83,8 @@ def test_few_and_equal_photographs_are_told(
     assert problem or not caplog.messages
 
 
-def test_places_and_poses_are_told_apart() -> None:
-    """A camera that turns is in one place, and shows something else; the unit of length does not matter."""
+def test_positions_and_poses_are_counted_in_any_unit() -> None:
+    """A camera that rotates has one position and several poses."""
     for scale in (1e-3, 1.0, 1e4):
         eyes = scale * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
         ahead = [ls.Camera.look_at(eye, eye + np.array((0.0, 0.0, scale))) for eye in eyes]
@@ -96,8 +96,10 @@ def test_places_and_poses_are_told_apart() -> None:
         assert (count_positions([ahead[1], aside[1]]), count_poses([ahead[1], aside[1]])) == (1, 2)
 
 
-def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a checkpoint, from which it goes on to the same bits."""
+def test_ctrl_c_ends_training_between_iterations_with_a_checkpoint(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The training resumes from the checkpoint to the same bits."""
     monkeypatch.setattr("lumisplat.training.train.PROGRESS_EVERY_S", 0.0)  # however quick the machine is
     folder, whole, ended = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "ended.ply"
     config = ls.TrainConfig(iterations=300, cap=80, sh_degree=1)
@@ -116,8 +118,8 @@ def test_ctrl_c_ends_a_training_between_two_steps(tmp_path: Path, monkeypatch: p
     assert result.is_finished and ended.read_bytes() == whole.read_bytes()
 
 
-def test_trainings_in_threads_leave_ctrl_c_alone(tmp_path: Path) -> None:
-    """Only the main thread may say what it does."""
+def test_training_in_another_thread_does_not_handle_ctrl_c(tmp_path: Path) -> None:
+    """Only the main thread may install signal handlers."""
     folder, found = folder_of(tmp_path / "set"), list[Any]()
     thread = threading.Thread(target=lambda: found.append(ls.train(folder, SHORT, device="cpu")))
     thread.start()

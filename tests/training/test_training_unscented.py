@@ -1,4 +1,4 @@
-"""Training by frames that are rasterised along rays: photographs of lenses that distort, as they are."""
+"""Training by the unscented transform, from distorted images without undistortion."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ LENSES: dict[str, dict[str, Any]] = {
 
 
 def lenses(count: int, kind: str = "fisheye", size: int = 40) -> list[ls.Camera]:
-    """Around what is to be found, through a lens."""
+    """Returns cameras with a distorted lens around the known Gaussians."""
     focal = 1.4 * size
     change = {"fx": focal, "fy": focal, **LENSES[kind]}
     return [replace(camera, name=f"{n:02d}", **change) for n, camera in enumerate(cameras(count, size))]
 
 
 def seen(of: ls.Gaussians, some: list[ls.Camera], config: ls.RenderConfig = TRACED) -> list[np.ndarray]:
-    """Frames, by the tracer if not said otherwise."""
+    """Returns training views, ray traced by default."""
     renderer = ls.create_renderer(config, "cpu")
     return [np.array(renderer.render(ls.Scene([of]), camera).color, np.float32) for camera in some]
 
 
 def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None = None) -> Trainer:
-    """One that has made no step, with the tracer's frames of what is to be found."""
+    """Returns a trainer before its first iteration, with ray-traced images of the known Gaussians."""
     views = [
         TrainingView(camera.name, camera, lambda color=color: TargetPixels(color))
         for camera, color in zip(some, seen(known(), some), strict=True)
@@ -53,13 +53,13 @@ def trainer(config: ls.TrainConfig, some: list[ls.Camera], threads: int | None =
 
 
 def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
-    """Of its frames on other views, against the tracer's of what is to be found."""
+    """Returns the PSNR of held-out unscented frames against ray-traced frames of the known Gaussians."""
     pairs = zip(seen(of.gaussians(), some, FRAMES), seen(known(), some), strict=True)
     return float(np.mean([ls.metrics.psnr(np.clip(one, 0.0, 1.0), np.clip(other, 0.0, 1.0)) for one, other in pairs]))
 
 
-def test_what_is_compared_is_what_every_renderer_shows() -> None:
-    """Also after the Gaussians have moved, and are others."""
+def test_training_frame_equals_the_renderer_frame() -> None:
+    """Also after the Gaussians have moved or been replaced."""
     one, camera = trainer(CONFIG, lenses(4)), lenses(6)[5]
     for _ in range(30):
         one.step()
@@ -73,7 +73,7 @@ def test_what_is_compared_is_what_every_renderer_shows() -> None:
 
 
 def check_frame(one: Trainer, camera: ls.Camera) -> None:
-    """The trainer's frame against that of another renderer."""
+    """Compares the trainer's frame with that of a renderer."""
     pixels = one._backend.draw(camera, 1, BACKGROUND)
     expected = seen(one.gaussians(), [camera], FRAMES)[0]
     shown = device_array(pixels.color).numpy().reshape(expected.shape)
@@ -81,8 +81,8 @@ def check_frame(one: Trainer, camera: ls.Camera) -> None:
 
 
 @pytest.mark.parametrize("kind", LENSES)
-def test_training_learns(kind: str) -> None:
-    """What it was not shown, too: 4 dB nearer after 200 small steps."""
+def test_unscented_training_improves_held_out_views(kind: str) -> None:
+    """200 small iterations gain 4 dB."""
     one, others = trainer(CONFIG, lenses(8, kind)), lenses(40, kind)[33:36]
     before, losses = held_out_psnr(one, others), [one.step().total for _ in range(200)]
     assert np.mean(losses[-40:]) < 0.6 * np.mean(losses[:20])
@@ -91,8 +91,8 @@ def test_training_learns(kind: str) -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("kind", LENSES)
-def test_known_gaussians_are_recovered_from_the_tracers_frames(kind: str) -> None:
-    """From 32 photographs through a lens: above 40 dB on views that were held out."""
+def test_known_gaussians_are_recovered_from_ray_traced_images(kind: str) -> None:
+    """32 images through a lens give more than 40 dB on held-out views."""
     config = replace(CONFIG, iterations=6000, cap=400, initial=400)
     views = lenses(40, kind, 64)
     one = trainer(config, views[:32])
@@ -101,8 +101,8 @@ def test_known_gaussians_are_recovered_from_the_tracers_frames(kind: str) -> Non
     assert held_out_psnr(one, views[33:]) > 40.0
 
 
-def test_training_begins_where_lenses_see() -> None:
-    """With points all around a fisheye of 240 degrees, none where it stands, about as far as what it looks at."""
+def test_random_points_lie_within_the_fisheye_view() -> None:
+    """A fisheye of 240 degrees gets points all around, near the distance of its target."""
     wide = [replace(camera, fx=9.0, fy=9.0, model=ls.CameraModel.FISHEYE) for camera in cameras(6)]
     around = SceneScale.of(wide)
     points = random_points(wide, around, 4000, np.random.default_rng(1))
@@ -119,8 +119,8 @@ def test_training_begins_where_lenses_see() -> None:
     assert np.any(seen_by, axis=0).all()
 
 
-def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
-    """Adding up is in one order."""
+def test_unscented_training_has_the_same_bits_on_any_number_of_threads() -> None:
+    """Sums have a fixed order."""
     made = [trainer(CONFIG, lenses(4), threads) for threads in (1, 2, 5)]
     for one in made:
         for _ in range(40):
@@ -131,8 +131,8 @@ def test_a_seed_gives_the_same_bits_on_any_number_of_threads() -> None:
             np.testing.assert_array_equal(values, first.values[name], err_msg=name)
 
 
-def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> None:
-    """A folder of them becomes a capture, measured on what was held out, through the lens."""
+def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None:
+    """The held-out score is measured through the lens."""
     some = lenses(9)
     folder = tmp_path / "set"
     write_nerfstudio_images(folder, some, [np.clip(frame, 0.0, 1.0) for frame in seen(known(), some)])
@@ -150,8 +150,8 @@ def test_photographs_of_fisheyes_are_learnt_from_as_they_are(tmp_path: Path) -> 
     assert result.score.of_views[photograph.name] == pytest.approx(found, abs=0.05)
 
 
-def test_what_does_not_go_together_is_refused() -> None:
-    """In a line."""
+def test_incompatible_settings_are_refused() -> None:
+    """Each in one line."""
     refused: list[tuple[dict[str, Any], str]] = [
         ({"pipeline": "trace"}, r"projection is unscented, which is of Pipeline\.RASTER"),
         ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show"),

@@ -1,4 +1,4 @@
-"""What comes of a training does not depend on the unit of a scene, nor on where its zero is."""
+"""Training is independent of the scene's unit and origin."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ POINTS = np.random.default_rng(3).normal(size=(90, 3)) + np.array([1.0, 2.0, 3.0
 
 
 def moved(camera: ls.Camera, unit: float, place: np.ndarray) -> ls.Camera:
-    """The camera in another unit, and in another place."""
+    """Returns the camera in another unit and at another origin."""
     pose = np.array(camera.camera_from_world)
     pose[:3, 3] = unit * pose[:3, 3] - pose[:3, :3] @ place
     return replace(camera, camera_from_world=pose)
 
 
 def images(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
-    """A ring of cameras around points, as COLMAP would have written it."""
+    """Returns a ring of cameras around points, as COLMAP would write them."""
     cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
     known = unit * POINTS + place if points else POINTS[:0]
     return ls.io.load_training_images(write_colmap_images(folder, cameras, known), hold_out=3)
 
 
 def trained(images: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls.training.TrainResult:
-    """What comes of it."""
+    """Returns the trained Gaussians."""
     return ls.train(images, config, device="cpu")
 
 
@@ -40,10 +40,10 @@ def trained(images: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls
 @pytest.mark.parametrize(
     ("unit", "place"), [(1000.0, 0.0 * UTM), (1e-3, 0.0 * UTM), (1.0, UTM), (1000.0, 1000.0 * UTM)]
 )
-def test_gaussians_are_the_same_in_any_unit_and_place(
+def test_training_is_independent_of_unit_and_origin(
     tmp_path: Path, unit: float, place: np.ndarray, points: bool
 ) -> None:
-    """Scaled and moved, but for rounding; 5 dB less in millimetres and "not finite" at UTM coordinates before."""
+    """Gaussians are scaled and moved up to rounding, from millimetres to UTM coordinates."""
     first = trained(images(tmp_path / "a", 1.0, 0.0 * UTM, points=points))
     other = trained(images(tmp_path / "b", unit, place, points=points))
     assert first.score is not None and other.score is not None
@@ -57,8 +57,8 @@ def test_gaussians_are_the_same_in_any_unit_and_place(
 
 
 @pytest.mark.parametrize("pipeline", ["trace", "unscented"])
-def test_rays_learn_the_same_in_any_unit(tmp_path: Path, pipeline: str) -> None:
-    """The other ways to draw what is learnt."""
+def test_training_by_rays_is_independent_of_unit(tmp_path: Path, pipeline: str) -> None:
+    """For the ray tracer and the unscented transform."""
     way = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
     config = replace(CONFIG, iterations=20, **way)
     scores = [
@@ -69,8 +69,8 @@ def test_rays_learn_the_same_in_any_unit(tmp_path: Path, pipeline: str) -> None:
     assert scores[1].psnr == pytest.approx(scores[0].psnr, abs=0.05)
 
 
-def test_what_was_learnt_far_away_is_written_and_goes_on(tmp_path: Path) -> None:
-    """The file states the origin; the same command goes on from its checkpoint; cameras that move come back."""
+def test_training_at_a_far_origin_is_written_and_resumes(tmp_path: Path) -> None:
+    """The file stores the origin, and refined cameras are in world space."""
     far = images(tmp_path / "far", 1.0, UTM)
     config = replace(CONFIG, refine_poses=True)
     ls.train(far, config, output=tmp_path / "x.ply", device="cpu")
@@ -84,8 +84,8 @@ def test_what_was_learnt_far_away_is_written_and_goes_on(tmp_path: Path) -> None
         assert np.linalg.norm(camera.eye - view.camera.eye) < 0.1
 
 
-def test_cameras_of_a_set_are_as_far_apart_in_any_unit(tmp_path: Path) -> None:
-    """So that weights of scales and strengths of noise mean the same."""
+def test_camera_extent_is_the_same_in_any_unit(tmp_path: Path) -> None:
+    """Scale regularisation and noise therefore have the same effect."""
     extents = []
     for unit, place in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
         found = images(tmp_path / str(unit), unit, place)
@@ -93,7 +93,7 @@ def test_cameras_of_a_set_are_as_far_apart_in_any_unit(tmp_path: Path) -> None:
     np.testing.assert_allclose(extents, extents[0], rtol=1e-6)
 
 
-def test_photographs_far_away_are_not_taken_from_one_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Five units around a place five million away are five units."""
+def test_positions_at_a_far_origin_are_distinct(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Cameras five units apart, five million units from the origin, are not at one position."""
     trained(images(tmp_path, 1.0, UTM), replace(CONFIG, iterations=1))
     assert "place" not in caplog.text and "pose of another" not in caplog.text
