@@ -54,7 +54,7 @@ def test_a_scene_with_all_that_it_has(work: Workplace, caplog: pytest.LogCapture
     assert outcome.status == 0
     assert "of 1 capture, 60 Gaussians, 1 mesh instance, 1 light, 1 camera" in outcome.out
     said = [message for message in caplog.messages if "scene.glb: " in message]
-    assert [message.partition("scene.glb: ")[2] for message in said] == ["glTF cannot hold area lamps (panel)"]
+    assert [message.partition("scene.glb: ")[2] for message in said] == ["glTF cannot store area lights (panel)"]
     scene, before = ls.load(work.path("scene.glb")), ls.load(work.path("scene.toml"))
     assert isinstance(scene, ls.Scene)
     assert isinstance(before, ls.Scene)
@@ -126,7 +126,7 @@ def test_captures_are_converted_both_ways(work: Workplace) -> None:
     ("args", "problem"),
     [
         (("@scene.toml", "-o", "@a.obj"), "a.obj: unknown extension '.obj', expected .glb"),
-        (("@scene.toml", "-o", "@a.ply"), "a.ply: holds Gaussians alone: scenes and meshes can be saved as .glb"),
+        (("@scene.toml", "-o", "@a.ply"), "a.ply: stores only Gaussians: save scenes and meshes as .glb"),
         (("-o", "@a.glb"), "no scene given"),
         (("@none.toml", "-o", "@a.glb"), "none.toml: no such file"),
         (("@scene.toml", "--up", "sideways", "-o", "@a.glb"), "--up is 'sideways'"),

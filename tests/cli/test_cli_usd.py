@@ -120,9 +120,7 @@ def test_what_moves_has_formats_of_its_own(work: Workplace) -> None:
     """An animation cannot be saved as anything else."""
     work.path("scene.toml").write_text(SCENE + ACTOR)
     animation = ls.load_animation(work.path("scene.toml"))
-    with pytest.raises(
-        ls.FormatError, match=r"a\.glb: cannot hold what moves: animations can be saved as \.usd, \.usda"
-    ):
+    with pytest.raises(ls.FormatError, match=r"a\.glb: cannot store animations: save them as \.usd, \.usda"):
         ls.save(work.path("a.glb"), animation)
 
 

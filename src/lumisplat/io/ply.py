@@ -1,4 +1,4 @@
-"""Reads the PLY container: headers, rows of numbers as NumPy structured arrays, and rows of lists.
+"""Reads the PLY container: headers, rows of numbers as structured arrays, and rows with lists.
 
 Rows with list properties, such as the polygons of a mesh, differ in length. Format: Greg Turk, "The PLY Polygon File
 Format" (1994).
@@ -23,7 +23,7 @@ from lumisplat.errors import FormatError
 from lumisplat.io.files.source import PathLike, parsing, read_bytes
 
 _HEADER_BYTES_MAX = 2**20
-"""Largest number of bytes that a header may have."""
+"""Largest size of a header in bytes."""
 
 _ENCODINGS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
@@ -36,34 +36,34 @@ _SCALAR_TYPES = {
 
 
 _PREFIXES = re.compile(r"(?:scalar_|scal_)+")
-"""Before the names of scalar fields in files of CloudCompare, once for each time that it wrote them."""
+"""Prefixes that CloudCompare adds to the names of scalar fields, once each time that it writes them."""
 
 _COLOR_NAMES = (("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
-"""Other names of red, green and blue."""
+"""Alternative names of red, green and blue."""
 
 _BLOCK_BYTES = 2**20
-"""Rows are read in blocks of this size, which stay in the cache while their columns are separated."""
+"""Size of the blocks in which rows are read, small enough to stay in the cache while columns are separated."""
 
 PlyRows = npt.NDArray[np.void]
-"""Rows with a field for each property."""
+"""Rows of an element, with a field for each property."""
 
 _ZEROS = re.compile(rb"\0+")
 
 
 @dataclass(frozen=True, slots=True)
 class PlyProperty:
-    """A number, or a list of numbers, of each row."""
+    """A property of an element: a number, or a list of numbers, in each row."""
 
     name: str
     code: str
-    """NumPy type code of the number, or of the items of the list."""
+    """NumPy type code of the number, or of the list's items."""
     count_code: str | None = None
-    """NumPy type code of the number of items of a list; None: this is not a list."""
+    """NumPy type code of a list's length; None if the property is not a list."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlyElement:
-    """One element of a header: a table of rows."""
+    """An element of a header: a table of rows."""
 
     name: str
     count: int
@@ -71,7 +71,7 @@ class PlyElement:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the properties, in the file's order."""
+        """Names of the properties, in file order."""
         return tuple(prop.name for prop in self.properties)
 
 
@@ -81,20 +81,20 @@ class PlyHeader:
 
     path: str
     encoding: str
-    """A key of `_ENCODINGS`."""
+    """Encoding of the rows, a key of `_ENCODINGS`."""
     comments: tuple[str, ...]
     elements: tuple[PlyElement, ...]
     data_offset: int
-    """Bytes before the first row."""
+    """Number of bytes before the first row."""
     file_size: int
-    """Bytes."""
+    """Size of the file in bytes."""
 
     def element(self, name: str) -> PlyElement | None:
-        """The element of that name, None if there is none."""
+        """Returns the element with a name, None if there is none."""
         return next((element for element in self.elements if element.name == name), None)
 
     def required(self, name: str) -> PlyElement:
-        """The element of that name.
+        """Returns the element with a name.
 
         Raises:
             FormatError: There is no such element.
@@ -105,20 +105,20 @@ class PlyHeader:
         return element
 
     def dtype(self, element: PlyElement) -> np.dtype[np.void]:
-        """Structured type of one row, packed, in the byte order of the file.
+        """Returns the structured type of an element's rows, packed, in the byte order of the file.
 
         Raises:
-            FormatError: The element has list properties, so that its rows have no fixed length.
+            FormatError: The element has list properties, so its rows have no fixed length.
         """
         if any(prop.count_code for prop in element.properties):
             raise FormatError(self.path, f"PLY element {element.name} has list properties, expected plain numbers")
         return np.dtype([(prop.name, _ENCODINGS[self.encoding] + prop.code) for prop in element.properties])
 
     def start(self, element: PlyElement) -> tuple[int, int]:
-        """The byte at which the rows of an element begin in a binary file, and the number of rows before them.
+        """Returns the byte offset of an element's rows in a binary file, and the number of rows before them.
 
         Raises:
-            FormatError: An element before it has list properties.
+            FormatError: An earlier element has list properties.
         """
         before = list(itertools.takewhile(lambda other: other is not element, self.elements))
         size = sum(other.count * self.dtype(other).itemsize for other in before)
@@ -168,7 +168,7 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
         raise FormatError(path, "the PLY header has no 'format' line")
     for name, _, properties in elements:
         properties[:] = _with_usual_names(properties)
-        if encoding == "ascii":  # text has as many digits as were written, whatever type the header says
+        if encoding == "ascii":  # ASCII may have more digits than the type in the header
             wide = {"x", "y", "z"}
             properties[:] = [replace(prop, code="f8") if prop.name in wide else prop for prop in properties]
         if len({prop.name for prop in properties}) < len(properties):
@@ -177,9 +177,9 @@ def _parse_lines(path: PathLike, lines: list[str]) -> tuple[str, tuple[str, ...]
 
 
 def _with_usual_names(properties: list[PlyProperty]) -> list[PlyProperty]:
-    """The properties in lower case, without CloudCompare's prefixes, colours as red, green, blue.
+    """Returns properties with lower-case names, without CloudCompare's prefixes, and colours as red, green, blue.
 
-    Two never get the same name.
+    A property keeps its name if the new name is taken.
     """
     names = [prop.name for prop in properties]
     plain = [(_PREFIXES.sub("", name, count=1) if _PREFIXES.match(name) else name).lower() for name in names]
@@ -201,7 +201,7 @@ def _refuse_truncated(header: PlyHeader, element: PlyElement, found: str) -> NoR
 
 
 def ply_header_bytes(comments: tuple[str, ...], elements: list[tuple[str, int, str, list[str]]]) -> bytes:
-    """The header of a little-endian file.
+    """Returns the header of a little-endian file.
 
     Args:
         comments: One line each; line breaks inside become spaces.
@@ -220,15 +220,15 @@ def read_ply_rows(header: PlyHeader, element: PlyElement, block_rows: int | None
 
     Args:
         header: Header of the file.
-        element: One of its elements; neither it nor an element before it may have list properties.
-        block_rows: Rows of a block of a binary file; None: as many as fit into the cache.
+        element: One of its elements; neither it nor an earlier element may have list properties.
+        block_rows: Rows per block of a binary file; None uses as many as fit into the cache.
 
     Yields:
         Structured arrays with ``element.count`` rows in total.
 
     Raises:
-        FormatError: The header promises more rows than the file holds (found before anything is allocated), or the
-            rows do not parse.
+        FormatError: The header promises more rows than the file holds (found before anything is allocated), or the rows
+            do not parse.
         OSError: The file cannot be read.
     """
     dtype = header.dtype(element)
@@ -266,7 +266,7 @@ def _ascii_rows(
 
 
 def read_ply_element(header: PlyHeader, element: PlyElement) -> PlyRows:
-    """All rows of an element as one structured array; see `read_ply_rows`."""
+    """Reads all rows of an element as one structured array; see `read_ply_rows`."""
     blocks = list(read_ply_rows(header, element))
     return np.concatenate(blocks) if blocks else np.empty(0, dtype=header.dtype(element))
 
@@ -277,19 +277,19 @@ def _check_size(header: PlyHeader, element: PlyElement, needed: int) -> None:
 
 
 class PlyList(NamedTuple):
-    """The lists of one property, of all rows."""
+    """Values of a list property in all rows."""
 
     counts: npt.NDArray[Any]
-    """Number of items of each row, shape (rows,)."""
+    """Number of items in each row, shape (rows,)."""
     items: npt.NDArray[Any]
-    """The items of all rows, one row after the other."""
+    """Items of all rows, concatenated."""
 
 
 class _Span(NamedTuple):
-    """The place of one list in the data."""
+    """Position of one list in the data."""
 
     start: int
-    """Byte of the first item."""
+    """Byte offset of the first item."""
     length: int
     """Number of items."""
 
@@ -299,8 +299,8 @@ def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[s
 
     Args:
         header: Header of the file.
-        element: One of its elements; no element before it may have list properties.
-        scalars: Plain numbers of each row that are read, too, as lists of one item.
+        element: One of its elements; no earlier element may have list properties.
+        scalars: Names of number properties to read, too, as lists of one item.
 
     Returns:
         The lists by name. Other properties are skipped.
@@ -326,7 +326,7 @@ def read_ply_lists(header: PlyHeader, element: PlyElement, scalars: Collection[s
 
 
 def _with_types(element: PlyElement, order: str, code: str | None = None) -> PlyElement:
-    """The element with a byte order before its type codes, or before ``code`` instead of them."""
+    """Returns an element whose type codes have a byte order, and are replaced by ``code`` if given."""
     properties = (
         PlyProperty(p.name, order + (code or p.code), p.count_code and order + (code or p.count_code))
         for p in element.properties
@@ -335,7 +335,7 @@ def _with_types(element: PlyElement, order: str, code: str | None = None) -> Ply
 
 
 def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_before: int) -> bytes:
-    """The rows of a text file as binary data in which every number, also each count, is a double."""
+    """Converts the rows of a text file to binary data in which every number, counts included, is a double."""
     lines = [line for line in data[header.data_offset :].splitlines() if line.strip()]
     rows = lines[rows_before : rows_before + element.count]
     if len(rows) < element.count:
@@ -346,7 +346,7 @@ def _ascii_as_doubles(header: PlyHeader, element: PlyElement, data: bytes, rows_
 def _walk(
     header: PlyHeader, element: PlyElement, data: bytes, count: int, scalars: Collection[str]
 ) -> dict[str, list[_Span]]:
-    """Finds the lists and the scalars of the first ``count`` rows, all of which must be complete."""
+    """Finds the byte spans of the lists and scalars in the first ``count`` rows, which must be complete."""
     counters = [
         struct.Struct(p.count_code[0] + np.dtype(p.count_code).char) if p.count_code else None
         for p in element.properties
@@ -373,7 +373,9 @@ def _walk(
                     _refuse_truncated(header, element, f"{row:,}")
                 length = int(counter.unpack_from(data, position)[0])
                 if length < 0:
-                    raise FormatError(header.path, f"row {row:,} of {element.name} has {length} {name}")
+                    raise FormatError(
+                        header.path, f"row {row:,} of {element.name} has a list {name} of length {length}"
+                    )
                 position += counter.size
             if name in spans:
                 spans[name].append(_Span(position, length))
@@ -385,7 +387,7 @@ def _walk(
 
 
 def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]]) -> dict[str, PlyList] | None:
-    """The lists if all rows have lists of the lengths in the first row, as in a mesh of triangles; None otherwise."""
+    """Returns the lists if all rows have the list lengths of the first row, as in a triangle mesh; else None."""
     fields: list[tuple[Any, ...]] = []
     for p in element.properties:
         if p.count_code:
@@ -402,7 +404,7 @@ def _equal_rows(element: PlyElement, data: bytes, first: dict[str, list[_Span]])
 
 
 def _gather(prop: PlyProperty, data: bytes, spans: list[_Span]) -> PlyList:
-    """The lists at the given places."""
+    """Returns the lists at the given spans."""
     size = np.dtype(prop.code).itemsize
     items = b"".join([data[start : start + length * size] for start, length in spans])
     return PlyList(np.array([span.length for span in spans]), np.frombuffer(items, prop.code))

@@ -141,7 +141,7 @@ def test_what_is_saved_is_what_was_seen(folder: Path) -> None:
 def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
     """One line, and the file stays; asked to, it is replaced. Only scene files are written."""
     document = ls.io.SceneDocument.open(folder / "scene.toml").removed(3)
-    with pytest.raises(ls.FormatError, match="is there already"):
+    with pytest.raises(ls.FormatError, match="exists already"):
         document.save(folder / "scene.toml")
     assert (folder / "scene.toml").read_text() == SCENE
     document.save(folder / "scene.toml", overwrite=True)

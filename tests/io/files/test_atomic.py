@@ -135,7 +135,7 @@ def test_unknown_output_extension(tmp_path: Path) -> None:
 
 def test_only_gaussians_are_saved(tmp_path: Path) -> None:
     """The error for anything else names its type."""
-    with pytest.raises(FormatError, match=r"holds Gaussians alone: scenes and meshes can be saved as \.glb, \.gltf"):
+    with pytest.raises(FormatError, match=r"stores only Gaussians: save scenes and meshes as \.glb, \.gltf"):
         ls.save(tmp_path / "out.ply", cast(Any, ls.Scene()))
 
 

@@ -196,7 +196,7 @@ def test_other_extensions_are_named(tmp_path: Path, name: str, caplog: pytest.Lo
     place = gltf.json["materials"][0] if "materials" in name else gltf.json["nodes"][0]
     place["extensions"] = {name: {}, "KHR_xmp_json_ld": {}}
     loaded(tmp_path, gltf)
-    assert caplog.messages == [f"{tmp_path / 'a.glb'}: not read, though the picture may depend on it: {name}"]
+    assert caplog.messages == [f"{tmp_path / 'a.glb'}: extensions not read, though they may change the image: {name}"]
 
 
 def test_colours_of_highlights_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

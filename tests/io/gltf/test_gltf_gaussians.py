@@ -395,5 +395,7 @@ def test_a_required_extension_is_known(tmp_path: Path) -> None:
     gltf.json["extensionsRequired"] = [EXTENSION]
     assert loaded_gaussians(tmp_path, gltf).count == 5
     gltf.json["extensionsRequired"].append("KHR_gaussian_splatting_compression_spz_2")
-    with pytest.raises(ls.FormatError, match="needs KHR_gaussian_splatting_compression_spz_2, which is not supported"):
+    with pytest.raises(
+        ls.FormatError, match="requires KHR_gaussian_splatting_compression_spz_2, which is not supported"
+    ):
         loaded(tmp_path, gltf)

@@ -121,7 +121,7 @@ def test_very_long_animations_are_refused(tmp_path: Path) -> None:
     """Of cameras and captures, which have many samples, in a line and at once; those of meshes have none."""
     turn = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(
-        ls.FormatError, match="is animated for 30000 s, expected at most 4000 of a camera or of captures"
+        ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras and captures"
     ):
         written(tmp_path / "a.glb", [{"camera": 0}], [(0, turn)])
     assert written(tmp_path / "b.glb", [{"mesh": 0}], [(0, turn)]).frame_count == 750_001
@@ -218,9 +218,9 @@ def test_remarks_and_mistakes(tmp_path: Path, caplog: pytest.LogCaptureFixture) 
     moving = ls.load_animation(tmp_path / "a.glb")
     assert len(moving.scene.lights) == 1
     assert "its first animation is played, 'walk', not 'run'" in caplog.text
-    assert "lights that move stay where they are at rest (nodes[1] 'lamp')" in caplog.text
+    assert "animated lights keep their rest transform (nodes[1] 'lamp')" in caplog.text
     (tmp_path / "still.glb").write_bytes(gltf_of([{"mesh": 0}], {}).glb())
-    with pytest.raises(ls.FormatError, match="has no animation: lumisplat render shows it"):
+    with pytest.raises(ls.FormatError, match="has no animation: render a still with lumisplat render"):
         ls.load_animation(tmp_path / "still.glb")
 
 

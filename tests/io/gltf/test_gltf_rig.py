@@ -253,7 +253,7 @@ def broken_bind(rig: TubeRig) -> None:
 
 NAN, VALUES = float("nan"), [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
 BROKEN = [
-    (without_skin, "is no rig: it has neither a skin nor an animation"),
+    (without_skin, "is not a rig: it has neither a skin nor an animation"),
     (lambda rig: setattr(rig, "joints", None), "has no skin weights: expected JOINTS_0 and WEIGHTS_0"),
     (lambda rig: setattr(rig, "weights", None), "needs JOINTS_0 and WEIGHTS_0 for each vertex"),
     (lambda rig: unweighted(rig, 0.0), "is skinned, but 2 vertices have no weight"),
@@ -263,7 +263,7 @@ BROKEN = [
     (broken_bind, "skins[0]: 1 of 3 inverse bind matrices are not finite"),
     (lambda rig: keys(rig, "translation", [0, 1], [[0, 0, NAN], [NAN, 0, 0]]), "2 of 6 key values are not finite"),
     (lambda rig: keys(rig, "translation", [0, NAN], VALUES), "1 of 2 key times are not finite"),
-    (lambda rig: keys(rig, "translation", [1, 0], VALUES), "key times must rise, but 0 follows 1 s"),
+    (lambda rig: keys(rig, "translation", [1, 0], VALUES), "key times must increase, but 0 follows 1 s"),
     (lambda rig: keys(rig, "translation", [0, 1, 2], VALUES), "has 2 values for 3 keys, expected 3"),
     (lambda rig: keys(rig, "scale", [0, 1], VALUES, "CUBICSPLINE"), "has 2 values for 2 keys, expected 6"),
     (lambda rig: keys(rig, "scale", [0, 1], VALUES, "QUINTIC"), "expected one of STEP, LINEAR, CUBICSPLINE"),
@@ -322,7 +322,7 @@ def test_a_matrix_is_not_animated(tmp_path: Path) -> None:
     """A node with a matrix has no parts that a clip could animate."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
-    with pytest.raises(ls.FormatError, match=r"moves nodes\[3\], which has a matrix"):
+    with pytest.raises(ls.FormatError, match=r"animates nodes\[3\], which has a matrix"):
         load(rig, tmp_path)
 
 

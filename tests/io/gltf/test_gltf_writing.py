@@ -397,11 +397,11 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
     ]
     ls.save(path, scene, cameras=shown)
     assert said(caplog) == (
-        f"{path}: glTF cannot hold light on captures (1 are relit here, and shown as captured elsewhere); antialiased "
-        "captures (1 look sharper elsewhere); kernels of degree 4 (elsewhere they are Gaussians); simple materials "
-        "(chalk are approximated); which glass is there where bodies overlap; area lamps (panel, a disk); the "
-        "environment; lights that are off (1); fisheyes and lenses that distort (1 cameras are left out); principal "
-        "points (1 cameras have it in the middle instead); rolling shutters (1 cameras have their first pose)"
+        f"{path}: glTF cannot store relighting of captures (1 look as captured in other programs); the antialiased flag "
+        "of captures (1 look sharper in other programs); kernels of degree 4 (Gaussians in other programs); simple "
+        "materials (chalk are approximated); priorities of overlapping media; area lights (panel, a disk); the "
+        "environment; disabled lights (1); fisheye and distorted cameras (1 left out); principal points off the "
+        "centre (1 cameras are centred); rolling shutters (1 cameras keep their first pose)"
     )
     assert len(ls.load_cameras(path)) == 2
 
@@ -410,7 +410,7 @@ def test_nothing_to_write_is_refused(path: Path) -> None:
     """An empty scene, and one of which glTF can hold nothing, leave no file."""
     with pytest.raises(ls.FormatError, match="the scene is empty"):
         ls.save(path, ls.Scene())
-    with pytest.raises(ls.FormatError, match="glTF cannot hold the environment: there is nothing else to write"):
+    with pytest.raises(ls.FormatError, match="glTF cannot store the environment: there is nothing else to write"):
         ls.save(path, ls.Scene(lights=[ls.LightEnvironment()]))
     assert not path.exists()
 
@@ -420,7 +420,7 @@ def test_a_failure_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPat
     ls.save(path, capture(3))
     before = path.read_bytes()
     monkeypatch.setattr("lumisplat.io.gltf.container._GLB_MAX", 100)
-    with pytest.raises(ls.FormatError, match="but GLB ends at 100"):
+    with pytest.raises(ls.FormatError, match="but a GLB has at most 100"):
         ls.save(path, capture(5))
     assert path.read_bytes() == before
     assert [one.name for one in path.parent.iterdir()] == [path.name]
@@ -429,7 +429,9 @@ def test_a_failure_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPat
 def test_other_formats_hold_gaussians_alone(tmp_path: Path) -> None:
     """A scene, a mesh or cameras in a format of captures are refused, with the formats that hold them."""
     for asset, shown in ((ls.Scene(meshes=[QUAD_MESH]), ()), (QUAD_MESH, ()), (capture(3), tuple(cameras()))):
-        with pytest.raises(ls.FormatError, match=r"a\.ply: holds Gaussians alone: scenes and meshes .* \.glb, \.gltf"):
+        with pytest.raises(
+            ls.FormatError, match=r"a\.ply: stores only Gaussians: save scenes and meshes .* \.glb, \.gltf"
+        ):
             ls.save(tmp_path / "a.ply", asset, cameras=shown)
     ls.io.check_format(tmp_path / "a.glb", scene=True)
     ls.io.check_format(tmp_path / "a.compressed.ply")

@@ -112,7 +112,7 @@ def test_a_range_of_nothing_is_none(tmp_path: Path, kind: str, reach: float, cap
     """Programs whose 0 means that a light reaches everywhere write it; a line says how it is read."""
     (light,) = read(tmp_path, lamp({"type": kind, "name": "bulb", "range": reach})).lights
     assert isinstance(light, ls.LightPoint | ls.LightSpot) and light.range == math.inf
-    assert f"lights[0] 'bulb': range {reach:g} is read as none, infinite" in caplog.text
+    assert f"lights[0] 'bulb': range {reach:g} is read as infinite" in caplog.text
 
 
 @pytest.mark.parametrize(

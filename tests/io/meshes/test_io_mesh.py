@@ -163,7 +163,7 @@ def test_bytes_after_a_binary_stl_are_left_out(tmp_path: Path, extra: int, caplo
     """Padding of a writer, or of a download; a line counts it."""
     (tmp_path / "quad.stl").write_bytes(stl_bytes(QUAD[QUAD_TRIANGLES]) + b"\0" * extra)
     assert read_one(tmp_path / "quad.stl").face_count == 2
-    assert f"{extra:,} bytes after its last triangle are left out" in caplog.text
+    assert f"{extra:,} bytes after its last triangle are ignored" in caplog.text
 
 
 @pytest.mark.parametrize("extension", ["obj", "ply"])

@@ -48,7 +48,7 @@ def test_meshes_in_map_coordinates_are_about_an_origin(
 ) -> None:
     """Nothing is torn, and a line says so; around zero they are as they were."""
     mesh = loaded(written(tmp_path, kind, UTM))
-    assert any(mesh.origin) and "positions are about an origin" in caplog.text
+    assert any(mesh.origin) and "positions are relative to the origin" in caplog.text
     np.testing.assert_allclose(in_world(mesh), CORNERS + UTM, atol=2e-7, rtol=0)
     np.testing.assert_array_equal(ls.MeshInstance(mesh).transform[:3, 3], mesh.origin)
     np.testing.assert_array_equal(ls.MeshInstance(mesh, position=(1, 2, 3)).transform[:3, 3], (1, 2, 3))

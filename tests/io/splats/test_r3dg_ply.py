@@ -144,7 +144,7 @@ def test_mistakes_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(ls.ConfigError, match="columns is 'gsir', expected 'lumisplat' or 'r3dg'"):
         ls.save(output, relightable(), columns=cast(Any, "gsir"))
     for name in ("a.compressed.ply", "a.spz"):
-        with pytest.raises(ls.ConfigError, match=f"columns 'r3dg' are those of a .ply, got .*{name}"):
+        with pytest.raises(ls.ConfigError, match=f"columns 'r3dg' need a .ply, got .*{name}"):
             ls.save(tmp_path / name, relightable(), columns="r3dg")
     with pytest.raises(ls.SceneError, match="incident has 5 coefficients, expected 1, 4, 9 or 16"):
         relightable(incident=np.zeros((200, 5, 3)))

@@ -1,1 +1,1 @@
-"""Scenes that can be edited and saved: tables of scene files, and what they were read to."""
+"""Scenes that can be edited and saved as scene files."""

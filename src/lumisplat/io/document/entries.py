@@ -1,4 +1,4 @@
-"""Entries of an editable scene, and what reads them: the readers of scene files, table by table."""
+"""Entries of an editable scene, and the reader that builds them from tables of scene files."""
 
 from __future__ import annotations
 
@@ -25,37 +25,37 @@ from lumisplat.scene.placing import Vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 EntryKind = Literal["splats", "meshes", "actors", "lights", "environment"]
-"""The heading of an entry in a scene file."""
+"""Kind of an entry: its heading in a scene file."""
 
 KINDS: tuple[EntryKind, ...] = ("splats", "meshes", "actors", "lights", "environment")
-"""In the order in which scenes have what they put there."""
+"""Entry kinds in the order in which their instances enter the scene."""
 _LIGHTS: tuple[EntryKind, ...] = ("lights", "meshes", "splats", "actors", "environment")
-"""In the order in which scenes have their lights."""
+"""Entry kinds in the order in which their lights enter the scene."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneEntry:
-    """One entry of a `SceneDocument`: a table of a scene file, and what it puts into the scene."""
+    """One entry of a `SceneDocument`: a table of a scene file and the scene objects it was read to."""
 
     id: int
-    """Stays through edits; no other entry of the document has it."""
+    """Unique id within the document, which edits do not change."""
     kind: EntryKind
     table: Mapping[str, Any]
-    """Keys and values as in a scene file. `SceneDocument.changed` changes them."""
+    """Keys and values as in a scene file; `SceneDocument.changed` edits them."""
     splats: tuple[SplatInstance, ...] = ()
     meshes: tuple[MeshInstance, ...] = ()
     lights: tuple[Light, ...] = ()
     actor: Actor | None = None
     world_from_file: Doubles | None = None
-    """Where it stands, a similarity, shape (4, 4); None: of lights."""
+    """Transform from the asset's file to the world, a similarity, shape (4, 4); None for lights."""
     _assets: tuple[Scene, ...] = field(default=(), repr=False)
-    """What it was made from, so that it is not made again when the entry is edited."""
+    """Loaded assets, reused when the entry is edited."""
     _poses: dict[float, tuple[Instance, ...]] = field(default_factory=dict[float, tuple[Instance, ...]], repr=False)
-    """The actor at the time at which it was seen last: the same objects, whatever else is edited."""
+    """Instances of the actor at the last requested time, so that other edits return the same objects."""
 
     @property
     def name(self) -> str:
-        """What people call it: its name, else that of its file, its shape or its type."""
+        """Display name: the name in the table, else that of its file, shape, type or kind."""
         given = self.table.get("name")
         if given:
             return str(given)
@@ -66,13 +66,13 @@ class SceneEntry:
 
     @property
     def hidden(self) -> bool:
-        """Whether it is left out of the scene."""
+        """Whether the entry is left out of the scene; for lights and environments, whether it is disabled."""
         if self.kind in ("lights", "environment"):
             return not self.table.get("enabled", True)
         return bool(self.table.get("hidden", False))
 
     def at(self, time: float) -> tuple[Instance, ...]:
-        """Its captures and meshes in the world at a time, seconds.
+        """Returns the captures and meshes of the entry in world space at a time in seconds.
 
         Raises:
             FormatError: A frame of an actor cannot be read.
@@ -89,33 +89,33 @@ class SceneEntry:
 
 @dataclass(slots=True)
 class EntryReader:
-    """Reads entries one by one, with the files that they name read once."""
+    """Reads entries one by one, and each file that they name only once."""
 
     file: Path
-    """The scene file, which need not exist: paths are relative to its folder."""
+    """The scene file, which need not exist. Paths in tables are relative to its folder."""
     load: Load
     up: Vector
     materials: Mapping[str, Any]
-    """Named materials, as tables."""
+    """Tables of the named materials, by name."""
     memory: dict[str, Scene] = field(default_factory=dict[str, Scene])
-    """Assets that are not from files, by what entries give as their path."""
+    """Assets that exist only in memory, by the placeholder path in the entry's table."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
-    """Images of environments by path, read or from memory."""
+    """Environment images by path, read from files or kept in memory."""
     next_id: int = 0
-    """Least id that no entry has had, also of those that are removed."""
+    """Smallest id that no entry has ever had, removed entries included."""
     _assets: Assets | None = None
     _subjects: Subjects | None = None
 
     def read(
         self, number: int, kind: EntryKind, values: Mapping[str, Any], insertion_scene: Scene | None = None
     ) -> SceneEntry:
-        """The entry of a table, of which it has a copy.
+        """Reads a table, and returns the entry with a copy of it.
 
-        A mesh or an actor that says no place is put into what is ``around`` it, which is not empty; its table then says
-        where it stands, so that it stays there.
+        A mesh or actor without a placement is inserted into ``insertion_scene``, which must not be empty, as by
+        `lumisplat.insert`. The resulting placement is written to the entry's table, so that the entry stays there.
 
         Raises:
-            FormatError: An entry is unknown or invalid, or a file cannot be read.
+            FormatError: A key or value is invalid, or a file cannot be read.
         """
         plain: dict[str, Any] = plain_value(values)
         table = TomlTable.of(self.file, plain, kind)
@@ -142,23 +142,23 @@ class EntryReader:
         return self.read(number, kind, explicit_table(entry)) if _is_inserted(entry) else entry
 
     def with_up(self, up: Vector) -> EntryReader:
-        """A reader of scenes with another up, which shares what was read."""
+        """Returns a reader for another up direction that shares the loaded assets."""
         return replace(self, up=up, _assets=None if self._assets is None else replace(self._assets, up=up))
 
     def part_names(self, entry: SceneEntry) -> list[str]:
-        """The names of the meshes of an entry's file."""
+        """Returns the names of the meshes in an entry's file."""
         return self.assets.part_names(TomlTable.of(self.file, dict(entry.table), entry.kind))
 
     @property
     def assets(self) -> Assets:
-        """What captures and meshes are read by."""
+        """Reader and cache of captures and meshes."""
         if self._assets is None:
             named = read_materials(TomlTable.of(self.file, {"materials": dict(self.materials)}))
             self._assets = Assets(self.load, named, self.up, self.memory)
         return self._assets
 
     def _environment(self, table: TomlTable) -> LightEnvironment:
-        """The environment of a table; its image is read once."""
+        """Reads an environment table; its image is read once."""
         path = table.values.get("path")
         if path is None:
             return read_environment(table)
@@ -172,14 +172,14 @@ class EntryReader:
 
 
 def _is_inserted(entry: SceneEntry) -> bool:
-    """Whether an entry whose table says no place stands elsewhere than its file has it."""
+    """Returns whether an entry without a placement in its table was moved by insertion."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return False
     return not np.array_equal(entry.world_from_file, placement(TomlTable.of(Path(), dict(entry.table))))
 
 
 def explicit_table(entry: SceneEntry) -> dict[str, Any]:
-    """The table of a mesh or an actor that says where it stands, whatever it is read beside."""
+    """Returns the table of an entry with an explicit placement, so that it is independent of the other entries."""
     if entry.kind not in ("meshes", "actors") or is_placed(entry.table) or entry.world_from_file is None:
         return dict(entry.table)
     rest = {key: value for key, value in entry.table.items() if key not in ("ground", "front")}
@@ -187,7 +187,7 @@ def explicit_table(entry: SceneEntry) -> dict[str, Any]:
 
 
 def visible_scene(entries: Sequence[SceneEntry], up: Vector, time: float) -> tuple[Scene, list[SceneEntry]]:
-    """The scene of entries at a time, and the entry of each of its instances, captures first.
+    """Returns the scene of all visible entries at a time in seconds, and the entry of each instance, captures first.
 
     Raises:
         FormatError: A frame of an actor cannot be read.

@@ -1,6 +1,6 @@
-"""Makes tables of scenes that a program has made, and saves the assets that they name beside the file.
+"""Converts scenes made by programs to scene file tables, and saves their assets beside the scene file.
 
-Paths in a saved scene file start from its folder.
+Paths in a saved scene file are relative to its folder.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 @dataclass(slots=True)
 class MemoryEntries:
-    """What a scene in memory is as entries."""
+    """A scene made by a program, as entries."""
 
     up: Vector
     top: dict[str, Any]
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
     assets: dict[str, Scene] = field(default_factory=dict[str, Scene])
-    """By the path that tables have: ``<capture 0>``."""
+    """Captures and meshes by the placeholder path in the tables, such as ``<capture 0>``."""
     environments: dict[str, FloatArray] = field(default_factory=dict[str, FloatArray])
     actors: tuple[Actor, ...] = ()
     problems: list[str] = field(default_factory=list[str])
-    """What cannot be an entry, a line each."""
+    """A message for each object that cannot become an entry."""
 
 
 def entries_of(scene: Scene | Animation | Gaussians | Mesh) -> MemoryEntries:
-    """The entries of a scene in memory; of several environments, the one that is enabled.
+    """Returns the entries of a scene in memory. Of several environments only the enabled one is used.
 
     Raises:
-        SceneError: It is none.
+        SceneError: ``scene`` has another type.
     """
     actors: tuple[Actor, ...] = ()
     top: dict[str, Any] = {}
@@ -103,7 +103,7 @@ def _splat_table(memory: MemoryEntries, splat: SplatInstance, paths: dict[int, s
 
 
 def _mesh_table(memory: MemoryEntries, instance: MeshInstance, paths: dict[int, str]) -> dict[str, Any]:
-    """A similarity becomes keys of the table; another transform is a part of the asset."""
+    """Returns the table of a mesh instance. A transform that is no similarity is applied to the saved mesh instead."""
     keeps_transform = is_similarity(instance.transform)
     key = id(instance.mesh) if keeps_transform else id(instance)
     if key not in paths:
@@ -124,16 +124,16 @@ def _name(name: str) -> dict[str, str]:
 
 
 def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str, Any]:
-    """A table whose relative paths start from another folder; those to other drives become absolute.
+    """Returns a table whose relative paths start from another folder; paths to other drives become absolute.
 
     Args:
-        values: The table, and tables in it: ``path``, and what ends in ``_texture``, are paths.
-        source: Folder from which they start.
-        target: Folder from which they shall start.
+        values: The table, with nested tables. Values of ``path`` and of keys that end in ``_texture`` are paths.
+        source: Folder from which the paths start now.
+        target: Folder from which the paths shall start.
     """
     moved: dict[str, Any] = {}
     for key, value in values.items():
-        if key == "texture_wraps":  # by the names of textures, but no paths
+        if key == "texture_wraps":  # keys are texture names, but values are wrap modes
             moved[key] = value
         elif isinstance(value, Mapping):
             moved[key] = relocated(cast(Mapping[str, Any], value), source, target)
@@ -147,7 +147,7 @@ def relocated(values: Mapping[str, Any], source: Path, target: Path) -> dict[str
 
 
 def relative_path(path: Path, folder: Path) -> str:
-    """The way from a folder to a file; both as they are on the disk, for ``..`` does not lead back out of a link."""
+    """Returns the path of a file relative to a folder, both with links resolved: ``..`` does not lead out of a link."""
     file = Path(os.path.realpath(path.parent)) / path.name
     try:
         return Path(os.path.relpath(file, os.path.realpath(folder))).as_posix()
@@ -158,21 +158,21 @@ def relative_path(path: Path, folder: Path) -> str:
 def saved_assets(
     entries: Sequence[SceneEntry], reader: EntryReader, target: Path, overwrite: bool
 ) -> tuple[SceneEntry, ...]:
-    """Entries with files in place of what is in memory, which are written for them into ``NAME.assets``.
+    """Saves in-memory assets to the folder ``NAME.assets``, and returns the entries with their file paths.
 
     Args:
-        entries: Of a document.
-        reader: Has what is in memory.
-        target: The scene file that is to be written.
-        overwrite: Whether files that are there may be replaced, other than those that entries name; else new ones get
-            names of their own.
+        entries: Entries of a document.
+        reader: The reader that has the assets in memory.
+        target: The scene file that will be written.
+        overwrite: Whether existing files may be replaced, except those that entries refer to. Otherwise new files get
+            unused names.
 
     Raises:
-        FormatError: Something has no file format, or cannot be written.
+        FormatError: An actor has no file format, or a file cannot be written.
     """
     for entry in entries:
         if entry.actor is not None and "path" not in entry.table:
-            raise FormatError(target, f"{entry.name} was made by a program, and no file holds such an actor: remove it")
+            raise FormatError(target, f"{entry.name} was made by a program and cannot be stored in a file: remove it")
     named = (str(entry.table.get("path", "<")) for entry in entries)
     used = {os.path.realpath(reader.file.parent / path) for path in named if not path.startswith("<")}
     folder = _Folder(target.with_name(f"{target.stem}.assets"), reader, used, overwrite)
@@ -184,17 +184,17 @@ def saved_assets(
 
 @dataclass(slots=True)
 class _Folder:
-    """The folder beside a scene file, and what has been written there."""
+    """Asset folder beside a scene file, with the files written to it."""
 
     path: Path
     reader: EntryReader
     used: set[str]
-    """Real paths of files that entries name."""
+    """Real paths of files that entries refer to."""
     overwrite: bool
     _files: dict[str, Path] = field(default_factory=dict[str, Path])
 
     def written(self, entry: SceneEntry) -> dict[str, Any]:
-        """The table of an entry that names a file in place of something in memory."""
+        """Writes an entry's asset to a file, and returns the table that refers to the file."""
         memory_path = str(entry.table["path"])
         name = memory_path.strip("<>").replace(" ", "_")
         table = dict(entry.table)
@@ -214,12 +214,12 @@ class _Folder:
         return table | {"path": path, "material": self._material(entry, name)}
 
     def _write_once(self, key: str, name: str, write: Callable[[Path], None]) -> str:
-        """The path of a file from the folder of the document, written when it is asked for first.
+        """Returns the path of an asset file relative to the document's folder, and writes the file on first use.
 
         Args:
-            key: What it holds.
-            name: Its name, if that is free.
-            write: Writes it.
+            key: Key of the content.
+            name: Preferred file name; a number is added if the name is taken.
+            write: Function that writes the file.
         """
         if key not in self._files:
             stem, dot, suffix = name.rpartition(".")
@@ -234,7 +234,7 @@ class _Folder:
         return relative_path(self._files[key], self.reader.file.absolute().parent)
 
     def _material(self, entry: SceneEntry, name: str) -> dict[str, Any]:
-        """The whole material of a mesh, whose file has none; its textures as files."""
+        """Returns the complete material table of a mesh, whose PLY file has none, and writes its textures."""
         mesh = entry.meshes[0].mesh
         material, given = mesh.material, entry.table.get("material", {})
         table: dict[str, Any] = {"base_color": list(material.base_color)} | material_table(material)

@@ -1,7 +1,7 @@
-"""Scenes that can be edited and saved: the tables of a scene file, and what they were read to.
+"""Scenes that can be edited and saved as scene files.
 
-Every edit changes a table, as somebody would who writes the file, and the entry is read again by the reader of scene
-files: what is saved is what was seen.
+Each edit changes a table, as a user would in the file, and reads the entry again with the reader of scene files. A
+saved file therefore loads as exactly the edited scene.
 """
 
 from __future__ import annotations
@@ -52,22 +52,23 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_simi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneDocument:
-    """A scene as people edit it. `open` and `of` make one.
+    """An editable scene; `open` and `of` create one.
 
-    It never changes: an edit returns another one, which shares with it all that is as it was, to the same objects. To
-    undo is to keep the old one.
+    A document is immutable: each edit returns a new one, which shares all unchanged objects with the old one. To undo
+    an edit, go back to the old document.
     """
 
     entries: tuple[SceneEntry, ...]
     top: Mapping[str, Any]
-    """What is no entry: ``up``, ``render``, ``animation``, ``materials`` and ``cameras``, as in a scene file."""
+    """Tables that are not entries, as in a scene file: ``up``, ``render``, ``animation``, ``materials`` and
+    ``cameras``."""
     problems: tuple[str, ...] = ()
-    """What could not be read, and is left out, a line each."""
+    """A message for each file or object that could not be read and is left out."""
     _reader: EntryReader = field(kw_only=True, repr=False)
     _scenes: dict[float, tuple[Scene, list[SceneEntry]]] = field(
         default_factory=dict[float, tuple[Scene, list[SceneEntry]]], kw_only=True, repr=False
     )
-    """By time: the last scene, and the entry of each of its instances."""
+    """Last returned scene by time, with the entry of each instance."""
 
     @classmethod
     def open(
@@ -78,14 +79,15 @@ class SceneDocument:
         up: str | npt.ArrayLike | None = None,
         keep_coordinates: bool = False,
     ) -> SceneDocument:
-        """Opens files as one scene; those that cannot be read are left out and listed in ``problems``.
+        """Opens files as one scene; unreadable files are left out and listed in ``problems``.
 
         Args:
-            paths: Captures, meshes, and at most one ``scene.toml``, whose tables stay as they are; comments are lost.
-            load: Reads one capture or mesh; None: `lumisplat.load`.
-            up: Up, if the scene file does not say it; None: as `lumisplat.Scene.up_direction`.
-            keep_coordinates: Whether meshes beside captures stay as they are in their files; else they are put into
-                them as of `lumisplat.insert`. A scene file places its own.
+            paths: Captures, meshes, and at most one ``scene.toml``, whose tables are kept as written; comments are
+                lost.
+            load: Function that reads a capture or mesh; None uses `lumisplat.load`.
+            up: Up direction if the scene file does not give one; None uses that of `lumisplat.Scene.up_direction`.
+            keep_coordinates: Whether meshes opened beside captures keep the coordinates of their files. Otherwise they
+                are inserted into the captures as by `lumisplat.insert`. Does not apply to meshes of a scene file.
 
         Raises:
             ConfigError: There are two scene files, or no file at all.
@@ -101,12 +103,12 @@ class SceneDocument:
 
     @classmethod
     def of(cls, scene: Scene | Animation | Gaussians | Mesh) -> SceneDocument:
-        """The document of what a program has made; assets are written beside the file when it is saved.
+        """Creates a document from a scene made by a program; its assets are written beside the file when it is saved.
 
-        Cameras that a scene file cannot hold are left out, and listed in ``problems``.
+        Cameras that a scene file cannot store are left out, and listed in ``problems``.
 
         Raises:
-            SceneError: It is none of these.
+            SceneError: ``scene`` has another type.
         """
         memory = entries_of(scene)
         reader = EntryReader(Path("scene.toml"), io.load, memory.up, {}, memory.assets, memory.environments)
@@ -118,16 +120,16 @@ class SceneDocument:
 
     @staticmethod
     def kind_of(path: PathLike) -> EntryKind:
-        """Under which heading a file is listed: ``"splats"`` if it is a capture and nothing else, else ``"meshes"``."""
+        """Returns the entry kind of a file: ``"splats"`` for a capture and nothing else, otherwise ``"meshes"``."""
         return _heading_of(Path(path))
 
     # --- What it holds ---
 
     def entry(self, number: int) -> SceneEntry:
-        """The entry of an id.
+        """Returns the entry with an id.
 
         Raises:
-            SceneError: There is none.
+            SceneError: There is no such entry.
         """
         for entry in self.entries:
             if entry.id == number:
@@ -135,7 +137,7 @@ class SceneDocument:
         raise SceneError(f"there is no entry {number}: it has been removed")
 
     def scene(self, time: float = 0.0) -> Scene:
-        """What is shown at a time: all that is not hidden, and actors where they are then. The same object each time.
+        """Returns the visible scene at a time in seconds, with actors posed. The same time gives the same object.
 
         Raises:
             FormatError: A frame of an actor cannot be read.
@@ -143,7 +145,7 @@ class SceneDocument:
         return self._at(time)[0]
 
     def owner(self, instance: int, time: float = 0.0) -> SceneEntry:
-        """The entry of an instance of `scene`, as `lumisplat.Frame.instance_index` counts them.
+        """Returns the entry of an instance, numbered as in `lumisplat.Frame.instance_index`.
 
         Raises:
             SceneError: There is no such instance.
@@ -155,24 +157,24 @@ class SceneDocument:
 
     @property
     def file(self) -> Path:
-        """The scene file, which need not exist; paths in tables start from its folder."""
+        """The scene file, which need not exist. Paths in tables are relative to its folder."""
         return self._reader.file
 
     @property
     def config(self) -> RenderConfig:
-        """The settings of ``[render]``.
+        """Settings of the ``[render]`` table.
 
         Raises:
-            FormatError: One is wrong.
+            FormatError: A setting is invalid.
         """
         return read_config(TomlTable.of(self.file, dict(self.top)))
 
     @property
     def animation(self) -> Animation | None:
-        """How it moves, with its cameras; what is hidden is left out. None: nothing moves.
+        """The scene's animation with its cameras, without hidden entries; None if nothing moves.
 
         Raises:
-            FormatError: ``[animation]`` or a camera is wrong.
+            FormatError: ``[animation]`` or a camera is invalid.
         """
         actors = [entry.actor for entry in self.entries if entry.actor is not None and not entry.hidden]
         still, _ = visible_scene(
@@ -183,29 +185,30 @@ class SceneDocument:
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras that it lists.
+        """Cameras of the scene file.
 
         Raises:
-            FormatError: One is wrong, or its file cannot be read.
+            FormatError: A camera is invalid, or its file cannot be read.
         """
         return read_scene_cameras(TomlTable.of(self.file, dict(self.top)), io.load_cameras)
 
     def part_names(self, number: int) -> list[str]:
-        """The names of the meshes of a mesh entry's file."""
+        """Returns the names of the meshes in a mesh entry's file."""
         return self._reader.part_names(self.entry(number))
 
     def material(self, number: int) -> Mapping[str, Any]:
-        """The ``material`` of an entry as a table, a named one with its values; empty: it has none."""
+        """Returns the material table of an entry, with named materials resolved; empty if it has none."""
         given = self.entry(number).table.get("material", {})
         return self.top.get("materials", {}).get(given, {}) if isinstance(given, str) else given
 
     # --- Edits ---
 
     def changed(self, number: int, **keys: Any) -> SceneDocument:
-        """Sets keys of an entry's table; those that are None are removed. Arrays and tuples become lists.
+        """Sets keys of an entry's table; None removes a key. Arrays and tuples become lists.
 
         Raises:
-            FormatError: The entry would be invalid; names the key.
+            FormatError: The entry would be invalid; the message names the key.
+            SceneError: There is no such entry, or a program made the actor and it has no file.
         """
         entry = self.entry(number)
         if (
@@ -221,30 +224,30 @@ class SceneDocument:
         return self._with(_read_entry(self._reader, entry.id, entry.kind, table))
 
     def placed(self, number: int, world_from_file: npt.ArrayLike) -> SceneDocument:
-        """Places a capture, a mesh or an actor.
+        """Sets the transform of a capture, mesh or actor.
 
         Args:
             number: Id of the entry.
-            world_from_file: A similarity, shape (4, 4).
+            world_from_file: A similarity (rotation, uniform scale, translation), shape (4, 4).
 
         Raises:
-            SceneError: It is no similarity.
+            SceneError: The matrix is not a similarity.
         """
         matrix = matrix_4x4("world_from_file", world_from_file)
         check_similarity(matrix[:3, :3], "world_from_file", "an entry")
         return self.changed(number, **dict.fromkeys(NAMED_PLACEMENT_KEYS), **placement_table(matrix))
 
     def added(self, kind: EntryKind, table: Mapping[str, Any]) -> tuple[SceneDocument, int]:
-        """Adds an entry, and returns its id, too.
+        """Adds an entry, and returns the new document and the entry's id.
 
-        A mesh or an actor that says no place is put into what is there: upright, on the ground, as of `insert`.
+        A mesh or actor without a placement is inserted into the scene upright on the ground, as by `lumisplat.insert`.
 
         Args:
-            kind: Its heading.
-            table: Its keys and values; paths start from the folder of `file`.
+            kind: Kind of the entry.
+            table: Its keys and values; paths are relative to the folder of `file`.
 
         Raises:
-            ConfigError: There is no such kind, or an environment already.
+            ConfigError: The kind is unknown, or the scene already has an environment.
             FormatError: The entry is invalid.
         """
         if kind not in KINDS:
@@ -264,10 +267,10 @@ class SceneDocument:
         return replace(self, entries=(*self.entries, entry), _scenes={}), number
 
     def duplicated(self, number: int) -> tuple[SceneDocument, int]:
-        """Adds another entry like one, in its place, and returns its id, too.
+        """Adds a copy of an entry with the same placement, and returns the new document and the copy's id.
 
         Raises:
-            ConfigError: It is an environment.
+            ConfigError: The entry is an environment.
         """
         entry = self.entry(number)
         copied = explicit_table(entry)
@@ -282,16 +285,16 @@ class SceneDocument:
         return replace(self, entries=tuple(entry for entry in self.entries if entry.id != number), _scenes={})
 
     def with_up(self, up: str | npt.ArrayLike) -> SceneDocument:
-        """Sets which way is up.
+        """Sets the up direction.
 
-        Meshes and actors that stand upright among captures are turned about their feet, so that they stand upright
-        again, and so is an environment whose image stands upright. All else stays where it is.
+        Meshes and actors that stand upright among captures are rotated about their feet to stand upright again, and so
+        is an environment whose image is upright. Everything else keeps its transform.
 
         Args:
             up: An axis (``"z-up"``) or a direction of any length, world space.
 
         Raises:
-            SceneError: It is neither.
+            SceneError: ``up`` is neither.
         """
         before, now = up_vector(self.top["up"]), up_vector(up)
         reader, among = self._reader.with_up(now), any(entry.splats for entry in self.entries)
@@ -299,10 +302,10 @@ class SceneDocument:
         return replace(self, entries=entries, top=dict(self.top) | {"up": list(now)}, _reader=reader, _scenes={})
 
     def split(self, number: int) -> SceneDocument:
-        """Makes each mesh of a mesh entry's file an entry of its own; the lights of the file become entries, too.
+        """Makes each mesh in a mesh entry's file a separate entry; the lights of the file become entries, too.
 
         Raises:
-            SceneError: The file has one mesh only.
+            SceneError: The file has only one mesh.
         """
         entry = self.entry(number)
         names = self.part_names(number) if entry.kind == "meshes" and "part" not in entry.table else []
@@ -321,17 +324,17 @@ class SceneDocument:
         return document
 
     def with_config(self, config: RenderConfig) -> SceneDocument:
-        """With other settings."""
+        """Sets the render settings."""
         return replace(self, top=dict(self.top) | {"render": changed_settings(config)})
 
     def with_animation(self, **keys: Any) -> SceneDocument:
-        """With other keys of ``[animation]``; those that are None are removed.
+        """Sets keys of ``[animation]``; None removes a key.
 
         Args:
             **keys: ``fps``, ``duration``, ``frames``, or ``lighting``, an AvatarLightingConfig.
 
         Raises:
-            FormatError: A value is wrong.
+            FormatError: A value is invalid.
         """
         if isinstance(keys.get("lighting"), AvatarLightingConfig):
             keys["lighting"] = changed_settings(keys["lighting"])
@@ -343,10 +346,10 @@ class SceneDocument:
         return document
 
     def with_cameras(self, cameras: Sequence[Mapping[str, Any]]) -> SceneDocument:
-        """With other ``[[cameras]]``, as tables.
+        """Sets ``[[cameras]]``, given as tables.
 
         Raises:
-            FormatError: One is wrong.
+            FormatError: A camera is invalid.
         """
         document = replace(self, top=dict(self.top) | {"cameras": plain_value(list(cameras))})
         _ = document.cameras
@@ -355,10 +358,10 @@ class SceneDocument:
     # --- Files ---
 
     def toml(self, folder: PathLike | None = None) -> str:
-        """The text of the scene file.
+        """Returns the text of the scene file.
 
         Args:
-            folder: From where its paths start; None: that of `file`.
+            folder: Folder that paths are relative to; None uses that of `file`.
         """
         target = self.file.parent if folder is None else Path(folder)
         tables: dict[str, Any] = relocated(dict(self.top), self.file.parent, target)
@@ -373,33 +376,33 @@ class SceneDocument:
         return toml_text(tables)
 
     def save(self, path: PathLike, *, overwrite: bool = False) -> None:
-        """Saves the scene file, which appears complete or not at all, and beside it what is in memory alone.
+        """Saves the scene file, and in-memory assets beside it. The file appears complete or not at all.
 
-        That is written to the folder ``NAME.assets`` first. Comments of the file that was opened are lost.
+        The assets are written first, to the folder ``NAME.assets``. Comments of the opened file are lost.
 
         Args:
             path: The ``.toml`` file.
-            overwrite: Whether it, and the files beside it, may replace those that are there.
+            overwrite: Whether the scene file and asset files may replace existing ones.
 
         Raises:
-            FormatError: It is there already, is no ``.toml``, or cannot be written, or something in memory has no file
+            FormatError: The file exists already, is not a ``.toml``, or cannot be written, or an object has no file
                 format.
         """
         target = Path(path)
         if target.suffix.lower() != ".toml":
-            raise FormatError(path, "is no .toml: a scene is saved as one")
+            raise FormatError(path, "is not a .toml: scenes are saved as .toml files")
         if target.exists() and not overwrite:
-            raise FormatError(path, "is there already: choose another name, or allow to overwrite it")
+            raise FormatError(path, "exists already: choose another name, or allow overwriting")
         entries = saved_assets(self.entries, self._reader, target, overwrite)
         try:
             text = replace(self, entries=entries, _scenes={}).toml(target.parent).encode()
         except UnicodeEncodeError:
-            raise FormatError(path, "cannot be written: a file that it names has a name that is no text") from None
+            raise FormatError(path, "cannot be written: the name of a file that it refers to is not text") from None
         with atomic_write(target) as temporary:
             Path(temporary).write_bytes(text)
 
     def _written(self, entry: SceneEntry) -> dict[str, Any]:
-        """The table of an entry as it is saved: beside captures, meshes and actors say where they stand."""
+        """Returns the saved table of an entry. Beside captures, meshes and actors get an explicit placement."""
         beside = any(other.kind == "splats" for other in self.entries)
         return explicit_table(entry) if beside else dict(entry.table)
 
@@ -418,30 +421,30 @@ class SceneDocument:
 
 _MESHES = (".obj", ".stl")
 _INSERTED_KINDS = ("meshes", "actors")
-"""Headings of what is put into captures if it says no place."""
+"""Kinds of entries that are inserted into captures if they have no placement."""
 
 _UP_KEYS = ("look_at", "upright", "ground")
-"""Keys whose meaning depends on up."""
+"""Keys whose meaning depends on the up direction."""
 _UPRIGHT = 1e-4
-"""Largest distance of the y axis of what stands upright from up, both of length 1."""
+"""Largest distance between an upright object's y axis and up, as unit vectors."""
 
 
 @dataclass(slots=True)
 class _Listing:
-    """Tables that are not read yet."""
+    """Tables of a scene that are not read yet."""
 
     file: Path
-    """The scene file, from whose folder paths start; it need not exist."""
+    """The scene file, which need not exist. Paths are relative to its folder."""
     top: dict[str, Any] = field(default_factory=dict[str, Any])
-    """What is no entry."""
+    """Tables that are not entries."""
     tables: list[tuple[EntryKind, dict[str, Any]]] = field(default_factory=list[tuple[EntryKind, dict[str, Any]]])
 
 
 def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _Listing:
-    """Files as entries: those of a scene file, and one for each other file, whose place may be that of its file."""
+    """Lists files as tables: those of the scene file, and one table for each other file."""
     scene_files = [file for file in files if file.suffix.lower() == ".toml"]
     if len(scene_files) > 1:
-        raise ConfigError(f"{scene_files[0]} and {scene_files[1]} are both scene files: list in one what both list")
+        raise ConfigError(f"{scene_files[0]} and {scene_files[1]} are both scene files: merge them into one")
     if not files:
         raise ConfigError("no scene given: name a capture, a mesh or a scene.toml")
     listing = _Listing(scene_files[0] if scene_files else Path("scene.toml"))
@@ -465,7 +468,7 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
 
 
 def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scene]) -> EntryReader:
-    """What reads the entries of a listing, whose ``up`` is then said."""
+    """Returns the reader for a listing, and sets the listing's ``up``."""
     top = listing.top
     named = {kind: [table for other, table in listing.tables if other == kind] for kind in ("splats", "actors")}
     top["up"] = list(scene_up(TomlTable.of(listing.file, {**named, **top})))
@@ -473,11 +476,11 @@ def _reader_of(listing: _Listing, load: Callable[[Path], Gaussians | Mesh | Scen
 
 
 def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEntry], list[str]]:
-    """The entries of a listing, and a line for each that cannot be read."""
+    """Reads the entries of a listing, and returns a message for each one that cannot be read."""
     entries: dict[int, SceneEntry] = {}
     problems: list[str] = []
     numbered = list(enumerate(listing.tables))
-    # What says no place is put among what does.
+    # Entries without a placement are inserted among the others, so they are read last.
     for number, (kind, table) in sorted(
         numbered, key=lambda one: one[1][0] in _INSERTED_KINDS and not is_placed(one[1][1])
     ):
@@ -497,13 +500,13 @@ def _read_entries(reader: EntryReader, listing: _Listing) -> tuple[list[SceneEnt
 def _read_entry(
     reader: EntryReader, number: int, kind: EntryKind, table: Mapping[str, Any], insertion_scene: Scene | None = None
 ) -> SceneEntry:
-    """One entry; ``around`` as of `EntryReader.read`."""
+    """Reads one entry; see `EntryReader.read`."""
     with parsing(reader.file, "a scene file"):
         return reader.read(number, kind, table, insertion_scene)
 
 
 def _heading_of(file: Path) -> Literal["splats", "meshes"]:
-    """Under which heading a file is listed, by its extension and its content. One that cannot be read says so later."""
+    """Returns the entry kind of a file from its extension and content; a later read reports unreadable files."""
     suffix = file.suffix.lower()
     is_mesh = suffix in _MESHES or (suffix == ".ply" and holds_mesh(file))
     if suffix in (".glb", ".gltf"):
@@ -517,16 +520,17 @@ def _heading_of(file: Path) -> Literal["splats", "meshes"]:
 
 
 def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, is_among_captures: bool) -> SceneEntry:
-    """Returns an entry as it stands in a scene with another up.
+    """Returns an entry for a scene with another up direction.
 
-    A mesh or an actor among captures whose y axis was up is turned about its foot, by the smallest rotation between
-    both ups: it stays on its ground, and its front stays in front. Captures stay, as up is measured by their ground,
-    and so do meshes without captures. Tables then say places in numbers, as ``upright`` and its like would mean others.
+    An upright mesh or actor among captures is rotated about its foot, by the smallest rotation between both ups: it
+    stays on the ground with its front in front. Captures keep their transform, because up is measured from their
+    ground, and so do meshes without captures. The placement is then written in numbers, because keys such as
+    ``upright`` would mean another one.
 
     Args:
-        reader: Has the new up.
+        reader: Reader with the new up direction.
         entry: The entry.
-        before: The old up, a unit vector.
+        before: The old up direction, a unit vector.
         is_among_captures: Whether the scene has a capture.
     """
     rotation_of_up = rotation_between(np.array(before), np.array(reader.up))
@@ -551,7 +555,7 @@ def _rotated_with_up(reader: EntryReader, entry: SceneEntry, before: Vector, *, 
 def _rotated_environment(
     reader: EntryReader, entry: SceneEntry, rotation: Doubles, rotation_of_up: Doubles, before: Vector
 ) -> SceneEntry:
-    """Returns an environment turned with up, if the upper edge of its image was up."""
+    """Returns an environment rotated along with up, if the top of its image was up."""
     if not _is_upright(rotation, before):
         return entry
     wxyz = quaternions_from_matrices((rotation_of_up @ rotation)[None])[0]
@@ -560,13 +564,13 @@ def _rotated_environment(
 
 
 def _is_upright(linear: Doubles, up: Vector) -> bool:
-    """Returns whether a rotation with a scale turns y to up."""
+    """Returns whether a rotation with scale maps y to up."""
     y = linear[:, 1] / np.linalg.norm(linear[:, 1])
     return bool(np.linalg.norm(y - np.array(up)) < _UPRIGHT)
 
 
 def _foot(entry: SceneEntry, up: Vector) -> Doubles:
-    """Returns the point of the ground below the middle of what an entry shows, world space, shape (3,)."""
+    """Returns the point on the ground below the centre of an entry, world space, shape (3,)."""
     instances = entry.at(0.0)
     splats = [instance for instance in instances if isinstance(instance, SplatInstance)]
     meshes = [instance for instance in instances if isinstance(instance, MeshInstance)]

@@ -1,4 +1,4 @@
-"""Writes objects of a scene as tables of a scene file: lights, materials, placements and cameras."""
+"""Writes scene objects as tables of a scene file: lights, materials, placements and cameras."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material
 
 NAMED_PLACEMENT_KEYS = ("rotation_degrees", "look_at", "front", "upright", "ground")
-"""Keys that a placement by position, rotation and scale replaces."""
+"""Placement keys that position, rotation_wxyz and scale replace."""
 _ROUNDED = {"inner_angle": -1, "outer_angle": 1}
-"""How angles of spots are rounded: the inner one stays below the outer one."""
+"""Rounding direction of spot angles, so that the inner angle stays below the outer one."""
 _STEPS = 3
-"""Neighbours of an angle that are tried, on each side."""
+"""Number of adjacent floats on each side of an angle that are tried."""
 
 _ROUNDING = 1e-9
-"""Largest relative difference of what shall be equal."""
+"""Largest relative difference between values that count as equal."""
 _VARYING = ("eye", "target", "up", "fov_y_degrees", "exposure", "aperture", "focus_distance")
-"""What keyframes have, besides their times."""
+"""Keys that each camera keyframe has, besides its time."""
 
 
 def light_table(light: Light) -> Values:
-    """The entry of a light; of an environment the table, without its image."""
+    """Returns the table of a light; that of an environment omits the image."""
     table = {} if isinstance(light, LightEnvironment) else {"type": light.kind}
     return table | _values(light, without=("image",))
 
 
 def material_table(material: Material) -> Values:
-    """The table of a material, without its textures."""
+    """Returns the table of a material, without its textures."""
     textures = tuple(field.name for field in fields(material) if field.name.endswith(("_texture", "_wraps")))
     return {"type": _name(MATERIAL_KINDS, type(material))} | _values(material, without=textures)
 
 
 def placement_table(matrix: Doubles) -> Values:
-    """The keys that place an entry by a similarity, shape (4, 4)."""
+    """Returns the keys that place an entry by a similarity, shape (4, 4)."""
     scale = _rounded(np.cbrt(np.linalg.det(matrix[:3, :3])))
     quaternion = quaternions_from_matrices(matrix[None, :3, :3] / scale)[0]
     return {
@@ -56,12 +56,12 @@ def placement_table(matrix: Doubles) -> Values:
 
 
 def _rounded(number: float) -> float:
-    """Twelve digits: what people read should not end in noise."""
+    """Rounds a number to twelve digits, so that files stay readable."""
     return float(f"{number:.12g}")
 
 
 def is_similarity(matrix: Doubles) -> bool:
-    """Whether a transform, shape (4, 4), is a rotation, one scale and a translation: what an entry can say."""
+    """Returns whether a transform, shape (4, 4), is a rotation, a uniform scale and a translation."""
     linear = matrix[:3, :3]
     gram = linear.T @ linear
     size = np.trace(gram) / 3.0
@@ -69,7 +69,7 @@ def is_similarity(matrix: Doubles) -> bool:
 
 
 def _values(item: Light | Material, without: tuple[str, ...]) -> Values:
-    """The fields that differ from their defaults, by key."""
+    """Returns the fields that differ from their defaults, by table key."""
     table: Values = {}
     for field in fields(item):
         value = getattr(item, field.name)
@@ -84,11 +84,11 @@ def _written(field: Field[Any], value: object) -> object:
 
 
 def _degrees(angle: float, rounded: int) -> float:
-    """The degrees, at most 90, that the reader turns to an angle, or to one next to it.
+    """Converts an angle to degrees, at most 90, such that reading them back gives the same angle if possible.
 
     Args:
         angle: Radians.
-        rounded: 0: to the nearest; 1: not to a smaller one; -1: not to a larger one.
+        rounded: 0 allows the closest angle; 1 none that is smaller; -1 none that is larger.
     """
     near = [math.degrees(angle)]
     for end in (0.0, 90.0):
@@ -109,11 +109,11 @@ def _name(kinds: dict[str, Any], kind: type) -> str:
 
 
 def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[list[dict[str, Any]], list[str]]:
-    """Cameras as ``[[cameras]]``, and a line for each that a scene file cannot hold.
+    """Returns cameras as ``[[cameras]]`` tables, and a message for each one that a scene file cannot store.
 
     Args:
-        cameras: Those that stand still. One that is the first of the path is the one that moves.
-        path: The one that moves.
+        cameras: Static cameras. One that equals the path's first camera is replaced by the path.
+        path: The moving camera.
     """
     tables: list[dict[str, Any]] = []
     problems: list[str] = []
@@ -121,15 +121,15 @@ def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[l
         table = _camera_table(camera)
         if table is None:
             problems.append(
-                f"camera {camera.name or number} is left out: scene files hold cameras with square pixels, the "
-                "principal point in the middle and no rolling shutter"
+                f"camera {camera.name or number} is left out: scene files store only cameras with square pixels, a "
+                "centred principal point and no rolling shutter"
             )
         else:
             tables.append(table)
     if path is not None:
         moving = _path_table(path)
         if moving is None:
-            problems.append("the camera that moves is left out: scene files hold those that look at targets")
+            problems.append("the moving camera is left out: scene files store only camera paths with targets")
         else:
             first = _camera_table(path.cameras[0], np.asarray(path.targets)[0])
             tables = [moving if _is_same(table, first) else table for table in tables]
@@ -138,11 +138,11 @@ def camera_tables(cameras: Sequence[Camera], path: CameraPath | None) -> tuple[l
 
 
 def _camera_table(camera: Camera, target: Doubles | None = None) -> dict[str, Any] | None:
-    """A camera by its eye and target; None: it cannot be said so.
+    """Returns a camera as a table with eye and target; None if a scene file cannot express it.
 
     Args:
         camera: The camera.
-        target: What is in the middle of its image; None: the point in focus.
+        target: World-space point in the image centre; None uses the point in focus.
     """
     width, height = camera.width, camera.height
     is_square = math.isclose(camera.fx, camera.fy, rel_tol=_ROUNDING)
@@ -172,7 +172,7 @@ def _camera_table(camera: Camera, target: Doubles | None = None) -> dict[str, An
 
 
 def _path_table(path: CameraPath) -> dict[str, Any] | None:
-    """A camera that moves, by its keyframes; None: it cannot be said so."""
+    """Returns a moving camera as a table with keyframes; None if a scene file cannot express it."""
     if path.targets is None:
         return None
     keyframes: list[dict[str, Any]] = []
@@ -188,7 +188,7 @@ def _path_table(path: CameraPath) -> dict[str, Any] | None:
 
 
 def _is_same(table: dict[str, Any], other: dict[str, Any] | None) -> bool:
-    """Whether two tables are of one view, whatever is in focus."""
+    """Returns whether two tables describe the same view, whatever their focus."""
     if other is None or table.keys() - {"target", "focus_distance"} != other.keys() - {"target", "focus_distance"}:
         return False
     same = (key for key in table if key not in ("target", "focus_distance", "name", "model"))

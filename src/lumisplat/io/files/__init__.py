@@ -1,1 +1,1 @@
-"""Helpers of all formats: errors of unreadable files, atomic writing, limits of memory."""
+"""Helpers shared by all file formats: reading with clear errors, atomic writing, memory limits."""

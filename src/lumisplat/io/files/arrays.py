@@ -1,4 +1,4 @@
-"""Reads and writes NumPy archives (``.npz``); names, types and sizes are checked before anything is allocated."""
+"""Reads and writes NumPy archives (``.npz``), checking names, types and sizes before allocating anything."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lumisplat.io.files.source import PathLike, check_expansion, check_memory, o
 from lumisplat.math.arrays import host_array
 
 _UNREADABLE = (ValueError, LookupError, TypeError, ArithmeticError, RuntimeError, EOFError, SyntaxError)
-"""Raised by zipfile and NumPy for bytes that are no archive of arrays, besides errors of their own."""
+"""Exceptions that zipfile and NumPy raise for damaged archives, in addition to zipfile's own."""
 
 
 def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[str, npt.NDArray[Any]]:
@@ -27,13 +27,13 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
 
     Args:
         path: The file.
-        kind: The expected kind of file, such as ``"a checkpoint of a training"``, for messages.
-        compressed: Whether arrays may be stored compressed, as by `numpy.savez_compressed`. Otherwise they take no
-            more memory than the file has bytes.
+        kind: The expected kind of file for messages, such as ``"a checkpoint of a training"``.
+        compressed: Whether arrays may be compressed, as by `numpy.savez_compressed`. Otherwise the arrays take no more
+            memory than the file has bytes.
 
     Raises:
-        FormatError: The file is a folder, a device or a pipe, cannot be read, is no archive of plain arrays, or its
-            arrays take far more memory than its size can hold.
+        FormatError: The file is a folder, a device or a pipe, cannot be read, is not an archive of plain arrays, or its
+            arrays take far more memory than a file of its size can hold.
         MissingFileError: There is no such file.
     """
     try:
@@ -57,16 +57,16 @@ def read_arrays(path: PathLike, kind: str, *, compressed: bool = False) -> dict[
 def checked_array(
     arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | None, ...], dtype: npt.DTypeLike
 ) -> npt.NDArray[Any]:
-    """Returns an array of an archive if it has the expected shape and only finite numbers.
+    """Returns an array of an archive after checking its shape and that all values are finite.
 
     Args:
-        arrays: As `read_arrays` returns them.
+        arrays: Result of `read_arrays`.
         name: Name of the array.
-        shape: Expected shape; None stands for any length.
+        shape: Expected shape; None allows any length.
         dtype: Type of the result.
 
     Raises:
-        ValueError: There is no such array, or it is not of that kind.
+        ValueError: The array is missing, or has another shape or non-finite values.
     """
     array = arrays.get(name)
     if array is None or array.dtype.kind not in "fiub" or array.ndim != len(shape):
@@ -81,7 +81,7 @@ def checked_array(
 
 
 def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: bool) -> int:
-    """Returns the bytes that a member takes as an array, as its header says and the archive confirms."""
+    """Returns the memory of an archive member in bytes, from its header and checked against the archive."""
     methods = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) if compressed else (zipfile.ZIP_STORED,)
     if member.compress_type not in methods or not member.filename.endswith(".npy"):
         raise ValueError("not what NumPy writes")
@@ -94,7 +94,7 @@ def _array_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo, compressed: 
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any], int]:
-    """Returns shape, type and length in bytes of the header of an array."""
+    """Returns the shape, type and length in bytes of an array's header."""
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     shape, _, dtype = readers[np.lib.format.read_magic(stream)](stream)
     return shape, dtype, stream.tell()

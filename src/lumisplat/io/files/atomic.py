@@ -1,6 +1,6 @@
-"""Atomic writing: output files appear complete or not at all, and what a killed run left is removed by the next one.
+"""Writes files atomically: they appear complete or not at all, even after a power cut.
 
-A file is on the disk before it has its name, so that this holds of power cuts, too.
+A file is flushed to disk before it gets its final name. Temporary files of a killed run are removed by the next one.
 """
 
 from __future__ import annotations
@@ -17,33 +17,33 @@ from lumisplat.io.files.source import PathLike
 
 try:
     import fcntl
-except ImportError:  # Windows: leftovers stay, as nothing says whether they are still being written
+except ImportError:  # Windows has no such locks, so leftovers stay
     fcntl = None
 
 _STEM_BYTES = 64
-"""Bytes of the finished file's name in that of the temporary one: file systems end names at 255 bytes."""
+"""Number of bytes of the final name that the temporary name repeats: file systems limit names to 255 bytes."""
 _TEMPORARY = re.compile(r"\..*\.[0-9a-f]{12}\.lumisplat(\.[^.]*)?", re.DOTALL)
 
 _tidied: set[Path] = set()
-"""Folders from which this process has removed leftovers."""
+"""Folders from which this process has already removed leftovers."""
 
 
 @contextmanager
 def atomic_write(path: PathLike) -> Generator[Path]:
-    """Yields a temporary file next to ``path`` to write to, and gives it its name if the block succeeds.
+    """Yields a temporary file next to ``path``, and renames it to ``path`` if the block succeeds.
 
-    Missing parent folders are created. If the block raises, they and the temporary file are removed and the old file at
-    ``path`` stays. A symbolic link stays, the file that it leads to is written. The first write into a folder removes
-    the temporary files that killed processes have left there.
+    Missing parent folders are created. If the block raises, the new folders and the temporary file are removed and the
+    old file at ``path`` is unchanged. If ``path`` is a symbolic link, its target is written and the link stays. The
+    first write into a folder removes temporary files that killed processes have left there.
 
     Args:
-        path: Path of the finished file.
+        path: Path of the final file.
 
     Yields:
         An empty file in the same folder, with the same suffix.
 
     Raises:
-        FormatError: The folder cannot be created or written, ``path`` is no regular file, or the disk is full.
+        FormatError: The folder cannot be created or written, ``path`` is not a regular file, or the disk is full.
     """
     try:
         target = _target(path)
@@ -55,19 +55,19 @@ def atomic_write(path: PathLike) -> Generator[Path]:
                 os.replace(temporary, target)
         _sync_folder(target.parent)
     except OSError as error:
-        reason = error.strerror or f"{error}: is the disk full?"  # NumPy's own has no number
+        reason = error.strerror or f"{error}: is the disk full?"  # an OSError of NumPy has no strerror
         raise FormatError(path, f"cannot be written: {reason}") from None
 
 
 @contextmanager
 def written_together(folder: Path) -> Generator[list[Path]]:
-    """Files in a folder and in those in it that are of use together only: if the block raises, none of them stays.
+    """Removes all files written in the block, and the folders made for them, if the block raises.
 
     Args:
-        folder: Where they are; if it, or others around it, were made for them, they go, too.
+        folder: Folder of the files; they may also lie in its direct subfolders.
 
     Yields:
-        A list, to which the block adds each file that it has written.
+        A list to which the block appends each file that it has written.
     """
     missing = [one for one in (folder, *folder.parents) if not one.exists()]
     written: list[Path] = []
@@ -78,16 +78,16 @@ def written_together(folder: Path) -> Generator[list[Path]]:
             with suppress(OSError):
                 path.unlink()
         for emptied in [*{path.parent for path in written if path.parent != folder}, *missing]:
-            with suppress(OSError):  # somebody else has put something into it
+            with suppress(OSError):  # another process has put a file into it
                 emptied.rmdir()
         raise
 
 
 def check_can_be_written(path: PathLike) -> None:
-    """Refuses a path at which `atomic_write` would fail, before work is done for it; makes missing parent folders.
+    """Refuses a path that `atomic_write` could not write, before any work is done; creates missing parent folders.
 
     Raises:
-        FormatError: The folder cannot be created or written, or ``path`` is no regular file.
+        FormatError: The folder cannot be created or written, or ``path`` is not a regular file.
     """
     try:
         target = _target(path)
@@ -100,20 +100,20 @@ def check_can_be_written(path: PathLike) -> None:
 
 @contextmanager
 def _folder_of(target: Path) -> Generator[None]:
-    """Makes the missing folders of a file; if the block raises, those that are empty go again."""
+    """Creates the missing parent folders of a file; if the block raises, the empty ones are removed again."""
     missing = [folder for folder in target.parents if not folder.exists()]
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         yield
     except BaseException:
         for folder in missing:
-            with suppress(OSError):  # somebody else has put something into it
+            with suppress(OSError):  # another process has put a file into it
                 folder.rmdir()
         raise
 
 
 def _target(path: PathLike) -> Path:
-    """The file to write: that to which a symbolic link leads."""
+    """Returns the file to write, which is the target of a symbolic link."""
     try:
         with suppress(FileNotFoundError):
             os.lstat(path)
@@ -130,7 +130,7 @@ def _target(path: PathLike) -> Path:
 
 
 def _sync(path: Path) -> None:
-    """Waits until the disk has a file."""
+    """Waits until a file's contents are on disk."""
     descriptor = os.open(path, os.O_RDWR)
     try:
         os.fsync(descriptor)
@@ -139,7 +139,7 @@ def _sync(path: Path) -> None:
 
 
 def _sync_folder(path: Path) -> None:
-    """Waits until the disk has the names of a folder, where the system can open one, and its file system has that."""
+    """Waits until a folder's entries are on disk, on systems that support it."""
     if os.name != "posix":
         return
     with suppress(OSError):
@@ -152,7 +152,7 @@ def _sync_folder(path: Path) -> None:
 
 @contextmanager
 def _reserved(target: Path) -> Generator[Path]:
-    """Yields a temporary file for ``target``, locked against those who remove leftovers; at the end it is gone."""
+    """Yields a temporary file for ``target``, locked so that nobody removes it as a leftover; deletes it at the end."""
     temporary, lock = _locked_file(target)
     try:
         yield temporary
@@ -163,22 +163,25 @@ def _reserved(target: Path) -> Generator[Path]:
 
 
 def _locked_file(target: Path) -> tuple[Path, int]:
-    """Makes an empty temporary file for ``target``; its path, and an open descriptor that holds a lock on it."""
+    """Creates an empty temporary file for ``target``; returns its path and a file descriptor that locks it."""
     stem = os.fsdecode(os.fsencode(target.stem)[:_STEM_BYTES])
     while True:
         temporary = target.with_name(f".{stem}.{secrets.token_hex(6)}.lumisplat{target.suffix}")
         lock = os.open(temporary, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
         if fcntl is None:
             return temporary, lock
-        with suppress(OSError):  # some network file systems have no locks: there, nobody removes leftovers either
+        with suppress(OSError):  # no locks on some network file systems, where leftovers stay, too
             fcntl.flock(lock, fcntl.LOCK_EX)
         if os.fstat(lock).st_nlink:
             return temporary, lock
-        os.close(lock)  # another process took it for a leftover before it was locked
+        os.close(lock)  # another process removed the file before it was locked
 
 
 def unfinished_writes(target: Path) -> list[Path]:
-    """Temporary files of a target that a process is writing; those that none writes are removed. None on Windows."""
+    """Returns the temporary files of a target that a process is writing, and removes the abandoned ones.
+
+    Always empty on Windows, which has no such locks.
+    """
     found: list[Path] = []
     for path in target.parent.glob(f".{target.stem}.*.lumisplat{target.suffix}") if fcntl is not None else ():
         try:
@@ -189,7 +192,7 @@ def unfinished_writes(target: Path) -> list[Path]:
 
 
 def _remove_leftovers(folder: Path) -> None:
-    """Removes the temporary files in a folder that no process is writing, once for each folder."""
+    """Removes abandoned temporary files from a folder, once per folder and process."""
     if fcntl is None or folder in _tidied:
         return
     _tidied.add(folder)
@@ -201,7 +204,11 @@ def _remove_leftovers(folder: Path) -> None:
 
 
 def _remove_unless_locked(path: str) -> None:
-    """Removes a file on which no process holds a lock; locks end with the process that holds them."""
+    """Removes a file that no process has locked. A lock ends with its process.
+
+    Raises:
+        BlockingIOError: A process holds the lock.
+    """
     assert fcntl is not None
     descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     try:

@@ -1,4 +1,4 @@
-"""What libraries in C++ need that read or write files themselves: names in UTF-8, silence, and plain errors."""
+"""Helpers for C++ libraries that read or write files themselves: UTF-8 paths, silenced output, and plain errors."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _silence = threading.RLock()
 
 @contextmanager
 def utf8_path(path: PathLike) -> Generator[str]:
-    """Yields a path of the same file that is UTF-8; the libraries' bindings take no other.
+    """Yields a UTF-8 path to a file, because bindings of C++ libraries accept no other.
 
-    That is ``path`` itself, or a symbolic link to it if its name has other bytes. The file need not exist yet.
+    That is ``path`` itself, or a symbolic link to it if its name is not UTF-8. The file need not exist yet.
 
     Raises:
         OSError: The link cannot be made.
@@ -40,15 +40,15 @@ def utf8_path(path: PathLike) -> Generator[str]:
 
 @contextmanager
 def native_write(path: PathLike, text: str) -> Generator[None]:
-    """What a library says of a file that it cannot write is said as of all files, by the system's reason alone.
+    """Turns a library's write error inside the block into an `OSError` or `FormatError`, as for all other files.
 
     Args:
-        path: The file as the user knows it.
-        text: As the library knows it.
+        path: The file as the user named it.
+        text: The path that was passed to the library.
 
     Raises:
-        OSError: The library names the system's reason, such as a full disk: `atomic_write` says it.
-        FormatError: It names another one.
+        OSError: The message contains a system error, such as a full disk; `atomic_write` reports it.
+        FormatError: The message gives any other reason.
     """
     try:
         yield
@@ -62,11 +62,11 @@ def native_write(path: PathLike, text: str) -> Generator[None]:
 
 @contextmanager
 def silenced_native_output() -> Generator[None]:
-    """Keeps off the terminal what native code writes to standard output and standard error inside the block."""
+    """Discards what native code writes to standard output and standard error inside the block."""
     with _silence:
         saved: list[tuple[int, int]] = []
         for descriptor, stream in ((1, sys.stdout), (2, sys.stderr)):
-            with suppress(AttributeError, OSError, ValueError):  # it may be closed
+            with suppress(AttributeError, OSError, ValueError):  # the stream may be closed
                 stream.flush()
             with suppress(OSError):
                 saved.append((descriptor, os.dup(descriptor)))

@@ -1,7 +1,7 @@
-"""Reads files that users name: every failure becomes one `FormatError`, and memory is limited before it is allocated.
+"""Reads files that users name: each failure becomes one `FormatError`, and memory is checked before it is allocated.
 
-Files that other files name (buffers of a glTF, materials of an OBJ) are resolved here, and the format of a file by its
-extension or what a folder holds.
+This module also resolves files that other files name (buffers of a glTF, materials of an OBJ), and determines a file's
+format from its extension or a folder's contents.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from lumisplat.errors import FormatError, LumisplatError, MissingFileError, Scen
 from lumisplat.memory import usable_memory
 
 DECODED_BYTES_FREE = 256 * 2**20
-"""Decoded size, bytes, that any file may ask for. Above it, EXPANSION_MAX applies."""
+"""Decoded size in bytes that is always allowed. `EXPANSION_MAX` applies above it."""
 
 EXPANSION_MAX = 200
-"""Decoded bytes per stored byte, above which a file is taken for a decompression bomb. Real captures stay under 30."""
+"""Decoded bytes per stored byte above which a file counts as a decompression bomb. Real captures stay under 30."""
 
 TEXTURE_BYTES_FREE = 2**30
-"""Decoded size, bytes, that the textures of one file may have together: twenty of 4096 x 4096. Above it, EXPANSION_MAX
-applies to their sum."""
+"""Total decoded size in bytes that is always allowed for the textures of one file: twenty of 4096 x 4096.
+`EXPANSION_MAX` applies above it."""
 
 PathLike = str | os.PathLike[str]
 
 _may_leave_folder: ContextVar[bool] = ContextVar("_may_leave_folder", default=False)
 
 STREAMED_SOG = "lod-meta.json"
-"""The file of a streamed SOG that lists its levels and chunks."""
+"""File that lists the levels and chunks of a streamed SOG."""
 BLOCKS = "blocks.json"
-"""The file of a capture in blocks that lists them."""
+"""File that lists the blocks of a capture stored in blocks."""
 _IMAGES = ("transforms.json", "transforms_train.json", "images", "sparse")
-"""What folders of images hold that captures are trained from."""
+"""Names that mark a folder of training images."""
 _INNER_LISTED = 8
-"""How many captures of a folder a message lists."""
+"""Number of captures in a folder that a message lists."""
 
 
 def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
@@ -56,7 +56,7 @@ def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
         referrer: The file that refers to this one, named in errors.
 
     Raises:
-        FormatError: The file is a folder, a device or a pipe, empty, too large or not readable.
+        FormatError: The file is a folder, a device or a pipe, or is empty, too large or unreadable.
         MissingFileError: There is no such file.
     """
     message_end = f" (needed by {os.fspath(referrer)})" if referrer is not None else ""
@@ -69,7 +69,7 @@ def read_bytes(path: PathLike, *, referrer: PathLike | None = None) -> bytes:
 
 @contextmanager
 def readable(path: PathLike, message_end: str = "") -> Generator[None]:
-    """Turns what the system says of a file that cannot be read inside the block into one `FormatError` about ``path``.
+    """Turns system errors inside the block into one `FormatError` about ``path``.
 
     Args:
         path: The file.
@@ -89,15 +89,15 @@ def readable(path: PathLike, message_end: str = "") -> Generator[None]:
 
 
 def opened(path: PathLike, message_end: str = "", largest: float | None = None) -> BinaryIO:
-    """Opens a file to read, after checking that reading it ends.
+    """Opens a file for reading, after checking that it is a regular file of limited size.
 
     Args:
         path: The file.
         message_end: Text at the end of messages.
-        largest: Size in bytes above which it is refused; None: `FILE_BYTES_MAX`.
+        largest: Largest allowed size in bytes; None uses `FILE_BYTES_MAX`.
 
     Raises:
-        FormatError: The file is a folder, a device, a pipe, too large or not readable.
+        FormatError: The file is a folder, a device or a pipe, or is too large or unreadable.
         MissingFileError: There is no such file.
     """
     largest = FILE_BYTES_MAX if largest is None else largest
@@ -122,35 +122,35 @@ def read_text(path: PathLike, *, referrer: PathLike | None = None, errors: str =
 
 
 def decode_text(data: bytes, errors: str = "strict") -> str:
-    """Decodes UTF-8, or UTF-16 that begins with its byte order mark; a byte order mark is left out.
+    """Decodes UTF-8, or UTF-16 with a byte order mark, and drops the mark.
 
-    Windows' Notepad begins UTF-8 with a mark, and its PowerShell writes UTF-16.
+    Windows' Notepad starts UTF-8 with a mark, and its PowerShell writes UTF-16.
 
     Args:
-        data: The text.
-        errors: What is done with bytes that are no text, as of `bytes.decode`.
+        data: The encoded text.
+        errors: Handling of invalid bytes, as in `bytes.decode`.
 
     Raises:
-        UnicodeDecodeError: There are such bytes, and ``errors`` is ``"strict"``.
+        UnicodeDecodeError: There are invalid bytes, and ``errors`` is ``"strict"``.
     """
     is_utf16 = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    if is_utf16 and errors == "surrogateescape":  # UTF-16 has no such bytes
+    if is_utf16 and errors == "surrogateescape":  # UTF-16 has no single invalid bytes to escape
         errors = "replace"
     return data.decode("utf-16" if is_utf16 else "utf-8-sig", errors)
 
 
 def is_list(value: object) -> TypeGuard[list[object]]:
-    """Returns whether a value of JSON or TOML is an array."""
+    """Returns whether a JSON or TOML value is an array."""
     return isinstance(value, list)
 
 
 def is_object(value: object) -> TypeGuard[dict[str, Any]]:
-    """Returns whether a value of JSON is an object, or one of TOML a table."""
+    """Returns whether a JSON value is an object, or a TOML value a table."""
     return isinstance(value, dict)
 
 
 def is_number_word(word: str) -> bool:
-    """Returns whether a word of a text is a number."""
+    """Returns whether a word parses as a number."""
     try:
         float(word)
     except ValueError:
@@ -159,15 +159,15 @@ def is_number_word(word: str) -> bool:
 
 
 def check_regular(path: PathLike, status: os.stat_result, message_end: str = "") -> None:
-    """Refuses what would be read without end, or wait for somebody to write.
+    """Refuses anything but a regular file: reading a device or pipe may never end.
 
     Args:
         path: The file.
-        status: What the system says about it.
+        status: Its `os.stat` result.
         message_end: Text at the end of the message.
 
     Raises:
-        FormatError: It is a folder, a device, a pipe or a socket.
+        FormatError: The path is a folder, a device, a pipe or a socket.
     """
     if stat.S_ISDIR(status.st_mode):
         raise FormatError(path, f"is a folder, expected a file{message_end}")
@@ -177,17 +177,17 @@ def check_regular(path: PathLike, status: os.stat_result, message_end: str = "")
 
 @contextmanager
 def parsing(path: PathLike, kind: str) -> Generator[None]:
-    """Turns the errors that malformed content causes inside the block into one `FormatError` about ``path``.
+    """Turns errors from malformed content inside the block into one `FormatError` about ``path``.
 
     Args:
-        path: The file that is read.
-        kind: The expected kind of file, such as ``"a glTF file"``.
+        path: The file being read.
+        kind: The expected kind of file for messages, such as ``"a glTF file"``.
 
     Raises:
         FormatError: The content does not parse.
     """
     try:
-        # Garbage numbers overflow when converted; the scene dataclasses then refuse the infinite values.
+        # Numbers in damaged files overflow when converted; the scene classes refuse the infinite values.
         with np.errstate(all="ignore"):
             yield
     except FormatError:
@@ -205,10 +205,10 @@ def parsing(path: PathLike, kind: str) -> Generator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """The part of an error message that helps the owner of the file, after a colon; empty if it is about our code."""
+    """Returns the part of an error that helps the file's owner, after a colon; empty for errors about our own code."""
     match error:
         case UnicodeDecodeError():
-            return ": holds bytes that are no text"
+            return ": contains bytes that are not text"
         case json.JSONDecodeError():
             return f": invalid JSON at line {error.lineno}: {error.msg}"
         case RecursionError() | OverflowError():
@@ -228,12 +228,12 @@ def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes:
 
     Args:
         path: The file.
-        what: Name of the content, for the message.
+        what: The content, for the message.
         decoded_bytes: Memory that reading it would take.
         stored_bytes: Size of the compressed content.
 
     Raises:
-        FormatError: The content would be large, and more than any compression can store in that size.
+        FormatError: The content exceeds `DECODED_BYTES_FREE`, and `EXPANSION_MAX` times its stored size.
     """
     if decoded_bytes > max(DECODED_BYTES_FREE, EXPANSION_MAX * stored_bytes):
         raise FormatError(
@@ -245,7 +245,7 @@ def check_expansion(path: PathLike, what: str, decoded_bytes: int, stored_bytes:
 
 @dataclass(slots=True)
 class TextureBytes:
-    """The bytes of all textures of a file: many small images may hold as much as a large one."""
+    """Counts the bytes of all textures of a file, because many small images can take as much memory as a large one."""
 
     path: PathLike
     decoded: int = 0
@@ -260,7 +260,7 @@ class TextureBytes:
             stored: Bytes of the encoded image.
 
         Raises:
-            FormatError: The textures so far are large, and more than images of their size hold.
+            FormatError: The textures so far exceed `TEXTURE_BYTES_FREE`, and `EXPANSION_MAX` times their stored size.
         """
         self.decoded += decoded
         self.stored += stored
@@ -273,7 +273,7 @@ class TextureBytes:
 
 
 def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, stored_bytes: int) -> None:
-    """Refuses a compressed capture whose header claims no Gaussians, or absurdly many.
+    """Refuses a compressed capture whose header claims no Gaussians, or impossibly many.
 
     Args:
         path: The file.
@@ -291,16 +291,16 @@ def check_gaussian_count(path: PathLike, count: int, sh_coefficients: int, store
 
 
 def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> None:
-    """Refuses what is larger than the memory there is, where that is known.
+    """Refuses content that is larger than the available memory, where that is known.
 
     Args:
         path: The file.
-        what: Name of the content, for the message.
+        what: The content, for the message.
         needed_bytes: Memory that it takes.
-        remedy: What to do.
+        remedy: Advice at the end of the message.
 
     Raises:
-        FormatError: It does not fit.
+        FormatError: The content does not fit.
     """
     available = usable_memory()
     if available is not None and needed_bytes > available:
@@ -311,7 +311,7 @@ def check_memory(path: PathLike, what: str, needed_bytes: int, remedy: str) -> N
 
 @contextmanager
 def references_outside(allowed: bool) -> Generator[None]:
-    """Inside the block, files may name files outside of their own folders, if ``allowed``."""
+    """Allows files inside the block to refer to files outside of their folder, if ``allowed``."""
     token = _may_leave_folder.set(allowed or _may_leave_folder.get())
     try:
         yield
@@ -320,29 +320,29 @@ def references_outside(allowed: bool) -> Generator[None]:
 
 
 def may_leave_folder() -> bool:
-    """Returns whether files may name files outside of their own folders here."""
+    """Returns whether files may currently refer to files outside of their folder."""
     return _may_leave_folder.get()
 
 
 def leaves_folder(path: PathLike, file: Path, folder: Path | None = None) -> bool:
-    """Returns whether a file is outside of a folder, which is not allowed; arguments as of `referenced_file`."""
+    """Returns whether a file lies outside of a folder without permission; arguments as in `referenced_file`."""
     home = os.path.abspath(Path(path).parent if folder is None else folder)
     return not _may_leave_folder.get() and not Path(os.path.abspath(file)).is_relative_to(home)
 
 
 def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Path:
-    """The path of a file that another one names; it need not exist.
+    """Returns the path of a file that another file names; it need not exist.
 
-    Symbolic links are followed wherever they lead: the names are those of the file, the links are the user's.
-    Windows' backslashes are read as slashes where no file has the name as it is.
+    Symbolic links are followed anywhere, because they belong to the user, whereas the names come from the file.
+    Backslashes of Windows are read as slashes unless a file with that literal name exists.
 
     Args:
-        path: The file that names it.
-        name: Its name, from the folder of ``path``.
-        folder: The folder that it must not leave; None: that of ``path``.
+        path: The file that contains the reference.
+        name: The referenced name, relative to the folder of ``path``.
+        folder: The folder that the reference must not leave; None uses that of ``path``.
 
     Raises:
-        FormatError: It leaves the folder, which is not allowed.
+        FormatError: The reference leaves the folder without permission.
     """
     found = named_path(Path(path).parent, name)
     if leaves_folder(path, found, folder):
@@ -355,22 +355,27 @@ def referenced_file(path: PathLike, name: str, folder: Path | None = None) -> Pa
 
 
 def named_path(folder: Path, name: str) -> Path:
-    """Joins a folder and a name, whose backslashes are slashes if no file has that name."""
+    """Joins a folder and a name. Backslashes in the name are slashes unless a file has that literal name."""
     found = folder / name
     return folder / name.replace("\\", "/") if "\\" in name and not os.path.exists(found) else found
 
 
 def read_reference(path: PathLike, name: str, folder: Path | None = None) -> bytes:
-    """The contents of a file that another one names; see `referenced_file`.
+    """Reads a file that another file names; see `referenced_file`.
 
     Raises:
-        FormatError: It leaves the folder, is missing, no regular file, too large or empty.
+        FormatError: The file is outside of the folder, missing, not a regular file, too large or empty.
     """
     return read_bytes(referenced_file(path, name, folder), referrer=path)
 
 
 def format_of(path: Path) -> str:
-    """The extension of a file that exists; ``.sog`` for a SOG folder or its meta.json, `STREAMED_SOG` or `BLOCKS`."""
+    """Returns the format of an existing path: its extension; ``.sog``, `STREAMED_SOG` or `BLOCKS` for folders.
+
+    Raises:
+        FormatError: The folder holds no capture, or the file is empty or not a regular file.
+        MissingFileError: There is no such file.
+    """
     if path.is_dir():
         if (path / "meta.json").is_file():
             return ".sog"
@@ -379,7 +384,7 @@ def format_of(path: Path) -> str:
         if (path / BLOCKS).is_file():
             return BLOCKS
         if any((path / name).exists() for name in _IMAGES):
-            raise FormatError(path, "is a folder of images, not a capture: lumisplat train makes a capture of them")
+            raise FormatError(path, "is a folder of images, not a capture: train one from them with lumisplat train")
         given = f": give one of the captures in it, {inner}" if (inner := _inner_sog(path)) else ""
         raise FormatError(path, f"is a folder without a meta.json, expected a SOG folder or a file{given}")
     if not path.exists():
@@ -393,16 +398,16 @@ def format_of(path: Path) -> str:
 
 
 def _inner_sog(folder: Path) -> str:
-    """The SOG captures in a folder, by their paths from there: the first few, and how many more there are."""
+    """Lists the first few SOG captures in a folder by relative path, and the number of the others."""
     inner = sorted(str(meta.relative_to(folder)) for meta in (*folder.glob("*/meta.json"), *folder.glob("*.sog")))
     more = f" and {len(inner) - _INNER_LISTED} more" if len(inner) > _INNER_LISTED else ""
     return ", ".join(inner[:_INNER_LISTED]) + more
 
 
 _RENAMED_KEYS = {"shadow_only": "shadow_catcher"}
-"""Old key of files -> its name now."""
+"""Old names of keys in files, with their current names."""
 
 
 def with_current_keys(values: dict[str, Any]) -> dict[str, Any]:
-    """Returns the values that a file gives, those under old keys by their present names."""
+    """Returns values read from a file with old keys renamed to current ones."""
     return {_RENAMED_KEYS.get(key, key): value for key, value in values.items()}

@@ -1,1 +1,1 @@
-"""glTF 2.0 files: scenes with meshes, materials, lights and cameras, and rigs with animations."""
+"""Reads and writes glTF 2.0 files: scenes with captures, meshes, materials, lights and cameras, rigs and animations."""

@@ -1,4 +1,4 @@
-"""Reads what moves in glTF files: rigs (meshes, the nodes that move them, clips), and animations as whole scenes."""
+"""Reads rigs (meshes, joints and animations) from glTF files, and animated glTF files as whole scenes."""
 
 from __future__ import annotations
 
@@ -58,16 +58,17 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 ANIMATION_SAMPLES_MAX = 400_000
-"""Samples of a camera or capture of a glTF animation, which are made when it is read: more than an hour. So many take a
-minute on one core, and 500 MB."""
+"""Largest number of samples of a glTF camera or capture, which are all made when the file is read: more than an hour
+of animation. That many take a minute on one core, and 500 MB."""
 
 _KINDS = {Channel.TRANSLATION: "VEC3", Channel.ROTATION: "VEC4", Channel.SCALE: "VEC3", Channel.WEIGHTS: "SCALAR"}
 
 
 def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
-    """All animations of a file, with distinct names; an animation without a name has its number instead.
+    """Reads all animations of a file as clips with unique names; an unnamed animation is called by its index.
 
-    Channels without a node, and those of extensions, are left out; a log line counts the latter.
+    Channels without a target node are skipped. Channels that animate extension properties are skipped and counted in a
+    log line.
     """
     clips: dict[str, Clip] = {}
     for index, animation in enumerate(file.model.animations or []):
@@ -79,6 +80,7 @@ def _read_clips(file: GltfFile) -> tuple[Clip, ...]:
 
 
 def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple[Track, ...]:
+    """Reads the channels of an animation as tracks; ``where`` names the animation in messages."""
     tracks: list[Track] = []
     unread = 0
     for k, channel in enumerate(animation.channels or []):
@@ -90,15 +92,20 @@ def _tracks(file: GltfFile, animation: pygltflib.Animation, where: str) -> tuple
             sampler = _sampler(file, animation, channel.sampler, label)
             tracks.append(_track(file, sampler, Channel(target.path), target.node, label))
     if unread:
-        _log.warning("%s: %s: %d channels left out, they move what is not read", file.path, where, unread)
+        _log.warning(
+            "%s: %s: %d channels left out: they animate properties that are not read", file.path, where, unread
+        )
     return tuple(tracks)
 
 
 def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, node: int, where: str) -> Track:
-    """The track of a channel that animates a property of a node."""
+    """Reads a sampler as the track of one node property."""
     item = file.item("nodes", node, where)
     if item.matrix is not None and kind is not Channel.WEIGHTS:
-        raise FormatError(file.path, f"{where} moves {node_label(file, node)}, which has a matrix: expected its parts")
+        raise FormatError(
+            file.path,
+            f"{where} animates {node_label(file, node)}, which has a matrix: expected translation, rotation and scale",
+        )
     if sampler.interpolation not in (None, *(mode.value for mode in Interpolation)):
         modes = ", ".join(mode.value for mode in Interpolation)
         raise FormatError(file.path, f"{where} has interpolation {sampler.interpolation!r}, expected one of {modes}")
@@ -116,7 +123,7 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
         raise FormatError(file.path, f"{where} has {found}, expected {rows * width * times.size // stored.shape[1]:,}")
     keys = stored.reshape(times.size, rows, width)
     if kind is Channel.ROTATION:
-        keys = np.roll(keys, 1, axis=2)  # the file has the scalar last
+        keys = np.roll(keys, 1, axis=2)  # glTF quaternions are x, y, z, w
     values = keys[:, rows // 2]
     if kind is Channel.ROTATION:
         values = _unit(file, values, where)
@@ -126,7 +133,7 @@ def _track(file: GltfFile, sampler: pygltflib.AnimationSampler, kind: Channel, n
 def _sampler(
     file: GltfFile, animation: pygltflib.Animation, number: int | None, where: str
 ) -> pygltflib.AnimationSampler:
-    """The sampler that a channel refers to."""
+    """Returns the sampler that a channel refers to."""
     samplers: list[pygltflib.AnimationSampler] = animation.samplers or []
     if number is None or number not in range(len(samplers)):
         raise FormatError(file.path, f"{where} refers to samplers[{number}], but there are {len(samplers)}")
@@ -134,6 +141,7 @@ def _sampler(
 
 
 def _check_times(file: GltfFile, times: Matrix, where: str) -> None:
+    """Checks that key times are finite and do not decrease."""
     invalid = times.size - np.count_nonzero(np.isfinite(times))
     if invalid:
         raise FormatError(file.path, f"{where}: {invalid:,} of {times.size:,} key times are not finite")
@@ -141,20 +149,25 @@ def _check_times(file: GltfFile, times: Matrix, where: str) -> None:
     if falls.size:
         first = int(falls[0])
         raise FormatError(
-            file.path, f"{where}: key times must rise, but {times[first + 1]:g} follows {times[first]:g} s"
+            file.path, f"{where}: key times must increase, but {times[first + 1]:g} follows {times[first]:g} s"
         )
 
 
 def _target_count(file: GltfFile, node: pygltflib.Node, where: str) -> int:
-    """Number of morph targets of a node's mesh."""
+    """Returns the number of morph targets of a node's mesh."""
     mesh = file.item("meshes", node.mesh, where)
     count = max((len(primitive.targets or []) for primitive in mesh.primitives), default=0)
     if not count:
-        raise FormatError(file.path, f"{where} changes morph weights of a mesh without morph targets")
+        raise FormatError(file.path, f"{where} animates morph weights of a mesh without morph targets")
     return count
 
 
 def _unit(file: GltfFile, quaternions: Matrix, where: str) -> Matrix:
+    """Normalizes quaternions, shape (K, 4).
+
+    Raises:
+        FormatError: A quaternion has zero length.
+    """
     lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
     if not lengths.all():
         raise FormatError(file.path, f"{where}: {np.count_nonzero(lengths == 0.0)} rotations have zero length")
@@ -169,7 +182,7 @@ class _RigPrimitive(NamedTuple):
 
 
 def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
-    """As `lumisplat.avatars.load_rig`."""
+    """Reads a rigged glTF file; see `lumisplat.avatars.load_rig`."""
     path = Path(path)
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise FormatError(path, f"unknown extension {path.suffix!r} of a rig, expected .glb or .gltf")
@@ -177,16 +190,16 @@ def read_rig(path: PathLike, vertex_colors: bool = True) -> Rig:
         file = GltfFile(path)
         check_extensions(file)
         if not is_rigged(file):
-            raise FormatError(path, "is no rig: it has neither a skin nor an animation (load reads it as a mesh)")
+            raise FormatError(path, "is not a rig: it has neither a skin nor an animation (load reads it as a mesh)")
         warn_unread(file)
         rig = _rig_of(file, _read_clips(file), scene_nodes(file), vertex_colors)
         if rig is None:
-            raise FormatError(path, "is no rig: its scene has no triangle mesh")
+            raise FormatError(path, "is not a rig: its scene has no triangle mesh")
         return rig
 
 
 def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], vertex_colors: bool = True) -> Rig | None:
-    """The meshes of some nodes with all that moves them; None if they have no triangles."""
+    """Builds a rig of the given nodes' meshes; None if they have no triangles."""
     skeleton = _read_skeleton(file)
     groups: dict[tuple[int, bool, bool], list[_RigPrimitive]] = {}
     for piece in _rig_primitives(file, clips, nodes):
@@ -200,7 +213,7 @@ def _rig_of(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int], verte
 
 
 def _visible_surfaces(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: Skeleton) -> tuple[RigSurface, ...]:
-    """The surfaces that have triangles at rest; files hide meshes by scaling them to nothing."""
+    """Returns the surfaces that have triangles in the rest pose. Files hide meshes by scaling them to zero."""
     rest = RigPose(skeleton.world_from_node(), {})
     visible: list[RigSurface] = []
     for surface in surfaces:
@@ -214,12 +227,12 @@ def _visible_surfaces(file: GltfFile, surfaces: Iterable[RigSurface], skeleton: 
 
 
 def is_rigged(file: GltfFile) -> bool:
-    """Whether a file has a node with a skin, or an animation."""
+    """Returns whether a file has a skinned node or an animation."""
     return bool(file.model.animations) or any(node.skin is not None for node in file.model.nodes)
 
 
 def _read_skeleton(file: GltfFile) -> Skeleton:
-    """The nodes of a file, in the scene or not."""
+    """Reads all nodes of a file as a skeleton, including nodes outside of the scene."""
     tree = hierarchy(file)
     nodes = range(len(tree.parents))
     matrices = {index: matrix for index in nodes if (matrix := node_matrix(file, index)) is not None}
@@ -230,7 +243,7 @@ def _read_skeleton(file: GltfFile) -> Skeleton:
 
 
 def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int]) -> Iterator[_RigPrimitive]:
-    """The triangle primitives of nodes."""
+    """Yields the triangle primitives of nodes, once for each instance."""
     materials = GltfMaterials(file)
     morphed = {track.node for clip in clips for track in clip.tracks if track.channel is Channel.WEIGHTS}
     for index in nodes:
@@ -241,7 +254,7 @@ def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int
         weights = np.array(getattr(node, "weights", None) or mesh.weights or (), dtype=np.float64)
         if not np.isfinite(weights).all():
             raise FormatError(file.path, f"meshes[{node.mesh}] has morph weights that are not finite")
-        # Without a skin, the node itself is the only joint, of each of its instances.
+        # Without a skin, the node is the only joint, once for each instance.
         if node.skin is None:
             skins = [Skin((index,), transform[None]) for transform in instance_transforms(file, index)]
         else:
@@ -259,7 +272,7 @@ def _rig_primitives(file: GltfFile, clips: tuple[Clip, ...], nodes: Iterable[int
 
 
 def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart:
-    """A primitive as a part of the rig; without influences, all vertices follow the first joint."""
+    """Returns a primitive as a part of the rig. Without skin weights, all vertices follow the first joint."""
     count = len(raw.positions)
     influences = raw.influences or Influences(np.zeros((count, 1), np.int32), np.ones((count, 1), np.float32))
     return RigPart(
@@ -274,7 +287,7 @@ def _part(raw: RawPrimitive, skin: Skin, node: int, weights: Doubles) -> RigPart
 
 
 def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | None:
-    """The morph targets of a primitive, zero where a target has no offsets; None if there are no targets."""
+    """Returns the morph targets of a primitive, with zeros for targets without offsets; None without any target."""
     numbers = sorted(raw.morph_positions.keys() | raw.morph_normals.keys())
     if not numbers:
         return None
@@ -290,13 +303,13 @@ def _morphs(raw: RawPrimitive, node: int, weights: Doubles) -> MorphTargets | No
 
 
 def _surface(file: GltfFile, pieces: list[_RigPrimitive], skeleton: Skeleton, vertex_colors: bool) -> RigSurface:
-    """One surface from pieces that have the same material and attributes."""
+    """Joins primitives with the same material and attributes into one surface."""
     first = pieces[0].raw
     triangles: list[IntArray] = []
     for raw, part in pieces:
         usable = ((raw.triangles >= 0) & (raw.triangles < len(part.positions))).all(axis=1)
         if not usable.all():
-            _log.warning("%s: %d triangles with an index that is no vertex left out", file.path, (~usable).sum())
+            _log.warning("%s: %d triangles left out: their indices are out of range", file.path, (~usable).sum())
         triangles.append(raw.triangles[usable].astype(np.int32))
     parts = [piece.part for piece in pieces]
     colors = None
@@ -312,23 +325,25 @@ def _surface(file: GltfFile, pieces: list[_RigPrimitive], skeleton: Skeleton, ve
 
 
 _FPS = 25.0
-"""Frames a second: glTF has none."""
+"""Frame rate of glTF animations, frames per second: the format has none."""
 _SAMPLES_PER_FRAME = 4
-"""Of captures and cameras, which move between samples as keyframes do; meshes are posed at each frame itself."""
+"""Samples per frame of captures and cameras, which become keyframes. Meshes are posed at each frame exactly."""
 _STEP_OFFSETS = (-2e-6, -1e-6, 1e-6)
-"""When a step has samples but at its own time, seconds from it: two of the old value and two of the new one, so that
-the cubics through them (Catmull-Rom) are flat on both of its sides."""
+"""Times of the extra samples around a STEP key, in seconds from the key.
+
+Two samples of the old value and two of the new one (the key itself is the second) keep the Catmull-Rom cubics flat on
+both sides of the step."""
 
 
 def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation:
-    """Reads the first animation of a file, with what stands still: 25 frames a second, from 0 to its last key.
+    """Reads the first animation of a file and its static content, at 25 frames per second from 0 to the last key.
 
-    Meshes that nodes, skins or morph targets move are one actor, each capture that moves is one. The first camera that
-    moves is a path; lights stay where they are at rest, with a log line.
+    All meshes that nodes, skins or morph targets move form one actor. Each moving capture is an actor. The first moving
+    camera becomes the camera path. Lights keep their rest transform, with a log line.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
-        drop_invalid: As of `lumisplat.io.load`, of captures.
+        drop_invalid: Drop invalid Gaussians of captures, as in `lumisplat.io.load`.
 
     Raises:
         FormatError: The file cannot be read, or has no animation.
@@ -340,11 +355,13 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
         warn_unread(file)
         clips = _read_clips(file)
         if not clips:
-            raise FormatError(path, "has no animation: lumisplat render shows it, a scene.toml can move it")
+            raise FormatError(
+                path, "has no animation: render a still with lumisplat render, or animate it in a scene.toml"
+            )
         clip = clips[0]
         if len(clips) > 1:
             others = ", ".join(repr(one.name) for one in clips[1:4])
-            _log.warning("%s: its first animation is played, %r, not %s", os.fspath(path), clip.name, others)
+            _log.warning("%s: only its first animation is played, %r, not %s", os.fspath(path), clip.name, others)
         frames = round(clip.duration * _FPS) + 1
         if frames > ANIMATION_FRAMES_MAX:
             raise FormatError(
@@ -354,12 +371,12 @@ def read_gltf_animation(path: PathLike, drop_invalid: bool = False) -> Animation
 
 
 class _AnimationReader:
-    """A file, and its nodes at the times of an animation.
+    """Builds an `Animation` from a file and one of its clips.
 
     Args:
         file: The open file.
         clip: The animation.
-        drop_invalid: As of `lumisplat.io.load`.
+        drop_invalid: Drop invalid Gaussians, as in `lumisplat.io.load`.
     """
 
     def __init__(self, file: GltfFile, clip: Clip, drop_invalid: bool) -> None:
@@ -369,7 +386,7 @@ class _AnimationReader:
         self._moved = _moved_nodes(file, clip)
 
     def animation(self, frames: int) -> Animation:
-        """All of it."""
+        """Returns the scene, actors, cameras and camera path, with ``frames`` frames."""
         file, moved = self._file, self._moved
         deformed = [index for index in self._nodes if index in moved or self._is_deformed(index)]
         still = [index for index in self._nodes if index not in set(deformed)]
@@ -380,7 +397,7 @@ class _AnimationReader:
         moving_lights = [index for index in deformed if LIGHTS in (file.model.nodes[index].extensions or {})]
         if moving_lights:
             named = ", ".join(node_label(file, index) for index in moving_lights[:3])
-            _log.warning("%s: lights that move stay where they are at rest (%s)", os.fspath(file.path), named)
+            _log.warning("%s: animated lights keep their rest transform (%s)", os.fspath(file.path), named)
         rig = _rig_of(file, (self._clip,), deformed)
         actors = [Actor(rig, loop=False)] if rig is not None else []
         actors += self._captures(deformed)
@@ -389,7 +406,7 @@ class _AnimationReader:
         return Animation(scene, actors, cameras, fps=_FPS, frame_count=frames, camera_path=self._camera_path())
 
     def _is_deformed(self, index: int) -> bool:
-        """Whether the mesh of a node changes, though the node stays."""
+        """Returns whether the clip deforms a node's mesh by a skin or morph targets, even if the node is static."""
         node = self._file.model.nodes[index]
         if node.mesh is None:
             return False
@@ -399,13 +416,13 @@ class _AnimationReader:
         )
 
     def _times(self) -> Doubles:
-        """Times of samples: several a frame, and those of the keys, seconds."""
+        """Returns the sample times in seconds: regular samples, key times, and times around STEP keys."""
         count = round(self._clip.duration * _FPS * _SAMPLES_PER_FRAME)
         if count > ANIMATION_SAMPLES_MAX:
             seconds = ANIMATION_SAMPLES_MAX / (_FPS * _SAMPLES_PER_FRAME)
             raise FormatError(
                 self._file.path,
-                f"is animated for {self._clip.duration:g} s, expected at most {seconds:g} of a camera or of captures",
+                f"is animated for {self._clip.duration:g} s, expected at most {seconds:g} s for cameras and captures",
             )
         even = np.arange(count + 1) / (_FPS * _SAMPLES_PER_FRAME)
         keys = [track.times for track in self._clip.tracks]
@@ -415,7 +432,7 @@ class _AnimationReader:
         return times[(times >= 0.0) & (times <= max(even[-1], self._clip.duration))]
 
     def _captures(self, nodes: list[int]) -> Iterator[Actor]:
-        """Captures that move."""
+        """Yields the moving captures as actors."""
         captures = GltfCaptures(self._file, self._drop_invalid)
         moving = [index for index in nodes if captures.is_in(index)]
         times = self._times() if moving else np.zeros(0)
@@ -428,7 +445,7 @@ class _AnimationReader:
                 raise FormatError(self._file.path, f"{node_label(self._file, index)}: {error}") from None
 
     def _capture_actors(self, captures: GltfCaptures, index: int, times: Doubles) -> Iterator[Actor]:
-        """The captures of a node, where it is at each time."""
+        """Yields the captures of a node as actors, with a keyframe at each time."""
         first: list[SplatInstance] = []
         sampled: list[list[Doubles]] = []
         for time in times:
@@ -440,8 +457,8 @@ class _AnimationReader:
             ):
                 raise FormatError(
                     self._file.path,
-                    f"{node_label(self._file, index)} is stretched or hidden by the animation, which its Gaussians "
-                    "cannot be: expected a uniform scale above 0",
+                    f"{node_label(self._file, index)} is stretched or hidden by the animation, which Gaussians "
+                    "do not support: expected a uniform scale above 0",
                 )
             sampled.append([one.transform for one in at_time])
         for one, transforms in zip(first, np.array(sampled).swapaxes(0, 1), strict=True):
@@ -453,7 +470,7 @@ class _AnimationReader:
             yield Actor(still, Keyframes(times, transforms[:, :3, 3], rotations, scales), name=one.name)
 
     def _camera_path(self) -> CameraPath | None:
-        """The first camera that moves."""
+        """Returns the path of the first moving camera, None if no camera moves."""
         nodes = [index for index in self._nodes if self._file.model.nodes[index].camera is not None]
         moving = next((index for index in nodes if index in self._moved), None)
         if moving is None:
@@ -465,7 +482,7 @@ class _AnimationReader:
 
 
 def _moved_nodes(file: GltfFile, clip: Clip) -> set[int]:
-    """Nodes whose place changes: those that are moved, and all below them."""
+    """Returns the nodes whose world transform changes: those that the clip animates and all their descendants."""
     moved = {track.node for track in clip.tracks if track.channel is not Channel.WEIGHTS}
     tree = hierarchy(file)
     for index in tree.order:  # parents first

@@ -1,6 +1,6 @@
-"""Reads and writes cameras of glTF: their nodes have -z forward and y up.
+"""Reads and writes glTF cameras, which look along -z of their node with y up.
 
-A camera of glTF has a field of view and an aspect ratio, but no lens and no size.
+A glTF camera has a field of view and an aspect ratio, but no image size and no lens model.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ if TYPE_CHECKING:
     import pygltflib
 
 _FAR = 1000.0
-"""Far plane of parallel rays in an empty scene, in near planes; glTF must have one."""
+"""zfar of an orthographic camera in an empty scene, as a multiple of znear. glTF requires a zfar."""
 _CENTRE_TOLERANCE = 1e-6
-"""Distance of a principal point from the middle of the image, pixels, that is none."""
+"""Distance in pixels up to which a principal point counts as the image centre."""
 
 
 def read_gltf_cameras(path: PathLike, width: int | None = None, height: int | None = None) -> list[Camera]:
-    """The cameras of the default scene, in the order of its nodes; named after the node, else after the camera.
+    """Reads the cameras of the default scene in node order, named after the node, else after the camera.
 
-    The scale of a node does not change its camera, as section 3.10 of the specification demands.
+    The scale of a node does not affect its camera, as section 3.10 of the glTF specification demands.
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
-        width: Image width, pixels; None: from the height and the file's aspect ratio.
-        height: Image height, pixels; None: from the width and the aspect ratio. If both are None, the largest size
-            within 1280 x 720. The vertical field of view is always that of the file.
+        width: Image width in pixels; None: from the height and the file's aspect ratio.
+        height: Image height in pixels; None: from the width and the aspect ratio. If both are None, the image is the
+            largest within 1280 x 720. The vertical field of view is always that of the file.
 
     Raises:
-        FormatError: The file is malformed, or a camera is invalid; names the camera.
+        FormatError: The file is malformed, or a camera is invalid; the message names the camera.
     """
     path = Path(path)
     with parsing(path, "a glTF file"):
@@ -68,10 +68,10 @@ def cameras_of(
     width: int | None = None,
     height: int | None = None,
 ) -> list[Camera]:
-    """The cameras of nodes that have one, where these are; sizes as of `read_gltf_cameras`.
+    """Returns the cameras of the given nodes, with their world transforms; image sizes as in `read_gltf_cameras`.
 
     Raises:
-        FormatError: A camera is invalid; names the camera.
+        FormatError: A camera is invalid; the message names the camera.
     """
     cameras: list[Camera] = []
     for index in nodes:
@@ -117,7 +117,7 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
         cx=0.5 * width,
         cy=0.5 * height,
         camera_from_world=pose,
-        near=getattr(lens, "znear", None) or NEAR_PLANE,  # 0, for parallel rays only, means none
+        near=getattr(lens, "znear", None) or NEAR_PLANE,  # orthographic cameras may have 0
         name=name,
         model=model,
         **{name: extras[name] for name in extras if name not in ("width", "height")},
@@ -125,7 +125,7 @@ def _camera(definition: pygltflib.Camera, pose: Matrix, name: str, width: int | 
 
 
 def _camera_extras(definition: pygltflib.Camera) -> dict[str, Any]:
-    """What our files say of a camera besides: the size of its image, its exposure and aperture."""
+    """Returns the camera settings in Lumisplat's extras: image size, exposure, aperture and focus distance."""
     extras = lumisplat_extras(definition) or {}
     settings = {name: extras[name] for name in CAMERA_EXTRAS if name in extras}
     for name in ("width", "height"):
@@ -142,12 +142,12 @@ def _positive(lens: object, name: str) -> float:
 
 
 def _can_hold_camera(camera: Camera) -> bool:
-    """Whether glTF has such a camera: a pinhole, or parallel rays."""
+    """Returns whether glTF can store a camera: a pinhole or orthographic one without distortion."""
     return camera.model is not CameraModel.FISHEYE and not camera.is_distorted
 
 
 def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_world: Matrix) -> int | None:
-    """Appends a camera and its node; returns the node's index, None if glTF has no such camera."""
+    """Appends a camera and its node, and returns the node's index; None if glTF cannot store the camera."""
     if not _can_hold_camera(camera):
         return None
     half_width, half_height = 0.5 * camera.width / camera.fx, 0.5 * camera.height / camera.fy
@@ -164,7 +164,7 @@ def add_camera(document: GltfDocument, camera: Camera, scene: Scene, file_from_w
 
 
 def camera_losses(cameras: Sequence[Camera]) -> list[str]:
-    """What of cameras glTF cannot hold, a phrase each."""
+    """Returns a phrase for each camera feature that glTF cannot store."""
     lenses = sum(not _can_hold_camera(camera) for camera in cameras)
     shifted = sum(
         abs(camera.cx - 0.5 * camera.width) > _CENTRE_TOLERANCE
@@ -175,16 +175,16 @@ def camera_losses(cameras: Sequence[Camera]) -> list[str]:
     return [
         phrase
         for count, phrase in (
-            (lenses, f"fisheyes and lenses that distort ({lenses} cameras are left out)"),
-            (shifted, f"principal points ({shifted} cameras have it in the middle instead)"),
-            (rolling, f"rolling shutters ({rolling} cameras have their first pose)"),
+            (lenses, f"fisheye and distorted cameras ({lenses} left out)"),
+            (shifted, f"principal points off the centre ({shifted} cameras are centred)"),
+            (rolling, f"rolling shutters ({rolling} cameras keep their first pose)"),
         )
         if count
     ]
 
 
 def _far(camera: Camera, scene: Scene) -> float:
-    """A plane behind all that there is."""
+    """Returns a far plane distance beyond everything in the scene."""
     if not (scene.splats or scene.meshes):
         return _FAR * camera.near
     corners = np.array(np.meshgrid(*np.array(scene.bounds()).T)).reshape(3, -1).T

@@ -1,6 +1,6 @@
-"""Reads and writes the glTF 2.0 container: GLB chunks, JSON, buffers and accessors, as bytes and numbers.
+"""Reads and writes the glTF 2.0 container: GLB chunks, JSON, buffers and accessors.
 
-`GltfFile` is a file that is read, `GltfPrimitive` a primitive of its meshes, `GltfDocument` a file in the making.
+`GltfFile` is a file being read, `GltfPrimitive` a primitive of its meshes, and `GltfDocument` a file being written.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     _RowSource = pygltflib.Accessor | pygltflib.AccessorSparseIndices | pygltflib.AccessorSparseValues
 
 _Stored = npt.NDArray[Any]
-"""Numbers of the type that the file stores."""
+"""Numbers with the component type of the file."""
 
 _GLB_HEADER_BYTES = 12
 _CHUNK_HEADER_BYTES = 8
@@ -35,16 +35,17 @@ _COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<
 _COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 VERTICES, TRIANGLES = 34962, 34963
-"""What a buffer view is for, by the numbers of OpenGL: attributes of vertices, indices."""
+"""``target`` of buffer views, by OpenGL's numbers: ARRAY_BUFFER for vertex attributes, ELEMENT_ARRAY_BUFFER for
+indices."""
 
 _COMPONENT_CODES = {"u1": 5121, "u2": 5123, "u4": 5125, "f4": 5126}
 _KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 _GLB_MAX = 2**32 - 1
-"""Largest size of a GLB file, whose header has 32 bits for it."""
+"""Largest size of a GLB file in bytes, whose header stores it in 32 bits."""
 
 
 class GltfFile:
-    """A parsed file, with access to its items by checked indices."""
+    """A parsed glTF file. Its items are accessed by checked indices."""
 
     def __init__(self, path: Path) -> None:
         import pygltflib
@@ -61,26 +62,24 @@ class GltfFile:
             """Names of the extensions that something in the file has."""
             nodes: list[dict[str, Any]] | None = document.pop("nodes", None)
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)  # about values that are missing: they are checked here
+                warnings.simplefilter("ignore", RuntimeWarning)  # warnings about missing values, which are checked here
                 self.model: pygltflib.GLTF2 = pygltflib.GLTF2.gltf_from_json(json.dumps(document))
-            # Directly: the conversion takes a millisecond a node, and files have up to 100,000 of them.
+            # pygltflib takes a millisecond per node, and files have up to 100,000 nodes: build them directly.
             known = {field.name for field in fields(pygltflib.Node)}
             self.model.nodes = [
                 pygltflib.Node(**{key: value for key, value in node.items() if key in known}) for node in nodes or []
             ]
         except json.JSONDecodeError as error:
-            raise FormatError(path, f"the JSON breaks off or is damaged at line {error.lineno}: {error.msg}") from None
+            raise FormatError(path, f"the JSON is truncated or damaged at line {error.lineno}: {error.msg}") from None
         except UnicodeDecodeError:
-            raise FormatError(
-                path, "is neither GLB nor glTF: it starts with no GLB header, and is no JSON text"
-            ) from None
+            raise FormatError(path, "is neither GLB nor glTF: it has no GLB header and is not JSON text") from None
         version = str(getattr(self.model.asset, "version", ""))
         if not version.startswith("2."):
             raise FormatError(path, f"is glTF version {version or 'unknown'}, expected 2.0")
         self._buffers: dict[int, bytes] = {}
 
     def item(self, collection: str, index: object, referrer: str) -> Any:
-        """``collection[index]``.
+        """Returns ``collection[index]``.
 
         Args:
             collection: ``"nodes"``, ``"meshes"``, ``"accessors"``, ...
@@ -96,12 +95,12 @@ class GltfFile:
         return items[index]
 
     def floats(self, index: object, kind: str, referrer: str) -> npt.NDArray[np.float32]:
-        """The values of an accessor, shape (count, components); normalised integers become floats.
+        """Reads an accessor as float32, shape (count, components); normalized integers become fractions.
 
         Args:
             index: Index of the accessor.
-            kind: The expected type, ``"VEC3"``, or several as ``"VEC3 VEC4"``.
-            referrer: The item that refers to it, for the message.
+            kind: The expected type, such as ``"VEC3"``, or several separated by spaces, such as ``"VEC3 VEC4"``.
+            referrer: The item that refers to the accessor, for the message.
 
         Raises:
             FormatError: The index, type, an offset or a size is invalid.
@@ -114,7 +113,7 @@ class GltfFile:
         return values.astype(np.float32)
 
     def integers(self, index: object, kind: str, referrer: str) -> npt.NDArray[np.int64]:
-        """The values of an accessor of unsigned integers, shape (count, components).
+        """Reads an accessor of unsigned integers, shape (count, components).
 
         Raises:
             FormatError: The index, type, an offset or a size is invalid.
@@ -126,12 +125,12 @@ class GltfFile:
         return values.astype(np.int64)
 
     def _count(self, decoded_bytes: int) -> None:
-        """Counts values that are read: many primitives may have one accessor, each with a copy of it."""
+        """Counts decoded bytes against the expansion limit: many primitives may copy the same accessor."""
         self._decoded_bytes += decoded_bytes
         check_expansion(self.path, "its accessors", self._decoded_bytes, self.stored_bytes)
 
     def view_bytes(self, index: object, referrer: str) -> tuple[memoryview, int | None]:
-        """The bytes of a buffer view, and its stride, None if it has none.
+        """Returns the bytes of a buffer view, and its stride or None.
 
         Raises:
             FormatError: The index is invalid, or the view does not fit into its buffer.
@@ -141,12 +140,12 @@ class GltfFile:
         start, size = view.byteOffset or 0, view.byteLength
         if not (_is_count(start) and _is_count(size)) or start + size > len(buffer):
             raise FormatError(
-                self.path, f"bufferViews[{index}] wants {size} bytes from {start}, but its buffer has {len(buffer):,}"
+                self.path, f"bufferViews[{index}] needs {size} bytes from {start}, but its buffer has {len(buffer):,}"
             )
         return memoryview(buffer)[start : start + size], view.byteStride
 
     def resource(self, uri: object, referrer: str) -> bytes:
-        """The data of a URI: base64 data in the file itself, or the contents of a file next to it.
+        """Returns the data of a URI: embedded base64 data, or the contents of a file next to the glTF.
 
         Raises:
             FormatError: The data are damaged, or the file is missing.
@@ -159,7 +158,7 @@ class GltfFile:
             except ValueError as error:
                 raise FormatError(self.path, f"{referrer} has damaged base64 data: {error}") from None
         if "://" in uri:
-            where = "named by a whole path" if uri.startswith("file:") else "on the network"
+            where = "named by an absolute path" if uri.startswith("file:") else "on the network"
             raise FormatError(self.path, f"{referrer} is {where} ({uri[:60]}): put it beside the file")
         return read_reference(self.path, unquote(uri))
 
@@ -180,7 +179,7 @@ class GltfFile:
         return self._buffers[index]
 
     def _values(self, accessor: pygltflib.Accessor, name: str, kind: str) -> _Stored:
-        """The values of an accessor as stored, shape (count, components)."""
+        """Returns the values of an accessor with the stored component type, shape (count, components)."""
         if accessor.type not in kind.split() or accessor.componentType not in _COMPONENT_TYPES:
             raise FormatError(
                 self.path, f"{name} has type {accessor.type} of {accessor.componentType}, expected {kind}"
@@ -211,7 +210,7 @@ class GltfFile:
         return values
 
     def _rows(self, source: _RowSource, count: int, width: int, dtype: np.dtype[Any], name: str) -> _Stored:
-        """``count`` rows of ``width`` numbers, interleaved by the view's stride, without a copy."""
+        """Returns a view of ``count`` rows of ``width`` numbers, without a copy, spaced by the buffer view's stride."""
         data, stored_stride = self.view_bytes(source.bufferView, name)
         row_bytes = width * dtype.itemsize
         offset, stride = source.byteOffset or 0, stored_stride or row_bytes
@@ -221,13 +220,13 @@ class GltfFile:
             )
         if count and offset + stride * (count - 1) + row_bytes > len(data):
             raise FormatError(
-                self.path, f"{name} wants {count:,} rows of {stride} bytes from {offset}, its view has {len(data):,}"
+                self.path, f"{name} needs {count:,} rows of {stride} bytes from {offset}, its view has {len(data):,}"
             )
         return np.ndarray((count, width), dtype, data, offset, (stride, dtype.itemsize))
 
 
 def _extensions(item: object) -> set[str]:
-    """Returns the names of all extensions in a part of the JSON."""
+    """Returns the names of all extensions used anywhere in the JSON."""
     found: set[str] = set()
     pending: list[object] = [item]
     while pending:
@@ -246,7 +245,7 @@ def _is_count(value: object) -> TypeGuard[int]:
 
 
 def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
-    """The JSON chunk, and the BIN chunk or None (glTF 2.0 section 4.4)."""
+    """Returns the JSON chunk of a GLB file, and its BIN chunk or None (glTF 2.0, section 4.4)."""
     if len(data) < _GLB_HEADER_BYTES + _CHUNK_HEADER_BYTES:
         raise FormatError(path, f"a GLB file of {len(data)} bytes: truncated")
     version, length = (int.from_bytes(data[k : k + 4], "little") for k in (4, 8))
@@ -270,25 +269,25 @@ def _split_glb(path: Path, data: bytes) -> tuple[bytes, bytes | None]:
 
 @dataclass(frozen=True, slots=True)
 class GltfPrimitive:
-    """A primitive in its file."""
+    """A primitive and the file it belongs to."""
 
     file: GltfFile
     item: pygltflib.Primitive
     where: str
-    """Its name in errors: ``meshes[2].primitives[0]``."""
+    """Name in messages, such as ``meshes[2].primitives[0]``."""
 
     def floats(self, name: str, kind: str) -> npt.NDArray[np.float32] | None:
-        """An attribute by name, shape (V, components); None if the primitive has none."""
+        """Reads an attribute as float32, shape (V, components); None if the primitive lacks it."""
         accessor = self._accessor(name)
         return None if accessor is None else self.file.floats(accessor, kind, f"{self.where} {name}")
 
     def integers(self, name: str, kind: str) -> npt.NDArray[np.int64] | None:
-        """An attribute of integers by name, shape (V, components); None if the primitive has none."""
+        """Reads an attribute of unsigned integers, shape (V, components); None if the primitive lacks it."""
         accessor = self._accessor(name)
         return None if accessor is None else self.file.integers(accessor, kind, f"{self.where} {name}")
 
     def error(self, problem: str) -> FormatError:
-        """An error about the primitive."""
+        """Returns an error about this primitive."""
         return FormatError(self.file.path, f"{self.where} {problem}")
 
     def _accessor(self, name: str) -> int | None:
@@ -296,7 +295,7 @@ class GltfPrimitive:
 
 
 class GltfDocument:
-    """Collects items; the buffer is written from the arrays themselves, without a copy of it in memory."""
+    """A glTF file being built. Arrays are written to the file directly, without a copy of the whole buffer."""
 
     def __init__(self) -> None:
         self._json: dict[str, Any] = {"asset": {"version": "2.0", "generator": "lumisplat"}}
@@ -304,24 +303,24 @@ class GltfDocument:
         self._size = 0
 
     def add(self, collection: str, item: dict[str, Any]) -> int:
-        """Appends an item to ``"nodes"``, ``"meshes"``, ...; returns its index."""
+        """Appends an item to ``"nodes"``, ``"meshes"``, ..., and returns its index."""
         items: list[dict[str, Any]] = self._json.setdefault(collection, [])
         items.append(item)
         return len(items) - 1
 
     def count(self, collection: str) -> int:
-        """How many items of a collection there are."""
+        """Returns the number of items of a collection."""
         return len(self._json.get(collection, ()))
 
     def use(self, extension: str, **values: Any) -> dict[str, Any]:
-        """The value of ``extensions`` of an item that has one extension, which the file then says that it uses."""
+        """Returns an item's ``extensions`` value with one extension, and lists the extension in extensionsUsed."""
         used: list[str] = self._json.setdefault("extensionsUsed", [])
         if extension not in used:
             used.append(extension)
         return {extension: values}
 
     def add_light(self, light: dict[str, Any]) -> int:
-        """Appends a light of KHR_lights_punctual; returns its index."""
+        """Appends a KHR_lights_punctual light, and returns its index."""
         self.use("KHR_lights_punctual")
         lights = self._json.setdefault("extensions", {}).setdefault("KHR_lights_punctual", {"lights": []})["lights"]
         lights.append(light)
@@ -333,10 +332,10 @@ class GltfDocument:
         """Appends an array, shape (N,) or (N, 1..4), of float32 or unsigned integers; returns the accessor's index.
 
         Args:
-            values: Rows of a multiple of four bytes; those of indices may be shorter.
-            target: What it is for.
-            normalized: Whether integers stand for 0..1.
-            bounds: Whether the file says the smallest and largest values, as it must of positions.
+            values: Rows of a multiple of four bytes; index rows may be shorter.
+            target: Buffer view target, `VERTICES` or `TRIANGLES`.
+            normalized: Whether integers represent 0..1.
+            bounds: Whether to store the minimum and maximum, as required for positions.
         """
         stored = np.ascontiguousarray(values).astype(values.dtype.newbyteorder("<"), copy=False)
         rows = stored.reshape(len(stored), -1)
@@ -353,7 +352,7 @@ class GltfDocument:
         return self.add("accessors", item)
 
     def view(self, data: memoryview | bytes, target: int | None = None) -> int:
-        """Appends bytes to the buffer; returns the index of their view."""
+        """Appends bytes to the buffer, and returns the index of their buffer view."""
         item = {"buffer": 0, "byteOffset": self._size, "byteLength": len(data)}
         padding = bytes(-len(data) % 4)
         self._parts += [data, padding]
@@ -361,14 +360,14 @@ class GltfDocument:
         return self.add("bufferViews", item | ({} if target is None else {"target": target}))
 
     def save(self, path: PathLike, nodes: list[int]) -> None:
-        """Writes the file: a GLB, or, if its name ends with ``.gltf``, JSON that holds the buffer as text.
+        """Writes a GLB file, or, for a ``.gltf`` path, JSON with the buffer embedded as base64.
 
         Args:
             path: The file. It appears complete or not at all.
-            nodes: Indices of the nodes at the top of its scene.
+            nodes: Indices of the scene's root nodes.
 
         Raises:
-            FormatError: It would be too large, or cannot be written.
+            FormatError: The file would be too large, or cannot be written.
         """
         document = self._json | {"scene": 0, "scenes": [{"nodes": nodes}]}
         is_text = Path(path).suffix.lower() == ".gltf"
@@ -392,7 +391,9 @@ class GltfDocument:
         text += b" " * (-len(text) % 4)
         length = 12 + 8 + len(text) + (8 + self._size if self._parts else 0)
         if length > _GLB_MAX:
-            raise FormatError(path, f"would have {length:,} bytes, but GLB ends at {_GLB_MAX:,}: save it in parts")
+            raise FormatError(
+                path, f"would have {length:,} bytes, but a GLB has at most {_GLB_MAX:,}: save the scene in parts"
+            )
         file.write(struct.pack("<4sII", b"glTF", 2, length))
         file.write(struct.pack("<I4s", len(text), b"JSON") + text)
         if self._parts:
@@ -402,5 +403,5 @@ class GltfDocument:
 
 
 def _encoded(document: dict[str, Any]) -> bytes:
-    """The JSON as UTF-8. What is no text in the name of a file becomes a question mark."""
+    """Encodes the JSON as UTF-8. Undecodable bytes in file names become question marks."""
     return json.dumps(document, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode("utf-8", "replace")

@@ -1,4 +1,4 @@
-"""Reads and writes Gaussians of glTF (KHR_gaussian_splatting), and places them by the transforms of their nodes."""
+"""Reads and writes Gaussians in glTF (KHR_gaussian_splatting) as instances with the transforms of their nodes."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ _log = logging.getLogger("lumisplat")
 _EXTENSION = "KHR_gaussian_splatting"
 
 _CAPTURE_SIGNS = (1, -1, -1)
-"""Signs of x, y and z from files to captures and back: half a turn about x."""
+"""Signs of x, y and z between glTF files and captures, in both directions: a half turn about x."""
 CAPTURE_FROM_FILE = np.diag([1.0, -1.0, -1.0, 1.0])
-"""The same, shape (4, 4)."""
+"""`_CAPTURE_SIGNS` as a transform, shape (4, 4)."""
 
 _MATERIALS = {
     "normals": ("_NORMAL", "VEC3"),
@@ -48,31 +48,32 @@ _MATERIALS = {
     "roughness": ("_ROUGHNESS", "SCALAR"),
     "metallic": ("_METALLIC", "SCALAR"),
 }
-"""Attributes and types of normals and materials in our files. Those of others may mean something else."""
+"""Attributes, with types, that hold normals and materials in files of Lumisplat. Other files may use them differently.
+"""
 
 _DISPLAY = ("srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb", "BT.709")
 _LINEAR = ("lin_rec709_display", "BT.709-linear")
-"""Colour spaces, by their names and those of drafts."""
+"""Names of the linear colour space; all but the first are from drafts of the extension."""
 
 _Numbers = dict[tuple[int, bool], str]
-"""Numbers that an attribute may have: their component type and whether they are normalised, and their name."""
+"""Allowed number formats of an attribute: component type and whether it is normalized, with a name for messages."""
 
 _SAME_TRANSFORM = 1e-6
-"""Error of the matrix of a node that is written as a quaternion."""
+"""Tolerance for node transforms that went through a quaternion."""
 
 _DEGENERATE = 1e-9
-"""Determinant, with columns of unit length, below which a node has flattened its Gaussians."""
+"""Determinant of the normalized axes below which a node flattens its Gaussians."""
 
 
 class _Layout(NamedTuple):
-    """How an attribute of the extension is stored."""
+    """Storage of an attribute of the extension."""
 
     name: str
     kind: str
-    """Type of its accessor."""
+    """Type of the accessor, such as ``"VEC3"``."""
     numbers: _Numbers = {(5126, False): "float32"}  # noqa: RUF012
     drafts: tuple[tuple[int, bool], ...] = ()
-    """Numbers that only drafts of the extension had."""
+    """Number formats that only drafts of the extension allowed."""
 
 
 _FLOAT = _Layout("", "").numbers
@@ -94,20 +95,20 @@ _COEFFICIENT = re.compile(rf"{_EXTENSION}:SH_DEGREE_(\d{{1,9}})_COEF_(\d{{1,9}})
 
 
 def holds_gaussians(primitive: Any) -> bool:
-    """Whether a primitive of a file is one of Gaussians."""
+    """Returns whether a primitive has the extension KHR_gaussian_splatting."""
     return _EXTENSION in (primitive.extensions or {})
 
 
 def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> Gaussians:
-    """The Gaussians of a primitive, in the axes of captures; its material and COLOR_0 are ignored.
+    """Reads the Gaussians of a primitive into the axes of captures; its material and COLOR_0 are ignored.
 
-    Colours in linear light are encoded as sRGB, which captures have: exactly without view dependence, else as near as
-    harmonics of the same degree get. Where such Gaussians overlap they are blended in another space than they were
-    trained for, which a log line says.
+    Linear colours are encoded as sRGB, as captures have them: exactly without view dependence, else by the closest SH
+    of the same degree. Overlapping Gaussians then blend in a different space than they were trained for, which a log
+    line states.
 
     Args:
-        primitive: One for which `holds_gaussians` is true.
-        drop_invalid: As of `lumisplat.io.load`.
+        primitive: A primitive for which `holds_gaussians` is true.
+        drop_invalid: Drop invalid Gaussians, as in `lumisplat.io.load`.
     """
     is_linear = _check_extension(primitive)
     means = primitive.floats("POSITION", "VEC3")
@@ -120,7 +121,7 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
     extras = lumisplat_extras(primitive.item)
     columns = SplatColumns(
         means,
-        _attribute(primitive, _ROTATION, count)[:, [3, 0, 1, 2]],  # the file has the scalar last
+        _attribute(primitive, _ROTATION, count)[:, [3, 0, 1, 2]],  # glTF quaternions are x, y, z, w
         scales,
         opacities,
         sh,
@@ -131,17 +132,17 @@ def _read_gaussians(primitive: GltfPrimitive, *, drop_invalid: bool = False) -> 
     )
     if is_linear:
         _log.warning(
-            "%s: %s has colours in linear light, which are encoded as sRGB: where Gaussians overlap, blends differ",
+            "%s: %s has colours in linear light, which are encoded as sRGB: overlapping Gaussians blend differently",
             primitive.file.path,
             primitive.where,
         )
-        with np.errstate(all="ignore"):  # what is not finite is refused or dropped below
+        with np.errstate(all="ignore"):  # non-finite values are refused or dropped below
             columns.sh = display_sh(sh)
     return gaussians_from_columns(primitive.file.path, mirror_axes(columns, _CAPTURE_SIGNS), drop_invalid=drop_invalid)
 
 
 def _check_extension(primitive: GltfPrimitive) -> bool:
-    """Checks what the extension says of a primitive; whether its colours are linear."""
+    """Checks the extension's properties, and returns whether the colours are linear."""
     item: Any = primitive.item
     extension: dict[str, Any] = item.extensions[_EXTENSION]
     if primitive.item.mode != 0:
@@ -158,7 +159,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
     projection = extension.get("projection", "perspective")
     if projection != "perspective":
         _log.warning(
-            "%s: %s asks for projection %.60r, and is shown in perspective",
+            "%s: %s has projection %.60r, but is rendered in perspective",
             primitive.file.path,
             primitive.where,
             projection,
@@ -167,7 +168,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
 
 
 def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
-    """The scales of a primitive as stored, shape (N, 3), and whether they are logarithms."""
+    """Returns the scales as stored, shape (N, 3), and whether they are logarithms."""
     scales = _attribute(primitive, _SCALE, count)
     negative = int(np.count_nonzero(scales < 0.0))
     if negative:
@@ -181,7 +182,7 @@ def _scales(primitive: GltfPrimitive, count: int) -> tuple[FloatArray, bool]:
 
 
 def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> tuple[FloatArray, bool]:
-    """Returns the opacities of a primitive as stored, shape (N,), and whether they are logits."""
+    """Returns the opacities as stored, shape (N,), and whether they are logits."""
     opacities = _attribute(primitive, _OPACITY, count)[:, 0]
     are_logits = look_like_logits(opacities, with_logarithms=with_logarithms)
     if are_logits:
@@ -192,7 +193,7 @@ def _opacities(primitive: GltfPrimitive, count: int, with_logarithms: bool) -> t
 
 
 def _sh(primitive: GltfPrimitive, count: int) -> FloatArray:
-    """The spherical harmonics of a primitive, shape (N, K, 3)."""
+    """Reads the SH coefficients of a primitive, shape (N, K, 3)."""
     matches = [match for name in vars(primitive.item.attributes) if (match := _COEFFICIENT.fullmatch(name))]
     degree = max((int(match[1]) for match in matches), default=0)
     if degree > SH_DEGREE_MAX:
@@ -207,7 +208,7 @@ def _sh(primitive: GltfPrimitive, count: int) -> FloatArray:
 
 
 def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatArray:
-    """An attribute of the extension, shape (N, components)."""
+    """Reads an attribute of the extension, shape (N, components)."""
     full = f"{_EXTENSION}:{layout.name}"
     values = primitive.floats(full, layout.kind)
     if values is None:
@@ -223,13 +224,14 @@ def _attribute(primitive: GltfPrimitive, layout: _Layout, count: int) -> FloatAr
 
 
 def _check_count(primitive: GltfPrimitive, name: str, values: FloatArray, count: int) -> FloatArray:
+    """Returns ``values``, after checking that there is one per Gaussian."""
     if len(values) != count:
         raise primitive.error(f"has {len(values):,} {name} for {count:,} POSITION")
     return values
 
 
 def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | None) -> dict[str, FloatArray]:
-    """Normals and materials of our own files, shape (N, 3) or (N,) each."""
+    """Reads normals and materials from files of Lumisplat, shape (N, 3) or (N,) each."""
     found: dict[str, FloatArray] = {}
     for column, (name, kind) in _MATERIALS.items():
         values = None if extras is None else primitive.floats(name, kind)
@@ -239,7 +241,7 @@ def _materials(primitive: GltfPrimitive, count: int, extras: dict[str, Any] | No
 
 
 def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
-    """Settings of a capture that the extension does not have."""
+    """Returns capture settings from Lumisplat's extras, which the extension cannot store."""
     extras = extras or {}
     return {
         "antialiased": extras.get("antialiased") is True,
@@ -251,21 +253,21 @@ def _settings(path: PathLike, extras: dict[str, Any] | None) -> dict[str, Any]:
 
 @dataclass(slots=True)
 class GltfCaptures:
-    """The captures of a file, each read once."""
+    """Captures of a file, each read once."""
 
     file: GltfFile
     drop_invalid: bool
     _read: dict[int, list[Gaussians]] = field(default_factory=dict[int, list[Gaussians]])
-    """By mesh."""
+    """Captures by mesh index."""
     _stretched: dict[tuple[int, bytes], Gaussians] = field(default_factory=dict[tuple[int, bytes], Gaussians])
-    """By capture and stretch."""
+    """Stretched captures, by the id of the capture and the bytes of the stretch matrix."""
     _stretched_bytes: int = 0
 
     def instances(self, nodes: Iterable[int], world_from_node: list[Matrix]) -> Iterator[SplatInstance]:
-        """The captures of nodes as instances in the world of the file, named after the node, else after the mesh.
+        """Yields the captures of nodes as world-space instances, named after the node, else after the mesh.
 
-        A node that scales its axes differently has Gaussians of its own (`under_affine`); others share them. Harmonics
-        are evaluated in the space of an instance, so that they turn with the rotation of its node.
+        A node with a non-uniform scale gets its own, transformed Gaussians (`under_affine`); other nodes share theirs.
+        SH are evaluated in the instance's space, so they rotate with the node.
 
         Raises:
             FormatError: Gaussians are malformed or invalid, or a node mirrors or flattens them.
@@ -273,7 +275,7 @@ class GltfCaptures:
         for index in nodes:
             node = self.file.model.nodes[index]
             if node.mesh is None or not world_from_node[index][:3, :3].any():
-                continue  # scaled to nothing, which hides the node
+                continue  # a scale of zero hides the node
             name = node.name or self.file.item("meshes", node.mesh, f"nodes[{index}]").name or ""
             captures = self._captures(node.mesh)
             for instance_transform, gaussians in itertools.product(
@@ -287,12 +289,12 @@ class GltfCaptures:
                     raise FormatError(self.file.path, f"{node_label(self.file, index)}: {error}") from None
 
     def is_in(self, index: int) -> bool:
-        """Whether a node has captures."""
+        """Returns whether a node has captures."""
         mesh = self.file.model.nodes[index].mesh
         return mesh is not None and bool(self._captures(mesh))
 
     def _captures(self, mesh_index: int) -> list[Gaussians]:
-        """The captures of a mesh, one for each of its primitives that has Gaussians."""
+        """Returns the captures of a mesh, one for each primitive with Gaussians."""
         if mesh_index not in self._read:
             items: list[Any] = self.file.item("meshes", mesh_index, "a node").primitives
             primitives = (
@@ -304,7 +306,7 @@ class GltfCaptures:
         return self._read[mesh_index]
 
     def _instance(self, gaussians: Gaussians, index: int, world_from_node: Matrix, name: str) -> SplatInstance:
-        """A capture where a node has it."""
+        """Returns a capture as an instance with the transform of its node."""
         linear = world_from_node[:3, :3]
         with np.errstate(invalid="ignore", divide="ignore"):
             volume = np.linalg.det(linear / np.linalg.norm(linear, axis=0))
@@ -317,19 +319,19 @@ class GltfCaptures:
         try:
             check_similarity(linear)
         except SceneError:
-            # M = R P with a rotation R and a stretch P; without shear, P is diagonal, the scale of the node.
+            # Polar decomposition M = R P; without shear, the stretch P is diagonal, the node's scale.
             u, factors, v = np.linalg.svd(linear)
             stretch = np.eye(4)
             stretch[:3, :3] = (v.T * factors) @ v
             world_from_node = world_from_node.copy()
             world_from_node[:3, :3] = u @ v
-            stretch = np.round(stretch, 9) + 0.0  # the same however the node is turned
+            stretch = np.round(stretch, 9) + 0.0  # equal for all rotations of the node
             gaussians = self._stretched_capture(gaussians, CAPTURE_FROM_FILE @ stretch @ CAPTURE_FROM_FILE)
         settings = instance_settings(lumisplat_extras(self.file.model.nodes[index]))
         return SplatInstance(gaussians, world_from_node @ CAPTURE_FROM_FILE, name=name, **settings)
 
     def _stretched_capture(self, gaussians: Gaussians, stretch: Matrix) -> Gaussians:
-        """A stretched capture, which is made once."""
+        """Returns a stretched copy of a capture, made once."""
         key = (id(gaussians), stretch.tobytes())
         if key not in self._stretched:
             self._stretched_bytes += sum(values.nbytes for values in gaussians.arrays().values())
@@ -339,12 +341,13 @@ class GltfCaptures:
 
 
 def single_capture(instance: SplatInstance) -> Gaussians:
-    """The Gaussians of a file that has nothing else, where its node has them, in the axes of captures.
+    """Returns an instance's Gaussians in the axes of captures, with the instance's transform applied.
 
-    One that says its up, and that stands upright in the file, comes back as it was before it was stood upright.
+    If the transform only rotates the capture's known up direction to y, the Gaussians are returned without that
+    rotation.
 
     Raises:
-        SceneError: They are too far away or too large.
+        SceneError: The Gaussians are too far away or too large.
     """
     gaussians, instance_transform = instance.gaussians, instance.transform
     if gaussians.up is not None:
@@ -358,10 +361,10 @@ def single_capture(instance: SplatInstance) -> Gaussians:
 
 
 def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> int:
-    """Appends a capture as a mesh of points, turned to y up; returns its index.
+    """Appends a capture as a point mesh, rotated to y up, and returns its index.
 
-    Values are those of the capture, as float32. COLOR_0 is for programs that know no Gaussians: linear, with the
-    opacity, in 8 bits. Normals and materials are attributes of our own (`_MATERIALS`).
+    Values are stored as float32, unchanged. COLOR_0 is a fallback for programs without Gaussian support: linear colour
+    with opacity, in 8 bits. Normals and materials are stored as custom attributes (`_MATERIALS`).
     """
     columns = mirror_axes(
         SplatColumns(
@@ -410,14 +413,14 @@ def add_gaussians(document: GltfDocument, gaussians: Gaussians, name: str) -> in
 
 
 def _fallback_colors(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Mean colours in linear light, and opacities, shape (N, 4)."""
+    """Returns the mean colours in linear light with opacities, as 8-bit values, shape (N, 4)."""
     display = np.clip(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0, 1.0)
     values = np.column_stack([decode_srgb(display), gaussians.opacities])
     return (values * 255.0 + 0.5).astype(np.uint8)
 
 
 def _settings_of(gaussians: Gaussians) -> dict[str, Any]:
-    """Settings of a capture that the extension does not have."""
+    """Returns the capture settings to store in extras, because the extension cannot hold them."""
     settings: dict[str, Any] = {"antialiased": True} if gaussians.antialiased else {}
     if gaussians.kernel_degree != KERNEL_DEGREE:
         settings["kernel_degree"] = gaussians.kernel_degree

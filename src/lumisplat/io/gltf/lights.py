@@ -1,6 +1,6 @@
-"""Reads and writes lights of glTF (KHR_lights_punctual), whose units are ours: candela and lux.
+"""Reads and writes glTF lights (KHR_lights_punctual), in the same units as Lumisplat: candela and lux.
 
-A light is at the origin of its node and shines along -z.
+A light lies at the origin of its node and shines along -z.
 """
 
 from __future__ import annotations
@@ -24,20 +24,19 @@ _log = logging.getLogger("lumisplat")
 EXTENSION = "KHR_lights_punctual"
 
 _CONE_EDGE = 1e-3
-"""Width of the edge of a cone that begins where it ends, radians."""
+"""Width in radians of the edge that a spot gets if its inner and outer cone angles are equal."""
 
 _PUNCTUAL = {kind: light for kind, light in LIGHT_KINDS.items() if light.unit in ("cd", "lux")}
-"""Lights of the extension by their type in files, which is ours: those without an area."""
+"""Light classes by the extension's type names, which equal Lumisplat's: the lights without an area."""
 
 
 def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matrix]) -> list[Light]:
-    """The lights of ``nodes``, in order, in world space; named after the node, else after the light.
+    """Reads the lights of ``nodes`` into world space, in order, named after the node, else after the light.
 
-    Scales of nodes move lights, but change neither intensity nor range. Lights of nodes that are scaled to nothing are
-    left out.
+    Node scales move lights but do not change their intensity or range. Lights of nodes with zero scale are skipped.
 
     Raises:
-        FormatError: An index is invalid, a type is unknown, or a value is out of range; names the light.
+        FormatError: An index is invalid, a type is unknown, or a value is out of range; the message names the light.
     """
     definitions = (file.model.extensions or {}).get(EXTENSION, {}).get("lights", [])
     lights: list[Light] = []
@@ -59,16 +58,17 @@ def read_lights(file: GltfFile, nodes: Iterable[int], world_from_node: list[Matr
 
 
 def _within_limits(file: GltfFile, definition: dict[str, Any], label: str) -> dict[str, Any]:
-    """Returns a light whose values are moved off the ends of their ranges, where other programs write them.
+    """Returns a light definition with boundary values moved into the valid range, as other programs write them.
 
-    A range of 0, as in three.js, is none; a cone that begins where it ends gets a narrow edge. Log lines say so.
+    A range of 0, as in three.js, means no range. Equal cone angles get a narrow edge between them. Each change is
+    logged.
     """
     changes: list[str] = []
     definition = dict(definition)
     reach: object = definition.get("range")
     if is_number(reach) and reach <= 0.0:
         del definition["range"]
-        changes.append(f"range {reach:g} is read as none, infinite")
+        changes.append(f"range {reach:g} is read as infinite")
     cone: dict[str, Any] = definition.get("spot", {}) if definition.get("type") == "spot" else {}
     inner, outer = cone.get("innerConeAngle", 0.0), cone.get("outerConeAngle", 0.25 * math.pi)
     at_border = is_number(inner) and is_number(outer) and outer - _CONE_EDGE < inner < outer + _CONE_EDGE
@@ -82,6 +82,7 @@ def _within_limits(file: GltfFile, definition: dict[str, Any], label: str) -> di
 
 
 def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> Light:
+    """Builds a light from its definition and its node's world transform."""
     kind = definition.get("type")
     light = _PUNCTUAL.get(kind) if isinstance(kind, str) else None
     if light is None:
@@ -101,9 +102,10 @@ def _light(definition: dict[str, Any], world_from_light: Matrix, name: str) -> L
 
 
 def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> int | None:
-    """Appends a light and its node; returns the node's index, None if glTF has no such light.
+    """Appends a light and its node, and returns the node's index; None if glTF cannot store the light.
 
-    A sphere becomes the point light that shines as it does from outside, of ``intensity * pi * radius^2`` candela.
+    A sphere light becomes a point light with the same intensity as seen from outside: ``intensity * pi * radius^2``
+    candela.
     """
     if isinstance(light, LightSphere):
         candela = light.intensity * math.pi * light.radius**2
@@ -132,7 +134,7 @@ def add_light(document: GltfDocument, light: Light, file_from_world: Matrix) -> 
 
 
 def _shining_along(direction: tuple[float, float, float]) -> Matrix:
-    """A rotation, shape (3, 3), whose -z is a unit direction."""
+    """Returns a rotation, shape (3, 3), whose -z axis is a unit direction."""
     back = -np.array(direction)
     aside = np.cross(np.eye(3)[np.abs(back).argmin()], back)
     aside /= np.linalg.norm(aside)

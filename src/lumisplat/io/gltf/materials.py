@@ -1,4 +1,4 @@
-"""Reads and writes materials of glTF: metallic-roughness with textures, our extensions, and unlit ones.
+"""Reads and writes glTF materials: metallic-roughness with textures, the KHR extensions, and unlit materials.
 
 Textures are written as PNG.
 """
@@ -33,10 +33,10 @@ if TYPE_CHECKING:
 _log = logging.getLogger("lumisplat")
 
 _DIELECTRIC = 0.04
-"""What a dielectric of index 1.5 mirrors at normal incidence."""
+"""Reflectance at normal incidence of a dielectric with an index of refraction of 1.5."""
 
 _LISTED_MAX = 4
-"""Largest number of materials that one log line names."""
+"""Number of materials that one log line names."""
 
 
 _READ = {
@@ -50,13 +50,13 @@ _READ = {
     *(f"KHR_materials_{name}" for name in ("unlit", "emissive_strength", "ior", "specular", "transmission", "volume")),
     *(f"KHR_materials_{name}" for name in ("clearcoat", "sheen", "pbrSpecularGlossiness")),
 }
-"""Extensions that are read, or of which another line speaks."""
+"""Extensions that are read, or that another log line covers."""
 _WITHOUT_EFFECT = (
     "KHR_xmp",
-    "KHR_materials_variants",  # the default is shown
+    "KHR_materials_variants",  # the default variant is used
     "KHR_animation_pointer",
     "KHR_audio",
-    "KHR_draco_mesh_compression",  # a file that does not require it has the mesh without it, too
+    "KHR_draco_mesh_compression",  # optional: the file has the uncompressed mesh, too
     "EXT_meshopt_compression",
     "KHR_meshopt_compression",
     "KHR_interactivity",
@@ -67,23 +67,23 @@ _WITHOUT_EFFECT = (
     "EXT_structural_metadata",
     "EXT_mesh_features",
     "EXT_instance_features",
-    "MSFT_lod",  # the finest level is shown
+    "MSFT_lod",  # the finest level is used
     "VRM",
 )
-"""Beginnings of the names of extensions that change no picture."""
+"""Name prefixes of extensions that do not change the image."""
 
 _Item = dict[str, Any]
 
 
 def warn_unread(file: GltfFile) -> None:
-    """Logs what is not read of a file, and may change its picture, one line per feature.
+    """Logs features of a file that are not read but may change the image, one line per feature.
 
-    These are extensions, among them those that hold textures, normals of the clearcoat, thickness, colours of
-    highlights, and textures with other coordinates than the base colour.
+    Such features are unknown extensions, textures in unsupported formats, clearcoat normal, thickness and specular
+    textures, and textures whose coordinates differ from those of the base colour.
     """
     materials = file.model.materials or []
     if others := sorted(name for name in file.extensions - _READ if not name.startswith(_WITHOUT_EFFECT)):
-        _log.warning("%s: not read, though the picture may depend on it: %s", file.path, ", ".join(others))
+        _log.warning("%s: extensions not read, though they may change the image: %s", file.path, ", ".join(others))
     held = [name for texture in file.model.textures or () if (name := texture_extension(texture))]
     if held:
         count = f"{len(held):,} texture{'s' * (len(held) > 1)}"
@@ -104,8 +104,8 @@ def warn_unread(file: GltfFile) -> None:
             label for label, material in labelled if texture in _extension(material, extension)
         ]
         for texture, extension, why in (
-            ("clearcoatNormalTexture", "clearcoat", ", the coat has the normals of what is below"),
-            ("thicknessTexture", "volume", ", rays go through the mesh itself"),
+            ("clearcoatNormalTexture", "clearcoat", ", the clearcoat uses the normals of the base layer"),
+            ("thicknessTexture", "volume", ", rays measure thickness through the mesh itself"),
             ("specularTexture", "specular", ""),
             ("specularColorTexture", "specular", ""),
             ("specularColorFactor", "specular", ""),
@@ -117,7 +117,7 @@ def warn_unread(file: GltfFile) -> None:
     glossy = [label for label, one in labelled if "specularGlossinessTexture" in (specular_glossiness(one) or {})]
     if glossy:
         _log.warning(
-            "%s: specular colours in textures are not read: %d material%s of specular-glossiness become dielectrics "
+            "%s: specular colour textures are not read: %d material%s of specular-glossiness become dielectrics "
             "(first %s)",
             file.path,
             len(glossy),
@@ -127,7 +127,7 @@ def warn_unread(file: GltfFile) -> None:
 
 
 def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]:
-    """What lies behind a surface that transmits: nothing, without a thickness; else a medium (KHR_materials_volume)."""
+    """Returns the interior of a transmissive surface (KHR_materials_volume), thin-walled without a thickness."""
     volume = _extension(material, "volume")
     if not volume.get("thicknessFactor", 0.0) > 0.0:
         return {"thin_walled": transmission > 0.0}
@@ -138,7 +138,7 @@ def _inside(material: pygltflib.Material, transmission: float) -> dict[str, Any]
 
 
 def _layers(material: pygltflib.Material) -> dict[str, Any]:
-    """The factors of clearcoat and sheen (KHR_materials_clearcoat, KHR_materials_sheen)."""
+    """Returns the factors of KHR_materials_clearcoat and KHR_materials_sheen."""
     coat, sheen = _extension(material, "clearcoat"), _extension(material, "sheen")
     return {
         "clearcoat": coat.get("clearcoatFactor", 0.0),
@@ -149,11 +149,11 @@ def _layers(material: pygltflib.Material) -> dict[str, Any]:
 
 
 def _metallic_roughness(material: pygltflib.Material) -> dict[str, Any]:
-    """Returns the factors of metallic-roughness, also of a material of specular-glossiness.
+    """Returns metallic-roughness factors, converted from specular-glossiness if the material uses that.
 
-    Without textures, the metalness is that of the two colours: what they reflect is explained by a base colour that
-    dielectrics scatter and metals mirror, of which dielectrics mirror 4 %. Textures of specular colours are not read,
-    and neither is a specular colour that is left out, which would be white: then it is no metal.
+    Without textures, the conversion finds the base colour and metalness that reproduce the diffuse and specular
+    colours, with dielectrics reflecting 4 %. A material with a specular texture, or without a specularFactor, which
+    would be white, is read as a dielectric.
     """
     glossiness = specular_glossiness(material)
     if glossiness is None:
@@ -174,10 +174,11 @@ def _metallic_roughness(material: pygltflib.Material) -> dict[str, Any]:
 
 
 def _metal_of(diffuse: Doubles, specular: Doubles) -> tuple[Doubles, float]:
-    """Returns the base colour and the metalness that reflect a diffuse and a specular colour, shape (3,) each.
+    """Returns the base colour and metalness that reproduce a diffuse and a specular colour, shape (3,) each.
 
-    With brightest channels d and s, of which d (1 - s) is scattered and s mirrored, a base colour b of metalness m has
-    d (1 - s) = b (1 - m) (1 - F) and s = F (1 - m) + b m, F = 0.04. Without b, this is a quadratic equation of m.
+    With the brightest channels d and s, d (1 - s) is reflected diffusely and s specularly. A base colour b with
+    metalness m gives d (1 - s) = b (1 - m) (1 - F) and s = F (1 - m) + b m, with F = 0.04. Eliminating b leaves a
+    quadratic equation for m.
     """
     scattered, mirrored = float(diffuse.max()), float(specular.max())
     if mirrored <= _DIELECTRIC:
@@ -192,7 +193,7 @@ def _metal_of(diffuse: Doubles, specular: Doubles) -> tuple[Doubles, float]:
 
 
 def _roughness_texels(texels: npt.NDArray[np.uint8], glossiness: dict[str, Any]) -> npt.NDArray[np.uint8]:
-    """Returns the roughness of a specularGlossinessTexture, whose alpha is its glossiness, in the green channel."""
+    """Returns a texture with roughness in green from a specularGlossinessTexture, whose alpha is glossiness."""
     alpha = texels[..., 3] if texels.shape[2] == 4 else np.full(texels.shape[:2], 255, np.uint8)
     roughness = 255.0 - float(glossiness.get("glossinessFactor", 1.0)) * alpha
     return np.stack([np.zeros_like(alpha), np.clip(roughness + 0.5, 0, 255).astype(np.uint8), 0 * alpha], axis=2)
@@ -207,7 +208,7 @@ def _textures(material: pygltflib.Material) -> Textures:
 
 
 def _extension(material: pygltflib.Material, name: str) -> dict[str, Any]:
-    """``KHR_materials_{name}`` of a material, empty if it has none."""
+    """Returns the ``KHR_materials_{name}`` object of a material, empty if the material lacks it."""
     return (material.extensions or {}).get(f"KHR_materials_{name}", {})
 
 
@@ -216,7 +217,7 @@ def _label(index: int, material: pygltflib.Material) -> str:
 
 
 class GltfMaterials:
-    """The materials of a file, each decoded once."""
+    """Materials of a file, each decoded once."""
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
@@ -224,7 +225,7 @@ class GltfMaterials:
         self._materials: dict[int, Material] = {}
 
     def get(self, index: int | None, referrer: str) -> Material:
-        """The material at ``index``; glTF's default material for None.
+        """Returns the material at ``index``, or glTF's default material for None.
 
         Raises:
             FormatError: The index is invalid, a value is out of range, or a texture is missing or corrupt.
@@ -261,7 +262,7 @@ class GltfMaterials:
             **_inside(material, transmission),
             **_layers(material),
             emissive=emissive,
-            double_sided=bool(material.doubleSided) or not any(emissive),  # reflection is on both sides either way
+            double_sided=bool(material.doubleSided) or not any(emissive),  # reflection is two-sided in either case
             normal_scale=_value_or(getattr(material.normalTexture, "scale", None), 1.0),
             occlusion_strength=_value_or(getattr(material.occlusionTexture, "strength", None), 1.0),
             name=material.name or "",
@@ -271,7 +272,7 @@ class GltfMaterials:
     def _textures_and_alpha(
         self, material: pygltflib.Material, factors: tuple[float, ...], label: str
     ) -> dict[str, Any]:
-        """What all kinds of materials have: texels, how they wrap, and alpha."""
+        """Returns the fields shared by all material classes: textures, wrap modes and alpha."""
         textures = _textures(material)
         read = {name: self._texels.get(index, label) for name, index in textures.indices.items()}
         values: dict[str, Any] = {name: texels for name, texels in read.items() if texels is not None}
@@ -292,12 +293,12 @@ class GltfMaterials:
 
 
 def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
-    """Transformed texture coordinates of the base colour texture, else of the material's first texture, shape (V, 2).
+    """Returns the transformed coordinates of the base colour texture, else of the first texture, shape (V, 2).
 
-    None if the primitive has no such coordinates.
+    Returns None if the primitive lacks these coordinates.
 
     Raises:
-        FormatError: The set or the transform is malformed.
+        FormatError: The coordinates or the transform are malformed.
     """
     uv_transform, index = UvTransform(), primitive.item.material
     if index is not None:
@@ -307,7 +308,7 @@ def texture_uvs(primitive: GltfPrimitive) -> npt.NDArray[np.float32] | None:
 
 
 def _wrap_values(wraps: dict[str, WrapPair]) -> dict[str, Any]:
-    """How a material's textures wrap: as the first of them, but for those that are named."""
+    """Returns the first texture's wrap modes for the whole material, and by name those of textures that differ."""
     if not wraps:
         return {}
     first = next(iter(wraps.values()))
@@ -321,7 +322,7 @@ def _value_or(value: Any, default: Any) -> Any:
 
 
 class MaterialWriter:
-    """Appends the materials and textures of a scene, each once.
+    """Writes the materials and textures of a scene, each once.
 
     Args:
         document: The file.
@@ -334,16 +335,16 @@ class MaterialWriter:
         self._textures: dict[tuple[int, WrapPair], int] = {}
         self._samplers: dict[WrapPair, int] = {}
         self.approximated: list[str] = []
-        """Names of materials that glTF has nothing like."""
+        """Names of simple materials that glTF can only approximate."""
         self.ranked = 0
-        """How many have a ``priority``, which glTF does not know."""
+        """Number of materials with a ``priority``, which glTF cannot store."""
 
     def index(self, material: Material, *, textured: bool) -> int:
-        """The index of a material in the file.
+        """Returns the index of a material in the file, and writes the material on first use.
 
         Args:
             material: The material.
-            textured: Whether the mesh has texture coordinates; else it is written without textures.
+            textured: Whether the mesh has texture coordinates. Without them the material is written without textures.
         """
         key = (id(material), textured)
         if key not in self._materials:
@@ -403,7 +404,7 @@ class MaterialWriter:
         return _without_none(item) | _common_fields(material) | ({"extensions": extensions} if extensions else {})
 
     def _transmission(self, material: MaterialPbr, texture: _Item | None) -> _Item:
-        """What light does that goes through; a thickness, of whatever size, says that there is an inside."""
+        """Returns the transmission extension, with a volume for solid materials: any thickness > 0 means solid."""
         factors = _without_none({"transmissionFactor": material.transmission, "transmissionTexture": texture})
         extensions = self._document.use("KHR_materials_transmission", **factors)
         if material.is_solid:
@@ -414,7 +415,7 @@ class MaterialWriter:
         return extensions
 
     def _simple(self, material: MaterialSimple, textured: bool) -> _Item:
-        """An unlit material if it is one; else the nearest of metallic roughness, which is not near."""
+        """Returns an unlit material if the material only emits its colour, else a metallic-roughness estimate."""
         surface: _Item = {
             "baseColorFactor": [*material.base_color, material.alpha],
             "baseColorTexture": self._texture(material, "base_color_texture") if textured else None,
@@ -426,7 +427,7 @@ class MaterialWriter:
         self.approximated.append(material.name or "a simple material")
         reflected = [color * share for color, share in zip(material.base_color, material.diffuse, strict=True)]
         surface["baseColorFactor"] = [*reflected, material.alpha]
-        # Phong's lobe of exponent n is about as wide as that of a microfacet distribution with alpha^2 = 2 / (n + 2).
+        # A Phong lobe of exponent n is about as wide as a microfacet lobe with alpha^2 = 2 / (n + 2).
         surface["roughnessFactor"] = (2.0 / (material.shininess + 2.0)) ** 0.25 if any(material.specular) else 1.0
         shining = [color * factor for color, factor in zip(material.base_color, material.emissive, strict=True)]
         strength = max(1.0, *shining)
@@ -439,7 +440,7 @@ class MaterialWriter:
         return item | _common_fields(material)
 
     def _texture(self, material: Material, name: str) -> _Item | None:
-        """A texture of a material; None: it has none of that name."""
+        """Returns the texture info of a material field, None if the field is empty."""
         texels: Texture | None = getattr(material, name)
         if texels is None:
             return None
@@ -468,12 +469,15 @@ class MaterialWriter:
 
 
 def _without_none(item: _Item) -> _Item:
-    """An item without what is None."""
+    """Returns an item without the keys whose value is None."""
     return {key: value for key, value in item.items() if value is not None}
 
 
 def _common_fields(material: Material) -> _Item:
-    """What materials of all kinds have. Surfaces have two sides, unless they emit from one or are bodies of glass."""
+    """Returns the name, sidedness and alpha mode of a material.
+
+    Materials are double-sided, except emissive ones that emit from one side and solid transmissive ones.
+    """
     item: _Item = {"name": material.name} if material.name else {}
     if material.is_emissive or not (isinstance(material, MaterialPbr) and material.is_solid):
         item["doubleSided"] = not isinstance(material, MaterialPbr) or material.double_sided

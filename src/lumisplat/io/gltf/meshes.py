@@ -1,4 +1,4 @@
-"""Reads and writes meshes of glTF: primitives as stored or in their rest pose, skins, vertex colours."""
+"""Reads and writes glTF meshes: primitives as stored or in their rest pose, skins and vertex colours."""
 
 from __future__ import annotations
 
@@ -23,39 +23,39 @@ from lumisplat.scene.materials import Material
 from lumisplat.scene.mesh import Mesh
 
 RIG_BLACK_COLOR = 0.5 / 255.0
-"""Vertex colour below which a vertex is black: 8 bits round it to 0."""
+"""Vertex colour below which a vertex counts as black: 8 bits round it to 0."""
 
 RIG_BLACK_FRACTION = 0.5
-"""Share of black vertices above which a file is taken to hold something else than colours in COLOR_0."""
+"""Fraction of black vertices above which COLOR_0 is assumed to hold something other than colours."""
 
 _log = logging.getLogger("lumisplat")
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 TRIANGLE_MODES = (None, _TRIANGLES, _STRIP, _FAN)
-"""Modes of the primitives that are read as meshes."""
+"""Modes of primitives that are read as meshes."""
 
 _SHORT_MAX = 65534
-"""Largest index of 16 bits: the one above restarts strips."""
+"""Largest 16-bit index; 65535 would restart the primitive."""
 
 
 @dataclass(frozen=True, slots=True)
 class RawPrimitive:
-    """A triangle primitive as stored, V vertices."""
+    """A triangle primitive as stored, with V vertices."""
 
     positions: FloatArray
-    """Shape (V, 3)."""
+    """Vertex positions, shape (V, 3)."""
     normals: FloatArray | None
     """Normals of any length, shape (V, 3)."""
     uvs: FloatArray | None
     colors: FloatArray | None
-    """Clipped to 0..1, shape (V, 3)."""
+    """Linear vertex colours, clipped to 0..1, shape (V, 3)."""
     triangles: npt.NDArray[np.int64]
-    """Shape (F, 3); indices may be out of range."""
+    """Vertex indices, shape (F, 3); they may be out of range."""
     material: Material
     influences: Influences | None
-    """Joints and weights, if the node has a skin."""
+    """Joints and weights of the vertices; None if the node has no skin."""
     morph_positions: dict[int, FloatArray]
-    """Offsets by the number of the morph target, shape (V, 3) each; a target need not have any."""
+    """Position offsets by morph target number, shape (V, 3) each; targets without offsets are absent."""
     morph_normals: dict[int, FloatArray]
     name: str
 
@@ -67,17 +67,17 @@ def read_meshes(
     sieve: TriangleSieve,
     world_from_bind: npt.NDArray[np.float64] | None = None,
 ) -> list[Mesh]:
-    """The triangle primitives of a mesh, with morph targets at their default weights.
+    """Reads the triangle primitives of a mesh, with morph targets at their default weights.
 
-    Points, lines and primitives without usable triangles are left out.
+    Points, lines and primitives without usable triangles are skipped.
 
     Args:
         file: The file.
         mesh_index: Index of the mesh.
         materials: Materials of the file.
-        sieve: Counts the triangles that are left out.
-        world_from_bind: Transforms of the joints of its skin, shape (J, 4, 4); None: the mesh has no skin and stays in
-            its own space.
+        sieve: Counts the unusable triangles.
+        world_from_bind: Joint transforms of the mesh's skin, shape (J, 4, 4); None for a mesh without a skin, which
+            stays in its own space.
 
     Raises:
         FormatError: An attribute is missing, malformed or out of range.
@@ -106,7 +106,7 @@ def read_meshes(
 
 
 def _morph(raw: RawPrimitive, weights: dict[int, float]) -> tuple[FloatArray, npt.NDArray[np.floating] | None]:
-    """Positions and normals with weighted morph targets added."""
+    """Returns positions and normals with the weighted morph targets added."""
     positions, normals = raw.positions, raw.normals
     for target, offsets in raw.morph_positions.items():
         positions = (positions + weights[target] * offsets).astype(np.float32)
@@ -123,14 +123,14 @@ def read_raw(
     joint_count: int | None = None,
     targets: set[int] | None = None,
 ) -> Iterator[RawPrimitive]:
-    """The triangle primitives of a mesh as they are stored; points and lines are left out.
+    """Yields the triangle primitives of a mesh as stored; points and lines are skipped.
 
     Args:
         file: The file.
         mesh_index: Index of the mesh.
         materials: Materials of the file.
-        joint_count: Number of joints of the node's skin; None: the node has no skin.
-        targets: Numbers of the morph targets to read; None: all.
+        joint_count: Number of joints of the node's skin; None if the node has no skin.
+        targets: Numbers of the morph targets to read; None reads all.
 
     Raises:
         FormatError: An attribute is missing, malformed or out of range.
@@ -170,7 +170,7 @@ def _raw(
 
 
 def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.int64]:
-    """The triangles of a list, a strip or a fan, shape (F, 3)."""
+    """Returns the triangles of a list, strip or fan, shape (F, 3)."""
     accessor, mode = primitive.item.indices, primitive.item.mode
     if accessor is None:
         corners = np.arange(vertex_count)
@@ -183,14 +183,14 @@ def _triangles(primitive: GltfPrimitive, vertex_count: int) -> npt.NDArray[np.in
     step = np.arange(len(corners) - 2)
     if mode == _FAN:
         return corners[np.stack([np.zeros_like(step), step + 1, step + 2], axis=1)]
-    odd = step % 2  # every second triangle of a strip is wound the other way
+    odd = step % 2  # odd triangles of a strip have the opposite winding
     strip = corners[np.stack([step, step + 1 + odd, step + 2 - odd], axis=1)]
     # Repeated corners restart a strip; they are neither triangles nor errors.
     return strip[(strip != np.roll(strip, 1, axis=1)).all(axis=1)]
 
 
 def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[int] | None) -> dict[int, FloatArray]:
-    """Offsets of an attribute by the number of the morph target, for the targets that have them."""
+    """Returns the morph offsets of an attribute by target number; targets without offsets are absent."""
     found: dict[int, FloatArray] = {}
     for number, target in enumerate(primitive.item.targets or []):
         if name in target and (targets is None or number in targets):
@@ -203,33 +203,33 @@ def _morphs(primitive: GltfPrimitive, name: str, base: FloatArray, targets: set[
 
 @dataclass(frozen=True, slots=True)
 class Skin:
-    """The J joints of a skin."""
+    """A skin with J joints."""
 
     joints: tuple[int, ...]
-    """Nodes that are the joints."""
+    """Node indices of the joints."""
     joint_from_bind: Matrix
     """Inverse bind matrices, shape (J, 4, 4)."""
 
     def world_from_bind(self, world_from_node: Sequence[Matrix]) -> Matrix:
-        """The transforms of the joints from the bind pose to world space, shape (J, 4, 4)."""
+        """Returns the joint transforms from the bind pose to world space, shape (J, 4, 4)."""
         return np.stack([world_from_node[joint] for joint in self.joints]) @ self.joint_from_bind
 
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """The joints that move the vertices of a primitive."""
+    """Skin weights of a primitive's vertices."""
 
     joints: npt.NDArray[np.int32]
-    """Indices of joints, shape (V, K)."""
+    """Joint indices, shape (V, K)."""
     weights: npt.NDArray[np.float32]
-    """Finite and at least 0, with a positive sum per vertex, shape (V, K)."""
+    """Weights of the joints, finite and >= 0, with a positive sum per vertex, shape (V, K)."""
 
 
 def read_skin(file: GltfFile, index: int) -> Skin:
-    """A skin by index.
+    """Reads a skin.
 
     Raises:
-        FormatError: The skin has no joints, names nodes that do not exist, or has too few or non-finite matrices.
+        FormatError: The skin has no joints, refers to missing nodes, or has too few or non-finite matrices.
     """
     skin = file.item("skins", index, "a node")
     where = f"skins[{index}]"
@@ -243,7 +243,7 @@ def read_skin(file: GltfFile, index: int) -> Skin:
     stored = file.floats(skin.inverseBindMatrices, "MAT4", where).astype(np.float64)
     if len(stored) < len(joints):
         raise FormatError(file.path, f"{where} has {len(stored)} matrices for {len(joints)} joints")
-    matrices = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)  # stored by columns
+    matrices = stored[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)  # stored column-major
     broken = np.count_nonzero(~np.isfinite(matrices).all(axis=(1, 2)))
     if broken:
         raise FormatError(file.path, f"{where}: {broken} of {len(joints)} inverse bind matrices are not finite")
@@ -251,7 +251,7 @@ def read_skin(file: GltfFile, index: int) -> Skin:
 
 
 def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: int) -> Influences:
-    """All sets of joints and weights of a primitive whose node has a skin.
+    """Reads all sets of joints and weights of a skinned primitive.
 
     Args:
         primitive: The primitive.
@@ -273,7 +273,7 @@ def _read_influences(primitive: GltfPrimitive, vertex_count: int, joint_count: i
 
 
 def _read_set(primitive: GltfPrimitive, number: int, vertex_count: int) -> Influences | None:
-    """The joints and weights of one set, unchecked; None if there is no set of that number."""
+    """Reads one set of joints and weights without checking it; None if the primitive has no such set."""
     joints = primitive.integers(f"JOINTS_{number}", "VEC4")
     if joints is None:
         return None
@@ -296,16 +296,16 @@ def _check_weights(primitive: GltfPrimitive, weights: npt.NDArray[np.float32]) -
 
 
 def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: str, advice: str) -> FloatArray | None:
-    """Returns vertex colours, unless they make most of a textured mesh black: these are masks, and a line says so.
+    """Returns vertex colours, or None if most are black on a textured mesh, where they must be masks; logs it.
 
-    Without a texture they are all the colour that there is: they are used, and the line says what to do.
+    On a mesh without a texture, mostly black colours are used all the same, and the log line gives ``advice``.
 
     Args:
         path: The file.
-        colors: Linear, shape (V, 3).
-        material: Of the mesh.
-        name: Of the mesh.
-        advice: What to do if they are no colours.
+        colors: Linear colours, shape (V, 3).
+        material: Material of the mesh.
+        name: Name of the mesh.
+        advice: Advice for the case that COLOR_0 holds no colours.
     """
     black = float((colors.max(axis=1) < RIG_BLACK_COLOR).mean())
     if black <= RIG_BLACK_FRACTION:
@@ -318,7 +318,7 @@ def usable_colors(path: PathLike, colors: FloatArray, material: Material, name: 
 
 
 def add_mesh(document: GltfDocument, mesh: Mesh, materials: MaterialWriter) -> int:
-    """Appends a mesh; returns its index. Without normals its faces are flat, in glTF as here."""
+    """Appends a mesh and returns its index. A mesh without normals is flat-shaded, in glTF as in Lumisplat."""
     attributes = {"POSITION": document.accessor(mesh.positions, bounds=True)}
     for name, values in (("NORMAL", mesh.normals), ("TEXCOORD_0", mesh.uvs), ("COLOR_0", mesh.colors)):
         if values is not None:

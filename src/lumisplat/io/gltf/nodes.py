@@ -1,7 +1,7 @@
-"""Reads nodes of a glTF file: those of its scene, their transforms to world space, and our settings in ``extras``.
+"""Reads the nodes of a glTF file: the scene graph, world transforms, and Lumisplat's settings in ``extras``.
 
-Settings that glTF has no place for are an object under the key ``lumisplat`` of ``extras``, which other programs
-ignore, with fields of the class that it is of.
+Settings that glTF cannot store are written as an object under the key ``lumisplat`` of ``extras``, which other programs
+ignore. Its keys are the field names of the Lumisplat class.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ _REST = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scal
 
 INSTANCING = "EXT_mesh_gpu_instancing"
 _INSTANCE_BYTES = 1024
-"""About what an instance takes in memory."""
+"""Approximate memory of an instance in bytes."""
 
 
 def node_label(file: GltfFile, index: int) -> str:
-    """The name of a node in messages: ``nodes[3] 'lamp'``."""
+    """Returns the name of a node for messages, such as ``nodes[3] 'lamp'``."""
     name = file.model.nodes[index].name
     return f"nodes[{index}]" + (f" {name!r}" if name else "")
 
 
 def scene_nodes(file: GltfFile) -> Iterator[int]:
-    """Nodes of the default scene, parents first; all nodes if the file has no scenes."""
+    """Yields the visible nodes of the default scene, parents first; all visible nodes if the file has no scenes."""
     model = file.model
     if model.scenes:
         scene = file.item("scenes", model.scene or 0, "the file")
@@ -56,23 +56,23 @@ def scene_nodes(file: GltfFile) -> Iterator[int]:
             visited.add(index)
             extensions: dict[str, Any] = node.extensions or {}
             if extensions.get("KHR_node_visibility", {}).get("visible") is False:
-                continue  # with all below it
+                continue  # hides its descendants, too
             yield index
             pending.extend(reversed(node.children or []))
 
 
 @dataclass(frozen=True, slots=True)
 class Hierarchy:
-    """The parents of all nodes."""
+    """Parents of all nodes."""
 
     parents: tuple[int | None, ...]
-    """Index of each node's parent; None for a root."""
+    """Parent index of each node; None for a root."""
     order: tuple[int, ...]
-    """All nodes, parents first."""
+    """All node indices, parents first."""
 
 
 def hierarchy(file: GltfFile) -> Hierarchy:
-    """The parents of all nodes, in the scene or not (joints may be outside).
+    """Returns the parents of all nodes, including nodes outside of the scene, which may be joints.
 
     Raises:
         FormatError: A node has two parents, or is its own ancestor.
@@ -86,7 +86,7 @@ def hierarchy(file: GltfFile) -> Hierarchy:
                 raise FormatError(file.path, f"nodes[{child}] has two parents, {parents[child]} and {index}")
             parents[child] = index
     order = [index for index, parent in enumerate(parents) if parent is None]
-    for index in order:  # which grows meanwhile
+    for index in order:  # the loop extends the list
         order.extend(nodes[index].children or [])
     unreached = set(range(len(nodes))).difference(order)
     if unreached:
@@ -95,7 +95,7 @@ def hierarchy(file: GltfFile) -> Hierarchy:
 
 
 def world_transforms(file: GltfFile) -> list[Matrix]:
-    """``world_from_node`` of all nodes, in the scene or not (joints may be outside).
+    """Returns ``world_from_node`` of all nodes, including nodes outside of the scene, which may be joints.
 
     Raises:
         FormatError: A node has two parents, is its own ancestor, or has an invalid transform.
@@ -110,21 +110,21 @@ def world_transforms(file: GltfFile) -> list[Matrix]:
 
 
 def node_matrix(file: GltfFile, index: int) -> Matrix | None:
-    """``parent_from_node`` of a node that has a matrix, shape (4, 4); None for other nodes.
+    """Returns ``parent_from_node`` of a node with a matrix, shape (4, 4); None for other nodes.
 
     Raises:
         FormatError: The matrix is not 16 finite numbers.
     """
     if file.model.nodes[index].matrix is None:
         return None
-    return _numbers(file, index, "matrix", 16).reshape(4, 4).T  # stored by columns
+    return _numbers(file, index, "matrix", 16).reshape(4, 4).T  # stored column-major
 
 
 def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
-    """Translation (3,), rotation as a unit quaternion wxyz (4,), and scale (3,) of a node without a matrix.
+    """Returns translation (3,), rotation as a unit quaternion wxyz (4,), and scale (3,) of a node without a matrix.
 
     Raises:
-        FormatError: A value is not as many finite numbers, or the rotation has zero length.
+        FormatError: A value has the wrong count or is not finite, or the rotation has zero length.
     """
     translation, rotation, scale = (_numbers(file, index, name, len(rest)) for name, rest in _REST.items())
     length = np.linalg.norm(rotation)
@@ -139,12 +139,12 @@ def node_columns(file: GltfFile, index: int) -> tuple[Matrix, Matrix, Matrix]:
 
 
 def instance_transforms(file: GltfFile, index: int) -> list[Matrix]:
-    """Returns ``node_from_instance`` of each instance of a node's mesh, shape (4, 4) each; the identity without any.
+    """Returns ``node_from_instance`` of each instance of a node's mesh, shape (4, 4); one identity without instancing.
 
-    Instances that are scaled to nothing, which hides them, are left out (EXT_mesh_gpu_instancing).
+    Instances with zero scale are hidden and left out (EXT_mesh_gpu_instancing).
 
     Raises:
-        FormatError: An attribute is malformed, or they differ in length.
+        FormatError: An attribute is malformed, or attributes differ in length.
     """
     extensions: dict[str, Any] = file.model.nodes[index].extensions or {}
     if INSTANCING not in extensions:
@@ -172,15 +172,15 @@ def instance_transforms(file: GltfFile, index: int) -> list[Matrix]:
 
 
 def node_item(matrix: Matrix, name: str) -> dict[str, Any]:
-    """A node with a transform, shape (4, 4), and a name, if it has any."""
+    """Returns the JSON of a node with a transform, shape (4, 4), and a name if it is not empty."""
     item: dict[str, Any] = {"name": name} if name else {}
     if not np.array_equal(matrix, np.eye(4)):
-        item["matrix"] = (matrix.T + 0.0).reshape(-1).tolist()  # by columns; without negative zeros
+        item["matrix"] = (matrix.T + 0.0).reshape(-1).tolist()  # column-major; + 0.0 removes negative zeros
     return item
 
 
 def _local_transform(file: GltfFile, index: int) -> Matrix:
-    """``parent_from_node``."""
+    """Returns ``parent_from_node`` of any node, shape (4, 4)."""
     stored = node_matrix(file, index)
     if stored is not None:
         return stored
@@ -193,7 +193,7 @@ def _local_transform(file: GltfFile, index: int) -> Matrix:
 
 
 def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
-    """A value of a node, shape (count,); the value at rest if the node has none."""
+    """Returns a property of a node, shape (count,), or its default."""
     stored = getattr(file.model.nodes[index], name)
     if stored is None:
         return np.array(_REST[name])
@@ -206,18 +206,18 @@ def _numbers(file: GltfFile, index: int, name: str, count: int) -> Matrix:
 
 
 EXTRAS_KEY = "lumisplat"
-"""Their key."""
+"""Key of Lumisplat's settings in ``extras``."""
 
 _MATERIALS: dict[str, type[MaterialPbr] | type[MaterialSimple]] = {"pbr": MaterialPbr, "simple": MaterialSimple}
 _MESH_ONLY_SUFFIXES = ("_texture", "_wraps", "wrap_u", "wrap_v", "alpha_mode")
-"""Ends of the fields of materials that captures do not have."""
+"""Suffixes of material fields that only meshes have, not captures."""
 LIGHT_EXTRAS = ("radius", "angle", "casts_shadow", "shadow_distance")
 INSTANCE_EXTRAS = ("sh_degree", "shadow_catcher")
 CAMERA_EXTRAS = ("width", "height", "exposure", "aperture", "focus_distance")
 
 
 def lumisplat_extras(item: Any) -> dict[str, Any] | None:
-    """What our files say of an item besides; None: the file is of somebody else.
+    """Returns Lumisplat's settings in an item's extras; None if another program wrote the file.
 
     Args:
         item: An object of pygltflib, or a part of the JSON.
@@ -228,23 +228,23 @@ def lumisplat_extras(item: Any) -> dict[str, Any] | None:
 
 
 def with_extras(item: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
-    """A part of the JSON, with what only we read."""
+    """Returns a JSON item with Lumisplat's settings in its extras."""
     return item | ({"extras": {EXTRAS_KEY: own}} if own else {})
 
 
 def light_extras(light: Light) -> dict[str, Any]:
-    """Of a light: its size for soft shadows, and which shadows it casts."""
+    """Returns the light fields to store in extras: its size, for soft shadows, and shadow settings."""
     return _non_default_fields(light, LIGHT_EXTRAS)
 
 
 def light_settings(own: dict[str, Any] | None, kind: type[Any]) -> dict[str, Any]:
-    """The inverse: what a light of a class is made with besides."""
+    """Returns constructor arguments for a light class from extras; the inverse of `light_extras`."""
     known = {field.name for field in fields(kind)}
     return {name: value for name, value in _known_settings(own, LIGHT_EXTRAS).items() if name in known}
 
 
 def instance_extras(splat: SplatInstance) -> dict[str, Any]:
-    """Of a capture that is placed: how it reflects light, and what of it is shown."""
+    """Returns the capture instance's fields to store in extras: material, SH degree and shadow catcher flag."""
     own = _non_default_fields(splat, INSTANCE_EXTRAS)
     material = splat.material
     if material is not None:
@@ -254,10 +254,10 @@ def instance_extras(splat: SplatInstance) -> dict[str, Any]:
 
 
 def instance_settings(own: dict[str, Any] | None) -> dict[str, Any]:
-    """The inverse: what a `SplatInstance` is made with besides.
+    """Returns constructor arguments for a `SplatInstance` from extras; the inverse of `instance_extras`.
 
     Raises:
-        SceneError: A value is out of range, or the material of no known type.
+        SceneError: A value is out of range, or the material type is unknown.
     """
     settings = _known_settings(own, INSTANCE_EXTRAS)
     given = (own or {}).get("material")
@@ -270,7 +270,7 @@ def _material(given: object) -> Material:
     table = cast("dict[str, Any]", given) if isinstance(given, dict) else {}
     kind = _MATERIALS.get(str(table.get("type")))
     if kind is None:
-        raise SceneError(f"its material is of type {str(table.get('type'))[:60]}, expected pbr or simple")
+        raise SceneError(f"material type is {str(table.get('type'))[:60]}, expected pbr or simple")
     return kind(**_known_settings(table, _material_fields(kind)))
 
 
@@ -284,7 +284,7 @@ def _known_settings(own: dict[str, Any] | None, names: Iterable[str]) -> dict[st
 
 
 def _non_default_fields(item: Any, names: Iterable[str]) -> dict[str, Any]:
-    """The named fields that an item has and that differ from their defaults, as JSON takes them."""
+    """Returns the named fields that differ from their defaults, as JSON values."""
     wanted = set(names)
     held = {field: getattr(item, field.name) for field in fields(item) if field.name in wanted}
     return {

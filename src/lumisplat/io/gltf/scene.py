@@ -1,4 +1,4 @@
-"""Reads and writes scenes of glTF: captures, meshes, lights and cameras, placed in the world by the node hierarchy."""
+"""Reads and writes glTF scenes: captures, meshes, lights and cameras with the transforms of the node hierarchy."""
 
 from __future__ import annotations
 
@@ -53,31 +53,32 @@ _READABLE = (
     "KHR_node_visibility",
     INSTANCING,
 )
-"""Extensions that a file may require, besides those of materials, which only change the appearance of surfaces."""
+"""Extensions that a file may require, in addition to material extensions, which only change the appearance of
+surfaces."""
 
 _ORTHOGONAL = 1e-6
-"""Largest cosine of the angles between axes that a node can have: it moves, turns and scales, but does not shear."""
+"""Largest cosine between two axes of a node's transform: nodes translate, rotate and scale, but do not shear."""
 
 
 def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussians:
-    """Reads the default scene: captures and triangle meshes with the transforms of their nodes, and punctual lights.
+    """Reads the default scene: captures, triangle meshes and punctual lights, with the transforms of their nodes.
 
-    Skinned meshes are in their rest pose, morph targets have their default weights. Animations are left out, and, with
-    log lines, textures with other coordinates than the base colour. `read_gltf_cameras` reads cameras. Axes of scenes
-    are not changed (glTF: y up, +z towards the viewer).
+    Skinned meshes are read in their rest pose, morph targets at their default weights. Animations are ignored. Textures
+    whose coordinates differ from those of the base colour are dropped, with a log line. `read_gltf_cameras` reads the
+    cameras. The axes of scenes are unchanged (glTF: y up, +z towards the viewer).
 
     Args:
         path: A ``.glb`` or ``.gltf`` file.
-        drop_invalid: As of `lumisplat.io.load`, of captures.
+        drop_invalid: Drop invalid Gaussians of captures, as in `lumisplat.io.load`.
 
     Returns:
-        The scene; of a file that shows one capture once and nothing else, neither lights nor cameras, its Gaussians,
-        in the axes of captures, with the transform of their node. A capture of ours that reflects light, or of which
-        less is shown, stays a scene.
+        The scene. For a file with a single capture and no meshes, lights or cameras, its Gaussians in the axes of
+        captures, with the transform of their node. A capture that Lumisplat wrote with a material, a lower SH degree or
+        as a shadow catcher stays a scene.
 
     Raises:
-        FormatError: The file, or a file that it names, is missing, malformed or truncated, or needs an extension that
-            is not supported.
+        FormatError: The file, or a file that it names, is missing, malformed or truncated, or needs an unsupported
+            extension.
     """
     path = Path(path)
     with parsing(path, "a glTF file"):
@@ -100,10 +101,10 @@ def read_gltf(path: PathLike, *, drop_invalid: bool = False) -> Scene | Gaussian
 def scene_of_nodes(
     file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve, *, drop_invalid: bool
 ) -> Scene:
-    """The captures, meshes and lights of nodes, where these are.
+    """Returns the captures, meshes and lights of the given nodes as a scene.
 
     Raises:
-        FormatError: Something in them is malformed.
+        FormatError: One of them is malformed.
     """
     return Scene(
         splats=GltfCaptures(file, drop_invalid).instances(nodes, world_from_node),
@@ -113,7 +114,7 @@ def scene_of_nodes(
 
 
 def holds_one_capture(path: PathLike) -> bool:
-    """Whether a file shows one capture once and nothing else; False if it cannot be read."""
+    """Returns whether a file contains one capture, used once, and nothing else; False if the file cannot be read."""
     try:
         with parsing(path, "a glTF file"):
             file = GltfFile(Path(path))
@@ -131,43 +132,43 @@ def holds_one_capture(path: PathLike) -> bool:
 
 
 def _has_settings(file: GltfFile, nodes: Iterable[int]) -> bool:
-    """Whether a node says how its capture reflects light, or what of it is shown."""
+    """Returns whether a node's extras set a material, SH degree or shadow catcher flag for its capture."""
     return any(instance_settings(lumisplat_extras(file.model.nodes[index])) for index in nodes)
 
 
 def _primitives(file: GltfFile, mesh: int) -> list[Any]:
-    """The primitives of a mesh that are read: Gaussians and triangles."""
+    """Returns the primitives of a mesh that are read: Gaussians and triangles."""
     primitives: list[Any] = file.item("meshes", mesh, "a node").primitives
     return [one for one in primitives if holds_gaussians(one) or one.mode in TRIANGLE_MODES]
 
 
 def check_extensions(file: GltfFile) -> None:
-    """Refuses files that require extensions that are not supported.
+    """Refuses files that require unsupported extensions.
 
     Raises:
-        FormatError: There is such an extension; names them.
+        FormatError: There is such an extension; the message names it.
     """
     required = file.model.extensionsRequired or []
     unknown = [name for name in required if name not in _READABLE and not str(name).startswith("KHR_materials_")]
     if unknown:
         raise FormatError(
-            file.path, f"needs {', '.join(map(str, unknown))}, which is not supported: export the file without it"
+            file.path, f"requires {', '.join(map(str, unknown))}, which is not supported: export the file without it"
         )
 
 
 def _mesh_instances(
     file: GltfFile, nodes: list[int], world_from_node: list[Matrix], sieve: TriangleSieve
 ) -> Iterator[MeshInstance]:
-    """The meshes of nodes as instances; a mesh without skin is read once."""
+    """Yields the meshes of nodes as instances. A mesh without a skin is read once."""
     materials = GltfMaterials(file)
     unskinned: dict[int, list[Mesh]] = {}
     for index in nodes:
         node = file.model.nodes[index]
         if node.mesh is None or not world_from_node[index][:3, :3].any():
-            continue  # scaled to nothing, which hides the node
+            continue  # a scale of zero hides the node
         world_from_object = world_from_node[index]
         if node.skin is not None:
-            # Its joints place it in the world; the transform of its own node is ignored (section 3.7.3.3).
+            # Joints give world transforms; the transform of the node itself is ignored (section 3.7.3.3).
             world_from_object = np.eye(4)
             skin = read_skin(file, node.skin)
             meshes = read_meshes(file, node.mesh, materials, sieve, skin.world_from_bind(world_from_node))
@@ -186,12 +187,12 @@ def _mesh_instances(
 
 
 def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> None:
-    """Writes a scene; its up becomes y, as glTF has it. Captures and meshes that are placed several times are shared.
+    """Writes a scene, rotated so that its up becomes y. Instances share their captures and meshes.
 
-    What glTF cannot hold is listed in one log line.
+    One log line lists what glTF cannot store.
 
     Args:
-        path: ``.glb``, or ``.gltf``, which holds its buffer as text and is a third larger.
+        path: ``.glb``, or ``.gltf``, which embeds its buffer as text and is a third larger.
         scene: The scene.
         cameras: Its cameras.
 
@@ -211,14 +212,14 @@ def write_gltf(path: PathLike, scene: Scene, cameras: Sequence[Camera] = ()) -> 
     losses = [*_capture_losses(scene.splats), *_material_losses(materials)]
     losses += [*_light_losses(scene.lights), *camera_losses(cameras)]
     if not nodes:
-        raise FormatError(path, f"glTF cannot hold {'; '.join(losses)}: there is nothing else to write")
+        raise FormatError(path, f"glTF cannot store {'; '.join(losses)}: there is nothing else to write")
     document.save(path, nodes)
     if losses:
-        _log.warning("%s: glTF cannot hold %s", os.fspath(path), "; ".join(losses))
+        _log.warning("%s: glTF cannot store %s", os.fspath(path), "; ".join(losses))
 
 
 def _upright(scene: Scene) -> Matrix:
-    """``file_from_world``: the up of the scene becomes y, its front z."""
+    """Returns ``file_from_world``, which rotates the scene's up to y and its front to z."""
     matrix = np.eye(4)
     matrix[:3, :3] = y_up_from(scene.up_direction)
     return matrix
@@ -243,7 +244,7 @@ def _mesh_nodes(
     nodes: list[int] = []
     for instance in meshes:
         matrix = file_from_world @ instance.transform
-        if _shears(matrix):  # no node can: its mesh is written as it stands
+        if _shears(matrix):  # nodes cannot shear: the mesh is transformed instead
             placed = MeshInstance(placed_mesh(instance))
             mesh, matrix = add_mesh(document, placed.mesh, materials), file_from_world @ placed.transform
         else:
@@ -262,7 +263,7 @@ def _shears(matrix: Matrix) -> bool:
 
 
 def _capture_losses(splats: Sequence[SplatInstance]) -> list[str]:
-    """What of captures only we read, a phrase each."""
+    """Returns a phrase for each capture feature that only Lumisplat reads."""
     relit = sum(splat.material is not None for splat in splats)
     flagged = sum(splat.gaussians.antialiased for splat in splats)
     incident = any(splat.gaussians.incident is not None for splat in splats)
@@ -270,10 +271,10 @@ def _capture_losses(splats: Sequence[SplatInstance]) -> list[str]:
     return [
         phrase
         for given, phrase in (
-            (relit, f"light on captures ({relit} are relit here, and shown as captured elsewhere)"),
+            (relit, f"relighting of captures ({relit} look as captured in other programs)"),
             (incident, "incident light of captures"),
-            (flagged, f"antialiased captures ({flagged} look sharper elsewhere)"),
-            (kernels, f"kernels of degree {', '.join(map(str, kernels))} (elsewhere they are Gaussians)"),
+            (flagged, f"the antialiased flag of captures ({flagged} look sharper in other programs)"),
+            (kernels, f"kernels of degree {', '.join(map(str, kernels))} (Gaussians in other programs)"),
         )
         if given
     ]
@@ -284,11 +285,11 @@ def _material_losses(materials: MaterialWriter) -> list[str]:
     losses = (
         [f"simple materials ({', '.join(names[:4])}{' ...' if names[4:] else ''} are approximated)"] if names else []
     )
-    return losses + (["which glass is there where bodies overlap"] if materials.ranked else [])
+    return losses + (["priorities of overlapping media"] if materials.ranked else [])
 
 
 def _light_losses(lights: Sequence[Light]) -> list[str]:
-    """Which lights glTF cannot hold, a phrase each."""
+    """Returns a phrase for each kind of light that glTF cannot store."""
     on = [light for light in lights if light.enabled]
     flat = [light.name or f"a {light.kind}" for light in on if isinstance(light, FlatLight)]
     environments = [light for light in on if isinstance(light, LightEnvironment)]
@@ -296,9 +297,9 @@ def _light_losses(lights: Sequence[Light]) -> list[str]:
     return [
         phrase
         for given, phrase in (
-            (flat, f"area lamps ({', '.join(flat[:4])}{' ...' if flat[4:] else ''})"),
+            (flat, f"area lights ({', '.join(flat[:4])}{' ...' if flat[4:] else ''})"),
             (environments, "the environment"),
-            (off, f"lights that are off ({off})"),
+            (off, f"disabled lights ({off})"),
         )
         if given
     ]

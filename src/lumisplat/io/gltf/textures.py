@@ -1,4 +1,4 @@
-"""Textures of glTF materials: those that one set of texture coordinates can place, and their texels."""
+"""Reads the textures of glTF materials that share one set of texture coordinates."""
 
 from __future__ import annotations
 
@@ -29,19 +29,20 @@ _NAMES = {
     "sheen_color_texture": "sheenColorTexture",
     "sheen_roughness_texture": "sheenRoughnessTexture",
 }
-"""Names of a material's textures, ours and glTF's. A mesh gets the coordinates of the first one that it has."""
+"""Texture names of Lumisplat and of glTF. A mesh gets the texture coordinates of the first texture that its material
+has."""
 
 
 _GLOSSINESS_NAMES = {"baseColorTexture": "diffuseTexture", "metallicRoughnessTexture": "specularGlossinessTexture"}
-"""Names of textures in KHR_materials_pbrSpecularGlossiness, by those that take their place."""
+"""Textures of KHR_materials_pbrSpecularGlossiness, by the metallic-roughness texture that each replaces."""
 
 _WRAPS = {10497: TextureWrap.REPEAT, 33071: TextureWrap.CLAMP, 33648: TextureWrap.MIRROR}
-"""By the numbers of glTF, which are OpenGL's."""
+"""Wrap modes by their numbers in glTF, which are OpenGL's."""
 WRAP_NUMBERS = {wrap: number for number, wrap in _WRAPS.items()}
 
 
 class UvTransform(NamedTuple):
-    """Placement of a texture by texture coordinates; textures with equal placements can share coordinates."""
+    """Texture coordinates of a texture. Textures with equal transforms can share coordinates."""
 
     uv_set: int = 0
     """Number of the primitive's TEXCOORD attribute."""
@@ -50,10 +51,10 @@ class UvTransform(NamedTuple):
     scale: tuple[float, ...] = (1.0, 1.0)
 
     def apply(self, uvs: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Scales, rotates, then offsets coordinates (KHR_texture_transform), shape (V, 2).
+        """Scales, rotates, then offsets texture coordinates (KHR_texture_transform), shape (V, 2).
 
-        Positive angles rotate the image counter-clockwise, with v down, as in Khronos' viewer and unlike the GLSL in
-        the text of the extension (github.com/KhronosGroup/glTF issue 1563).
+        Positive angles rotate the image counter-clockwise with v down, as in Khronos' sample viewer. The GLSL code in
+        the extension's text does the opposite (github.com/KhronosGroup/glTF issue 1563).
         """
         if self == UvTransform(self.uv_set):
             return uvs
@@ -63,30 +64,30 @@ class UvTransform(NamedTuple):
 
 
 class Textures(NamedTuple):
-    """The textures of one material."""
+    """Textures of one material."""
 
     uv_transform: UvTransform
-    """Placement of the first texture, and of all textures in ``indices``."""
+    """Texture coordinates of the first texture and of all textures in ``indices``."""
     indices: dict[str, int]
-    """Indices of the file's textures by our names."""
+    """Texture indices by Lumisplat's names."""
     left_out: list[str]
-    """glTF's names of the textures with other placements."""
+    """glTF names of textures that are dropped because their coordinates differ."""
 
     def wraps(self, file: GltfFile, referrer: str) -> dict[str, WrapPair]:
-        """How the textures wrap, along u and v, by our names.
+        """Returns the wrap modes along u and v of each texture, by Lumisplat's names.
 
         Raises:
-            FormatError: An index is invalid, or a sampler names no way to wrap.
+            FormatError: An index is invalid, or a sampler has an unknown wrap mode.
         """
         return {name: _wrap(file, index, referrer) for name, index in self.indices.items()}
 
 
 def material_textures(material: pygltflib.Material, *, only_color: bool = False) -> Textures:
-    """Finds the textures of a material.
+    """Returns the textures of a material that can share texture coordinates.
 
     Args:
         material: The material.
-        only_color: Whether only the base colour texture counts.
+        only_color: Whether to consider only the base colour texture.
     """
     infos: dict[str, _Info] = {}
     for name, gltf_name in _NAMES.items():
@@ -100,7 +101,7 @@ def material_textures(material: pygltflib.Material, *, only_color: bool = False)
 
 
 class _Info(NamedTuple):
-    """What a material says of one of its textures."""
+    """A texture reference of a material (glTF textureInfo)."""
 
     index: Any
     uv_set: Any
@@ -108,7 +109,7 @@ class _Info(NamedTuple):
 
 
 def _info(material: pygltflib.Material, name: str) -> _Info | None:
-    """The texture of glTF's ``name``, of the material itself or of one of its extensions."""
+    """Returns the textureInfo of a glTF name, from the material itself or one of its extensions; None if absent."""
     if name in _GLOSSINESS_NAMES and (replaced := specular_glossiness(material)) is not None:
         found = replaced.get(_GLOSSINESS_NAMES[name])
         return None if found is None else _Info(found.get("index"), found.get("texCoord"), found.get("extensions", {}))
@@ -125,9 +126,9 @@ def _info(material: pygltflib.Material, name: str) -> _Info | None:
 
 
 def specular_glossiness(material: pygltflib.Material) -> dict[str, Any] | None:
-    """Returns KHR_materials_pbrSpecularGlossiness of a material; None if it lacks that, or has metallic-roughness, too.
+    """Returns a material's KHR_materials_pbrSpecularGlossiness; None if absent or if metallic-roughness is given too.
 
-    A writer that gives both means the second for programs like this one.
+    Writers that give both intend metallic-roughness for programs without the extension.
     """
     found: dict[str, Any] | None = (material.extensions or {}).get("KHR_materials_pbrSpecularGlossiness")
     pbr = material.pbrMetallicRoughness
@@ -147,7 +148,7 @@ def _uv_transform(info: _Info) -> UvTransform:
 
 
 def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
-    """How a texture wraps."""
+    """Returns the wrap modes of a texture along u and v; repeat without a sampler."""
     number = file.item("textures", index, referrer).sampler
     if number is None:
         return TextureWrap.REPEAT, TextureWrap.REPEAT
@@ -160,7 +161,7 @@ def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
 
 
 def texture_extension(texture: pygltflib.Texture) -> str | None:
-    """Returns the extension that alone has the image of a texture, in a format that is not read; None for others."""
+    """Returns the extension with a texture's only image in an unsupported format; None for readable textures."""
     extensions: dict[str, Any] = texture.extensions or {}
     if texture.source is not None or "EXT_texture_webp" in extensions:
         return None
@@ -168,7 +169,7 @@ def texture_extension(texture: pygltflib.Texture) -> str | None:
 
 
 class GltfTexels:
-    """The texels of a file's textures; each image is decoded once."""
+    """Texels of a file's textures. Each image is decoded once."""
 
     def __init__(self, file: GltfFile) -> None:
         self._file = file
@@ -176,7 +177,7 @@ class GltfTexels:
         self._total = TextureBytes(file.path)
 
     def get(self, index: int, referrer: str) -> npt.NDArray[np.uint8] | None:
-        """Texels as stored, shape (H, W, 3), or (H, W, 4) with alpha; None: an extension has them that is not read.
+        """Returns texels as stored, shape (H, W, 3) or (H, W, 4); None for an unsupported image format.
 
         Raises:
             FormatError: The index is invalid, or an image is missing or corrupt.

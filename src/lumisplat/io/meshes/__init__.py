@@ -1,1 +1,1 @@
-"""Mesh files: OBJ, PLY and STL."""
+"""Reads and writes mesh files: OBJ, PLY and STL."""

@@ -1,4 +1,4 @@
-"""Helpers of all mesh formats: usable triangles, polygons to triangles, texture axes, normals, unplaced textures."""
+"""Helpers for all mesh formats: usable triangles, polygon fans, texture coordinates, normals, origins."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ _log = logging.getLogger("lumisplat")
 
 
 _UNIT_ERROR = 1e-6
-"""Largest error of the length of a unit normal, as of a `Mesh`."""
+"""Largest deviation from 1 of the length of a unit normal, as in `Mesh`."""
 
 
 @dataclass(slots=True)
 class TriangleSieve:
-    """Finds the triangles of a file that a mesh can use, and counts the others over all meshes of the file."""
+    """Filters usable triangles, and counts the others over all meshes of a file."""
 
     path: PathLike
     out_of_range: int = 0
     without_area: int = 0
 
     def usable(self, positions: npt.NDArray[np.float32], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.bool_]:
-        """Mask of the triangles to keep, shape (F,).
+        """Returns a mask of the usable triangles, shape (F,), and counts the others.
 
         Args:
             positions: Vertices, shape (V, 3).
@@ -48,23 +48,23 @@ class TriangleSieve:
 
     @property
     def problems(self) -> str:
-        """The counts of triangles left out so far, as a phrase; empty if there are none."""
+        """Counts of the unusable triangles so far, as a phrase; empty if there are none."""
         return describe_problems(self.out_of_range, self.without_area)
 
     def report(self, any_usable: bool) -> None:
-        """Logs one line about the triangles left out, if there are any.
+        """Logs one line about the unusable triangles, if there are any.
 
         Raises:
-            FormatError: No triangle is left.
+            FormatError: No triangle is usable.
         """
         if not any_usable:
-            raise FormatError(self.path, f"has no triangles{self.problems and ' but ' + self.problems}")
+            raise FormatError(self.path, f"has no usable triangles{self.problems and ': ' + self.problems}")
         if self.problems:
             _log.warning("%s: triangles left out: %s", os.fspath(self.path), self.problems)
 
 
 def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
-    """Splits polygons into fans around their first corner.
+    """Splits polygons into triangle fans around their first corner.
 
     Args:
         corner_counts: Number of corners of each polygon, shape (P,); fewer than 3 (points, lines) give no triangle.
@@ -81,24 +81,24 @@ def fan_triangles(corner_counts: npt.NDArray[np.integer]) -> npt.NDArray[np.int6
 
 
 def flip_v(uvs: npt.NDArray[np.floating]) -> FloatArray:
-    """Converts texture coordinates, shape (V, 2), between a bottom-left origin (OBJ, PLY) and our top-left origin."""
+    """Converts texture coordinates, shape (V, 2), between a bottom-left (OBJ, PLY, USD) and a top-left origin."""
     return np.stack([uvs[:, 0], 1.0 - uvs[:, 1].astype(np.float64)], axis=1).astype(np.float32)
 
 
 def unit_normals(
     normals: npt.NDArray[np.floating], positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]
 ) -> FloatArray:
-    """Normals of unit length; a zero normal becomes the area-weighted mean of the adjacent triangles' normals.
+    """Returns unit normals. A zero normal becomes the area-weighted mean of the adjacent triangles' normals.
 
-    Those that have unit length, but for rounding, stay as they are.
+    Normals that have unit length up to rounding are unchanged.
 
     Args:
         normals: Normals as stored, shape (V, 3).
         positions: Vertices, shape (V, 3).
-        indices: Triangles whose vertices exist, shape (F, 3).
+        indices: Triangles with valid vertex indices, shape (F, 3).
 
     Returns:
-        Shape (V, 3); +z if a vertex has no adjacent triangle.
+        Unit normals, shape (V, 3); +z if a vertex has a zero normal and no adjacent triangle.
     """
     stored, normals = normals, np.array(normals, dtype=np.float64)
     missing = np.linalg.norm(normals, axis=1) == 0.0
@@ -113,13 +113,13 @@ def unit_normals(
 
 
 def drop_textures_without_uvs(path: PathLike, mesh: Mesh) -> Mesh:
-    """Removes the textures of a mesh without texture coordinates, and logs a line if there are any."""
+    """Returns a mesh without its textures if it has no texture coordinates, and logs the loss."""
     material = material_for_uvs(path, mesh.material, mesh.uvs, mesh.name)
     return mesh if material is mesh.material else with_checked(mesh, material=material)
 
 
 def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None, name: str) -> Material:
-    """The material of a mesh, without textures if the mesh has no texture coordinates; see `drop_textures_without_uvs`.
+    """Returns a material, without its textures if the mesh has no texture coordinates, and logs the loss.
 
     Args:
         path: The file, named in the log.
@@ -132,27 +132,27 @@ def material_for_uvs(path: PathLike, material: Material, uvs: FloatArray | None,
         return material
     label = repr(material.name or name)
     what = f"the texture of {label} is" if len(unusable) == 1 else f"the {len(unusable)} textures of {label} are"
-    _log.warning("%s: %s left out: there are no texture coordinates for it", os.fspath(path), what)
+    _log.warning("%s: %s left out: the mesh has no texture coordinates", os.fspath(path), what)
     return replace(material, **dict.fromkeys(unusable))
 
 
 def relative_to_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> tuple[FloatArray, Vector]:
-    """Returns positions as float32, and the origin that they are about, which a log line tells if it is not zero.
+    """Returns positions as float32 relative to an origin, and that origin, which is logged if it is not zero.
 
     Args:
-        path: Named in the line.
-        positions: As the file has them, shape (V, 3); of float32, they stay.
+        path: The file, named in the log.
+        positions: Positions as stored, shape (V, 3). Float32 positions are unchanged and have origin zero.
     """
     if positions.dtype == np.float32 or not len(positions):
         return positions.astype(np.float32), (0.0, 0.0, 0.0)
-    with np.errstate(all="ignore"):  # what is beyond float32 is refused later
+    with np.errstate(all="ignore"):  # values beyond float32 are refused later
         origin = needed_origin(positions.astype(np.float64), ORIGIN_MESH_WIDTH * float(np.ptp(positions, axis=0).max()))
         moved = (positions - origin).astype(np.float32)
     x, y, z = origin.tolist()
     if origin.any():
         _log.warning(
-            "%s: positions are about an origin, %.12g %.12g %.12g, as float32 cannot hold them about zero: the mesh is "
-            "placed there unless it is placed elsewhere",
+            "%s: positions are relative to the origin %.12g %.12g %.12g, because float32 is too coarse at such coordinates: "
+            "the mesh is placed there unless a placement is given",
             os.fspath(path),
             *(x, y, z),
         )

@@ -1,7 +1,7 @@
-"""PLY meshes: polygons or triangle strips with normals, texture coordinates, colours and a texture.
+"""Reads and writes PLY meshes: polygons or triangle strips with normals, texture coordinates, colours and a texture.
 
-Texture coordinates and colours may be doubles, as those are that `write_ply_mesh` writes: they are turned upside down
-and encoded as sRGB, and shall come back as they were.
+Texture coordinates and colours may be doubles. `write_ply_mesh` writes doubles, so that flipping v and encoding sRGB
+lose no bits when the file is read back.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 _POLYGON_NAMES = ("vertex_indices", "vertex_index")
 _RGB = ("red", "green", "blue")
 _STRIPS = "tristrips"
-"""Element of triangle strips, as Stanford's scans have them."""
+"""Element with triangle strips, as in Stanford's scans."""
 _TEXTURE_COMMENT = "TextureFile "
-"""Beginning of the comment with which MeshLab names a texture."""
+"""Prefix of the comment in which MeshLab names a texture."""
 
 
 def read_ply_mesh(header: PlyHeader) -> Mesh:
-    """Reads polygons (fanned into triangles), triangle strips, normals, uvs, colours and the texture.
+    """Reads polygons (fanned into triangles), triangle strips, normals, texture coordinates, colours and the texture.
 
-    Texture coordinates may be those of vertices or of corners, colours those of vertices or of faces. Colours are sRGB
-    and become linear. Texture coordinates have v up, as MeshLab and Blender write them.
+    Texture coordinates may belong to vertices or corners, colours to vertices or faces. Colours are sRGB and become
+    linear. Texture coordinates have v up, as MeshLab and Blender write them.
 
     Args:
         header: Header of a file with vertices and faces or strips, the vertices first.
@@ -106,7 +106,7 @@ def _read(header: PlyHeader) -> Mesh:
 
 
 def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
-    """White under a texture or vertex colours, else the default material."""
+    """Returns a white material, textured if the file names a texture, or the default material without any colours."""
     names = [c.removeprefix(_TEXTURE_COMMENT).strip() for c in header.comments if c.startswith(_TEXTURE_COMMENT)]
     if names:
         texels = decode_texture(read_reference(header.path, names[0]), Path(header.path).parent / names[0])
@@ -115,21 +115,21 @@ def _material(header: PlyHeader, colored: bool) -> MaterialPbr:
 
 
 def _columns(table: PlyRows, *names: str) -> Doubles | None:
-    """Properties as columns, shape (rows, names); None if one is missing."""
+    """Returns properties as float64 columns, shape (rows, names); None if one is missing."""
     if not set(names) <= set(table.dtype.names or ()):
         return None
     return np.stack([table[name].astype(np.float64) for name in names], axis=1)
 
 
 def _colors(vertices: PlyRows) -> FloatArray | None:
-    """Linear vertex colours, shape (V, 3)."""
+    """Returns linear vertex colours, shape (V, 3); None if there are none."""
     if not set(_RGB) <= set(vertices.dtype.names or ()):
         return None
     return _linear(*(vertices[name] for name in _RGB))
 
 
 def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
-    """Returns sRGB colours, whole numbers or floats of 0..1, as linear ones, shape (N, 3)."""
+    """Converts sRGB channels, integers or floats of 0..1, to linear colours, shape (N, 3)."""
     kind = channels[0].dtype
     encoded = np.stack([channel.astype(np.float64) for channel in channels], axis=1)
     encoded /= np.iinfo(kind).max if kind.kind in "iu" else 1.0
@@ -137,12 +137,12 @@ def _linear(*channels: npt.NDArray[Any]) -> FloatArray:
 
 
 def _polygons(lists: dict[str, PlyList]) -> PlyList | None:
-    """Returns the lists of vertices, None without any."""
+    """Returns the vertex index lists, None if there are none."""
     return next((lists[name] for name in _POLYGON_NAMES if name in lists), None)
 
 
 def _strip_triangles(strips: PlyList | None) -> npt.NDArray[np.int64]:
-    """Returns the triangles of strips, shape (F, 3): each list is one, or several with -1 between them."""
+    """Returns the triangles of strips, shape (F, 3). A list holds one strip, or several separated by -1."""
     if strips is None:
         return np.zeros((0, 3), np.int64)
     items = strips.items.astype(np.int64)
@@ -152,19 +152,19 @@ def _strip_triangles(strips: PlyList | None) -> npt.NDArray[np.int64]:
     position = np.arange(len(items))
     begin = np.maximum.accumulate(np.where(items < 0, position + 1, 0))
     first = position[: max(len(items) - 2, 0)]
-    odd = (first - begin[: len(first)]) % 2  # every second triangle of a strip is wound the other way
+    odd = (first - begin[: len(first)]) % 2  # odd triangles of a strip have the opposite winding
     triangles = items[np.stack([first, first + 1 + odd, first + 2 - odd], axis=1)]
     inside = (items[np.stack([first, first + 1, first + 2], axis=1)] >= 0).all(axis=1)
-    # Repeated corners turn a strip; they are neither triangles nor errors.
+    # Repeated corners join strips; they are neither triangles nor errors.
     return triangles[inside & (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
 
 
 def write_ply_mesh(path: PathLike, mesh: Mesh) -> None:
-    """Writes the arrays of a mesh, little endian; `read_ply_mesh` gives the same again, to the bit.
+    """Writes the arrays of a mesh in little endian; `read_ply_mesh` reads back the same bits.
 
     Args:
-        path: The file, which appears complete or not at all.
-        mesh: The mesh; its material is left out.
+        path: The file. It appears complete or not at all.
+        mesh: The mesh; its material is not written.
 
     Raises:
         FormatError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""Wavefront OBJ files with their MTL materials."""
+"""Reads Wavefront OBJ files with their MTL materials."""
 
 from __future__ import annotations
 
@@ -30,52 +30,51 @@ from lumisplat.scene.scene import MeshInstance, Scene
 _log = logging.getLogger("lumisplat")
 
 _ABSENT = -1
-"""Index, in arrays of corners, of a uv or a normal that a corner does not have."""
+"""Index in corner arrays of a missing uv or normal."""
 
 
 _Numbers = tuple[float, ...]
 _Corner = tuple[int, int, int]
-"""Indices of position, uv and normal."""
+"""Indices of a corner's position, uv and normal."""
 
 
 @dataclass(slots=True)
 class _Faces:
-    """Faces of one material."""
+    """Faces with the same material."""
 
     counts: list[int] = field(default_factory=list[int])
     """Number of corners of each face."""
     corners: list[_Corner] = field(default_factory=list[_Corner])
-    """The corners of all faces, one face after the other."""
+    """Corners of all faces, concatenated."""
 
 
 @dataclass(slots=True)
 class _ObjFile:
-    """The contents of an OBJ file."""
+    """Parsed contents of an OBJ file."""
 
     positions: list[_Numbers] = field(default_factory=list[_Numbers])
-    """Positions, some followed by a colour."""
+    """Vertex positions, some followed by a colour."""
     uvs: list[_Numbers] = field(default_factory=list[_Numbers])
     normals: list[_Numbers] = field(default_factory=list[_Numbers])
     faces_from_material: dict[str, _Faces] = field(default_factory=dict[str, _Faces])
     libraries: list[str] = field(default_factory=list[str])
     out_of_range: int = 0
-    """Number of triangles left out because they name a vertex that does not exist."""
+    """Number of triangles dropped because they name a missing vertex."""
 
 
 def read_obj(path: Path, crease_angle: float = CREASE_ANGLE) -> Mesh | Scene:
-    """Reads polygons (fanned into triangles), uvs, normals, vertex colours and materials.
+    """Reads polygons (fanned into triangles), texture coordinates, normals, vertex colours and materials.
 
-    Meshes without normals get smooth ones, broken at edges sharper than ``crease_angle``, radians; 0: they stay flat.
-    `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender; without a `Kd`, or with one of 0, a `map_Kd` is
-    shown as it is. `Pr` and `Pm` are roughness and metallic, `Ni`
-    is the index of refraction. Transparency is not read. If a material library is missing, the default material is
-    used and a line is logged.
+    Meshes without normals get smooth ones, split at edges sharper than ``crease_angle`` (radians; 0 keeps them flat).
+    `Kd` is linear, `map_Kd` and vertex colours are sRGB, as in Blender. If `Kd` is missing or 0, `map_Kd` is used
+    unscaled. `Pr` and `Pm` are roughness and metallic, `Ni` is the index of refraction. Transparency is not read. If a
+    material library is missing, the default material is used and a line is logged.
 
     Returns:
         A mesh, or a scene with one mesh per material if there are several.
 
     Raises:
-        FormatError: Something in the file, or in a file that it names, is missing or malformed; names the line.
+        FormatError: The file, or a file that it names, is missing or malformed; the message names the line.
     """
     with parsing(path, "an OBJ file"):
         meshes = [mesh if mesh.normals is not None else smooth_normals(mesh, crease_angle) for mesh in _read(path)]
@@ -129,7 +128,7 @@ def _parse_obj(path: Path, text: str) -> _ObjFile:
 
 
 def _add_face(listing: _ObjFile, material: str, corner_texts: list[str]) -> None:
-    """Adds a face, or counts its triangles as left out if it names a vertex that does not exist."""
+    """Adds a face, or counts its triangles as out of range if it names a missing vertex."""
     faces = listing.faces_from_material.setdefault(material, _Faces())
     try:
         corners = [_corner(text, listing) for text in corner_texts]
@@ -151,7 +150,7 @@ def _numbers(text: str, at_least: int) -> _Numbers:
 
 
 def _corner(text: str, listing: _ObjFile) -> _Corner:
-    """`position/uv/normal`: indices from 1, or negative and backwards from the latest; the last two are optional."""
+    """Parses `position/uv/normal`: indices count from 1, or backwards if negative; uv and normal are optional."""
     position, uv, normal = (*text.split("/"), "", "")[:3]
     return (
         _index(position, "vertex", len(listing.positions)),
@@ -164,7 +163,7 @@ def _index(text: str, what: str, count: int) -> int:
     try:
         stored = int(text)
     except ValueError:
-        raise ValueError(f"{text!r} is no index of a {what}") from None
+        raise ValueError(f"{text!r} is not an index of a {what}") from None
     index = stored - 1 if stored > 0 else count + stored
     if stored != 0 and what == "vertex" and not 0 <= index < count:
         raise _NoVertexError
@@ -174,15 +173,15 @@ def _index(text: str, what: str, count: int) -> int:
 
 
 class _NoVertexError(ValueError):
-    """A face names a vertex that does not exist."""
+    """Raised for a face that names a missing vertex."""
 
 
 def _mesh(
     listing: _ObjFile, faces: _Faces, name: str, material: MaterialPbr | None, sieve: TriangleSieve
 ) -> Mesh | None:
-    """The mesh of one material, None if it has no usable triangle.
+    """Builds the mesh of one material; None if no triangle is usable.
 
-    Corners with the same position, uv and normal become one vertex; vertices keep the order of the file.
+    Corners with equal position, uv and normal share a vertex. Vertices keep the order of the file.
     """
     if not faces.corners:
         return None
@@ -215,12 +214,12 @@ def _mesh(
 
 
 def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, MaterialPbr]:
-    """The materials of a library by name.
+    """Reads the materials of a library, by name.
 
     Args:
         path: The library.
-        obj: The file that names it, whose folder its textures must not leave.
-        textures: All textures of that file.
+        obj: The OBJ file, whose folder the textures must not leave.
+        textures: Byte counter of all textures of the OBJ file.
     """
     settings: dict[str, dict[str, Any]] = {}
     current: dict[str, Any] = {}
@@ -248,13 +247,16 @@ def _read_mtl(path: Path, obj: Path, textures: TextureBytes) -> dict[str, Materi
     for name, values in settings.items():
         if "base_color_texture" in values and not any(values.get("base_color", (0.0,))):
             if "base_color" in values:
-                _log.warning("%s: %s has Kd 0 0 0 and a map_Kd, which is shown as it is, not black", path, name)
+                _log.warning("%s: %s has Kd 0 0 0 and a map_Kd, which is used unscaled instead of black", path, name)
             values["base_color"] = (1.0, 1.0, 1.0)
     return {name: MaterialPbr(**values) for name, values in settings.items()}
 
 
 def _without_options(argument: str) -> str:
-    """The file name of `-s 1 1 1 -clamp on name with spaces.png`; options are followed by numbers, on or off."""
+    """Returns the file name in a map statement such as `-s 1 1 1 -clamp on name with spaces.png`.
+
+    Each option is followed by numbers, ``on`` or ``off``.
+    """
     words = argument.split(" ")
     while len(words) > 1 and words[0].startswith("-"):
         words.pop(0)

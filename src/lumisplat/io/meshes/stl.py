@@ -1,4 +1,4 @@
-"""STL, binary and ASCII: separate triangles without material."""
+"""Reads STL files, binary and ASCII: separate triangles without a material."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _VERTEX = re.compile(rb"\bvertex" + 3 * _NUMBER, re.IGNORECASE)
 _LOOP = re.compile(rb"\bfacet\b", re.IGNORECASE)
 _END = re.compile(rb"\bendfacet\b", re.IGNORECASE)
 _SPACED_END = re.compile(rb"\bend\s+(?=(?:solid|facet|loop)\b)", re.IGNORECASE)
-"""Some writers put a space into ``endsolid`` and its like."""
+"""Matches ``end solid`` and the like, which some writers put a space into."""
 
 
 def read_stl(path: Path) -> Mesh:
-    """Reads triangles as stored, three vertices each, flat-shaded.
+    """Reads triangles as stored, with three vertices each and flat shading.
 
     Raises:
         FormatError: The file is truncated, or not an STL.
@@ -42,7 +42,7 @@ def read_stl(path: Path) -> Mesh:
 
 
 def _corners(path: Path, data: bytes) -> FloatArray:
-    """Corners of the triangles, three after one another, shape (3 F, 3)."""
+    """Returns the corners of all triangles, shape (3 F, 3)."""
     count = int.from_bytes(data[80:_HEADER_BYTES], "little") if len(data) >= _HEADER_BYTES else 0
     expected = _HEADER_BYTES + count * _TRIANGLE.itemsize
     # The length decides, not the word "solid": binary files may begin with it too.
@@ -52,7 +52,7 @@ def _corners(path: Path, data: bytes) -> FloatArray:
     if text.lstrip()[:5].lower() == b"solid" and _LOOP.search(text):
         return _ascii_corners(path, text)
     if count and len(data) > expected:
-        _log.warning("%s: %s bytes after its last triangle are left out", path, f"{len(data) - expected:,}")
+        _log.warning("%s: %s bytes after its last triangle are ignored", path, f"{len(data) - expected:,}")
         return np.frombuffer(data, _TRIANGLE, count, _HEADER_BYTES)["corners"].reshape(-1, 3)
     raise FormatError(path, f"{len(data):,} bytes, expected {expected:,} for an STL of {count:,} triangles")
 
