@@ -397,9 +397,9 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
     ]
     ls.save(path, scene, cameras=shown)
     assert said(caplog) == (
-        f"{path}: glTF cannot store relighting of captures (1 look as captured in other programs); the antialiased flag "
-        "of captures (1 look sharper in other programs); kernels of degree 4 (Gaussians in other programs); simple "
-        "materials (chalk are approximated); priorities of overlapping media; area lights (panel, a disk); the "
+        f"{path}: glTF cannot store relighting of captures (1 look as captured in other programs); the antialiased "
+        "flag of captures (1 look sharper in other programs); kernels of degree 4 (Gaussians in other programs); "
+        "simple materials (chalk are approximated); priorities of overlapping media; area lights (panel, a disk); the "
         "environment; disabled lights (1); fisheye and distorted cameras (1 left out); principal points off the "
         "centre (1 cameras are centred); rolling shutters (1 cameras keep their first pose)"
     )

@@ -151,8 +151,8 @@ def relative_to_origin(path: PathLike, positions: npt.NDArray[np.floating]) -> t
     x, y, z = origin.tolist()
     if origin.any():
         _log.warning(
-            "%s: positions are relative to the origin %.12g %.12g %.12g, because float32 is too coarse at such coordinates: "
-            "the mesh is placed there unless a placement is given",
+            "%s: positions are relative to the origin %.12g %.12g %.12g, because float32 is too coarse at such "
+            "coordinates: the mesh is placed there unless a placement is given",
             os.fspath(path),
             *(x, y, z),
         )
