@@ -121,7 +121,7 @@ def test_cameras_that_scene_files_cannot_hold_are_named() -> None:
     assert [camera.name for camera in document.cameras] == ["good"]
     assert len(document.problems) == 1 and document.problems[0].startswith("camera off is left out")
     moving = ls.io.SceneDocument.of(ls.Animation(ls.Scene(), camera_path=path))
-    assert "the camera that moves is left out" in moving.problems[0]
+    assert "the moving camera is left out" in moving.problems[0]
 
 
 COORDINATE = st.floats(-100.0, 100.0)

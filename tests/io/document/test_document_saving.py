@@ -170,7 +170,7 @@ def test_names_that_are_no_text_are_refused() -> None:
     """TOML is text."""
     name = os.fsdecode(b"wei\xdf.ply")
     ls.save(name, random_gaussians(1, count=4))
-    with pytest.raises(ls.FormatError, match=r"scene.toml: cannot be written: a file that it names"):
+    with pytest.raises(ls.FormatError, match=r"scene.toml: cannot be written: the name of a file that it refers to"):
         ls.io.SceneDocument.open(name).save("scene.toml")
     assert not Path("scene.toml").exists()
 
@@ -178,7 +178,7 @@ def test_names_that_are_no_text_are_refused() -> None:
 @pytest.mark.parametrize("suffix", ["", ".ply"])
 def test_scene_files_are_called_so(suffix: str) -> None:
     """No other file could be loaded again."""
-    with pytest.raises(ls.FormatError, match=r"is no \.toml"):
+    with pytest.raises(ls.FormatError, match=r"is not a \.toml"):
         ls.io.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
 
 

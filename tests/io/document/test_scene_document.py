@@ -146,7 +146,7 @@ def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
     assert (folder / "scene.toml").read_text() == SCENE
     document.save(folder / "scene.toml", overwrite=True)
     assert_same_scene(ls.load(folder / "scene.toml"), document.scene())
-    with pytest.raises(ls.FormatError, match=r"is no \.toml"):
+    with pytest.raises(ls.FormatError, match=r"is not a \.toml"):
         document.save(folder / "row.ply", overwrite=True)
 
 

@@ -101,7 +101,7 @@ def test_flipped_bytes(tmp_path: Path, kind: str) -> None:
         ("v 0 0 0\nv 1 0 0\nv 0 1 nan\nf 1 2 3\n", "positions has 1 non-finite"),
         ("v 0 0 1e60\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "positions has 1 non-finite"),
         ("v 0 0 0\nv 1 0 0\n", "points only"),
-        ("v 0 0 0\nv 1 0 0\nf 1 2\n", "no triangles"),
+        ("v 0 0 0\nv 1 0 0\nf 1 2\n", "no usable triangles"),
         ("hello", "no vertex and no face, expected an OBJ file"),
     ],
 )
@@ -134,7 +134,10 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
             PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "3 0 1 3\n",
             "has no usable triangles: 1 with",
         ),
-        (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "-3 0 1 2\n", "row 0 of face has -3 vertex_indices"),
+        (
+            PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "-3 0 1 2\n",
+            "row 0 of face has a list vertex_indices of length -3",
+        ),
         (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "3 0 one 2\n", "damaged, or not a PLY mesh"),
         (PLY_HEAD.format(3) + PLY_FACE.format(1) + TRIANGLE + "2000000000 0 1 2\n", "rows of face, the file holds 0"),
         (PLY_HEAD.format(3) + PLY_FACE.format(2) + TRIANGLE + "3 0 1 2\n4 0 1 2\n", "rows of face, the file holds 1"),

@@ -1,4 +1,4 @@
-"""Damaged and hostile OpenUSD files: one clear line, whatever is wrong, and no file is read that nobody named."""
+"""Damaged and hostile OpenUSD files: each gives a one-line error, and no unnamed file is read."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ WORDS = ["nan", "-1", "1e39", "0", "99999999999", "inf", "x", '"s"', "[]", "()",
 
 @pytest.fixture(autouse=True)
 def little_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files of these tests are read in milliseconds: a second is plenty, and ends what would go on for ever."""
+    """Limits the child's processor time to one second: files of these tests are read in milliseconds."""
     monkeypatch.setattr(process, "USD_CPU_SECONDS", 1)
 
 
 def refused(path: Path) -> str:
-    """The message with which loading is refused; it names the path and fits one line."""
+    """Returns the message with which loading is refused, after checking that it is one line with the path."""
     with pytest.raises(FormatError) as error:
         ls.load(path)
     message = str(error.value)
@@ -48,8 +48,8 @@ def refused(path: Path) -> str:
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
 @pytest.mark.parametrize("fraction", [0.0, 0.001, 0.3, 0.98])
-def test_truncated(tmp_path: Path, extension: str, fraction: float) -> None:
-    """A file that ends early is refused wherever it ends."""
+def test_truncated_file_is_refused_at_every_length(tmp_path: Path, extension: str, fraction: float) -> None:
+    """A file cut off at any byte gives a one-line error."""
     usd_core()
     path = tmp_path / f"a{extension}"
     ls.save(path, capture(40))
@@ -58,8 +58,8 @@ def test_truncated(tmp_path: Path, extension: str, fraction: float) -> None:
     refused(path)
 
 
-def test_reasons_name_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the library says of a file by its whole path is of the file; that it cannot be opened is no reason."""
+def test_error_names_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library's message repeats the absolute path and that the layer cannot be opened; both are removed."""
     usd_core()
     monkeypatch.chdir(tmp_path)
     for name, content in {"a.usda": "#usda 1.0\ndef Mesh (", "a.usdc": "no crate at all", "a.usdz": "no zip"}.items():
@@ -69,7 +69,7 @@ def test_reasons_name_the_file_once(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def mutated(data: bytes, chance: random.Random, is_text: bool) -> bytes:
-    """The file with bytes or words changed, cut out, or cut off."""
+    """Returns a file with bytes or words changed, removed, or cut off."""
     changed, at = bytearray(data), chance.randrange(len(data) - 8)
     match chance.randrange(5):
         case 0:
@@ -90,7 +90,7 @@ def mutated(data: bytes, chance: random.Random, is_text: bool) -> bytes:
 
 
 def moving_scene() -> ls.Animation:
-    """Something that moves, deforms and is looked at by a camera that moves: values with samples in time."""
+    """Returns an animation with a moving and a deforming actor and a moving camera."""
     cameras = [ls.Camera.look_at((x, 2, 1), (0, 0, 0), name="view") for x in (3, 4)]
     crate = ls.Actor(ls.box(0.3), ls.Keyframes([0, 1], [(0, 0, 3), (1, 0, 3)]), name="crate")
     waving = ls.io.GaussianSequence([Path("1"), Path("2")], 2.0, lambda path: capture(4, seed=int(path.name)))
@@ -105,7 +105,7 @@ def moving_scene() -> ls.Animation:
 
 
 def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool = False) -> None:
-    """Every mutation is read, or refused in one line, by each of the readers."""
+    """Checks that every mutated file is read, or refused in one line, by each reader."""
     path = tmp_path / f"a{extension}"
     if moves:
         ls.save(path, moving_scene())
@@ -128,37 +128,37 @@ def check_mutations(tmp_path: Path, extension: str, seeds: range, *, moves: bool
 
 
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
-def test_mutations(tmp_path: Path, extension: str) -> None:
-    """A few of each kind of file."""
+def test_few_mutated_files_load_or_are_refused(tmp_path: Path, extension: str) -> None:
+    """A few mutations of each kind of file."""
     usd_core()
     check_mutations(tmp_path, extension, range(10))
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
-def test_many_mutations(tmp_path: Path, extension: str) -> None:
-    """Two thousand of each kind of file."""
+def test_many_mutated_files_load_or_are_refused(tmp_path: Path, extension: str) -> None:
+    """Two thousand mutations of each kind of file."""
     usd_core()
     check_mutations(tmp_path, extension, range(2000))
 
 
 @pytest.mark.parametrize(("extension", "count"), [(".usda", 8), (".usdc", 16)])
-def test_mutations_of_what_moves(tmp_path: Path, extension: str, count: int) -> None:
-    """A few, and in the deep suite two thousand."""
+def test_few_mutated_animations_load_or_are_refused(tmp_path: Path, extension: str, count: int) -> None:
+    """A few mutations, two thousand in the deep suite."""
     usd_core()
     check_mutations(tmp_path, extension, range(count), moves=True)
 
 
 @pytest.mark.deep
-def test_many_mutations_of_what_moves(tmp_path: Path) -> None:
-    """Two thousand of a binary file, whose samples are lists in lists."""
+def test_many_mutated_binary_animations_load_or_are_refused(tmp_path: Path) -> None:
+    """Two thousand mutations of a binary file, whose time samples are nested lists."""
     usd_core()
     check_mutations(tmp_path, ".usdc", range(2000), moves=True)
 
 
 @pytest.mark.parametrize("step", [148, pytest.param(37, marks=pytest.mark.deep)])
-def test_numbers_between_sections(tmp_path: Path, step: int) -> None:
-    """Whatever byte of the tables behind the values is wrong, a file is refused or read: nothing crashes."""
+def test_wrong_bytes_in_binary_tables_do_not_crash(tmp_path: Path, step: int) -> None:
+    """Each byte in the tables after the values is changed: the file is refused or read."""
     usd_core()
     path = tmp_path / "a.usdc"
     ls.save(path, moving_scene())
@@ -173,7 +173,7 @@ def test_numbers_between_sections(tmp_path: Path, step: int) -> None:
 
 
 def crate_with(path: Path, name: bytes, number: int) -> bytes:
-    """A binary layer in which a section claims another number of entries."""
+    """Returns a binary layer in which a section claims another number of entries."""
     ls.save(path, capture(5))
     data = bytearray(path.read_bytes())
     (table,) = struct.unpack_from("<q", data, 16)
@@ -197,14 +197,14 @@ for path in sys.argv[1:]:
 process._end_idle()
 print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
-"""Prints the most memory of the processes that read files that are refused, kB.
+"""Program that prints the peak memory of reader processes for refused files, kB.
 
-A process of its own runs this: what it has of the kernel begins without the memory of those before.
+It runs in a process of its own, because the kernel's peak value includes earlier children.
 """
 
 
-def test_counts_that_no_file_can_hold(tmp_path: Path) -> None:
-    """Entries of terabytes in a binary layer, and in one in a package, cost this process nothing."""
+def test_impossible_counts_take_no_memory(tmp_path: Path) -> None:
+    """Counts of terabytes in a binary layer, alone and in a package, cost this process nothing."""
     usd_core()
     paths: list[Path] = []
     for name in ("SPECS", "PATHS", "FIELDS", "TOKENS"):
@@ -221,7 +221,7 @@ def test_counts_that_no_file_can_hold(tmp_path: Path) -> None:
 
 
 def laughs(depth: int) -> str:
-    """References to references: 2 to the power of ``depth`` prims, each of a few bytes."""
+    """Returns nested references to 2^depth prims of a few bytes each ("billion laughs")."""
     references = "\n".join(
         f'def "a{k}" {{\n def "x" (references = </a{k + 1}>) {{\n}}\n def "y" (references = </a{k + 1}>) {{\n}}\n}}'
         for k in range(depth)
@@ -229,8 +229,8 @@ def laughs(depth: int) -> str:
     return f'{references}\ndef "a{depth}" {{\n}}\n'
 
 
-def test_stages_that_grow_without_end_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """References nested 24 deep are sixteen million prims: processor time or memory of the child ends."""
+def test_exponentially_nested_references_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """References nested 24 deep are 16 million prims: the child exceeds its time or memory limit."""
     usd_core()
     path = write_usda(tmp_path / "a.usda", laughs(24))
     message = refused(path)
@@ -241,7 +241,7 @@ def test_stages_that_grow_without_end_are_refused(tmp_path: Path, monkeypatch: p
 
 
 def limits_with_textures(path: Path) -> list[int]:
-    """Memory that the child may take before, with one and with two textures of a megabyte."""
+    """Returns the child's memory limit before any texture, and after one and two textures of a megabyte."""
     found = [resource.getrlimit(resource.RLIMIT_DATA)[0]]
     for _ in range(2):
         process.raise_limit_for_asset(2**20)
@@ -249,8 +249,8 @@ def limits_with_textures(path: Path) -> list[int]:
     return found
 
 
-def test_textures_raise_the_limits_by_their_own(tmp_path: Path) -> None:
-    """Textures are bounded by themselves: a small stage may have many of them."""
+def test_each_texture_raises_the_memory_limit(tmp_path: Path) -> None:
+    """Textures have their own limit, so that a small stage may have many of them."""
     usd_core()
     none, one, two = process.read_in_child(tmp_path / "a.usda", limits_with_textures)
     assert none == process.USD_MEMORY < 2**30
@@ -259,27 +259,27 @@ def test_textures_raise_the_limits_by_their_own(tmp_path: Path) -> None:
 
 
 def crashing(path: Path) -> None:
-    """Ends the process, as a fault of the library does."""
+    """Kills the process, as a fault in the library does."""
     os.kill(os.getpid(), signal.SIGSEGV)
 
 
 def failing(path: Path) -> None:
-    """A mistake of ours, which must not be taken for one of the file."""
+    """Raises an error that is a bug in Lumisplat and not in the file."""
     raise ZeroDivisionError("ours")
 
 
 def sleeping(path: Path) -> None:
-    """Waits for ever, without taking processor time."""
+    """Waits forever without using processor time."""
     threading.Event().wait()
 
 
 def halving(path: Path, factor: float) -> list[object]:
-    """A result of which a part stays in the child."""
+    """Returns a value and a function that stays in the child."""
     return [factor, process.Remote(lambda argument: np.full(3, factor * argument))]
 
 
-def test_the_end_of_the_child_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A crash, and a wait without end; the next file is read by another child. Mistakes of ours stay tracebacks."""
+def test_crashed_or_hung_child_gives_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next file is read by a new child. Bugs in Lumisplat still give a traceback."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
     with pytest.raises(FormatError, match=r"a\.usda: crashes the process that reads it, or takes more than"):
@@ -292,8 +292,8 @@ def test_the_end_of_the_child_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     assert isinstance(ls.load(tmp_path / "a.usda"), ls.Gaussians)
 
 
-def test_functions_of_the_child_live_as_long_as_somebody_has_them(tmp_path: Path) -> None:
-    """Two results at the same time, each with its own child, which ends with it."""
+def test_child_lives_as_long_as_its_remote_functions(tmp_path: Path) -> None:
+    """Two results at once have a child each, which ends with its result."""
     usd_core()
     first, second = (process.read_in_child(tmp_path / "a.usda", halving, factor)[1] for factor in (0.5, 2.0))
     np.testing.assert_array_equal([first(4.0), second(4.0)], np.array([[2.0] * 3, [8.0] * 3]))
@@ -303,7 +303,7 @@ def test_functions_of_the_child_live_as_long_as_somebody_has_them(tmp_path: Path
 
 
 def working(path: Path) -> process.Remote:
-    """A function that takes as much processor time as it is told."""
+    """Returns a function that uses as much processor time as its argument says."""
 
     def work(seconds: float) -> float:
         until = time.process_time() + seconds
@@ -314,8 +314,8 @@ def working(path: Path) -> process.Remote:
     return process.Remote(work)
 
 
-def test_each_call_of_a_function_has_the_time_of_its_own(tmp_path: Path) -> None:
-    """Frames of a long animation together take more than the limit of a file; a single one that does is ended."""
+def test_each_remote_call_has_its_own_time_limit(tmp_path: Path) -> None:
+    """All frames of a long animation may exceed a file's limit together; a single frame may not."""
     usd_core()
     work = process.read_in_child(tmp_path / "a.usda", working)
     assert sum(work(0.5) for _ in range(4)) == 2.0
@@ -324,12 +324,12 @@ def test_each_call_of_a_function_has_the_time_of_its_own(tmp_path: Path) -> None
 
 
 def limits(path: Path) -> tuple[int, int]:
-    """The limits of a child that has asked for nothing."""
+    """Returns the child's limits before it asks for a layer."""
     return resource.getrlimit(resource.RLIMIT_DATA)[0], resource.getrlimit(resource.RLIMIT_CPU)[0]
 
 
-def test_limits_grow_with_the_file_before_it_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A large file has its memory and time from the start, by the settings of the parent."""
+def test_limits_grow_with_file_size_from_the_start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The parent sets the memory and time for a large file before the child opens it."""
     usd_core()
     monkeypatch.setattr(process, "USD_MEMORY", 2**30)
     path = tmp_path / "a.usda"
@@ -341,19 +341,19 @@ def test_limits_grow_with_the_file_before_it_is_opened(tmp_path: Path, monkeypat
 
 
 def exhausted(path: Path) -> None:
-    """Raises what is made of the library's error when memory is at its end."""
+    """Raises the error that the library raises when memory is exhausted."""
     raise FormatError(path, "damaged, or not a USD file: std::bad_alloc")
 
 
-def test_memory_at_its_end_is_not_called_damage(tmp_path: Path) -> None:
-    """The message is that of the limit of memory."""
+def test_exhausted_memory_is_reported_as_memory_limit(tmp_path: Path) -> None:
+    """The message does not call the file damaged before it names the limit."""
     usd_core()
     with pytest.raises(FormatError, match=r"or takes more than 0\.8 GB of memory"):
         process.read_in_child(tmp_path / "a.usda", exhausted)
 
 
-def test_no_code_of_the_working_folder_is_run(tmp_path: Path) -> None:
-    """Modules beside a file, in the folder in which somebody works, are no modules of the process that reads it."""
+def test_child_imports_nothing_from_the_working_folder(tmp_path: Path) -> None:
+    """Modules in the user's working folder are not run by the reader process."""
     usd_core()
     write_usda(tmp_path / "a.usda", field())
     for name in ("struct", "lumisplat", "pxr", "sitecustomize", "usercustomize", "pickle"):
@@ -364,8 +364,8 @@ def test_no_code_of_the_working_folder_is_run(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_a_process_that_has_ended_is_not_ended_again(tmp_path: Path) -> None:
-    """Its number may be that of another one by now."""
+def test_ended_child_is_not_killed_again(tmp_path: Path) -> None:
+    """Another process may have its id by then."""
     usd_core()
     ls.save(tmp_path / "a.usda", capture(3))
     ls.load(tmp_path / "a.usda")
@@ -385,7 +385,7 @@ def test_a_process_that_has_ended_is_not_ended_again(tmp_path: Path) -> None:
     ids=["reference", "payload", "clip", "variant", "sublayer"],
 )
 def test_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> None:
-    """An expression may name any file, and does so where names are no longer checked."""
+    """An expression may name any file, in places where names are no longer checked."""
     usd_core()
     (tmp_path / "in").mkdir()
     write_usda(tmp_path / "secret.usda", field())
@@ -395,15 +395,15 @@ def test_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> N
 
 
 def test_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
-    """Behind arguments, a pipe looked like a file that is not there, and the library waited for its writer."""
+    """With arguments, a pipe looked like a missing file, and the library waited for its writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
     body = 'def "a" ( references = @./pipe.usda:SDF_FORMAT_ARGS:target=x@ ) {\n}'
     assert "with arguments" in refused(write_usda(tmp_path / "a.usda", body))
 
 
-def test_clips_of_variants_stay_in_the_folder(tmp_path: Path) -> None:
-    """Clips that only a variant names are layers as well."""
+def test_value_clips_in_variants_must_stay_in_the_folder(tmp_path: Path) -> None:
+    """A clip that only a variant names is a layer, too."""
     usd_core()
     (tmp_path / "in").mkdir()
     write_usda(tmp_path / "secret.usda", field())
@@ -415,8 +415,8 @@ def test_clips_of_variants_stay_in_the_folder(tmp_path: Path) -> None:
     assert "which is not in its folder" in refused(write_usda(tmp_path / "in" / "a.usda", body))
 
 
-def test_textures_in_packages_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
-    """The package is the file that is read, whatever is named in it; a pipe is none."""
+def test_textures_in_packages_outside_the_folder_are_refused(tmp_path: Path) -> None:
+    """The package file counts, whatever is named inside it; a pipe is refused, too."""
     usd_core()
     (tmp_path / "in").mkdir()
     with zipfile.ZipFile(tmp_path / "out.usdz", "w") as package:
@@ -432,8 +432,8 @@ def test_textures_in_packages_outside_of_the_folder_are_refused(tmp_path: Path) 
     assert "names a file by the expression" in refused(path)
 
 
-def test_layers_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
-    """A reference, payload, sublayer or clip that leads out of the folder needs the user's trust."""
+def test_layers_outside_the_folder_need_permission(tmp_path: Path) -> None:
+    """This covers references, payloads, sublayers and value clips."""
     home = tmp_path / "home"
     home.mkdir()
     write_usda(tmp_path / "secret.usda", f'def Xform "in" {{\n{field()}\n}}', 'upAxis = "Y"\ndefaultPrim = "in"')
@@ -457,8 +457,8 @@ def test_layers_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
     assert isinstance(trusted, ls.Gaussians)
 
 
-def test_textures_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
-    """The image of a sky in another folder, and one that is a pipe."""
+def test_images_outside_the_folder_and_pipes_are_refused(tmp_path: Path) -> None:
+    """The image of a dome light in another folder, and one that is a pipe."""
     usd_core()
     home = tmp_path / "home"
     home.mkdir()
@@ -469,8 +469,8 @@ def test_textures_outside_of_the_folder_are_refused(tmp_path: Path) -> None:
     assert "no such file" in refused(write_usda(home / "c.usda", sky.format("./gone.hdr")))
 
 
-def test_layers_that_are_no_files(tmp_path: Path) -> None:
-    """A reference to a pipe does not wait for somebody to write."""
+def test_layers_that_are_pipes_are_refused(tmp_path: Path) -> None:
+    """The reader must not wait for a writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
     path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./pipe.usda@ ) {\n}')
@@ -478,15 +478,15 @@ def test_layers_that_are_no_files(tmp_path: Path) -> None:
         ls.load(path)
 
 
-def test_missing_layers_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A scene without one of its parts is shown, with a line about the part."""
+def test_missing_layers_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The rest of the stage is read."""
     path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./gone.usda@ ) {\n}\n' + field())
     assert isinstance(ls.load(path), ls.Gaussians)
     assert "layers that cannot be composed" in caplog.text and "gone.usda" in caplog.text
 
 
-def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An instancer that shows itself is not followed; more prims than the limit are refused."""
+def test_recursive_point_instancers_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An instancer that instances itself is skipped, and prims above the limit are refused."""
     loop = """def PointInstancer "a" {
         int[] protoIndices = [0, 0]
         point3f[] positions = [(0, 0, 0), (1, 0, 0)]
@@ -502,8 +502,8 @@ def test_instances_of_instances_end(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         scene_of(write_usda(tmp_path / "b.usda", many + field(name="b")), False)
 
 
-def test_instances_of_nothing_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twenty instancers, each of which shows the one before ten times, the first of them something that is not seen."""
+def test_nested_instances_of_hidden_prims_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty instancers each instance the one before ten times; the first instances a hidden prim."""
     monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 1000)
     places = ", ".join(f"({k}, 0, 0)" for k in range(10))
     body = 'def "a0" {\n}\n' + "".join(
@@ -531,13 +531,13 @@ def test_instances_of_nothing_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         ('upAxis = "Y"', 'def SphereLight "l" {\n float inputs:radius = 0\n}', "/l: radius is 0"),
     ],
 )
-def test_wrong_values(tmp_path: Path, head: str, body: str, message: str) -> None:
-    """What is wrong is named."""
+def test_invalid_values_are_named(tmp_path: Path, head: str, body: str, message: str) -> None:
+    """The message names the prim and attribute."""
     assert message in refused(write_usda(tmp_path / "a.usda", body, head))
 
 
-def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reading and writing say how to install it; nothing is written."""
+def test_missing_usd_core_says_how_to_install_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is written."""
 
     def missing(name: str) -> ModuleType:
         raise ModuleNotFoundError(name)
@@ -557,8 +557,8 @@ def test_without_the_library(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         library.pxr.cache_clear()
 
 
-def test_the_library_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """It writes nothing of its own to the terminal, of files that are damaged and of those that are not."""
+def test_library_prints_nothing_to_the_terminal(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Neither for damaged nor for valid files."""
     usd_core()
     path = write_usda(tmp_path / "a.usda", 'def "a" ( references = @./gone.usda@ ) {\n}\n' + field())
     ls.load(path)
@@ -569,8 +569,8 @@ def test_the_library_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]
     assert not out and "Warning" not in err and "Error" not in err
 
 
-def test_changed_files_are_read_again(tmp_path: Path) -> None:
-    """The library keeps layers that it has open; ours are closed, so that a file that was changed is read as it is."""
+def test_changed_files_are_reread(tmp_path: Path) -> None:
+    """The library caches open layers; Lumisplat closes them."""
     usd_core()
     for count in (3, 5):
         ls.save(tmp_path / "a.usdc", capture(count))

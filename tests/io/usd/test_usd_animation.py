@@ -1,4 +1,4 @@
-"""Animations in OpenUSD: what moves has time samples, and is read as keyframes."""
+"""OpenUSD animations: actors are written as time samples and read as keyframes."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ KEYS = ls.Keyframes(
     [0.0, 0.5, 1.0], [(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(1, 0, 0, 0), (0.7, 0.7, 0, 0), (0.7, 0, 0.7, 0)], [1, 2, 1]
 )
 LATE = ls.Keyframes([0.5, 1.0], [(0, 0, 0), (3, 0, 0)])
-"""At rest for half of the time."""
+"""Keyframes that rest for the first half of the animation."""
 
 
 def camera(step: int) -> ls.Camera:
-    """One of the cameras of a path, which comes nearer and zooms."""
+    """Returns a camera of a path that approaches and zooms."""
     return ls.Camera.look_at((3, 2, 1 + step), (0, 0, 0), width=64, height=36, fov_y=0.7 - 0.1 * step, name="moving")
 
 
 def animation(up: str = "y-down") -> ls.Animation:
-    """A capture that moves, a stretched mesh that does so late, one that stands, and a camera."""
+    """Returns an animation: a moving capture, a stretched mesh that moves late, a static mesh, a camera path."""
     stretched = np.diag([1.0, 2.0, 3.0, 1.0])
     return ls.Animation(
         ls.Scene([ls.SplatInstance(capture(5), name="still")], up=up),
@@ -42,8 +42,8 @@ def animation(up: str = "y-down") -> ls.Animation:
 
 @pytest.mark.parametrize("extension", [".usda", ".usdz"])
 @pytest.mark.parametrize("up", ["y-down", "z-up"])
-def test_round_trip(tmp_path: Path, extension: str, up: str) -> None:
-    """At each frame actors and camera are where they were, upright; what stands still is no actor."""
+def test_animation_round_trip(tmp_path: Path, extension: str, up: str) -> None:
+    """Actors and camera match at each frame, with y up; static objects do not become actors."""
     usd_core()
     saved, path = animation(up), tmp_path / f"walk{extension}"
     ls.save(path, saved)
@@ -64,8 +64,8 @@ def test_round_trip(tmp_path: Path, extension: str, up: str) -> None:
     np.testing.assert_array_equal(flies.means, capture(4, seed=3).means)
 
 
-def test_samples_are_few_and_hold(tmp_path: Path) -> None:
-    """What rests until 0.5 s has a sample at its beginning and at its end, then one a frame; still prims have none."""
+def test_time_samples_are_written_only_where_values_change(tmp_path: Path) -> None:
+    """A pause of 0.5 s has a sample at its beginning and end, then one per frame; static prims have none."""
     usd_core()
     ls.save(tmp_path / "walk.usdc", animation())
     stage = usd_core().Stage.Open(str(tmp_path / "walk.usdc"))
@@ -78,10 +78,10 @@ def test_samples_are_few_and_hold(tmp_path: Path) -> None:
     assert not validation_messages(tmp_path / "walk.usdc")
 
 
-def test_rigs_and_their_gaussians_are_baked(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Points of a skinned mesh, and positions, rotations and scales of Gaussians on it, have samples, exact.
+def test_rigs_and_rigged_gaussians_are_baked_exactly(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Points of a skinned mesh, and the Gaussians on it, become time samples.
 
-    They are read again at each time, between frames in between; `ls.load` shows the first.
+    They are read again at each time, interpolated between frames; `ls.load` returns the first frame.
     """
     usd_core()
     rig = ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb"))
@@ -139,11 +139,11 @@ def ParticleField3DGaussianSplat "g" {
     token visibility.timeSamples = { 24: "inherited", 47: "invisible" }
 }
 """
-"""What others write: a mesh that stretches while it moves, and a field whose particles become more, then hide."""
+"""Stage of another program: a mesh that stretches while it moves, and a field that gains particles, then hides."""
 
 
-def test_what_deforms_in_files_of_others(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """It is as the file has it at each time, its samples being times of the animation."""
+def test_foreign_deforming_prims_match_their_time_samples(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Shapes at each time are those of the file at that time."""
     head = 'upAxis = "Y"\ntimeCodesPerSecond = 24'
     loaded = ls.load_animation(write_usda(tmp_path / "a.usda", DEFORMING, head))
     assert loaded.frame_count == 25 and loaded.fps == 24.0 and not caplog.messages
@@ -157,8 +157,8 @@ def test_what_deforms_in_files_of_others(tmp_path: Path, caplog: pytest.LogCaptu
     assert field.at(1.0) == () and len(loaded.actors_at(1.0)) == 1
 
 
-def test_what_deforms_in_many_places_keeps_its_first_shape(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Which a line says."""
+def test_instanced_deforming_prims_keep_their_first_shape(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line says so."""
     body = f"""def PointInstancer "i" {{
         int[] protoIndices = [0, 0]
         point3f[] positions = [(0, 0, 0), (5, 0, 0)]
@@ -173,10 +173,10 @@ def test_what_deforms_in_many_places_keeps_its_first_shape(tmp_path: Path, caplo
 
 
 @pytest.mark.parametrize("stands_first", [True, False])
-def test_what_is_also_put_elsewhere_deforms_where_it_stands(
+def test_deforming_prim_animates_but_its_instances_do_not(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, stands_first: bool
 ) -> None:
-    """A prim that is shown by itself and by an instancer, in either order: the copies alone stand still."""
+    """The prim is shown directly and by a point instancer, in either order."""
     own = f'def Xform "p" {{ {DEFORMING} }}\n'
     copies = """def PointInstancer "i" {
         int[] protoIndices = [0, 0]
@@ -196,8 +196,8 @@ def test_what_is_also_put_elsewhere_deforms_where_it_stands(
     assert "animated shapes, of which only the first is used (m, g)" in caplog.text
 
 
-def test_the_first_time_is_shown(tmp_path: Path) -> None:
-    """A stage is shown at its first time code, wherever that is; seconds count from there, by codes a second."""
+def test_load_shows_the_first_time_code(tmp_path: Path) -> None:
+    """Seconds count from the first time code, at timeCodesPerSecond."""
     body = """def Cube "c" {
         double3 xformOp:translate.timeSamples = { 48: (1, 0, 0), 72: (3, 0, 0) }
         uniform token[] xformOpOrder = ["xformOp:translate"]
@@ -212,8 +212,8 @@ def test_the_first_time_is_shown(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.actors[0].at(2.0)[0].transform[:3, 3], (3, 0, 0))
 
 
-def test_motion_above_a_prim(tmp_path: Path) -> None:
-    """Samples of a parent move what is below it; samples without a range give one."""
+def test_time_samples_of_a_parent_move_its_children(tmp_path: Path) -> None:
+    """Without an authored range, the time samples define it."""
     body = """def Xform "p" {
         double xformOp:rotateY.timeSamples = { 0: 0, 24: 90 }
         uniform token[] xformOpOrder = ["xformOp:rotateY"]
@@ -227,16 +227,16 @@ def test_motion_above_a_prim(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.actors[0].at(1.0)[0].transform[:3, 3], (0, 0, -1), atol=1e-9)
 
 
-def test_times_that_are_none(tmp_path: Path) -> None:
-    """A range that ends before it begins, or has a million frames, is refused."""
+def test_reversed_or_huge_time_ranges_are_refused(tmp_path: Path) -> None:
+    """A range that ends before it starts, or has over a million frames."""
     for times in ("startTimeCode = 5\nendTimeCode = 4", "startTimeCode = 0\nendTimeCode = 1e9"):
         path = write_usda(tmp_path / "a.usda", 'def Cube "c" {\n}', f'upAxis = "Y"\n{times}')
         with pytest.raises(ls.FormatError, match="expected at most 1,000,000 frames between them"):
             ls.load_animation(path)
 
 
-def test_how_actors_are_lit_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """An actor that casts no shadow is an ordinary prim for others."""
+def test_lighting_settings_of_actors_are_logged_as_lost(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """An actor without shadows is an ordinary prim in other programs."""
     usd_core()
     moving = animation()
     ls.save(tmp_path / "a.usdc", replace(moving, actors=[replace(moving.actors[0], casts_shadow=False)]))

@@ -1,4 +1,4 @@
-"""Cameras of OpenUSD files, against the library's own frustum."""
+"""OpenUSD cameras, compared with the library's own frustum."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ LENS = """float focalLength = 50
 
 
 def cameras(path: Path, inputs: str, head: str = 'upAxis = "Y"', **size: int) -> list[ls.Camera]:
-    """The cameras of a stage with one."""
+    """Returns the cameras of a stage with one camera."""
     return ls.load_cameras(write_usda(path / "a.usda", f'def Camera "view" {{\n{inputs}\n}}', head), **size)
 
 
-def test_lens_and_pose(tmp_path: Path) -> None:
-    """A film of 40 by 20 behind a lens at 50: the largest size within 1280 x 720, tan(fov_y / 2) = 0.2; -z forward."""
+def test_apertures_set_field_of_view_and_size(tmp_path: Path) -> None:
+    """Apertures of 40 x 20 at focal length 50: tan(fov_y / 2) = 0.2, and the largest size within 1280 x 720."""
     (camera,) = cameras(tmp_path, LENS)
     assert (camera.width, camera.height, camera.name, camera.near) == (1280, 640, "view", 0.5)
     assert camera.fov_y == pytest.approx(2.0 * math.atan(0.2)) and camera.fx == pytest.approx(camera.fy)
@@ -37,8 +37,8 @@ def test_lens_and_pose(tmp_path: Path) -> None:
     assert (small.width, small.height) == (320, 160) and small.fov_y == pytest.approx(camera.fov_y)
 
 
-def test_ordered_sizes_and_offsets(tmp_path: Path) -> None:
-    """A RenderProduct says the size; offsets of the film move the principal point the other way."""
+def test_render_product_sets_image_size(tmp_path: Path) -> None:
+    """Aperture offsets move the principal point in the opposite direction."""
     shifted = f"{LENS}\nfloat horizontalApertureOffset = 4\nfloat verticalApertureOffset = 2"
     body = f"""def Camera "view" {{
         {shifted}
@@ -52,8 +52,8 @@ def test_ordered_sizes_and_offsets(tmp_path: Path) -> None:
     assert (camera.cx, camera.cy) == pytest.approx((200.0 - 40.0, 100.0 + 20.0))
 
 
-def test_the_library_sees_the_same(tmp_path: Path) -> None:
-    """The corners of our pictures are those of the frustum that usd-core computes of what we have written."""
+def test_written_cameras_match_the_frustum_of_usd_core(tmp_path: Path) -> None:
+    """The image corners project to the corners of the library's frustum."""
     usd_core()
     camera = replace(
         ls.Camera.look_at((3, 2, 1), (0, 0.5, 0), width=400, height=300, fov_y=0.7, name="c"),
@@ -71,8 +71,8 @@ def test_the_library_sees_the_same(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.stack([u, v], axis=1), [(0, 300), (400, 300), (0, 0), (400, 0)], atol=1e-3)
 
 
-def test_lens_in_focus_and_exposure(tmp_path: Path) -> None:
-    """In metres, a lens at 0.5 (tenths) with f-stop 2.5 has a radius of 0.01 m; exposure adds up in stops."""
+def test_f_stop_focus_and_exposure(tmp_path: Path) -> None:
+    """In metres, focal length 0.5 (tenths) at f-stop 2.5 is an aperture radius of 0.01 m; exposures add up in stops."""
     thin = """float focalLength = 0.5
         float fStop = 2.5
         float focusDistance = 4
@@ -83,8 +83,8 @@ def test_lens_in_focus_and_exposure(tmp_path: Path) -> None:
     assert camera.exposure == pytest.approx(3.0)
 
 
-def test_parallel_rays(tmp_path: Path) -> None:
-    """The film of an orthographic camera is in tenths of a unit, also where the unit is a centimetre."""
+def test_orthographic_apertures_are_tenths_of_a_unit(tmp_path: Path) -> None:
+    """Also where the stage unit is a centimetre."""
     (camera,) = cameras(tmp_path, f'{LENS}\ntoken projection = "orthographic"', 'upAxis = "Y"\nmetersPerUnit = 0.01')
     assert camera.model is ls.CameraModel.ORTHOGRAPHIC
     assert camera.width / camera.fx == pytest.approx(4.0 * 0.01) and camera.height / camera.fy == pytest.approx(0.02)
@@ -100,8 +100,8 @@ def test_parallel_rays(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_round_trip(tmp_path: Path, camera: ls.Camera) -> None:
-    """Poses come back exactly, focal lengths within the float32 in which films are stored: a part in ten million."""
+def test_camera_round_trip(tmp_path: Path, camera: ls.Camera) -> None:
+    """Poses are exact; focal lengths are exact to 1e-7, because apertures are float32."""
     usd_core()
     ls.save(tmp_path / "a.usda", ls.Scene(up="y-up"), cameras=[camera, camera])
     first, second = ls.load_cameras(tmp_path / "a.usda")
@@ -113,16 +113,16 @@ def test_round_trip(tmp_path: Path, camera: ls.Camera) -> None:
         assert getattr(first, name) == pytest.approx(getattr(camera, name), rel=2e-7), name
 
 
-def test_wrong_cameras_are_named(tmp_path: Path) -> None:
-    """A film without a width, and a projection that does not exist."""
+def test_invalid_cameras_are_named(tmp_path: Path) -> None:
+    """A camera without an aperture width, and one with an unknown projection."""
     with pytest.raises(FormatError, match=r"/view: horizontalAperture is 0, expected a length above 0"):
         cameras(tmp_path, "float horizontalAperture = 0")
     with pytest.raises(FormatError, match="projection is 'wide', expected perspective or orthographic"):
         cameras(tmp_path, 'token projection = "wide"')
 
 
-def test_fisheyes_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With a remark, as distortion is."""
+def test_fisheyes_and_distortion_are_logged_as_lost(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A fisheye is left out; a distorted camera is written without distortion."""
     usd_core()
     wide = ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="wide", model="fisheye")
     bent = replace(ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="bent"), distortion=(0.1, 0, 0, 0, 0, 0))

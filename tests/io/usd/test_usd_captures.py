@@ -1,4 +1,4 @@
-"""Captures as particle fields of OpenUSD: exact round trips, and what other writers do."""
+"""Captures as OpenUSD particle fields: exact round trips, and files of other programs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SH_1 = "[" + ", ".join(f"({k}, {k + 0.25}, {k + 0.5})" for k in range(8)) + "]"
 
 
 def relightable(count: int = 60) -> ls.Gaussians:
-    """A capture with everything that one can have."""
+    """Returns a capture with all optional fields."""
     rng = np.random.default_rng(5)
     return capture(
         count,
@@ -41,8 +41,8 @@ def relightable(count: int = 60) -> ls.Gaussians:
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_round_trip_is_exact(tmp_path: Path, extension: str, degree: int) -> None:
-    """All floats come back to the bit, in binary and in text, with any degree of harmonics."""
+def test_capture_round_trip_is_exact(tmp_path: Path, extension: str, degree: int) -> None:
+    """Binary and text files, with any SH degree."""
     usd_core()
     saved, path = capture(50, degree), tmp_path / f"capture{extension}"
     ls.save(path, saved)
@@ -52,7 +52,7 @@ def test_round_trip_is_exact(tmp_path: Path, extension: str, degree: int) -> Non
 
 
 def test_relightable_captures_keep_their_materials(tmp_path: Path) -> None:
-    """Normals, albedo, roughness and metallic are primvars; the training's settings and comments come back, too."""
+    """Normals, albedo, roughness and metallic are primvars; training settings and comments are restored, too."""
     usd_core()
     saved, path = relightable(), tmp_path / "capture.usdc"
     ls.save(path, saved)
@@ -67,15 +67,15 @@ def test_relightable_captures_keep_their_materials(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
-def test_validators_are_content(tmp_path: Path, extension: str) -> None:
-    """The validators of usd-core have nothing against our captures."""
+def test_written_captures_pass_the_validators_of_usd_core(tmp_path: Path, extension: str) -> None:
+    """The validators find no error."""
     usd_core()
     ls.save(tmp_path / f"capture{extension}", relightable())
     assert not validation_messages(tmp_path / f"capture{extension}")
 
 
-def test_what_the_schema_leaves_open_is_said(tmp_path: Path) -> None:
-    """How many coefficients are those of one particle, and in which colours."""
+def test_coefficient_count_and_colour_space_are_written(tmp_path: Path) -> None:
+    """The schema itself leaves both open."""
     usd = usd_core()
     ls.save(tmp_path / "a.usdc", capture(5, 2))
     stage = usd.Stage.Open(str(tmp_path / "a.usdc"))
@@ -85,8 +85,8 @@ def test_what_the_schema_leaves_open_is_said(tmp_path: Path) -> None:
     assert said == (9, "vertex", "srgb_rec709_scene")
 
 
-def test_what_others_see_stands_upright(tmp_path: Path) -> None:
-    """A capture with y down is turned by its root: in the stage, what was at -y is at +y; its units are metres."""
+def test_written_captures_stand_upright_in_other_programs(tmp_path: Path) -> None:
+    """The root rotates a y-down capture: -y becomes +y. Units are metres."""
     usd_core()
     ls.save(tmp_path / "capture.usdc", capture(5))
     stage = usd_core().Stage.Open(str(tmp_path / "capture.usdc"))
@@ -97,7 +97,7 @@ def test_what_others_see_stands_upright(tmp_path: Path) -> None:
 
 
 def test_quaternions_are_scalar_first_in_text_and_last_in_memory(tmp_path: Path) -> None:
-    """The text (w, x, y, z) = (0.6, 0, 0, 0.8) is a turn about z; the file of others has y up, so that x turns it."""
+    """The text (0.6, 0, 0, 0.8) is w, x, y, z, a rotation about z; y up adds a half turn about x."""
     turn = "[(0.6, 0, 0, 0.8), (1, 0, 0, 0)]"
     path = write_usda(
         tmp_path / "a.usda", field({"quatf[] orientations": turn, "float3[] scales": "[(1,2,3),(1,1,1)]"})
@@ -107,8 +107,8 @@ def test_quaternions_are_scalar_first_in_text_and_last_in_memory(tmp_path: Path)
     np.testing.assert_allclose(matrices_from_quaternions(loaded.rotations_wxyz)[0], expected, atol=1e-6)
 
 
-def test_harmonics_are_those_of_one_particle_after_the_other(tmp_path: Path) -> None:
-    """Four coefficients of the first particle, then four of the second; the stage is z up, and so not turned by us."""
+def test_sh_coefficients_are_stored_particle_by_particle(tmp_path: Path) -> None:
+    """Four coefficients of the first particle, then four of the second."""
     sh = {
         "uniform int radiance:sphericalHarmonicsDegree": "1",
         "float3[] radiance:sphericalHarmonicsCoefficients": SH_1,
@@ -119,8 +119,8 @@ def test_harmonics_are_those_of_one_particle_after_the_other(tmp_path: Path) -> 
     np.testing.assert_array_equal(scene.splats[0].gaussians.sh, stored.reshape(2, 4, 3))
 
 
-def test_halves_are_read_and_floats_win(tmp_path: Path) -> None:
-    """The attributes with an h are used where the others are missing, and only there."""
+def test_half_attributes_are_used_only_without_float_ones(tmp_path: Path) -> None:
+    """An attribute ending in h replaces a missing float attribute."""
     halves = {
         "point3f[] positions": "",
         "point3h[] positionsh": "[(1, 2, 3), (4, 5, 6)]",
@@ -138,8 +138,8 @@ def test_halves_are_read_and_floats_win(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.sh[0, 0], (1.0, 2.0, 3.0), atol=1e-6)
 
 
-def test_what_is_missing_or_too_short_has_its_default(tmp_path: Path) -> None:
-    """No opacities: opaque; too few rotations and scales: none, and 1; too few harmonics: grey; too long: cut."""
+def test_missing_or_short_attributes_get_defaults(tmp_path: Path) -> None:
+    """Opacity 1, rotation none, scale 1, SH grey; longer arrays are cut."""
     odd = {
         "quatf[] orientations": "[(0, 1, 0, 0)]",
         "float3[] scales": "[(5, 5, 5)]",
@@ -155,8 +155,8 @@ def test_what_is_missing_or_too_short_has_its_default(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))
 
 
-def test_logarithms_and_logits_are_recognised(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Copied from a capture as it stores them; a scale that is mirrored in one axis is none."""
+def test_log_scales_and_logit_opacities_are_detected(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A few negative scales are mirrored ones and not logarithms."""
     logs = {"float3[] scales": "[(-3, -4, 0.1), (-1, -2, -0.5)]", "float[] opacities": "[2, 2]"}
     loaded = load_gaussians(write_usda(tmp_path / "a.usda", field(logs)))
     np.testing.assert_allclose(loaded.scales, np.exp([(-3, -4, 0.1), (-1, -2, -0.5)]), rtol=1e-6)
@@ -169,8 +169,8 @@ def test_logarithms_and_logits_are_recognised(tmp_path: Path, caplog: pytest.Log
     assert "logarithms" not in caplog.text
 
 
-def test_degrees_above_three_are_cut(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Of 25 coefficients of degree 4, the first 16 stay."""
+def test_sh_above_degree_three_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Of 25 coefficients of degree 4, the first 16 are kept."""
     values = "[" + ", ".join(f"({k}, 0, 0)" for k in range(50)) + "]"
     four = {
         "uniform int radiance:sphericalHarmonicsDegree": "4",
@@ -181,8 +181,8 @@ def test_degrees_above_three_are_cut(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert "SH above degree 3 (/splats)" in caplog.text
 
 
-def test_kernels_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Discs of constant opacity are no Gaussians, and refused by name; discs of Gaussians become flat ones."""
+def test_unsupported_kernels_are_refused_by_name(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Discs of constant opacity are refused; Gaussian surflets become flat Gaussians."""
     kernel = '"ParticleFieldPositionAttributeAPI", "ParticleFieldScaleAttributeAPI", "ParticleFieldKernel{}API"'
     constant = field(kind="ParticleField", schemas=kernel.format("ConstantSurflet"))
     with pytest.raises(FormatError, match="kernel ConstantSurflet, expected GaussianEllipsoid"):
@@ -195,8 +195,8 @@ def test_kernels_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> 
 
 
 @pytest.mark.parametrize("where", ["field", "attribute"])
-def test_linear_colours_are_encoded(tmp_path: Path, where: str) -> None:
-    """Harmonics of linear colours, as their field or they themselves say: 0.5 is shown as 0.735; others stay."""
+def test_linear_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
+    """Whether the prim or the attribute states the colour space: 0.5 becomes 0.735."""
     dc = (0.5 - 0.5) / 0.28209479177387814
     grey = f"[({dc}, {dc}, {dc}), ({dc}, {dc}, {dc})]"
     space = ' ( colorSpace = "lin_rec709_scene" )' if where == "attribute" else ""
@@ -214,8 +214,8 @@ def test_linear_colours_are_encoded(tmp_path: Path, where: str) -> None:
     np.testing.assert_array_equal(kept.sh, 0.0)
 
 
-def test_materials_of_other_renderers_are_no_news(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A field with a material that is no UsdPreviewSurface, as Omniverse has it, shines as captured, without a word."""
+def test_foreign_materials_of_captures_are_ignored_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Omniverse binds a material that is no UsdPreviewSurface; the colours are used as captured."""
     material = """def Material "m" {
         token outputs:mdl:surface.connect = </m/s.outputs:out>
         def Shader "s" {
@@ -230,14 +230,14 @@ def test_materials_of_other_renderers_are_no_news(tmp_path: Path, caplog: pytest
     assert not caplog.text
 
 
-def test_older_name_of_the_type_is_read(tmp_path: Path) -> None:
-    """Nuke 17.0 wrote it with an underscore."""
+def test_prim_type_name_of_nuke_is_read(tmp_path: Path) -> None:
+    """Nuke 17.0 writes it with an underscore."""
     path = write_usda(tmp_path / "a.usda", field(kind="ParticleField_3DGaussianSplat"))
     assert load_gaussians(path).count == 2
 
 
-def test_axes_and_units_of_the_stage(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A stage in centimetres with z up: (1, 2, 3) cm, z up, is (0.01, 0.03, -0.02) m, y up; the line says both."""
+def test_up_axis_and_metres_per_unit_are_applied_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """(1, 2, 3) cm with z up is (0.01, 0.03, -0.02) m with y up."""
     one = field({"point3f[] positions": "[(1, 2, 3)]"}, count=1)
     path = write_usda(tmp_path / "a.usda", one + "\n" + field(name="b"), f"{Z_UP}\nmetersPerUnit = 0.01")
     scene = expect_kind(ls.Scene, ls.load(path))
@@ -248,8 +248,8 @@ def test_axes_and_units_of_the_stage(tmp_path: Path, caplog: pytest.LogCaptureFi
     np.testing.assert_allclose(alone.means, [(1.0, -3.0, 2.0)], atol=1e-6)
 
 
-def test_nested_places_turn_and_stretch(tmp_path: Path) -> None:
-    """A field below a turned and stretched prim: covariances are M Sigma M^T, harmonics turn with it."""
+def test_nested_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> None:
+    """Below a rotated and stretched prim, covariances are M Sigma M^T, and SH rotate along."""
     sh = {
         "uniform int radiance:sphericalHarmonicsDegree": "1",
         "float3[] radiance:sphericalHarmonicsCoefficients": SH_1,
@@ -281,16 +281,16 @@ def test_nested_places_turn_and_stretch(tmp_path: Path) -> None:
     np.testing.assert_allclose(seen, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
 
 
-def test_invalid_particles_are_counted_and_dropped_on_demand(tmp_path: Path) -> None:
-    """A scale that is not finite is refused with what to do; drop_invalid leaves its particle out."""
+def test_invalid_particles_are_refused_or_dropped_on_request(tmp_path: Path) -> None:
+    """The error says how to drop them."""
     path = write_usda(tmp_path / "a.usda", field({"float3[] scales": "[(1, nan, 1), (1, 1, 1)]"}))
     with pytest.raises(FormatError, match=r"in 1 of 2 Gaussians; --drop-invalid"):
         ls.load(path)
     assert load_gaussians(path, drop_invalid=True).count == 1
 
 
-def test_hidden_fields_and_guides_are_not_shown(tmp_path: Path) -> None:
-    """Invisible prims, those for guides and proxies, and those that are scaled to nothing do not appear."""
+def test_hidden_guide_and_zero_scale_prims_are_skipped(tmp_path: Path) -> None:
+    """Neither invisible, guide, proxy nor zero-scale prims are read."""
     hidden = field(name="a", place='token visibility = "invisible"')
     guide = field(name="b", place='uniform token purpose = "guide"')
     nothing = 'double3 xformOp:scale = (0, 0, 0)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
@@ -301,8 +301,8 @@ def test_hidden_fields_and_guides_are_not_shown(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left", [0, 4000])
-def test_packages_that_the_disk_has_no_room_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: int) -> None:
-    """The library says that it has saved what a full disk cut off; the file of before is still there."""
+def test_full_disk_keeps_the_old_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, left: int) -> None:
+    """The library reports success for a package that a full disk cut off."""
     usd_core()
     path = tmp_path / "a.usdz"
     ls.save(path, capture(3))
@@ -329,8 +329,10 @@ def test_packages_that_the_disk_has_no_room_for(tmp_path: Path, monkeypatch: pyt
 
 @pytest.mark.data
 @pytest.mark.parametrize("extension", [".usdc", ".usdz"])
-def test_a_real_capture(tmp_path: Path, data_dir: Path, extension: str, caplog: pytest.LogCaptureFixture) -> None:
-    """The biker comes back to the bit, and so do its pictures; nothing is said of it."""
+def test_real_capture_round_trip_is_exact_and_silent(
+    tmp_path: Path, data_dir: Path, extension: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The biker's Gaussians and its rendered frames are identical, and nothing is logged."""
     usd_core()
     saved, path = load_gaussians(data_dir / "splats" / "biker.spz"), tmp_path / f"biker{extension}"
     caplog.set_level(logging.WARNING)

@@ -1,4 +1,4 @@
-"""Lights of OpenUSD files: units worked out by hand."""
+"""OpenUSD lights, with units worked out by hand."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AT = """double3 xformOp:translate = (1, 2, 3)
 
 
 def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schemas: str = "") -> Light:
-    """The light of a stage that has one."""
+    """Returns the light of a stage with one light."""
     applied = f"( prepend apiSchemas = [{schemas}] )" if schemas else ""
     body = f'def {kind} "lamp" {applied} {{\n{inputs}\n}}'
     (found,) = expect_kind(ls.Scene, ls.load(write_usda(path / "a.usda", body, head))).lights
@@ -27,7 +27,7 @@ def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schema
     return found
 
 
-def test_a_sphere_has_its_radiance(tmp_path: Path) -> None:
+def test_sphere_intensity_and_exposure_give_radiance(tmp_path: Path) -> None:
     """Intensity 3 with exposure 2 is a radiance of 12."""
     lamp = expect_kind(
         ls.LightSphere,
@@ -40,8 +40,8 @@ def test_a_sphere_has_its_radiance(tmp_path: Path) -> None:
     assert (lamp.intensity, lamp.radius, lamp.position) == (12.0, 0.25, (1.0, 2.0, 3.0))
 
 
-def test_a_sphere_that_normalises(tmp_path: Path) -> None:
-    """Radiance 8 / (4 pi r^2), seen as a disc pi r^2: 2 candela, whatever the radius."""
+def test_normalized_sphere_gives_candela_at_any_radius(tmp_path: Path) -> None:
+    """Radiance 8 / (4 pi r^2) on a visible disk of pi r^2 is 2 candela."""
     inputs = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = {}"
     for radius in (0.1, 2.0):
         lamp = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs.format(radius)))
@@ -49,8 +49,8 @@ def test_a_sphere_that_normalises(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01])
-def test_normalised_lights_light_alike_in_any_unit(tmp_path: Path, unit: float) -> None:
-    """Areas are those in units of the stage: 8 / (4 pi r^2) nits of a ball, 12 / 6 nits of a 2 x 3 rectangle."""
+def test_normalized_lights_are_equally_bright_in_any_unit(tmp_path: Path, unit: float) -> None:
+    """Areas are in square stage units: 8 / (4 pi r^2) nits for a sphere, 12 / 6 nits for a 2 x 3 rectangle."""
     head = f'upAxis = "Y"\nmetersPerUnit = {unit}'
     ball = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = 5"
     point = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", ball, head))
@@ -60,8 +60,8 @@ def test_normalised_lights_light_alike_in_any_unit(tmp_path: Path, unit: float) 
     assert light(tmp_path, "RectLight", sheet, head).intensity == pytest.approx(2.0)
 
 
-def test_a_sphere_to_be_taken_for_a_point(tmp_path: Path) -> None:
-    """Radiance 2 of radius 0.5 shines with 2 pi 0.25 candela; in centimetres, with a ten-thousandth of that."""
+def test_treat_as_point_gives_a_point_light(tmp_path: Path) -> None:
+    """Radiance 2 at radius 0.5 is 2 pi 0.25 candela; in centimetres, a ten-thousandth of that."""
     inputs = "float inputs:intensity = 2\nfloat inputs:radius = 0.5\nbool treatAsPoint = 1"
     lamp = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs))
     assert lamp.intensity == pytest.approx(2.0 * math.pi * 0.25) and lamp.radius == 0.0
@@ -69,8 +69,8 @@ def test_a_sphere_to_be_taken_for_a_point(tmp_path: Path) -> None:
     assert small.intensity == pytest.approx(2.0 * math.pi * 0.25e-4)
 
 
-def test_a_cone_makes_a_spot(tmp_path: Path) -> None:
-    """It shines along -z, fades within the outer 40 % of 30 degrees, and has the candela of its sphere."""
+def test_cone_gives_a_spot_light(tmp_path: Path) -> None:
+    """The spot shines along -z, fades within the outer 40 % of 30 degrees, and has the candela of its sphere."""
     inputs = """float inputs:shaping:cone:angle = 30
         float inputs:shaping:cone:softness = 0.4
         float inputs:intensity = 4
@@ -84,8 +84,8 @@ def test_a_cone_makes_a_spot(tmp_path: Path) -> None:
     assert lamp.intensity == pytest.approx(1.0)
 
 
-def test_the_default_sun(tmp_path: Path) -> None:
-    """50,000 nits over 0.53 degrees give pi sin(0.265 deg)^2 times that; normalised, intensity is lux."""
+def test_distant_light_gives_lux(tmp_path: Path) -> None:
+    """50,000 nits over 0.53 degrees give pi sin(0.265 deg)^2 times that; normalized, the intensity is in lux."""
     sun = expect_kind(ls.LightDirectional, light(tmp_path, "DistantLight", ""))
     assert sun.intensity == pytest.approx(50000.0 * math.pi * math.sin(math.radians(0.265)) ** 2)
     assert sun.angle == pytest.approx(math.radians(0.265)) and sun.direction == (0.0, 0.0, -1.0)
@@ -97,8 +97,8 @@ def test_the_default_sun(tmp_path: Path) -> None:
     assert light(tmp_path, "DistantLight", parallel).intensity == pytest.approx(7.0)
 
 
-def test_rectangles(tmp_path: Path) -> None:
-    """Radiance stays, normalised it is divided by the area in the world; it shines along -z, also where mirrored."""
+def test_rect_light_radiance_and_direction(tmp_path: Path) -> None:
+    """Normalized radiance is divided by the world area. The light shines along -z, also if mirrored."""
     inputs = "float inputs:width = 2\nfloat inputs:height = 3\nfloat inputs:intensity = 12"
     lamp = expect_kind(ls.LightRect, light(tmp_path, "RectLight", inputs))
     assert lamp.intensity == 12.0
@@ -109,8 +109,8 @@ def test_rectangles(tmp_path: Path) -> None:
     assert mirrored.intensity == pytest.approx(1.0)
 
 
-def test_disks(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Radiance stays, normalised it is divided by the area in the world; it shines along -z, also where mirrored."""
+def test_disk_light_radiance_and_direction(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Normalized radiance is divided by the world area. The light shines along -z, also if mirrored."""
     inputs = "float inputs:radius = 2\nfloat inputs:intensity = 12"
     lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", inputs))
     assert (lamp.radius, lamp.intensity, lamp.direction) == (2.0, 12.0, (0.0, 0.0, -1.0))
@@ -121,7 +121,7 @@ def test_disks(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert not caplog.text
 
 
-def test_stretched_disks_are_round_ones_of_their_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_stretched_disks_become_round_with_equal_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """With a remark."""
     place = '\ndouble3 xformOp:scale = (4, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
     lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"float inputs:radius = 2{place}"))
@@ -129,8 +129,8 @@ def test_stretched_disks_are_round_ones_of_their_area(tmp_path: Path, caplog: py
     assert "stretched disk lights, read as round disks of the same area (/lamp)" in caplog.text
 
 
-def test_temperature_and_colour(tmp_path: Path) -> None:
-    """The colour of a black body multiplies the colour; 3,000 K is orange."""
+def test_blackbody_temperature_multiplies_colour(tmp_path: Path) -> None:
+    """3,000 K is orange."""
     inputs = """color3f inputs:color = (1, 0.5, 0.5)
         bool inputs:enableColorTemperature = 1
         float inputs:colorTemperature = 3000"""
@@ -149,8 +149,10 @@ def test_temperature_and_colour(tmp_path: Path) -> None:
         ('upAxis = "Y"', "DomeLight_1", 'uniform token poleAxis = "Z"', (0.0, -1.0, 0.0)),
     ],
 )
-def test_skies(tmp_path: Path, head: str, kind: str, extra: str, expected: tuple[float, ...]) -> None:
-    """The middle of the image is where OpenEXR has it: +z, with +x to its left, or -y if the pole is z."""
+def test_dome_light_image_orientation(
+    tmp_path: Path, head: str, kind: str, extra: str, expected: tuple[float, ...]
+) -> None:
+    """The image's middle is +z, with +x to its left, or -y for pole axis z."""
     usd_core()
     image = np.zeros((4, 8, 3), np.float32)
     image[1:3, 3:5] = 5.0
@@ -164,8 +166,8 @@ def test_skies(tmp_path: Path, head: str, kind: str, extra: str, expected: tuple
     np.testing.assert_allclose(-forward, expected, atol=1e-6)  # our images have -z in the middle
 
 
-def test_left_of_the_middle_of_a_sky(tmp_path: Path) -> None:
-    """A quarter of the width from the left is +x."""
+def test_quarter_of_dome_image_is_plus_x(tmp_path: Path) -> None:
+    """The direction a quarter of the width from the left edge is +x."""
     usd_core()
     image = np.zeros((2, 4, 3), np.float32)
     image[:, :2] = 1.0  # the left half of the sky
@@ -176,8 +178,8 @@ def test_left_of_the_middle_of_a_sky(tmp_path: Path) -> None:
     np.testing.assert_allclose(-right, (1.0, 0.0, 0.0), atol=1e-6)  # +x of our skies is to the right of the middle
 
 
-def test_shadows_and_visibility(tmp_path: Path) -> None:
-    """A light that casts no shadows, one whose shadows end, one that is hidden and so turned off."""
+def test_shadow_settings_and_visibility_of_lights(tmp_path: Path) -> None:
+    """A light without shadows, one with a shadow distance, and a hidden one, which is disabled."""
     api = '"ShadowAPI"'
     assert not light(tmp_path, "SphereLight", "bool inputs:shadow:enable = 0", schemas=api).casts_shadow
     sun = light(tmp_path, "DistantLight", "float inputs:shadow:distance = 4", schemas=api)
@@ -185,8 +187,8 @@ def test_shadows_and_visibility(tmp_path: Path) -> None:
     assert not light(tmp_path, "SphereLight", 'token visibility = "invisible"').enabled
 
 
-def test_what_is_not_read_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One line with all that is left out: kinds of lights, focus, factors."""
+def test_unsupported_light_features_are_logged_in_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Light types, shaping focus, diffuse and specular multipliers."""
     body = """def CylinderLight "tube" {
     }
     def SphereLight "odd" ( prepend apiSchemas = ["ShapingAPI"] ) {

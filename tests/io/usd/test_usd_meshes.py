@@ -1,4 +1,4 @@
-"""Meshes, materials and instances of OpenUSD files, written as text."""
+"""OpenUSD meshes, materials and instances, written as text."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ QUAD = """point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]
 
 
 def load_scene(path: Path, body: str, head: str = 'upAxis = "Y"') -> ls.Scene:
-    """The scene of a layer with that content."""
+    """Returns the scene of a layer with the given content."""
     return expect_kind(ls.Scene, ls.load(write_usda(path / "a.usda", body, head)))
 
 
 def mesh(extra: str = "", geometry: str = QUAD, name: str = "quad", applied: str = "") -> str:
-    """A mesh as text."""
+    """Returns a mesh as text."""
     return f'def Mesh "{name}" {applied} {{\n{geometry}\n{extra}\n}}\n'
 
 
 def bound(name: str = "mat") -> tuple[str, str]:
-    """What applies a binding to a mesh, and the binding."""
+    """Returns the schema that allows material bindings, and the binding, as text."""
     return '( prepend apiSchemas = ["MaterialBindingAPI"] )', f"rel material:binding = </{name}>"
 
 
 def material(inputs: str, nodes: str = "", name: str = "mat") -> str:
-    """A material of a UsdPreviewSurface as text."""
+    """Returns a UsdPreviewSurface material as text."""
     return f"""def Material "{name}" {{
         token outputs:surface.connect = </{name}/s.outputs:surface>
         def Shader "s" {{
@@ -50,7 +50,7 @@ def material(inputs: str, nodes: str = "", name: str = "mat") -> str:
 
 
 def texture(name: str, outputs: str, extra: str = "", file: str = "t.png", owner: str = "mat") -> str:
-    """A node of a texture with coordinates from the primvar st."""
+    """Returns a texture node that reads the primvar st, as text."""
     return f"""def Shader "{name}" {{
             uniform token info:id = "UsdUVTexture"
             asset inputs:file = @{file}@
@@ -70,30 +70,30 @@ READER = """def Shader "r" {
 ST = """texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] ( interpolation = "vertex" )"""
 
 
-def shown(path: Path, inputs: str, nodes: str = "", extra: str = "") -> ls.MaterialPbr:
-    """The material of a quad."""
+def quad_material(path: Path, inputs: str, nodes: str = "", extra: str = "") -> ls.MaterialPbr:
+    """Returns the material of a quad."""
     applied, binding = bound()
     scene = load_scene(path, mesh(f"{extra}\n{binding}", applied=applied) + material(inputs, nodes))
     return expect_kind(ls.MaterialPbr, scene.meshes[0].mesh.material)
 
 
-def test_polygons_become_fans(tmp_path: Path) -> None:
-    """A quad is two triangles, counter-clockwise; without a material it is grey, and flat without normals."""
+def test_polygons_become_triangle_fans(tmp_path: Path) -> None:
+    """A quad becomes two counter-clockwise triangles; without a material it is grey, without normals flat."""
     quad = load_scene(tmp_path, mesh()).meshes[0].mesh
     np.testing.assert_array_equal(quad.indices, [(0, 1, 2), (0, 2, 3)])
     assert quad.normals is None
     assert quad.material.base_color == (0.18, 0.18, 0.18)
 
 
-def test_left_handed_faces_are_turned_over(tmp_path: Path) -> None:
-    """A face that is clockwise by its orientation has its normal on the other side."""
+def test_left_handed_faces_are_reversed(tmp_path: Path) -> None:
+    """A clockwise face gets the opposite normal."""
     quad = load_scene(tmp_path, mesh('uniform token orientation = "leftHanded"')).meshes[0].mesh
     corners = quad.positions[quad.indices[0]]
     assert np.cross(corners[1] - corners[0], corners[2] - corners[0])[2] < 0.0
 
 
-def test_values_of_corners_split_vertices(tmp_path: Path) -> None:
-    """Two triangles with different coordinates at their common vertices have six vertices; equal corners stay one."""
+def test_face_varying_primvars_split_vertices(tmp_path: Path) -> None:
+    """Two triangles with different coordinates at shared vertices have six vertices; equal corners stay merged."""
     two = """point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]
     int[] faceVertexCounts = [3, 3]
     int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
@@ -113,8 +113,8 @@ def test_values_of_corners_split_vertices(tmp_path: Path) -> None:
     )
 
 
-def test_indexed_primvars(tmp_path: Path) -> None:
-    """Values by index; colours without a material are the base colour."""
+def test_indexed_primvars_are_resolved(tmp_path: Path) -> None:
+    """Vertex colours are the base colour of a mesh without a material."""
     colors = """color3f[] primvars:displayColor = [(1, 0, 0), (0, 1, 0)] ( interpolation = "vertex" )
     int[] primvars:displayColor:indices = [0, 1, 1, 0]"""
     quad = load_scene(tmp_path, mesh(colors)).meshes[0].mesh
@@ -122,16 +122,16 @@ def test_indexed_primvars(tmp_path: Path) -> None:
     assert quad.material.base_color == (1.0, 1.0, 1.0)
 
 
-def test_subdivision_surfaces_are_smooth(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A surface of which this is the control mesh (which is the default) gets smooth normals, and a remark."""
+def test_subdivision_surfaces_get_smooth_normals(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Subdivision is the default; the control mesh is used, with a remark."""
     quad = load_scene(tmp_path, mesh(geometry=QUAD.replace('"none"', '"catmullClark"'))).meshes[0].mesh
     assert quad.normals is not None
     np.testing.assert_allclose(quad.normals, [(0, 0, 1)] * 4, atol=1e-6)
     assert "subdivision surfaces, read as their control meshes (/quad)" in caplog.text
 
 
-def test_subsets_are_meshes_of_their_own(tmp_path: Path) -> None:
-    """The faces of a subset have its material, all others that of the mesh, and only the vertices that they need."""
+def test_geometry_subsets_become_separate_meshes(tmp_path: Path) -> None:
+    """Other faces keep the mesh's material. Each mesh has only the vertices that it uses."""
     two = """point3f[] points = [(0,0,0), (1,0,0), (1,1,0), (0,1,0)]
     int[] faceVertexCounts = [3, 3]
     int[] faceVertexIndices = [0, 1, 2, 0, 2, 3]
@@ -153,9 +153,9 @@ def test_subsets_are_meshes_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_array_equal(colors[0.0, 1.0, 0.0].positions, [(0, 0, 0), (1, 0, 0), (1, 1, 0)])
 
 
-def test_values_of_a_surface(tmp_path: Path) -> None:
-    """The numbers of a UsdPreviewSurface, without textures."""
-    found = shown(
+def test_preview_surface_constants_are_read(tmp_path: Path) -> None:
+    """Inputs without textures become material fields."""
+    found = quad_material(
         tmp_path,
         """color3f inputs:diffuseColor = (0.1, 0.2, 0.3)
         color3f inputs:emissiveColor = (4, 5, 6)
@@ -171,8 +171,8 @@ def test_values_of_a_surface(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("stored", "expected"), [("", False), ("uniform bool doubleSided = 1", True)])
-def test_emission_is_on_one_side_unless_said_otherwise(tmp_path: Path, stored: str, expected: bool) -> None:
-    """By ``doubleSided`` of the mesh, whose default is one side."""
+def test_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: str, expected: bool) -> None:
+    """The default of doubleSided is one side."""
     applied, binding = bound()
     body = mesh(f"{binding}\n{stored}", applied=applied) + material("color3f inputs:emissiveColor = (4, 5, 6)")
     found = expect_kind(ls.MaterialPbr, load_scene(tmp_path, body).meshes[0].mesh.material)
@@ -189,14 +189,16 @@ def test_emission_is_on_one_side_unless_said_otherwise(tmp_path: Path, stored: s
         ("float inputs:opacity = 0.25\nfloat inputs:opacityThreshold = 0.5", ls.AlphaMode.MASK, 0.25, 0.0),
     ],
 )
-def test_opacity(tmp_path: Path, inputs: str, mode: ls.AlphaMode, alpha: float, transmission: float) -> None:
-    """What is smooth or says so is glass; other opacity is the share of the surface that is there, or a mask."""
-    found = shown(tmp_path, inputs)
+def test_opacity_becomes_transmission_alpha_or_mask(
+    tmp_path: Path, inputs: str, mode: ls.AlphaMode, alpha: float, transmission: float
+) -> None:
+    """Smooth or explicitly transparent surfaces transmit; other opacity is alpha, or a mask with a threshold."""
+    found = quad_material(tmp_path, inputs)
     assert (found.alpha_mode, found.alpha, found.transmission) == (mode, alpha, transmission)
 
 
-def test_textures_of_a_surface(tmp_path: Path) -> None:
-    """Scales are factors, channels are put where ours are, coordinates start at the top; alpha is kept."""
+def test_preview_surface_textures_are_read(tmp_path: Path) -> None:
+    """Scales become factors, channels are rearranged, v is flipped, and alpha is kept."""
     usd_core()
     texels = np.random.default_rng(1).integers(0, 256, (4, 4, 4), dtype=np.uint8)
     Image.fromarray(texels).save(tmp_path / "t.png")
@@ -207,7 +209,7 @@ def test_textures_of_a_surface(tmp_path: Path) -> None:
     nodes += texture(
         "n", "float3 outputs:rgb", "float4 inputs:scale = (2, 2, 2, 1)\nfloat4 inputs:bias = (-1, -1, -1, 0)"
     )
-    found = shown(
+    found = quad_material(
         tmp_path,
         """color3f inputs:diffuseColor.connect = </mat/c.outputs:rgb>
         float inputs:opacity.connect = </mat/c.outputs:a>
@@ -230,8 +232,8 @@ def test_textures_of_a_surface(tmp_path: Path) -> None:
     assert wraps["metallic_roughness_texture"] == (ls.TextureWrap.MIRROR, ls.TextureWrap.CLAMP)
 
 
-def test_transformed_coordinates(tmp_path: Path) -> None:
-    """A UsdTransform2d scales, turns, then moves: (1, 0) doubled and turned by 90 degrees is (0, 2), moved (0.5, 2)."""
+def test_uv_transform_scales_rotates_then_translates(tmp_path: Path) -> None:
+    """(1, 0) doubled and rotated by 90 degrees is (0, 2), translated (0.5, 2)."""
     usd_core()
     Image.new("RGB", (4, 4)).save(tmp_path / "t.png")
     turn = """def Shader "r" {
@@ -251,8 +253,8 @@ def test_transformed_coordinates(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.uvs[1], (0.5, 1.0 - 2.0), atol=1e-6)
 
 
-def test_colours_of_vertices_through_a_reader(tmp_path: Path) -> None:
-    """A shader that reads displayColor has the colours of the mesh; one that does not leaves them alone."""
+def test_vertex_colours_need_a_primvar_reader(tmp_path: Path) -> None:
+    """Only a shader that reads displayColor uses the mesh's colours."""
     colors = """color3f[] primvars:displayColor = [(1, 0, 0)] ( interpolation = "constant" )"""
     reader = """def Shader "v" {
             uniform token info:id = "UsdPrimvarReader_float3"
@@ -269,8 +271,8 @@ def test_colours_of_vertices_through_a_reader(tmp_path: Path) -> None:
     assert unread.colors is None
 
 
-def test_instances_share_their_mesh(tmp_path: Path) -> None:
-    """Two instances by reference, one in the other's frame: one mesh in memory, two places, names of the instances."""
+def test_instances_share_one_mesh(tmp_path: Path) -> None:
+    """Two instances by reference, one in the other's space: one mesh with two transforms and names."""
     body = (
         'class "P" {\n def Xform "tree" {\n' + mesh() + "}\n}\n"
         """def Xform "one" ( instanceable = true\n references = </P/tree> ) {
@@ -285,10 +287,10 @@ def test_instances_share_their_mesh(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.transform[:3, 3], (1, 2, 3))
 
 
-def test_point_instancers(tmp_path: Path) -> None:
-    """A prototype at each place, scaled, then turned, then moved; hidden ones are not shown.
+def test_point_instancer_transforms(tmp_path: Path) -> None:
+    """Instances are scaled, rotated, then translated; hidden ones are skipped.
 
-    Where prototypes lie in the file does not matter.
+    The location of prototypes in the file does not matter.
     """
     body = f"""def PointInstancer "many" {{
         int[] protoIndices = [0, 0, 1, 0]
@@ -315,8 +317,8 @@ def test_point_instancers(tmp_path: Path) -> None:
     np.testing.assert_allclose(scene.meshes[1].transform[:3, :3] @ (1, 0, 0), (0, 2, 0), atol=2e-3)  # by halves
 
 
-def test_simple_shapes(tmp_path: Path) -> None:
-    """Cubes, spheres and planes have their sizes and axes."""
+def test_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
+    """Planes also have their axis."""
     body = """def Cube "c" {\n double size = 3\n }
     def Sphere "s" {\n double radius = 2\n }
     def Plane "p" {\n double width = 4\n double length = 6\n uniform token axis = "X"\n }
@@ -338,7 +340,7 @@ def test_simple_shapes(tmp_path: Path) -> None:
     [
         (QUAD.replace("[4]", "[5]"), "has 4 faceVertexIndices, expected 5"),
         (QUAD.replace("0, 1, 2, 3", "0, 1, 2, 9"), None),
-        (QUAD.replace("0, 1, 2, 3", "0, 0, 0, 0"), "no triangles but 2 without area"),
+        (QUAD.replace("0, 1, 2, 3", "0, 0, 0, 0"), "no usable triangles: 2 without area"),
         (f'{QUAD}\nnormal3f[] normals = [(0, 0, 1)] ( interpolation = "vertex" )', "1 values, expected 4"),
         (
             QUAD.replace("int[] faceVertexCounts = [4]", "int[] faceVertexCounts = [-4]"),
@@ -346,8 +348,8 @@ def test_simple_shapes(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_wrong_meshes(tmp_path: Path, geometry: str, message: str | None) -> None:
-    """What does not fit is one line; a triangle with a vertex that does not exist is left out, and counted."""
+def test_invalid_meshes_are_refused_or_cleaned(tmp_path: Path, geometry: str, message: str | None) -> None:
+    """Errors are one line; a triangle with a missing vertex is dropped and counted."""
     path = write_usda(tmp_path / "a.usda", mesh(geometry=geometry))
     if message is None:
         assert expect_kind(ls.Scene, ls.load(path)).face_count == 1
@@ -356,8 +358,8 @@ def test_wrong_meshes(tmp_path: Path, geometry: str, message: str | None) -> Non
         ls.load(path)
 
 
-def test_a_missing_texture_is_named(tmp_path: Path) -> None:
-    """The file that is not there is named, and who needs it."""
+def test_missing_texture_and_its_shader_are_named(tmp_path: Path) -> None:
+    """The message names the missing file and the stage that needs it."""
     nodes = READER + texture("c", "float3 outputs:rgb", file="gone.png")
     with pytest.raises(FormatError, match=r"gone\.png: no such file \(needed by .*a\.usda\)"):
-        shown(tmp_path, "color3f inputs:diffuseColor.connect = </mat/c.outputs:rgb>", nodes, ST)
+        quad_material(tmp_path, "color3f inputs:diffuseColor.connect = </mat/c.outputs:rgb>", nodes, ST)

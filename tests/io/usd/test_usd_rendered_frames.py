@@ -1,4 +1,4 @@
-"""Lit frames of a scene that went through OpenUSD: the same random numbers give the same picture."""
+"""Lit frames of scenes after an OpenUSD round trip: equal random numbers give equal images."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ LIGHTS: dict[str, ls.LightPoint | ls.LightSpot | ls.LightSphere | ls.LightRect |
 
 @pytest.mark.parametrize("names", [*((name,) for name in LIGHTS), tuple(LIGHTS)], ids="+".join)
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.PATH])
-def test_the_same_noise(tmp_path: Path, names: tuple[str, ...], pipeline: ls.Pipeline) -> None:
-    """To the bit, or but for the rounding of a rectangle's corners and a spot's cone: no sample of 4 differs."""
+def test_round_trip_renders_identical_noise(tmp_path: Path, names: tuple[str, ...], pipeline: ls.Pipeline) -> None:
+    """Bit-identical, up to the rounding of rectangle corners and spot cones: none of 4 samples differs."""
     usd_core()
     red = ls.MaterialPbr(base_color=(0.8, 0.3, 0.2), roughness=0.4)
     ball = ls.MeshInstance(ls.sphere(0.5, material=red), name="ball")

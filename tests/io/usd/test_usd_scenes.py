@@ -1,4 +1,4 @@
-"""Scenes in OpenUSD: what is written is read again, others may read it, and what has no place is said."""
+"""OpenUSD scenes: round trips, validity for other programs, and what is reported as lost."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from support.kinds import expect_kind
 from support.scenes.usd_scene import full_scene
 
 LIMITS = {"inner_angle": 5e-8, "outer_angle": 5e-8, "angle": 5e-8, "uvs": 2.0**-24, "edge_u": 3e-8, "edge_v": 3e-8}
-"""Angles are stored in degrees, edges as their lengths, in float32; of coordinates, 1 - v is rounded twice."""
+"""Tolerances by field: angles are stored in degrees, edges as lengths, in float32; v is flipped twice."""
 
 
 def difference(saved: Any, loaded: Any) -> float:
-    """Largest absolute difference of two numbers or arrays; inf if they have not the same form."""
+    """Returns the largest absolute difference of two numbers or arrays; inf if their shapes differ."""
     if np.shape(saved) != np.shape(loaded):
         return np.inf
     with np.errstate(invalid="ignore"):
@@ -36,7 +36,7 @@ def difference(saved: Any, loaded: Any) -> float:
 
 
 def assert_same(saved: Any, loaded: Any, label: str, moved: float) -> None:
-    """Compares all fields of two objects: data exactly, what the axes of the stage have turned within ``moved``."""
+    """Compares all fields of two objects: data exactly, values that the axes rotate within ``moved``."""
     assert type(saved) is type(loaded), label
     for field in fields(saved):
         a, b, where = getattr(saved, field.name), getattr(loaded, field.name), f"{label}.{field.name}"
@@ -52,8 +52,8 @@ def assert_same(saved: Any, loaded: Any, label: str, moved: float) -> None:
             assert a is b or a == b, where
 
 
-def turned(light: Light, turn: npt.NDArray[np.float64]) -> Light:
-    """A light under a rotation, shape (3, 3)."""
+def rotated_light(light: Light, turn: npt.NDArray[np.float64]) -> Light:
+    """Returns a light under a rotation, shape (3, 3)."""
     changed: dict[str, Any] = {
         name: tuple(turn @ getattr(light, name))
         for name in ("position", "direction", "edge_u", "edge_v")
@@ -65,14 +65,14 @@ def turned(light: Light, turn: npt.NDArray[np.float64]) -> Light:
     return replace(light, **changed)
 
 
-def standing(scene: ls.Scene) -> ls.Scene:
-    """The scene, turned so that y is up and its front at +z."""
+def upright_scene(scene: ls.Scene) -> ls.Scene:
+    """Returns the scene rotated so that y is up and its front faces +z."""
     turn = np.eye(4)
     turn[:3, :3] = y_up_from(scene.up_direction)
     return ls.Scene(
         [replace(one, world_from_object=turn @ one.transform) for one in scene.splats],
         [replace(one, world_from_object=turn @ one.transform) for one in scene.meshes],
-        [turned(light, turn[:3, :3]) for light in scene.lights],
+        [rotated_light(light, turn[:3, :3]) for light in scene.lights],
         up="y-up",
     )
 
@@ -81,14 +81,14 @@ def standing(scene: ls.Scene) -> ls.Scene:
     ("extension", "up", "moved"),
     [(".usda", "y-down", 0.0), (".usdc", "z-up", 0.0), (".usdz", (0.3, 1.0, 0.2), 2e-15), (".usd", "x-down", 0.0)],
 )
-def test_round_trip(tmp_path: Path, extension: str, up: str, moved: float) -> None:
-    """All of a scene comes back, standing upright with y up: exactly, if it stood along an axis."""
+def test_scene_round_trip(tmp_path: Path, extension: str, up: str, moved: float) -> None:
+    """Everything is restored, rotated to y up; exactly if up was an axis."""
     usd_core()
     saved, path = full_scene(up), tmp_path / f"scene{extension}"
     ls.save(path, saved)
     loaded = expect_kind(ls.Scene, ls.load(path))
     assert loaded.up_direction == (0.0, 1.0, 0.0)
-    saved = standing(saved)
+    saved = upright_scene(saved)
     for name in ("splats", "meshes", "lights"):
         before, after = getattr(saved, name), getattr(loaded, name)
         assert [one.name for one in after] == [one.name for one in before]
@@ -99,8 +99,8 @@ def test_round_trip(tmp_path: Path, extension: str, up: str, moved: float) -> No
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
-def test_validators_are_content(tmp_path: Path, extension: str) -> None:
-    """The validators of usd-core have nothing against all that we write; textures are beside the file, or in it."""
+def test_written_scenes_pass_the_validators_of_usd_core(tmp_path: Path, extension: str) -> None:
+    """Textures are beside the file, or inside a package."""
     usd_core()
     path = tmp_path / f"scene{extension}"
     ls.save(path, full_scene("y-down"), cameras=[ls.Camera.look_at((3, 2, 1), (0, 0, 0), name="view")])
@@ -114,8 +114,8 @@ def test_validators_are_content(tmp_path: Path, extension: str) -> None:
         assert {file.name for file in (tmp_path / "scene_textures").iterdir()} >= {"sky.exr", "textures_normal.png"}
 
 
-def test_what_others_will_not_know_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """All that has no place in OpenUSD, in one line."""
+def test_all_losses_are_logged_in_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Everything that OpenUSD cannot store is in one warning."""
     usd_core()
     ls.save(tmp_path / "a.usdc", full_scene("y-down"))
     (line,) = [record.getMessage() for record in caplog.records]
@@ -131,8 +131,8 @@ def test_what_others_will_not_know_is_one_line(tmp_path: Path, caplog: pytest.Lo
         assert remark in line
 
 
-def test_lost_parts_of_materials_are_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Sheen, media, thin walls and simple materials have no place."""
+def test_lost_material_features_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Sheen, absorption, thin walls and simple materials."""
     usd_core()
     odd = ls.MaterialPbr(name="odd", sheen_color=(1, 0, 0), thin_walled=True, specular=0.5, attenuation_distance=2.0)
     simple = ls.MaterialSimple(name="simple", emissive=0.25, diffuse=0.5, base_color=(1.0, 0.5, 0.0))
@@ -152,8 +152,8 @@ def test_lost_parts_of_materials_are_said(tmp_path: Path, caplog: pytest.LogCapt
     assert near.base_color == (0.5, 0.25, 0.0) and near.emissive == (0.25, 0.125, 0.0)
 
 
-def test_pictures_are_the_same(tmp_path: Path) -> None:
-    """A lit scene that was written and read shows the same picture, through its own camera."""
+def test_round_trip_renders_the_same_image(tmp_path: Path) -> None:
+    """Through the scene's own camera."""
     usd_core()
     camera = ls.Camera.look_at((1.5, -2.0, -6.0), (1, 0, 0), (0, -1, 0), width=48, height=32, name="view")
     saved = full_scene("y-down")
@@ -166,16 +166,16 @@ def test_pictures_are_the_same(tmp_path: Path) -> None:
     assert ls.metrics.psnr(before, after) > 90.0
 
 
-def test_a_mesh_alone(tmp_path: Path) -> None:
-    """A mesh is a scene of one, with y up."""
+def test_single_mesh_is_written_as_a_scene(tmp_path: Path) -> None:
+    """With y up."""
     usd_core()
     ls.save(tmp_path / "a.usdc", full_scene("y-up").meshes[0].mesh)
     loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc"))
     assert len(loaded.meshes) == 1 and loaded.up_direction == (0.0, 1.0, 0.0)
 
 
-def test_a_capture_that_is_placed_or_relit(tmp_path: Path) -> None:
-    """One capture alone becomes Gaussians where it stands, with y down; one with a material stays a scene."""
+def test_single_capture_loads_as_gaussians_unless_it_has_a_material(tmp_path: Path) -> None:
+    """The transform is applied to the Gaussians, with y down."""
     usd_core()
     ls.save(tmp_path / "a.usdc", ls.Scene([ls.SplatInstance(capture(5), position=(1, 2, 3))], up="y-down"))
     loaded = expect_kind(ls.Gaussians, ls.load(tmp_path / "a.usdc"))
@@ -188,8 +188,8 @@ def test_a_capture_that_is_placed_or_relit(tmp_path: Path) -> None:
     assert [holds_one_capture(tmp_path / name) for name in ("a.usdc", "b.usdc", "c.usdc")] == [True, False, False]
 
 
-def test_names_that_paths_cannot_have(tmp_path: Path) -> None:
-    """Names with any character, equal names, and none are kept; those that prims of ours have are no harm."""
+def test_any_object_names_are_kept(tmp_path: Path) -> None:
+    """Names with any characters, equal and empty names, and names of Lumisplat's own prims."""
     usd_core()
     names = ["", "Materials", "1 ü/ö", "a", "a", "Prototypes"]
     ball = full_scene("y-up").meshes[0].mesh
@@ -198,8 +198,8 @@ def test_names_that_paths_cannot_have(tmp_path: Path) -> None:
     assert [one.name for one in loaded.meshes][1:] == names[1:]
 
 
-def test_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """If a package cannot be written, the old one stays, and nothing else is left."""
+def test_failed_package_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No other file is left."""
     usd_core()
     path = tmp_path / "a.usdz"
     ls.save(path, capture(5))
