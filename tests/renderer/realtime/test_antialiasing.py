@@ -1,4 +1,4 @@
-"""Antialiasing over frames: against pictures of many samples a pixel, while things stand still, move and fade."""
+"""Temporal antialiasing against frames of many samples a pixel, for static, moving and fading scenes."""
 
 from __future__ import annotations
 
@@ -14,44 +14,47 @@ from support.scenes.raster_scenes import checker_quad, front_camera, one_gaussia
 Doubles = npt.NDArray[np.float64]
 
 CAMERA = front_camera()
-LAMP = ls.LightPoint((0.0, 0.0, -50.0), intensity=1e-6)
-"""Of no account: what is seen shines, and makes no noise."""
+LIGHT = ls.LightPoint((0.0, 0.0, -50.0), intensity=1e-6)
+"""A negligible light: the scenes consist of emissive meshes, which have no noise."""
 PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
 
 
-def shining(*radiance: float, half: float = 1.0, tilt: float = 0.0) -> ls.Mesh:
-    """A square that shines."""
+def emissive_square(*radiance: float, half: float = 1.0, tilt: float = 0.0) -> ls.Mesh:
+    """Returns an emissive square."""
     material = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), emissive=radiance)  # pyright: ignore[reportArgumentType]
     return quad(4.0, half, tilt, material=material)
 
 
 def renderer(antialiasing: bool = True, threads: int = 1, **settings: object) -> ls.Renderer:
-    """Of a sequence without bounces."""
+    """Returns a renderer of a real-time sequence without bounces."""
     realtime = ls.RealtimeConfig(antialiasing=antialiasing)
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, realtime=realtime, **settings)  # pyright: ignore[reportArgumentType]
     return ls.create_renderer(config, "cpu", threads=threads)
 
 
 def scene_of(*meshes: ls.Mesh | ls.MeshInstance, **settings: object) -> ls.Scene:
-    """Something that shines before black."""
-    return ls.Scene((), meshes, [LAMP], **settings)  # pyright: ignore[reportArgumentType]
+    """Returns emissive meshes before a black background."""
+    return ls.Scene((), meshes, [LIGHT], **settings)  # pyright: ignore[reportArgumentType]
 
 
 def truth(scene: ls.Scene, camera: ls.Camera = CAMERA) -> ls.Frame:
-    """Many samples a pixel."""
+    """Renders the reference with 64 samples a pixel."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=64, max_bounces=0, lighting=True)
     return ls.create_renderer(config, "cpu", threads=1).render(scene, camera)
 
 
 def error(frame: ls.Frame, of: ls.Frame) -> float:
-    """Root of the mean square."""
+    """Returns the root mean square error of the colour."""
     return float(np.sqrt(np.mean((frame.color - of.color) ** 2)))
 
 
-def test_edges_that_stand_still_become_smooth() -> None:
-    """The first frame has one sample a pixel, at its centre; the mean over frames is nearly that of the truth."""
+def test_static_edges_become_antialiased() -> None:
+    """The first frame has one sample at each pixel centre; the mean over frames converges to the reference."""
     scene = scene_of(
-        replace(shining(0.8, 0.5, 0.2, tilt=0.5), positions=np.array(shining(1.0, 1.0, 1.0).positions) * 0.9 + 0.07)
+        replace(
+            emissive_square(0.8, 0.5, 0.2, tilt=0.5),
+            positions=np.array(emissive_square(1.0, 1.0, 1.0).positions) * 0.9 + 0.07,
+        )
     )
     sharp, smooth = renderer(antialiasing=False).render(scene, CAMERA), renderer(aovs=PARTS)
     frames = [smooth.render(scene, CAMERA) for _ in range(48)]
@@ -67,22 +70,22 @@ def test_edges_that_stand_still_become_smooth() -> None:
     np.testing.assert_allclose(total, frames[47].color, atol=1e-5, rtol=1e-5)
 
 
-def test_what_shows_unlit_is_smooth_as_well() -> None:
-    """Captures that keep their look, and an environment behind them and a mesh."""
+def test_captures_and_environment_are_antialiased() -> None:
+    """Unlit captures, the environment and a mesh all converge to the reference."""
     rng = np.random.default_rng(2)
-    sky = ls.LightEnvironment(rng.uniform(0.0, 1.0, (16, 32, 3)).astype(np.float32))
-    scene = ls.Scene([random_gaussians(4, count=60)], [shining(0.7, 0.1, 0.1, half=0.5)], [sky])
+    environment = ls.LightEnvironment(rng.uniform(0.0, 1.0, (16, 32, 3)).astype(np.float32))
+    scene = ls.Scene([random_gaussians(4, count=60)], [emissive_square(0.7, 0.1, 0.1, half=0.5)], [environment])
     good, sharp, smooth = truth(scene), renderer(antialiasing=False), renderer()
     assert error(sharp.render(scene, CAMERA), good) > 0.005
     frames = [smooth.render(scene, CAMERA) for _ in range(40)]
     assert error(frames[-1], good) < 0.25 * error(frames[0], good)
 
 
-def test_thin_things_do_not_flicker() -> None:
-    """A wire a quarter of a pixel wide is hit by one frame of four: all show it, and as bright as it is."""
+def test_subpixel_wires_do_not_flicker() -> None:
+    """A wire a quarter of a pixel wide is hit in one frame of four, yet each frame shows it at its brightness."""
     wire = replace(
-        shining(1.0, 1.0, 1.0),
-        positions=np.array(shining(1.0, 1.0, 1.0).positions) * (0.0083, 1.0, 1.0) + (0.03, 0.0, 0.0),
+        emissive_square(1.0, 1.0, 1.0),
+        positions=np.array(emissive_square(1.0, 1.0, 1.0).positions) * (0.0083, 1.0, 1.0) + (0.03, 0.0, 0.0),
     )
     scene, smooth = scene_of(wire), renderer()
     frames = np.array([smooth.render(scene, CAMERA).color[..., 0] for _ in range(80)])[48:, 14:34]
@@ -92,9 +95,9 @@ def test_thin_things_do_not_flicker() -> None:
     assert frames.std(axis=0).max() < 0.05
 
 
-def test_what_has_gone_leaves_no_trail() -> None:
-    """Where a thing was, and is not any more, is the background: at once but at its edges, and there in a frame."""
-    mesh = shining(1.0, 1.0, 1.0, half=0.5)
+def test_moved_objects_leave_no_trail() -> None:
+    """Pixels that an object has left show the background at once, its former edges after a frame."""
+    mesh = emissive_square(1.0, 1.0, 1.0, half=0.5)
     away = similarity(offset=(1.2, 0.0, 0.0))
     smooth, first = renderer(), scene_of(ls.MeshInstance(mesh))
     for _ in range(20):
@@ -106,9 +109,9 @@ def test_what_has_gone_leaves_no_trail() -> None:
 
 
 @pytest.mark.parametrize("goes", [True, False])
-def test_what_starts_to_move_or_goes_leaves_no_outline(goes: bool) -> None:
-    """Its edges were means of it and of what is behind: where it is not any more, that alone is seen, at once."""
-    mesh, wall = shining(0.3, 0.3, 0.3, half=0.5, tilt=0.4), shining(0.8, 0.8, 0.8, half=6.0)
+def test_objects_that_start_to_move_or_vanish_leave_no_outline(goes: bool) -> None:
+    """Edge pixels averaged object and background; once the object moves or goes, they show the background at once."""
+    mesh, wall = emissive_square(0.3, 0.3, 0.3, half=0.5, tilt=0.4), emissive_square(0.8, 0.8, 0.8, half=6.0)
     behind = ls.MeshInstance(wall, similarity(offset=(0.0, 0.0, 2.0)))
     turned = [similarity((0.0, 0.0, 1.0), 0.3, offset=(x, 0.0, 0.0)) for x in (0.0, 0.4)]
     first, then = ([ls.MeshInstance(mesh, at)] for at in turned)
@@ -124,9 +127,9 @@ def test_what_starts_to_move_or_goes_leaves_no_outline(goes: bool) -> None:
 
 
 @pytest.mark.parametrize("step", [0.03, 0.2])
-def test_what_moves_has_smooth_edges_and_no_trail(step: float) -> None:
-    """Half a pixel or three a frame: nearer to the truth than single samples, and nothing far from the edges."""
-    mesh, smooth, sharp = shining(0.9, 0.6, 0.3, half=0.5, tilt=0.4), renderer(), renderer(antialiasing=False)
+def test_moving_objects_have_smooth_edges_and_no_trail(step: float) -> None:
+    """At half a pixel or three pixels a frame, the error is below that of single samples and zero away from edges."""
+    mesh, smooth, sharp = emissive_square(0.9, 0.6, 0.3, half=0.5, tilt=0.4), renderer(), renderer(antialiasing=False)
     turned = [similarity((0.0, 0.0, 1.0), 0.3, offset=(1.2 - step * left, -1.0, 0.4)) for left in range(11, -1, -1)]
     scenes = [scene_of(ls.MeshInstance(mesh, at)) for at in turned]
     frames = [[each.render(scene, CAMERA) for scene in scenes][-1] for each in (smooth, sharp)]
@@ -139,7 +142,7 @@ def test_what_moves_has_smooth_edges_and_no_trail(step: float) -> None:
 
 @pytest.mark.parametrize(("fine", "most"), [(1.0, 0.7), (2.5, 1.1)])
 def test_textures_stay_sharp_while_the_camera_moves(fine: float, most: float) -> None:
-    """Texels of 3 to 8 pixels are nearer to the truth than in single samples, those of 1 to 3 pixels as near."""
+    """Texels of 3 to 8 pixels have a lower error than single samples, texels of 1 to 3 pixels about the same."""
     texture = checker_quad(4.0)
     texture = replace(texture, uvs=fine * np.asarray(texture.uvs))
     scene = ls.Scene((), [texture], [ls.LightDirectional((0.2, 0.3, 1.0))])
@@ -154,32 +157,32 @@ def test_textures_stay_sharp_while_the_camera_moves(fine: float, most: float) ->
     assert error(shown[0], good) < most * error(shown[1], good)
 
 
-def test_light_that_fades_is_followed() -> None:
-    """By a tenth a frame: what is shown lags behind by less than that."""
+def test_fading_light_is_followed() -> None:
+    """The light fades by a tenth a frame; the image lags behind by less than that."""
     smooth = renderer()
     for number in range(30):
         left = 0.9 ** max(number - 10, 0)
-        frame = smooth.render(scene_of(shining(left, left, left)), CAMERA)
+        frame = smooth.render(scene_of(emissive_square(left, left, left)), CAMERA)
         assert frame.color[24, 32, 0] == pytest.approx(left, rel=0.1)
 
 
-def test_another_light_is_seen_at_once() -> None:
-    """Even where it is so little different that noise could be."""
-    before, after = scene_of(shining(0.8, 0.8, 0.8)), scene_of(shining(0.784, 0.784, 0.784))
+def test_a_small_change_of_light_shows_in_the_next_frame() -> None:
+    """A change of 2 %, as small as noise could be, is visible in the next frame."""
+    before, after = scene_of(emissive_square(0.8, 0.8, 0.8)), scene_of(emissive_square(0.784, 0.784, 0.784))
     smooth = renderer()
     for _ in range(16):
         smooth.render(before, CAMERA)
     assert smooth.render(after, CAMERA).color[CAMERA.height // 2, CAMERA.width // 2] == pytest.approx(0.784, abs=1e-4)
 
 
-def test_threads_do_not_matter() -> None:
-    """The same bits with 1, 2 and 5, also of a sequence that begins anew."""
-    mesh = shining(0.9, 0.6, 0.3, half=0.5, tilt=0.4)
+def test_results_do_not_depend_on_thread_count() -> None:
+    """Results have the same bits with 1, 2 and 5 threads, also after a reset."""
+    mesh = emissive_square(0.9, 0.6, 0.3, half=0.5, tilt=0.4)
     scenes = [
         ls.Scene(
             [one_gaussian((-0.3, 0.2, 3.0), 0.2, 0.8)],
             [ls.MeshInstance(mesh, similarity(offset=(x, 0.0, 0.0)))],
-            [LAMP],
+            [LIGHT],
         )
         for x in (0.0, 0.01, 0.03, 0.03)
     ]

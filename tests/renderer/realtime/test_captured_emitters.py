@@ -1,4 +1,4 @@
-"""Captures that are sampled as lights in real time: mathematics of the boxes, the light itself, and which they are."""
+"""Captures sampled as lights in real time: pdf of the boxes, the light itself, and which captures are lights."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ from support.scenes.path_scenes import diffuse
 
 RNG = np.random.default_rng(7)
 FLOOR = ls.MeshInstance(ls.plane(8.0, 8.0, material=diffuse(0.5)))
-LAMP = ls.gaussians_from_mesh(ls.plane(1.0, 1.0, material=diffuse(1.0)), 1500)
-"""White, of radiance 1, and seen from both sides."""
+CAPTURED_LIGHT = ls.gaussians_from_mesh(ls.plane(1.0, 1.0, material=diffuse(1.0)), 1500)
+"""A white captured square of radiance 1, visible from both sides."""
 
 
 def placed(height: float, turn: float = 0.0, **settings: Any) -> ls.SplatInstance:
-    """The lamp over the origin, turned about the x axis by degrees."""
+    """Returns the captured square above the origin, rotated about the x axis by ``turn`` degrees."""
     transform = np.eye(4)
     transform[:3, :3] = rotation_from_degrees(np.array((turn, 0.0, 0.0)))
     transform[1, 3] = height
-    return ls.SplatInstance(LAMP, world_from_object=transform, **settings)
+    return ls.SplatInstance(CAPTURED_LIGHT, world_from_object=transform, **settings)
 
 
 # --- The boxes ---
 
 
 def box_rows() -> np.ndarray:
-    """Three boxes, one of them flat, one around the origin."""
+    """Returns three boxes, one of them flat, one around the origin."""
     rows = np.zeros(3, table_dtype(EmitterBox))
     rows["center"] = (0.0, 0.1, 0.0), (2.0, 1.0, 0.5), (-1.0, -1.5, 1.0)
     rows["half"] = (0.5, 0.4, 0.3), (0.7, 0.001, 0.6), (0.3, 0.6, 0.2)
-    turns = [
+    rotations = [
         rotation_from_degrees(np.array(angles)) for angles in ((0.0, 0.0, 0.0), (30.0, 10.0, 70.0), (15.0, 80.0, 5.0))
     ]
-    rows["box_from_world"] = turns
+    rows["box_from_world"] = rotations
     rows["power"] = 1.0, 3.0, 0.5
     return rows
 
 
-def density_twin(rows: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Density of directions, by the definition: 20,000 slices of each ray, weighted by distance squared."""
+def pdf_reference(rows: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Returns the pdf of directions by definition: volume integrals along each ray, weighted by distance squared."""
     away = ((points[:, None] - rows["center"]) ** 2).sum(axis=2)
     weights = rows["power"] / np.maximum(away, (rows["half"].astype(np.float64) ** 2).sum(axis=1))
     shares = weights / weights.sum(axis=1, keepdims=True)
@@ -66,36 +66,36 @@ def density_twin(rows: np.ndarray, points: np.ndarray, directions: np.ndarray) -
 
 
 def sampled(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Directions and their densities, one a point."""
+    """Samples one direction a point; returns the directions and their pdfs."""
     count = len(points)
-    directions, densities = wp.zeros(count, wp.vec3, device="cpu"), wp.zeros(count, wp.vec2, device="cpu")
+    directions, pdfs = wp.zeros(count, wp.vec3, device="cpu"), wp.zeros(count, wp.vec2, device="cpu")
     inputs = wp.array(box_rows(), dtype=EmitterBox, device="cpu"), wp.array(points, dtype=wp.vec3, device="cpu")
     random = wp.array(RNG.random((count, 4)), dtype=wp.vec4, device="cpu")
-    wp.launch(probe.sample_boxes, count, inputs=[0, *inputs, random, directions, densities], device="cpu")
-    return directions.numpy().astype(np.float64), densities.numpy().astype(np.float64)[:, 0]
+    wp.launch(probe.sample_boxes, count, inputs=[0, *inputs, random, directions, pdfs], device="cpu")
+    return directions.numpy().astype(np.float64), pdfs.numpy().astype(np.float64)[:, 0]
 
 
-def test_densities_of_directions_are_those_of_points_in_boxes() -> None:
-    """Also from within a box, and of a flat one."""
+def test_direction_pdf_is_that_of_uniform_points_in_boxes() -> None:
+    """Points inside a box and a flat box are included."""
     points = np.concatenate([RNG.uniform(-3.0, 3.0, (3000, 3)), RNG.uniform(-0.2, 0.2, (1000, 3))])
-    directions, densities = sampled(points)
-    twin = density_twin(box_rows(), points, directions)
-    assert (densities > 0.0).mean() > 0.999
-    good = (twin > 0.0) & (densities > 0.0)
-    np.testing.assert_allclose(densities[good], twin[good], rtol=0.02)
+    directions, pdfs = sampled(points)
+    reference = pdf_reference(box_rows(), points, directions)
+    assert (pdfs > 0.0).mean() > 0.999
+    good = (reference > 0.0) & (pdfs > 0.0)
+    np.testing.assert_allclose(pdfs[good], reference[good], rtol=0.02)
 
 
-def test_samples_over_their_density_add_up_to_the_solid_angle() -> None:
-    """Within a cone in which boxes are everywhere: its solid angle, from inside one of them."""
+def test_mean_inverse_pdf_is_the_solid_angle() -> None:
+    """The mean of 1 / pdf over a cone that boxes cover is the cone's solid angle, also from inside a box."""
     points = np.zeros((200_000, 3))
-    directions, densities = sampled(points)
+    directions, pdfs = sampled(points)
     for axis in np.eye(3):
         inside = directions @ axis > np.cos(0.5)
-        assert (inside / densities).mean() == pytest.approx(2.0 * np.pi * (1.0 - np.cos(0.5)), rel=0.02)
+        assert (inside / pdfs).mean() == pytest.approx(2.0 * np.pi * (1.0 - np.cos(0.5)), rel=0.02)
 
 
-def test_boxes_hold_all_gaussians() -> None:
-    """Each mean is in one of the parts' boxes, and each, three standard deviations wide, in that around all."""
+def test_boxes_contain_all_gaussians() -> None:
+    """Each mean is in a box of a part, and each Gaussian, to three standard deviations, in the box around all."""
     rotated = ls.gaussians_from_mesh(ls.sphere(1.0), 3000)
     boxes = boxes_of(rotated)
     offsets = rotated.means[:, None].astype(np.float64) - boxes.centers
@@ -106,8 +106,8 @@ def test_boxes_hold_all_gaussians() -> None:
     assert len(boxes.powers) == 17
 
 
-def test_one_gaussian_has_boxes() -> None:
-    """It cannot be halved."""
+def test_a_single_gaussian_has_boxes() -> None:
+    """A single Gaussian cannot be split into parts."""
     one = ls.Gaussians(
         np.zeros((1, 3)), np.array([[1.0, 0, 0, 0]]), np.full((1, 3), 0.1), np.ones(1), np.zeros((1, 1, 3))
     )
@@ -117,8 +117,8 @@ def test_one_gaussian_has_boxes() -> None:
 # --- Which captures are lights ---
 
 
-def test_what_stands_around_receivers_is_no_light() -> None:
-    """A lamp over a floor is a light; a capture of a room in which a mesh stands is not."""
+def test_captures_around_receivers_are_not_lights() -> None:
+    """A capture above a floor is a light; a captured room around a mesh is not."""
     corners = np.column_stack([RNG.uniform(-4.0, 4.0, (100, 3)), np.ones(100)])
     flat, around = np.array(((-0.5, -0.1, -0.5), (0.5, 0.1, 0.5))), np.array(((-5.0,) * 3, (5.0,) * 3))
     assert is_separate_emitter(placed(1.0), flat, corners)
@@ -126,8 +126,8 @@ def test_what_stands_around_receivers_is_no_light() -> None:
     assert not is_separate_emitter(placed(1.0), flat, np.zeros((0, 4)))
 
 
-def test_a_captured_room_lights_a_mesh_in_it_by_probes_alone() -> None:
-    """It has no direct light then; a lamp beside the mesh has."""
+def test_a_captured_room_lights_a_mesh_in_it_only_by_probes() -> None:
+    """A mesh in a captured room gets no direct light, unless another capture beside it is a light."""
     room = ls.SplatInstance(ls.gaussians_from_mesh(ls.box(10.0, material=diffuse(0.3)), 3000))
     ball = ls.MeshInstance(ls.sphere(0.5, material=diffuse(0.5)))
     camera = ls.Camera.look_at((0.0, 1.0, 3.0), (0.0, 0.0, 0.0), width=32, height=24, fov_y=0.6)
@@ -142,12 +142,12 @@ def test_a_captured_room_lights_a_mesh_in_it_by_probes_alone() -> None:
 
 
 def view(width: int = 64, height: int = 48) -> ls.Camera:
-    """The floor from above, before the lamp."""
+    """Returns a camera that sees the floor from above, in front of the captured light."""
     return ls.Camera.look_at((0.0, 2.5, 4.0), (0.0, 0.0, 1.0), width=width, height=height, fov_y=0.6)
 
 
 def after(scene: ls.Scene, frames: int, camera: ls.Camera, **settings: Any) -> ls.Frame:
-    """The last of so many frames in real time."""
+    """Returns the last of ``frames`` real-time frames."""
     given = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=PATH_PARTS, **settings)
     renderer = ls.create_renderer(given, "cpu")
     for _ in range(frames - 1):
@@ -156,13 +156,13 @@ def after(scene: ls.Scene, frames: int, camera: ls.Camera, **settings: Any) -> l
 
 
 def paths(scene: ls.Scene, samples: int, camera: ls.Camera, **settings: Any) -> ls.Frame:
-    """The same by paths."""
+    """Path-traces the same scene."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, **settings)
     return ls.create_renderer(config, "cpu").render(scene, camera)
 
 
 def blob_irradiance(points: np.ndarray, center: np.ndarray, sigma: float, opacity: float) -> np.ndarray:
-    """Irradiance of a floor by one round Gaussian of radiance 1: its alpha over all directions, by quadrature."""
+    """Returns a floor's irradiance from a round Gaussian of radiance 1, by quadrature of its alpha."""
     polar, turn = (np.arange(count) + 0.5 for count in (200, 200))
     cosines, angles = 1.0 - polar / 200.0, 2.0 * np.pi * turn / 200.0
     sines = np.sqrt(1.0 - cosines**2)
@@ -178,8 +178,8 @@ def blob_irradiance(points: np.ndarray, center: np.ndarray, sigma: float, opacit
     return irradiance
 
 
-def test_a_gaussian_lights_a_floor_by_the_integral_of_its_alpha() -> None:
-    """Without bounces, to 2 % in the mean and 8 % in the mean square of blocks."""
+def test_irradiance_from_a_gaussian_is_the_integral_of_its_alpha() -> None:
+    """The frame has no bounces and is within 2 % in the mean, and 8 % RMS over blocks of pixels."""
     center, sigma, opacity = np.array((0.0, 1.0, 0.5)), 0.2, 0.9
     white = np.full((1, 1, 3), 0.5 / SH_C0)
     blob = ls.Gaussians(center[None], np.array([[1.0, 0, 0, 0]]), np.full((1, 3), sigma), np.array([opacity]), white)
@@ -190,33 +190,33 @@ def test_a_gaussian_lights_a_floor_by_the_integral_of_its_alpha() -> None:
     floor = frame.instance_index == 1
     truth = np.zeros(floor.shape)
     truth[floor] = 0.5 / np.pi * blob_irradiance(frame.position[floor].astype(np.float64), center, sigma, opacity)
-    seen = frame.direct_diffuse.mean(axis=2)
-    assert seen[floor].mean() == pytest.approx(truth[floor].mean(), rel=0.02)
+    found = frame.direct_diffuse.mean(axis=2)
+    assert found[floor].mean() == pytest.approx(truth[floor].mean(), rel=0.02)
     whole = floor.reshape(6, 8, 8, 8).all(axis=(1, 3))
-    ratio = (seen.reshape(6, 8, 8, 8).mean(axis=(1, 3)) / truth.reshape(6, 8, 8, 8).mean(axis=(1, 3)))[whole]
+    ratio = (found.reshape(6, 8, 8, 8).mean(axis=(1, 3)) / truth.reshape(6, 8, 8, 8).mean(axis=(1, 3)))[whole]
     assert np.sqrt(((ratio - 1.0) ** 2).mean()) < 0.08
 
 
 def upright(back: float = 0.35) -> ls.Scene:
-    """A captured panel on a floor, and a plate of a mesh behind it that it does not light from before."""
+    """Returns a captured panel on a floor, with a mesh plate behind it whose front it does not light."""
     plate = ls.box((1.2, 0.6, 0.05), material=diffuse(0.7))
-    lamp = placed(0.5, 90.0)
-    return ls.Scene([lamp], [FLOOR, ls.MeshInstance(plate, position=(0.0, 0.3, back))])
+    captured_light = placed(0.5, 90.0)
+    return ls.Scene([captured_light], [FLOOR, ls.MeshInstance(plate, position=(0.0, 0.3, back))])
 
 
-def test_contacts_and_shadows_near_captured_lamps_are_those_of_paths() -> None:
-    """Blocks of the floor and of the plate to 13 % of what paths find, in the mean square, with the noise of both."""
+def test_contact_shadows_of_captured_lights_match_the_path_tracer() -> None:
+    """Blocks of floor and plate are within 13 % RMS of the path tracer, the noise of both included."""
     camera = ls.Camera.look_at((2.2, 1.2, 2.0), (0.0, 0.2, 0.2), width=64, height=48, fov_y=0.8)
     truth, frame = paths(upright(), 400, camera), after(upright(), 32, camera)
     lit = (frame.instance_index >= 1).reshape(6, 8, 8, 8).all(axis=(1, 3))
-    seen, wanted = (one.color.reshape(6, 8, 8, 8, 3).mean(axis=(1, 3, 4))[lit] for one in (frame, truth))
-    errors = (seen - wanted) / np.maximum(wanted, 0.3 * wanted.mean())
+    found, expected = (one.color.reshape(6, 8, 8, 8, 3).mean(axis=(1, 3, 4))[lit] for one in (frame, truth))
+    errors = (found - expected) / np.maximum(expected, 0.3 * expected.mean())
     assert np.sqrt((errors**2).mean()) < 0.13
-    assert seen.mean() == pytest.approx(wanted.mean(), rel=0.03)
+    assert found.mean() == pytest.approx(expected.mean(), rel=0.03)
 
 
-def test_captured_lamps_shine_through_glass_as_in_paths() -> None:
-    """Their light is tinted as that of lights, and counts once."""
+def test_captured_light_through_glass_matches_the_path_tracer() -> None:
+    """Glass tints the light of captures as that of lights, and the light counts once."""
     tinted = ls.MaterialPbr(base_color=(0.9, 0.5, 0.2), roughness=0.0, transmission=1.0, thin_walled=True)
     pane = ls.MeshInstance(ls.plane(3.0, 3.0, material=tinted), position=(0.0, 0.7, 0.0))
     scene = ls.Scene([placed(1.0)], [FLOOR, pane])
@@ -227,7 +227,7 @@ def test_captured_lamps_shine_through_glass_as_in_paths() -> None:
 
 
 def test_relit_gaussians_receive_and_block_the_light_of_captures() -> None:
-    """A relit floor, below a relit plate, as in paths."""
+    """A relit floor below a relit plate is as bright as by the path tracer, to 6 %."""
     material = diffuse(0.5)
     floor = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=material), 6000), material=material)
     plate = ls.SplatInstance(
@@ -242,8 +242,8 @@ def test_relit_gaussians_receive_and_block_the_light_of_captures() -> None:
     assert frame.color[lit].mean() == pytest.approx(truth.color[lit].mean(), rel=0.06)
 
 
-def test_the_gain_of_captures_brightens_their_light() -> None:
-    """Two stops are four times the light."""
+def test_capture_gain_scales_captured_light() -> None:
+    """A gain of two stops makes four times the light."""
     plain, bright = (
         after(ls.Scene([placed(1.0)], [FLOOR]), 4, view(32, 24), max_bounces=0, capture_gain=stops)
         for stops in (0.0, 2.0)
@@ -254,8 +254,8 @@ def test_the_gain_of_captures_brightens_their_light() -> None:
     assert bright.direct_diffuse.sum() == pytest.approx(4.0 * plain.direct_diffuse.sum(), rel=1e-3)
 
 
-def test_threads_do_not_change_bits() -> None:
-    """Frames are a function of the scene alone."""
+def test_results_do_not_depend_on_thread_count() -> None:
+    """Frames have the same bits with 1 and 3 threads."""
     frames = []
     for threads in (1, 3):
         config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
@@ -264,16 +264,16 @@ def test_threads_do_not_change_bits() -> None:
     np.testing.assert_array_equal(*frames)
 
 
-def test_light_of_a_lamp_that_has_moved_goes_with_it() -> None:
-    """After 12 frames blocks are within 10 % of those of a lamp that has always been there, in the mean square."""
+def test_light_of_a_moved_capture_moves_along() -> None:
+    """After 12 frames, blocks are within 10 % RMS of a sequence in which the captured light has always been there."""
     camera, scenes = view(48, 32), []
     for x in (-0.8, 0.8):
-        scenes.append(ls.Scene([ls.SplatInstance(LAMP, position=(x, 0.6, 0.0))], [FLOOR]))
+        scenes.append(ls.Scene([ls.SplatInstance(CAPTURED_LIGHT, position=(x, 0.6, 0.0))], [FLOOR]))
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     for scene in [scenes[0]] * 16 + [scenes[1]] * 11:
         renderer.render(scene, camera)
     moved = renderer.render(scenes[1], camera)
     still = after(scenes[1], 28, camera)
     floor = (still.instance_index == 1).reshape(4, 8, 6, 8).all(axis=(1, 3))
-    seen, wanted = (one.color.reshape(4, 8, 6, 8, 3).mean(axis=(1, 3, 4))[floor] for one in (moved, still))
-    assert np.sqrt(((seen / wanted - 1.0) ** 2).mean()) < 0.1
+    found, expected = (one.color.reshape(4, 8, 6, 8, 3).mean(axis=(1, 3, 4))[floor] for one in (moved, still))
+    assert np.sqrt(((found / expected - 1.0) ** 2).mean()) < 0.1

@@ -1,4 +1,4 @@
-"""Debug layers of frames in real time: history, probes and cells of the cache."""
+"""Debug layers of real-time frames: history, probes and cells of the radiance cache."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOM = path_rooms()["diffuse_area"].scene
 
 
 def last_frame(frames: int, scene: ls.Scene = ROOM, **settings: object) -> ls.Frame:
-    """The last of so many frames, with debug layers."""
+    """Returns the last of ``frames`` frames, with debug layers."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=(*DEBUG, *LIGHT), **settings)  # pyright: ignore[reportArgumentType]
     renderer = ls.create_renderer(config, "cpu")
     frame = renderer.render(scene, VIEW)
@@ -26,21 +26,21 @@ def last_frame(frames: int, scene: ls.Scene = ROOM, **settings: object) -> ls.Fr
 
 @pytest.fixture(scope="module")
 def frame() -> ls.Frame:
-    """Of the room, after 24 frames."""
+    """Returns a frame of the room after 24 frames."""
     return last_frame(24)
 
 
 @pytest.mark.parametrize(("interval", "expected"), [(1, 3), (2, 2)])
 def test_history_counts_frames(interval: int, expected: int) -> None:
-    """All of three; of every second one the first, and one of the other two."""
-    settings = ls.RealtimeConfig(light_interval=interval, antialiasing=False)  # all see what they saw
+    """After three frames, the history is 3; with samples every second frame, it is 2."""
+    settings = ls.RealtimeConfig(light_interval=interval, antialiasing=False)  # exact reprojection without jitter
     history = last_frame(3, max_bounces=0, realtime=settings).history
     assert history is not None
     np.testing.assert_allclose(history, expected, atol=1e-4)
 
 
 def test_each_tile_has_a_probe(frame: ls.Frame) -> None:
-    """Each tile of 8 x 8 pixels shows a surface, and so has a probe; all have been refreshed."""
+    """Each tile of 8 x 8 pixels shows a surface and hence has a probe, and all probes have been refreshed."""
     assert frame.probes is not None
     tiles = frame.probes.reshape(9, 8, 12, 8).max(axis=(1, 3))
     assert tiles.min() >= 1
@@ -48,8 +48,8 @@ def test_each_tile_has_a_probe(frame: ls.Frame) -> None:
     assert frame.probes.max() <= 24
 
 
-def test_the_cache_is_as_bright_as_the_frame(frame: ls.Frame) -> None:
-    """Diffuse light of all bounces, in the mean; its cells are as large as their distance says."""
+def test_cached_radiance_has_the_mean_of_the_frame(frame: ls.Frame) -> None:
+    """The cached diffuse light of all bounces has the mean of the frame, and cell sizes follow the distance."""
     assert frame.cache is not None
     assert frame.cache_cells is not None
     assert frame.direct_diffuse is not None
@@ -64,14 +64,14 @@ def test_the_cache_is_as_bright_as_the_frame(frame: ls.Frame) -> None:
 
 
 def test_debug_layers_are_views_and_can_be_saved(frame: ls.Frame, tmp_path) -> None:
-    """Each view is a picture of its own, layers can be saved, and the parts of light are views, too."""
+    """Each debug layer has an image of its own and can be saved; light layers are views, too."""
     pictures = {name: frame.view(name) for name in (*DEBUG, *LIGHT)}
     assert all(picture.shape == (72, 96, 3) and np.ptp(picture) > 0.2 for picture in pictures.values())
     assert frame.view_limits("history") == (0.0, 32.0)
     assert frame.probes is not None
     y, x = np.argwhere(frame.probes >= 0)[0]
     colours = frame.view("probes")[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
-    assert np.ptp(colours[0, 0]) > 0.05  # no grey
+    assert np.ptp(colours[0, 0]) > 0.05  # drawn in colour
     cells = frame.cache_cells
     assert cells is not None
     first = cells == cells[36, 48]
@@ -82,7 +82,7 @@ def test_debug_layers_are_views_and_can_be_saved(frame: ls.Frame, tmp_path) -> N
 
 
 def test_direct_light_alone_has_neither_probes_nor_cache() -> None:
-    """Nor has an empty scene; nothing is drawn."""
+    """The layers are empty without bounces, and for an empty scene."""
     for scene in (ROOM, ls.Scene(lights=ROOM.lights)):
         frame = last_frame(1, scene, max_bounces=0, lighting=True)
         assert frame.probes is not None
@@ -94,7 +94,7 @@ def test_direct_light_alone_has_neither_probes_nor_cache() -> None:
 
 @pytest.mark.parametrize("pipeline", ["raster", "trace", "hybrid", "path"])
 def test_other_pipelines_refuse_debug_layers(pipeline: str) -> None:
-    """They say which one does."""
+    """The error names the pipeline that has these layers."""
     config = ls.RenderConfig(pipeline=ls.Pipeline(pipeline), lighting=True, aovs=("history", "cache"))
     with pytest.raises(ls.ConfigError, match=r"has no cache, history among its aovs: Pipeline\.REALTIME does"):
         ls.render(ROOM, VIEW, config, device="cpu")

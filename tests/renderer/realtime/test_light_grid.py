@@ -1,4 +1,4 @@
-"""The light grid: sums over few of many lights are those over all, and no light is lost."""
+"""The light grid: sums over a few of many lights are unbiased, and no light is lost."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ SURFACE, NORMAL = (0.3, 0.1, 0.2), (0.0, 1.0, 0.0)
 CELL = cell_at(SURFACE, 4.0)
 
 
-def lamps(count: int, seed: int = 0, size: float = 4.0) -> list[ls.LightPoint]:
-    """Coloured points around the origin, without range."""
+def point_lights(count: int, seed: int = 0, size: float = 4.0) -> list[ls.LightPoint]:
+    """Returns coloured point lights around the origin, without range."""
     rng = np.random.default_rng(seed)
-    places, colors = rng.uniform(-size, size, (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
+    positions, colors = rng.uniform(-size, size, (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
     return [
-        ls.LightPoint(tuple(place), tuple(color), intensity=power)
-        for place, color, power in zip(places.tolist(), colors.tolist(), rng.exponential(1.0, count), strict=True)
+        ls.LightPoint(tuple(position), tuple(color), intensity=power)
+        for position, color, power in zip(positions.tolist(), colors.tolist(), rng.exponential(1.0, count), strict=True)
     ]
 
 
 def irradiance(lights: list[ls.LightPoint], surface: Any = SURFACE) -> np.ndarray:
-    """Of each at a surface that faces it, by channel, shape (N, 3)."""
-    places, powers = numbers_of(lights)
-    return powers / ((places - surface) ** 2).sum(axis=1)[:, None]
+    """Returns the irradiance from each light at a surface that faces it, by channel, shape (N, 3)."""
+    positions, powers = positions_and_intensities(lights)
+    return powers / ((positions - surface) ** 2).sum(axis=1)[:, None]
 
 
-def numbers_of(lights: list[ls.LightPoint]) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and candela, shape (N, 3) each."""
+def positions_and_intensities(lights: list[ls.LightPoint]) -> tuple[np.ndarray, np.ndarray]:
+    """Returns positions and luminous intensities in candela, shape (N, 3) each."""
     return np.array([light.position for light in lights]), np.array(
         [np.multiply(light.color, light.intensity) for light in lights]
     )
 
 
-def test_cells_hold_what_takes_them() -> None:
-    """A surface is within a cell's width of the middle of the cell that it takes, along each axis."""
+def test_surfaces_are_near_the_centre_of_their_cell() -> None:
+    """A surface is within one cell width of the centre of its cell along each axis; invalid positions have no cell."""
     assert CELL.half == pytest.approx(0.5 * np.sqrt(3.0))
     np.testing.assert_array_equal(CELL.center, (0.5, 0.5, 0.5))
     far = cell_at((1e6, -3e5, 2.0), 5.0)
@@ -52,11 +52,11 @@ def test_cells_hold_what_takes_them() -> None:
 
 
 @pytest.mark.parametrize("count", [17, 300])
-def test_chosen_lights_are_those_of_the_twin(count: int) -> None:
-    """The same lights, with the same probabilities, frame by frame and by seed."""
-    lights = lamps(count)
-    places, powers = numbers_of(lights)
-    weights = point_weights(places, powers, CELL.center, CELL.half)
+def test_chosen_lights_match_the_reference(count: int) -> None:
+    """Lights and probabilities agree frame by frame and for several seeds."""
+    lights = point_lights(count)
+    positions, powers = positions_and_intensities(lights)
+    weights = point_weights(positions, powers, CELL.center, CELL.half)
     rig = LightGridRig(lights, [CELL])
     for frame, seed in ((0, 0), (1, 0), (7, 0), (0, 5)):
         numbers, chances = (row[0] for row in rig.choose(frame, seed))
@@ -68,57 +68,57 @@ def test_chosen_lights_are_those_of_the_twin(count: int) -> None:
 
 @pytest.mark.parametrize(("count", "frames"), [(3, 2), (20, 700), (10_000, 700)])
 def test_sums_over_chosen_lights_are_unbiased(count: int, frames: int) -> None:
-    """In the mean, of each channel, within 4 standard errors, which are below 0.7 %; by the four choices of a cell."""
-    lights = [lamp for lamp in lamps(count) if np.linalg.norm(np.subtract(lamp.position, SURFACE)) > 0.9]
-    sent = irradiance(lights)
+    """The mean of each channel is within 4 standard errors, which are below 0.7 %, over the four choices of a cell."""
+    lights = [light for light in point_lights(count) if np.linalg.norm(np.subtract(light.position, SURFACE)) > 0.9]
+    contribution = irradiance(lights)
     rig = LightGridRig(lights, [replace(CELL, key=CELL.key | choice << 54) for choice in range(4)])
     sums: list[np.ndarray] = []
     for frame in range(frames):
         for numbers, chances in zip(*rig.choose(frame), strict=True):
             held = chances > 0.0
-            sums.append((sent[numbers[held]] / chances[held, None]).sum(axis=0))
-    truth, error = sent.sum(axis=0), np.std(sums, axis=0) / np.sqrt(len(sums))
+            sums.append((contribution[numbers[held]] / chances[held, None]).sum(axis=0))
+    truth, error = contribution.sum(axis=0), np.std(sums, axis=0) / np.sqrt(len(sums))
     assert (error < 0.007 * truth).all()
     assert (np.abs(np.mean(sums, axis=0) - truth) <= 4.0 * error + 1e-5 * truth).all()
 
 
-def test_the_twin_has_less_noise_the_more_it_keeps() -> None:
-    """Of 300 lights 4, 16 or 64."""
-    lights = lamps(300)
-    places, powers = numbers_of(lights)
-    weights, sent = point_weights(places, powers, CELL.center, CELL.half), irradiance(lights) @ LUMINANCE
+def test_reference_noise_falls_with_the_number_of_chosen_lights() -> None:
+    """The reference chooses 4, 16 or 64 of 300 lights."""
+    lights = point_lights(300)
+    positions, powers = positions_and_intensities(lights)
+    weights, contribution = point_weights(positions, powers, CELL.center, CELL.half), irradiance(lights) @ LUMINANCE
     spread = []
     for count in (4, 16, 64):
         sums = []
         for frame in range(400):
             chosen, chances = chosen_lights(exponential_draws(CELL.key, 0, frame, 300), weights, count)
-            sums.append((sent[chosen] / chances).sum())
+            sums.append((contribution[chosen] / chances).sum())
         spread.append(np.std(sums))
     assert spread[0] > 1.5 * spread[1] > 2.0 * spread[2]
 
 
-def test_picks_follow_what_is_sent_over_its_chance() -> None:
-    """Chi-square of 20,000 picks in a cell; the probabilities are those by which samples are divided."""
-    lights = lamps(200)
+def test_picks_are_proportional_to_contribution_over_probability() -> None:
+    """A chi-square test of 20,000 picks in a cell; samples are divided by the same probabilities."""
+    lights = point_lights(200)
     rig = LightGridRig(lights, [CELL])
     numbers, chances = (row[0] for row in rig.choose(3))
     draws = np.random.default_rng(1).random(20_000, dtype=np.float32)
     picked, probability = rig.pick(draws, 0, SURFACE, NORMAL)
-    places, _ = numbers_of(lights)
-    way = places - SURFACE
-    cosine = np.maximum(way[:, 1] / np.linalg.norm(way, axis=1), 0.1)
-    sent = cosine * (irradiance(lights) @ LUMINANCE)
+    positions, _ = positions_and_intensities(lights)
+    offset = positions - SURFACE
+    cosine = np.maximum(offset[:, 1] / np.linalg.norm(offset, axis=1), 0.1)
+    contribution = cosine * (irradiance(lights) @ LUMINANCE)
     over = np.zeros(len(lights))
-    over[numbers[chances > 0.0]] = (sent[numbers] / np.maximum(chances, 1e-30))[chances > 0.0]
+    over[numbers[chances > 0.0]] = (contribution[numbers] / np.maximum(chances, 1e-30))[chances > 0.0]
     counts = np.bincount(picked, minlength=len(lights)).astype(float)
     assert chi_square_z(counts[over > 0.0], (20_000 * over / over.sum())[over > 0.0]) < LIMIT
     assert not counts[over == 0.0].any()
-    np.testing.assert_allclose(probability, (sent / over.sum())[picked], rtol=1e-4)
+    np.testing.assert_allclose(probability, (contribution / over.sum())[picked], rtol=1e-4)
 
 
 def test_few_lights_are_all_chosen() -> None:
-    """Choices among the lights of a cell are then, to the bit, those of the loop over all."""
-    rig = LightGridRig(lamps(GRID_LIGHTS), [CELL])
+    """Choices in the cell then equal those of the loop over all lights, to the bit."""
+    rig = LightGridRig(point_lights(GRID_LIGHTS), [CELL])
     numbers, chances = (row[0] for row in rig.choose(0))
     np.testing.assert_array_equal(numbers, [*range(GRID_LIGHTS), -1])
     np.testing.assert_array_equal(chances, [*np.ones(GRID_LIGHTS), 0.0])
@@ -129,17 +129,17 @@ def test_few_lights_are_all_chosen() -> None:
         np.testing.assert_array_equal(chosen, all_lights)
 
 
-def test_what_is_far_and_strong_is_never_lost() -> None:
-    """A lamp 1,000 units away that gives as much as a thousand near ones is always chosen."""
+def test_a_distant_strong_light_is_always_chosen() -> None:
+    """A light 1,000 units away that contributes as much as a thousand near ones is always chosen."""
     strong = ls.LightPoint((800.0, 600.0, 0.0), intensity=1e9)
-    rig = LightGridRig([*lamps(1000), strong], [CELL])
+    rig = LightGridRig([*point_lights(1000), strong], [CELL])
     for frame in range(50):
         numbers, chances = (row[0] for row in rig.choose(frame))
         assert chances[numbers == 1000] > 0.999
 
 
-def test_lights_have_weight_wherever_they_reach() -> None:
-    """Spots, rectangles and lamps with a range, at random: what sends light to a surface may be chosen in its cell."""
+def test_lights_have_a_positive_weight_where_they_contribute() -> None:
+    """Random spots, rectangles, disks and ranged points have a weight in each cell where they light a surface."""
     rng = np.random.default_rng(0)
     lights: list[Any] = []
     cells: list[Cell] = []
@@ -148,20 +148,22 @@ def test_lights_have_weight_wherever_they_reach() -> None:
         cell = Cell(0, rng.uniform(-5, 5, 3), 0.5 * np.sqrt(3.0) * 2.0 ** rng.integers(-3, 2))
         width = cell.half * 2.0 / np.sqrt(3.0)
         point = cell.center + width * rng.uniform(-1, 1, 3)
-        place = point + rng.normal(size=3) * 2.0 ** rng.uniform(-6, 4)
-        away = point - place
+        position = point + rng.normal(size=3) * 2.0 ** rng.uniform(-6, 4)
+        away = point - position
         distance = float(np.linalg.norm(away))
         tilt = away / distance + 0.05 * rng.normal(size=3)
         if number % 4 == 3:
-            lights.append(ls.LightDisk(tuple(place), tuple(np.cross(away, rng.normal(size=3)) + 0.1 * away), distance))
+            lights.append(
+                ls.LightDisk(tuple(position), tuple(np.cross(away, rng.normal(size=3)) + 0.1 * away), distance)
+            )
         elif number % 3 == 0:
             outer = float(rng.uniform(0.01, 0.2))
-            lights.append(ls.LightSpot(tuple(place), tuple(tilt), inner_angle=0.5 * outer, outer_angle=outer))
+            lights.append(ls.LightSpot(tuple(position), tuple(tilt), inner_angle=0.5 * outer, outer_angle=outer))
         elif number % 3 == 1:
             edge = np.cross(away, rng.normal(size=3))
-            lights.append(ls.LightRect(tuple(place), tuple(edge + 0.9 * away), tuple(np.cross(away, edge))))
+            lights.append(ls.LightRect(tuple(position), tuple(edge + 0.9 * away), tuple(np.cross(away, edge))))
         else:
-            lights.append(ls.LightPoint(tuple(place), range=distance * float(rng.uniform(0.9, 1.2))))
+            lights.append(ls.LightPoint(tuple(position), range=distance * float(rng.uniform(0.9, 1.2))))
         cells.append(cell)
         points.append(point)
     weights, importances = LightGridRig(lights, cells).reaches(np.array(points))
@@ -169,15 +171,15 @@ def test_lights_have_weight_wherever_they_reach() -> None:
     assert (weights[importances > 0.0] > 0.0).all()
 
 
-def test_kinds_of_lights_are_weighed_alike() -> None:
-    """Far from a cell, weights are what the lights send there."""
-    sky = ls.LightEnvironment(np.ones((4, 8, 3), np.float32), intensity=0.5)
+def test_weights_of_all_light_types_equal_their_irradiance() -> None:
+    """Far from a cell, the weight of each kind of light is its irradiance there."""
+    environment = ls.LightEnvironment(np.ones((4, 8, 3), np.float32), intensity=0.5)
     lights: list[Any] = [
         ls.LightPoint((0.0, 400.0, 0.0), intensity=5.0),
         ls.LightSpot((0.0, 400.0, 0.0), (0.0, -1.0, 0.0), intensity=7.0),
         ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0),
         ls.LightRect((0.0, 400.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 3.0), intensity=4.0),
-        sky,
+        environment,
         ls.LightSphere((0.0, -400.0, 0.0), 0.5, intensity=3.0),
         ls.LightDisk((0.0, 400.0, 0.0), (0.0, -1.0, 0.0), 0.5, intensity=8.0),
     ]

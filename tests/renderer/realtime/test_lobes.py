@@ -1,4 +1,4 @@
-"""Rays within highlights in real time: what rough surfaces show of their surroundings, against paths."""
+"""Highlight rays in real time: reflections in rough surfaces, against the path tracer."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import lumisplat as ls
 from support.scenes.path_scenes import quad
 
 VIEW = ls.Camera.look_at((0.0, 0.6, -2.0), (0.0, 0.0, 0.3), width=96, height=64, fov_y=0.5)
-LAMP = ls.LightDirectional((0.0, 0.0, 1.0), intensity=3.0)
+LIGHT = ls.LightDirectional((0.0, 0.0, 1.0), intensity=3.0)
 
 
 def corner(roughness: float) -> ls.Scene:
-    """A floor of metal before a wall, whose halves are of two colours; the lamp lights the wall alone."""
+    """Returns a metal floor before a wall of two colours; the light reaches the wall only."""
     floor = ls.MaterialPbr(base_color=(0.1, 0.1, 0.1), metallic=1.0, roughness=roughness)
     red, blue = (ls.MaterialPbr(base_color=c, specular=0.0, roughness=1.0) for c in ((0.8, 0.1, 0.1), (0.1, 0.1, 0.8)))
     return ls.Scene(
@@ -24,12 +24,12 @@ def corner(roughness: float) -> ls.Scene:
             quad((-3, 0, 1), (0, 3, 0), (3, 0, 0), red),
             quad((0, 0, 1), (0, 3, 0), (3, 0, 0), blue),
         ],
-        lights=[LAMP],
+        lights=[LIGHT],
     )
 
 
-def test_without_rays_probes_show_it() -> None:
-    """Blurred: blue is seen on the red side, and the sum of both is the same within 20 %."""
+def test_probes_replace_highlight_rays_with_more_blur() -> None:
+    """Without highlight rays, probes blur the reflection: blue shows on the red side, and the sum stays within 20 %."""
     scene = corner(0.2)
     sharp = halves(glossy(scene, ls.Pipeline.REALTIME, 8))
     blurred = halves(glossy(scene, ls.Pipeline.REALTIME, 8, realtime=ls.RealtimeConfig(highlight_rays=False)))
@@ -40,7 +40,7 @@ def test_without_rays_probes_show_it() -> None:
 def glossy(
     scene: ls.Scene, pipeline: ls.Pipeline, frames: int = 1, samples: int | None = None, **changes: Any
 ) -> np.ndarray:
-    """What highlights show, the mean of the later half of some frames."""
+    """Returns the glossy indirect light, averaged over the later half of the frames."""
     first: Any = {"path": ls.PathConfig(primary="iso")} if pipeline is ls.Pipeline.PATH else {}  # pyright: ignore[reportArgumentType]
     config = ls.RenderConfig(pipeline=pipeline, samples=samples, aovs=("indirect_glossy",), **first, **changes)
     renderer = ls.create_renderer(config, "cpu")
@@ -49,14 +49,14 @@ def glossy(
 
 
 def halves(image: np.ndarray) -> np.ndarray:
-    """Means of the floor's left and right, near the wall and far from it."""
+    """Returns means of the floor's left and right half, near the wall and far from it."""
     floor = image[28:60]
     return floor.reshape(2, 16, 2, 48, 3).mean(axis=(1, 3))
 
 
 @pytest.mark.parametrize("roughness", [0.2, pytest.param(0.45, marks=pytest.mark.deep), 0.6])
-def test_highlights_show_what_is_around(roughness: float) -> None:
-    """By rays, by both and by probes: within 10 % of paths. Colours are told apart by rays alone."""
+def test_highlights_match_the_path_tracer(roughness: float) -> None:
+    """Highlights use rays, rays and probes, or probes, by roughness: all within 10 %. Only rays reproduce the colours."""
     scene = corner(roughness)
     truth = halves(glossy(scene, ls.Pipeline.PATH, samples=64))
     found = halves(glossy(scene, ls.Pipeline.REALTIME, 16))

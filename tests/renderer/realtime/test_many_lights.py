@@ -1,4 +1,4 @@
-"""Frames in real time with more lights than a surface chooses among, and with lights in any order."""
+"""Real-time frames with more lights than a surface chooses among, and with lights in any order."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from support.scenes.path_scenes import diffuse
 
 VIEW = room_camera(48, 36)
 ROOM = with_gaussians(PathRoom(path_rooms()["metal_area"].scene, VIEW), 500).scene
-"""With a shining mesh, Gaussians and rough metal."""
+"""A room with an emissive mesh, Gaussians and rough metal."""
 
 
-def lamps(count: int, size: float = 3.0) -> list[Light]:
-    """Coloured points in a box, without range, as bright together whatever their number."""
+def point_lights(count: int, size: float = 3.0) -> list[Light]:
+    """Returns coloured point lights in a box, without range, whose total power does not depend on their number."""
     rng = np.random.default_rng(0)
-    places, colors = rng.uniform(0.4, size, (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
+    positions, colors = rng.uniform(0.4, size, (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
     return [
-        ls.LightPoint(tuple(place), tuple(color), intensity=40.0 / count)
-        for place, color in zip(places.tolist(), colors.tolist(), strict=True)
+        ls.LightPoint(tuple(position), tuple(color), intensity=40.0 / count)
+        for position, color in zip(positions.tolist(), colors.tolist(), strict=True)
     ]
 
 
 def mixed(count: int) -> list[Light]:
-    """Lamps, a spot, a rectangle, a sun and a sky."""
+    """Returns point lights, a spot, a rectangle, a sun and an environment."""
     return [
-        *lamps(count - 4),
+        *point_lights(count - 4),
         ls.LightSpot((2.0, 2.5, 2.0), (0.0, -1.0, -0.3), intensity=5.0, radius=0.1),
         ls.LightRect((1.0, 2.5, 2.0), (0.4, 0.0, 0.0), (0.0, 0.0, 0.4), intensity=5.0),
         ls.LightDirectional((0.2, -1.0, -0.3), intensity=0.3, angle=0.01),
@@ -48,37 +48,37 @@ def mixed(count: int) -> list[Light]:
 def sequence(
     lights: Sequence[Light], frames: int = 2, *, threads: int | None = None, scene: ls.Scene = ROOM, **settings: Any
 ) -> np.ndarray:
-    """The last of some frames, linear."""
+    """Returns the last frame of a sequence, linear."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, **settings), "cpu", threads=threads)
     return frame_after(renderer, replace(scene, lights=lights), frames)
 
 
 def frame_after(renderer: ls.Renderer, scene: ls.Scene, frames: int, view: ls.Camera = VIEW) -> np.ndarray:
-    """The last of so many further frames, linear."""
+    """Returns the last of ``frames`` further frames, linear."""
     for _ in range(frames - 1):
         renderer.render(scene, view)
     return np.array(renderer.render(scene, view).color)
 
 
 @pytest.mark.parametrize("count", [6, 40])
-def test_the_order_of_lights_does_not_matter(count: int) -> None:
-    """Bit for bit, with the light grid and without it; also if equal lights change places, and after disabled ones."""
+def test_results_do_not_depend_on_the_order_of_lights(count: int) -> None:
+    """The bits are equal with and without the light grid, also with equal and with disabled lights."""
     lights = mixed(count)
     lights += [lights[0], ls.LightPoint((1.0, 1.0, 1.0), enabled=False)]
     order = np.random.default_rng(1).permutation(len(lights))
     np.testing.assert_array_equal(sequence([lights[i] for i in order]), sequence(lights))
 
 
-def test_threads_do_not_matter() -> None:
-    """The same bits with 1, 2 and 5."""
+def test_results_do_not_depend_on_thread_count() -> None:
+    """Results have the same bits with 1, 2 and 5 threads."""
     one, two, five = (sequence(mixed(40), threads=threads) for threads in (1, 2, 5))
     np.testing.assert_array_equal(one, two)
     np.testing.assert_array_equal(one, five)
 
 
 @pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
-def test_schedules_do_not_matter(launcher: Any) -> None:
-    """Nor those of CUDA, but for what rounding does."""
+def test_cuda_schedules_agree_with_the_cpu(launcher: Any) -> None:
+    """The schedules of CUDA differ by rounding only."""
     room = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, VIEW), 500).scene
     settings, scene = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), replace(room, lights=mixed(40))
     direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
@@ -89,17 +89,17 @@ def test_schedules_do_not_matter(launcher: Any) -> None:
 
 
 def lit_floor(count: int, frames: int, **settings: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Irradiance of a floor under so many lamps as blocks of pixels and channels: found, and in closed form."""
+    """Returns block means of a floor's irradiance under ``count`` lights: rendered, and in closed form."""
     rng = np.random.default_rng(2)
-    places, colors = rng.uniform((-3, 0.4, -3), (3, 2.5, 3), (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
+    positions, colors = rng.uniform((-3, 0.4, -3), (3, 2.5, 3), (count, 3)), rng.uniform(0.05, 1.0, (count, 3))
     lights = [
-        ls.LightPoint(tuple(place), tuple(color), intensity=50.0 / count)
-        for place, color in zip(places.tolist(), colors.tolist(), strict=True)
+        ls.LightPoint(tuple(position), tuple(color), intensity=50.0 / count)
+        for position, color in zip(positions.tolist(), colors.tolist(), strict=True)
     ]
     view, truth = above(width=64, rows=48), np.zeros((48, 64, 3))
     for light in lights:
-        way, distance = towards(light.position, floor_points(view))
-        truth += (way[..., 1] / distance**2)[..., None] * np.multiply(light.color, light.intensity)
+        direction, distance = towards(light.position, floor_points(view))
+        truth += (direction[..., 1] / distance**2)[..., None] * np.multiply(light.color, light.intensity)
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, **settings)
     renderer, scene = ls.create_renderer(config, "cpu"), ls.Scene((), [floor(diffuse(0.5))], lights)
     found = np.asarray(frame_after(renderer, scene, frames, view), np.float64) * np.pi / 0.5
@@ -107,13 +107,13 @@ def lit_floor(count: int, frames: int, **settings: Any) -> tuple[np.ndarray, np.
 
 
 def blocks_of(image: np.ndarray) -> np.ndarray:
-    """Means of square blocks of pixels, by channel."""
+    """Returns means over square blocks of pixels, by channel."""
     return np.stack([blocks(image[..., channel]) for channel in range(3)], axis=-1)
 
 
 @pytest.mark.parametrize("interval", [1, pytest.param(2, marks=pytest.mark.deep)])
-def test_a_thousand_lamps_light_a_floor_as_they_do(interval: int) -> None:
-    """After 32 samples a pixel the mean is right within 1 %, and blocks of 8 x 8 pixels of each colour within noise."""
+def test_a_floor_under_a_thousand_lights_matches_the_closed_form(interval: int) -> None:
+    """After 32 samples a pixel, the mean is within 1 %, and blocks of 8 x 8 pixels are within noise."""
     found, truth = lit_floor(1000, 32 * interval, realtime=ls.RealtimeConfig(light_interval=interval))
     errors = found / truth - 1.0
     assert abs(found.mean() / truth.mean() - 1.0) < 0.01
@@ -121,20 +121,20 @@ def test_a_thousand_lamps_light_a_floor_as_they_do(interval: int) -> None:
     assert np.percentile(np.abs(errors), 90) < 0.10
 
 
-def test_surfaces_without_room_for_their_cells_choose_among_all_lights(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of too many cells, the first have lights of their own: the floor under a thousand lamps is as bright."""
-    for room in (0, 20):
-        monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", room)
+def test_surfaces_beyond_the_cell_limit_choose_among_all_lights(monkeypatch: pytest.MonkeyPatch) -> None:
+    """If there are too many cells, only the first ones get lights; the floor is as bright as before."""
+    for cells_max in (0, 20):
+        monkeypatch.setattr(light_grid, "GRID_CELLS_MAX", cells_max)
         found, truth = lit_floor(1000, 32)
         assert abs(found.mean() / truth.mean() - 1.0) < 0.01
         assert np.percentile(np.abs(found / truth - 1.0), 90) < 0.10
 
 
-def test_mirrors_show_surfaces_without_room_for_their_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By one light a frame instead of all of a cell: as bright in the mean."""
+def test_mirrors_show_surfaces_beyond_the_cell_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """These surfaces use one light a frame instead of all lights of a cell; the mean brightness is the same."""
     mirror = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     ceiling = ls.MeshInstance(floor(mirror), position=(0.0, 4.0, 0.0))
-    scene = ls.Scene((), [floor(diffuse(0.5)), ceiling], lamps(100))
+    scene = ls.Scene((), [floor(diffuse(0.5)), ceiling], point_lights(100))
     up = ls.Camera.look_at((0.5, 0.3, 0.5), (1.0, 4.0, 1.0), width=48, height=32, fov_y=0.6)
     settings = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, realtime=ls.RealtimeConfig(antialiasing=False))
 
@@ -148,10 +148,10 @@ def test_mirrors_show_surfaces_without_room_for_their_cells(monkeypatch: pytest.
     assert shown() == pytest.approx(expected, rel=0.02)
 
 
-def test_all_lights_may_go_and_come_back() -> None:
-    """From 200 to none, so that a headlight shines, and back: all is as before, within noise, once it has bounced."""
+def test_light_recovers_after_all_lights_were_removed() -> None:
+    """From 200 lights to none, with the default headlight, and back: the frame recovers once light has bounced."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, lighting=True), "cpu")
-    scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], lamps(200))
+    scene = ls.Scene(ROOM.splats, [i for i in ROOM.meshes if not i.mesh.material.is_emissive], point_lights(200))
     means: list[float] = []
     for lights, frames in ((scene.lights, 4), ((), 3), (scene.lights, 8)):
         means.append(float(frame_after(renderer, replace(scene, lights=lights), frames).mean()))
@@ -159,6 +159,6 @@ def test_all_lights_may_go_and_come_back() -> None:
     assert means[2] == pytest.approx(means[0], rel=0.1)
 
 
-def test_many_lights_need_no_scene() -> None:
-    """A frame of nothing is black."""
-    assert not sequence(lamps(100), scene=ls.Scene()).any()
+def test_many_lights_in_an_empty_scene_are_black() -> None:
+    """The frame of an empty scene is black."""
+    assert not sequence(point_lights(100), scene=ls.Scene()).any()

@@ -1,4 +1,4 @@
-"""Means over frames of what depends on the means of other frames: the weights of samples."""
+"""Sample weights of temporal means whose samples depend on the means of other frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Doubles = npt.NDArray[np.float64]
 
 
 def device_weights(counts: npt.ArrayLike, history: float) -> Doubles:
-    """What kernels take for a mean of each of these numbers of samples."""
+    """Returns the weights that kernels give means of these numbers of samples."""
     numbers = np.asarray(counts, np.float32)
     given = [wp.array(values, dtype=float, device="cpu") for values in (numbers, np.full_like(numbers, history))]
     found = wp.zeros(len(numbers), dtype=float, device="cpu")
@@ -24,23 +24,23 @@ def device_weights(counts: npt.ArrayLike, history: float) -> Doubles:
 
 
 def sample_weights(count: int, history: float) -> Doubles:
-    """How much of a mean each of ``count`` samples is, the first one first."""
+    """Returns the weight of each of ``count`` samples in the final mean, oldest first."""
     shares = 1.0 / (device_weights(np.minimum(np.arange(count), history), history) + 1.0)
-    kept = np.cumprod(np.append(1.0, 1.0 - shares[:0:-1]))[::-1]
-    return shares * kept
+    retained = np.cumprod(np.append(1.0, 1.0 - shares[:0:-1]))[::-1]
+    return shares * retained
 
 
 @pytest.mark.parametrize("history", [1.0, 4.0, 32.0])
-def test_weights_are_the_twins(history: float) -> None:
-    """Of whole numbers of samples, and of the fractions that outdated means have."""
+def test_weights_match_the_reference(history: float) -> None:
+    """Sample counts are whole numbers, and fractions as outdated means have."""
     counts = np.arange(81) / 2.0
     for offset in (0.0, 4e-4):
         expected = [mean_weight(count, history) for count in counts + offset]
         np.testing.assert_allclose(device_weights(counts + offset, history), expected, rtol=1e-5)
 
 
-def test_a_young_mean_weighs_samples_by_their_number() -> None:
-    """1, 2, 3, and so on: the last one most. The variance is a third higher than that of a plain mean."""
+def test_a_young_mean_weights_samples_by_their_number() -> None:
+    """Weights are 1, 2, 3 and so on. The variance is a third higher than that of a plain mean."""
     for count in (1, 2, 5, 100):
         weights = sample_weights(count, 1e4)
         np.testing.assert_allclose(weights, np.arange(1, count + 1) / (count * (count + 1) / 2), rtol=1e-5)
@@ -49,7 +49,7 @@ def test_a_young_mean_weighs_samples_by_their_number() -> None:
 
 @pytest.mark.parametrize("history", [1, 4, 8])
 def test_an_old_mean_fades_by_its_history(history: int) -> None:
-    """Each further sample is 1 / history of it, and what was there fades by the rest."""
+    """Each further sample has the weight 1 / history, and older samples fade accordingly."""
     before, after = (sample_weights(count, history) for count in (3 * history, 3 * history + 1))
     assert after[-1] == pytest.approx(1.0 / history, rel=1e-6)
     np.testing.assert_allclose(after[:-1], before * (1.0 - 1.0 / history), rtol=1e-5)

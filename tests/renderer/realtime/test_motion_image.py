@@ -1,4 +1,4 @@
-"""The image of motion: against where cameras of float64 show points now, and did a frame before."""
+"""The motion AOV against positions that float64 cameras project in this frame and the previous one."""
 
 from __future__ import annotations
 
@@ -17,85 +17,85 @@ from support.scenes.raster_scenes import front_camera, octahedron, one_gaussian,
 
 Doubles = npt.NDArray[np.float64]
 
-LAMP = ls.LightPoint((0.0, -1.0, 1.0), intensity=20.0)
+LIGHT = ls.LightPoint((0.0, -1.0, 1.0), intensity=20.0)
 HERE = similarity((1.0, 2.0, 0.5), 0.4, 0.9, (-0.2, 0.1, 4.0))
 MOVED = similarity((0.0, 1.0, 0.0), 0.6, 1.1, (0.1, -0.2, 4.3))
 CAMERA = front_camera()
 STEPPED = replace(CAMERA, camera_from_world=similarity((0.2, 1.0, 0.1), 0.06, offset=(0.15, -0.1, 0.3)))
-"""Another view of the same."""
+"""Another camera for the same scene."""
 
 
 def motion(*steps: tuple[ls.Scene, ls.Camera]) -> ls.Frame:
-    """The last of some frames, which says how all has moved; its samples are at the centres of pixels."""
+    """Returns the last frame of a sequence with its motion AOV; samples are at pixel centres."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=("motion",), max_bounces=0, jitter=False)
     renderer = ls.create_renderer(config, "cpu", threads=1)
     return [renderer.render(scene, camera) for scene, camera in steps][-1]
 
 
 def scene_of(*instances: ls.SplatInstance | ls.MeshInstance | ls.Mesh, **settings: object) -> ls.Scene:
-    """A lit scene."""
+    """Returns a lit scene."""
     splats = [instance for instance in instances if isinstance(instance, ls.SplatInstance)]
     meshes = [instance for instance in instances if not isinstance(instance, ls.SplatInstance)]
-    return ls.Scene(splats, meshes, [LAMP], **settings)  # pyright: ignore[reportArgumentType]
+    return ls.Scene(splats, meshes, [LIGHT], **settings)  # pyright: ignore[reportArgumentType]
 
 
 def relit(gaussians: ls.Gaussians, transform: Doubles) -> ls.SplatInstance:
-    """A set that lights shine on."""
+    """Returns a relightable instance."""
     return ls.SplatInstance(gaussians, transform, material=ls.MaterialPbr())
 
 
-def shown(points: Doubles, camera: ls.Camera) -> Doubles:
-    """Where a pinhole shows points, pixels, and their distances, shape (..., 3)."""
+def projection(points: Doubles, camera: ls.Camera) -> Doubles:
+    """Projects points with a pinhole camera: pixels and distances, shape (..., 3)."""
     pose = camera.camera_from_world
-    seen = points @ pose[:3, :3].T + pose[:3, 3]
-    x, y, z = np.moveaxis(seen, -1, 0)
-    place = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, np.linalg.norm(seen, axis=-1)
-    return np.stack(place, axis=-1)
+    in_camera = points @ pose[:3, :3].T + pose[:3, 3]
+    x, y, z = np.moveaxis(in_camera, -1, 0)
+    projected = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy, np.linalg.norm(in_camera, axis=-1)
+    return np.stack(projected, axis=-1)
 
 
 def check(
     frame: ls.Frame, before: Callable[[Doubles], Doubles], camera_before: ls.Camera = CAMERA, tolerance: float = 2e-4
 ) -> None:
-    """Motion is as expected where a surface is, which moves, and is not known elsewhere."""
+    """Checks that the motion is as expected on moving surfaces, and unknown elsewhere."""
     assert frame.motion is not None
     assert frame.motion_known is not None
-    seen = np.isfinite(frame.depth)
-    assert seen.sum() > 100
-    points = frame.position[seen].astype(np.float64)
-    truth = shown(points, frame.camera) - shown(before(points), camera_before)
+    visible = np.isfinite(frame.depth)
+    assert visible.sum() > 100
+    points = frame.position[visible].astype(np.float64)
+    truth = projection(points, frame.camera) - projection(before(points), camera_before)
     assert np.abs(truth).max(axis=0).min() > 0.1
-    np.testing.assert_allclose(frame.motion[seen], truth, rtol=0.0, atol=tolerance)
-    np.testing.assert_array_equal(frame.motion_known[seen], 1)
+    np.testing.assert_allclose(frame.motion[visible], truth, rtol=0.0, atol=tolerance)
+    np.testing.assert_array_equal(frame.motion_known[visible], 1)
     assert (frame.motion_known == 0).any()
     np.testing.assert_array_equal(frame.motion[frame.motion_known == 0], 0.0)
 
 
 def by(transform: Doubles) -> Callable[[Doubles], Doubles]:
-    """Moves points by a transform, shape (4, 4)."""
+    """Returns a function that applies a transform, shape (4, 4), to points."""
     return lambda points: points @ transform[:3, :3].T + transform[:3, 3]
 
 
 @pytest.fixture(scope="module", params=["mesh", "splats"])
 def instance_at(request: pytest.FixtureRequest) -> Callable[[Doubles], ls.SplatInstance | ls.MeshInstance]:
-    """The same mesh or set anywhere."""
+    """Returns a function that places a mesh or a Gaussian set."""
     mesh, ball = octahedron((0.0, 0.0, 0.0), 1.2), one_gaussian((0.0, 0.0, 0.0), 0.6, 0.99)
     return lambda at: ls.MeshInstance(mesh, at) if request.param == "mesh" else relit(ball, at)
 
 
-def test_a_camera_that_moves(instance_at) -> None:
-    """What stands still moves in the image, and in its distance, against the camera."""
+def test_motion_of_a_moving_camera(instance_at) -> None:
+    """Static objects move in the image and in distance, opposite to the camera."""
     scene = scene_of(instance_at(HERE))
     check(motion((scene, STEPPED), (scene, CAMERA)), lambda points: points, STEPPED)
 
 
-def test_an_instance_that_moves(instance_at) -> None:
-    """By its transforms; the background has no motion."""
+def test_motion_of_a_moving_instance(instance_at) -> None:
+    """Motion follows the instance's transforms; the background has none."""
     frame = motion((scene_of(instance_at(HERE)), CAMERA), (scene_of(instance_at(MOVED)), CAMERA))
     check(frame, by(HERE @ np.linalg.inv(MOVED)))
 
 
-def test_what_deforms() -> None:
-    """Vertices and Gaussians that move on their own, in a way that is known of all points."""
+def test_motion_of_deforming_assets() -> None:
+    """Vertices and Gaussians move on their own, by a known transform."""
     bend = similarity((0.0, 0.0, 1.0), 0.3, offset=(0.2, 0.1, 0.1))
     mesh = octahedron((0.0, 0.0, 0.0), 1.2)
     bent = replace(mesh, positions=by(bend)(np.asarray(mesh.positions, np.float64)))
@@ -108,8 +108,8 @@ def test_what_deforms() -> None:
     check(frame, by(HERE @ np.linalg.inv(shift) @ np.linalg.inv(HERE)))
 
 
-def test_what_stands_still_does_not_move_at_all() -> None:
-    """To the last bit, and that is known."""
+def test_motion_of_static_surfaces_is_exactly_zero() -> None:
+    """The motion is exactly 0 and marked as known."""
     scene = scene_of(relit(random_gaussians(3), np.eye(4)), quad(5.0, 1.0, 0.3))
     frame = motion((scene, STEPPED), (scene, STEPPED))
     assert frame.motion is not None
@@ -118,8 +118,8 @@ def test_what_stands_still_does_not_move_at_all() -> None:
     assert frame.motion_known[np.isfinite(frame.depth)].all()
 
 
-def test_what_is_new_is_not_known_to_move() -> None:
-    """In a first frame, where a mesh has come, and where it was behind the camera; the rest is known."""
+def test_motion_of_new_surfaces_is_unknown() -> None:
+    """Motion is unknown in the first frame, on new meshes, and on surfaces that were behind the camera."""
     wall, ball = quad(5.0, 4.0), octahedron((0.0, 0.0, 3.0), 0.4)
     first = motion((scene_of(wall), CAMERA))
     both = motion((scene_of(wall), CAMERA), (scene_of(wall, ball), CAMERA))
@@ -137,8 +137,8 @@ def test_what_is_new_is_not_known_to_move() -> None:
 CAMERA_SHAPE = (CAMERA.height, CAMERA.width)
 
 
-def test_motion_is_that_of_what_is_more_of_the_pixel() -> None:
-    """A thin veil of Gaussians before a wall has that of the wall, a thick one its own."""
+def test_motion_is_that_of_the_surface_with_the_larger_coverage() -> None:
+    """With a thin veil of Gaussians before a wall, the wall's motion counts; with a thick one, the veil's."""
     wall = quad(5.0, 4.0)
     for opacity, depth in ((0.3, 5.0), (0.9, 3.0)):
         veil = one_gaussian((0.0, 0.0, 3.0), 2.0, opacity)
@@ -149,8 +149,8 @@ def test_motion_is_that_of_what_is_more_of_the_pixel() -> None:
         assert frame.motion[24, 32, 0] == pytest.approx(truth, rel=0.02, abs=1e-6)
 
 
-def test_of_a_lens_that_distorts_it_is_what_the_lens_shows() -> None:
-    """All images of frames in real time have the camera's size; motion is that between places behind the lens."""
+def test_motion_includes_lens_distortion() -> None:
+    """All images of the frame have the camera's size, and motion is between distorted positions."""
     coefficients = (-0.2, 0.05, 0.0, 0.0, 0.002, 0.001)
     camera = front_camera(focal=45.0, distortion=coefficients)
     mesh, step = quad(4.0, 3.0), np.array((0.2, -0.1, 0.0))
@@ -160,19 +160,19 @@ def test_of_a_lens_that_distorts_it_is_what_the_lens_shows() -> None:
     frame = [renderer.render(scene, camera) for scene in steps][-1]
     for name, image in frame.arrays().items():
         assert image.shape[:2] == CAMERA_SHAPE, name
-    seen = np.isfinite(frame.depth)
-    points = frame.position[seen].astype(np.float64)
+    visible = np.isfinite(frame.depth)
+    points = frame.position[visible].astype(np.float64)
     now, before = (distort(at[:, :2] / at[:, 2:], coefficients) * 45.0 for at in (points, points - step))
     assert frame.motion is not None
-    np.testing.assert_allclose(frame.motion[seen][:, :2], now - before, rtol=0.0, atol=0.05)
+    np.testing.assert_allclose(frame.motion[visible][:, :2], now - before, rtol=0.0, atol=0.05)
 
 
-def test_it_is_seen_and_saved(tmp_path: Path) -> None:
-    """Red to the right, cyan to the left, white where nothing moves; the EXR says where motion is known."""
+def test_motion_can_be_viewed_and_saved(tmp_path: Path) -> None:
+    """The view is red to the right, cyan to the left and white without motion; the EXR stores where motion is known."""
     wall, ball = quad(5.0, 0.9), octahedron((0.0, 0.0, 3.0), 0.4)
     colours = []
     for x in (0.4, -0.4):
-        steps = [scene_of(wall, ls.MeshInstance(ball, similarity(offset=(place, 0.0, 0.0)))) for place in (0.0, x)]
+        steps = [scene_of(wall, ls.MeshInstance(ball, similarity(offset=(offset, 0.0, 0.0)))) for offset in (0.0, x)]
         frame = motion((steps[0], CAMERA), (steps[1], CAMERA))
         moves = frame.instance_index == 1
         colours.append(frame.view("motion")[moves].mean(axis=0))

@@ -1,4 +1,4 @@
-"""The square as a map of directions, on the device, on the host and in the twin."""
+"""Octahedral maps of directions, on the device, on the host and in the reference."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from support.scenes.gi_surfaces import camera_rows
 
 
 def mapped(directions: np.ndarray, cells: int = 8) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, directions of these points, and cells."""
+    """Maps directions to points of the square, back to directions, and to cells."""
     given = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
     points, back = (wp.zeros(len(directions), dtype=kind, device="cpu") for kind in (wp.vec2, wp.vec3))
     numbers = wp.zeros(len(directions), dtype=int, device="cpu")
@@ -27,27 +27,27 @@ def mapped(directions: np.ndarray, cells: int = 8) -> tuple[np.ndarray, np.ndarr
     return device_array(points).numpy(), device_array(back).numpy(), device_array(numbers).numpy()
 
 
-def test_cells_are_equal_solid_angles() -> None:
-    """Of directions that are spread evenly, each cell has one in 64."""
+def test_cells_have_equal_solid_angles() -> None:
+    """Each of 64 cells gets 1/64 of uniformly spread directions."""
     _, _, cells = mapped(spiral(400_000))
     shares = np.bincount(cells, minlength=64) / 400_000
     np.testing.assert_allclose(shares, 1.0 / 64.0, rtol=5e-3)
 
 
-def test_device_and_host_follow_the_twin() -> None:
-    """Points, cells, and the way back."""
+def test_device_and_host_match_the_reference() -> None:
+    """Points, cells and the inverse mapping agree."""
     axes = np.concatenate([np.eye(3), -np.eye(3)])
     directions = np.concatenate([spiral(1_000), axes])
     points, back, cells = mapped(directions)
-    expected = np.array([square_of(way) for way in directions])
+    expected = np.array([square_of(direction) for direction in directions])
     np.testing.assert_allclose(points[:1_000], expected[:1_000], atol=1e-6)
     np.testing.assert_allclose(back, directions, atol=2e-6)
     np.testing.assert_allclose(directions_of_square(expected), directions, atol=1e-7)
-    assert np.mean(cells[:1_000] == [cell_of(way, 8) for way in directions[:1_000]]) > 0.999
+    assert np.mean(cells[:1_000] == [cell_of(direction, 8) for direction in directions[:1_000]]) > 0.999
 
 
-def test_the_border_is_folded_onto_itself() -> None:
-    """A cell and the one a step beyond the square, which is wrapped, lie side by side on the sphere."""
+def test_wrapped_cells_are_adjacent_on_the_sphere() -> None:
+    """A border cell and the wrapped cell one step beyond the square are adjacent on the sphere."""
     side = 8
     along = np.arange(side, dtype=np.int32)
     out = np.full(side, -1, np.int32)
@@ -66,8 +66,8 @@ def test_the_border_is_folded_onto_itself() -> None:
         assert len({*device_array(found).numpy()}) == side
 
 
-def test_harmonics_that_fit_are_exact_to_their_degree() -> None:
-    """Cells of light of degree 2 give its coefficients; constant light gives nothing else, to 1e-12."""
+def test_sh_projection_is_exact_up_to_its_degree() -> None:
+    """Cells of degree-2 light give back its coefficients; constant light gives no others, to 1e-12."""
     fit = sh_fit_of_cells(8, 2)
     np.testing.assert_allclose(fit.sum(axis=0), np.eye(9)[0] * np.sqrt(4.0 * np.pi), atol=1e-12)
     coefficients = np.random.default_rng(1).normal(size=9)
@@ -75,10 +75,10 @@ def test_harmonics_that_fit_are_exact_to_their_degree() -> None:
 
 
 @pytest.mark.parametrize("power", [1, 3])
-def test_what_harmonics_leave_out_is_added(power: int) -> None:
-    """Nothing to light of degree 2; above a surface that sees none below it, errors are about half as large.
+def test_irradiance_beyond_the_sh_degree_is_added(power: int) -> None:
+    """The correction is 0 for degree-2 light and halves errors for light above a horizon.
 
-    The light is the cosine above the surface to a power: pi times 2 / (2 + power) arrive.
+    The light is a power of the cosine above the surface: pi times 2 / (2 + power) is the irradiance.
     """
     beyond, fit, means = irradiance_residual(8, 2, 16), sh_fit_of_cells(8, 2), cell_means(8, 2)
     np.testing.assert_allclose(beyond @ means, 0.0, atol=1e-12)
@@ -87,17 +87,17 @@ def test_what_harmonics_leave_out_is_added(power: int) -> None:
     errors = list[list[float]]()
     for normal in spiral(40):
         light = np.maximum(directions @ normal, 0.0) ** power
-        seen = np.bincount(cells, light, 64) / np.bincount(cells)
+        found = np.bincount(cells, light, 64) / np.bincount(cells)
         _, _, facing = mapped(normal[None], 16)
-        alone, rest = sh_basis(normal, 2) * convolved @ fit.T @ seen, beyond[facing[0]] @ seen
+        sh_only, rest = sh_basis(normal, 2) * convolved @ fit.T @ found, beyond[facing[0]] @ found
         truth = np.pi * 2.0 / (2.0 + power)
-        errors.append([float(found) / truth - 1.0 for found in (alone, alone + rest)])
-    alone, both = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert both < 0.6 * alone
+        errors.append([float(value) / truth - 1.0 for value in (sh_only, sh_only + rest)])
+    sh_only, both = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert both < 0.6 * sh_only
 
 
-def test_means_over_cells_are_those_of_the_sphere() -> None:
-    """Sums over points of the cells are means over evenly spread directions that fall into them."""
+def test_cell_means_of_the_sh_basis_match_the_sphere() -> None:
+    """Quadrature over cells equals means over uniformly spread directions in these cells."""
     directions = spiral(400_000)
     _, _, cells = mapped(directions)
     basis = sh_basis(directions, 2)
@@ -114,13 +114,13 @@ def test_means_over_cells_are_those_of_the_sphere() -> None:
         (ls.CameraModel.ORTHOGRAPHIC, (0.0,) * 6),
     ],
 )
-def test_cameras_see_points_where_their_rays_are(model: ls.CameraModel, distortion: tuple[float, ...]) -> None:
-    """A point on the ray of a pixel is seen at the centre of the pixel, by all models."""
+def test_points_on_a_pixel_ray_project_to_its_centre(model: ls.CameraModel, distortion: tuple[float, ...]) -> None:
+    """For all camera models, a point on a pixel's ray projects to the centre of that pixel."""
     eye, target = (1.0, 2.0, 0.5), (0.2, -1.0, 0.0)
     camera = ls.Camera.look_at(eye, target, (0.0, 0.0, 1.0), width=24, height=16, fov_y=0.9, model=model)
     camera = dataclasses.replace(camera, distortion=distortion)
-    seen = wp.zeros(24 * 16, dtype=wp.vec2, device="cpu")
+    found = wp.zeros(24 * 16, dtype=wp.vec2, device="cpu")
     samples = wp.zeros(1, dtype=SampleData, device="cpu")
-    wp.launch(probe_seen, 24 * 16, inputs=[camera_rows(camera), samples, seen], device="cpu")
+    wp.launch(probe_seen, 24 * 16, inputs=[camera_rows(camera), samples, found], device="cpu")
     x, y = np.meshgrid(np.arange(24) + 0.5, np.arange(16) + 0.5)
-    np.testing.assert_allclose(device_array(seen).numpy(), np.stack([x, y], axis=-1).reshape(-1, 2), atol=2e-3)
+    np.testing.assert_allclose(device_array(found).numpy(), np.stack([x, y], axis=-1).reshape(-1, 2), atol=2e-3)

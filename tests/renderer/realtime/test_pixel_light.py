@@ -1,4 +1,4 @@
-"""Direct light of frames in real time: what is known in closed form, layers, and pixels with two surfaces."""
+"""Direct light of real-time frames: closed forms, layers, and pixels with two surfaces."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from support.scenes.path_scenes import (
 DOWN = ls.Camera.look_at((0, 0.5, 0.01), (0, 0, 0), (0, 0, -1), width=24, height=16, fov_y=0.02)
 FLOOR = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), diffuse(0.5))
 PANEL = 0.239456
-"""Form factor from a point to the unit square above it at the distance 1."""
+"""Form factor of the unit square at distance 1 above a point."""
 
 
 def sequence(scene: ls.Scene, camera: ls.Camera, frames: int, max_bounces: int, **changes: Any) -> Any:
-    """The last of some frames of one renderer."""
+    """Returns the last frame of a sequence."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=max_bounces)
     renderer = ls.create_renderer(replace(config, **changes), device="cpu")
     for _ in range(frames - 1):
@@ -37,19 +37,19 @@ def sequence(scene: ls.Scene, camera: ls.Camera, frames: int, max_bounces: int, 
     return renderer.render(scene, camera)
 
 
-def half_sky() -> ls.LightEnvironment:
-    """Radiance 1 from all directions with x > 0 or from those with x < 0."""
+def half_environment() -> ls.LightEnvironment:
+    """Returns an environment of radiance 1 on one side of the plane x = 0."""
     around = np.arange(64) < 32
     return ls.LightEnvironment(np.broadcast_to(around[None, :, None], (32, 64, 3)).astype(np.float32))
 
 
-SHINING: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
+IRRADIANCES: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
     "point": ([], [ls.LightPoint((0.0, 2.0, 0.0), intensity=3.0)], 0.75),
     "rect": ([], [ls.LightRect((0.0, 1.0, 0.0), (1, 0, 0), (0, 0, 1), intensity=1.0)], np.pi * PANEL),
     "disk": ([], [ls.LightDisk((0.0, 1.0, 0.0), (0, -1, 0), 0.75, intensity=1.0)], np.pi * 0.36),
     "mesh": ([quad((-0.5, 1.0, -0.5), (1, 0, 0), (0, 0, 1), diffuse(0.5, 1.0))], [], np.pi * PANEL),
-    "sky": ([], [half_sky()], 0.5 * np.pi),
-    "two lamps": (
+    "environment": ([], [half_environment()], 0.5 * np.pi),
+    "two lights": (
         [],
         [ls.LightPoint((0.0, 2.0, 0.0), intensity=3.0), ls.LightPoint((0.0, 1.0, 0.0), intensity=0.2)],
         0.95,
@@ -57,35 +57,35 @@ SHINING: dict[str, tuple[list[ls.Mesh], list[Light], float]] = {
 }
 
 
-@pytest.mark.parametrize("name", SHINING)
-def test_means_of_samples_are_what_is_known(name: str) -> None:
-    """Irradiance of a floor as the mean of 256 frames, without neighbours: its error is noise."""
-    meshes, lights, truth = SHINING[name]
+@pytest.mark.parametrize("name", IRRADIANCES)
+def test_mean_irradiance_matches_the_closed_form(name: str) -> None:
+    """The irradiance of a floor over 256 frames, without spatial filter, differs from the closed form by noise only."""
+    meshes, lights, truth = IRRADIANCES[name]
     settings = ls.RealtimeConfig(filter=ls.config.FilterConfig(frames=256, passes=0))
-    shown = ls.Scene(meshes=[FLOOR, *meshes], lights=lights)
-    assert_is(irradiance(sequence(shown, DOWN, 256, 0, realtime=settings), 0.5), truth)
+    lit_scene = ls.Scene(meshes=[FLOOR, *meshes], lights=lights)
+    assert_is(irradiance(sequence(lit_scene, DOWN, 256, 0, realtime=settings), 0.5), truth)
 
 
-def test_a_dim_sky_beside_a_bright_lamp_makes_no_bright_pixels() -> None:
-    """The lamp has most of the samples; those of the sky in a highlight seen at a slant are not rare and bright."""
-    sky = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
+def test_a_dim_environment_beside_a_bright_light_makes_no_fireflies() -> None:
+    """The bright light gets most samples; the environment's, in a grazing highlight, must not be rare and bright."""
+    environment = ls.LightEnvironment(color=(1.0, 1.0, 1.0), intensity=0.1, visible=False)
     floor = quad((-2, 0, -2), (0, 0, 4), (4, 0, 0), replace(diffuse(0.5), roughness=0.5, specular=1.0))
     slanted = ls.Camera.look_at((0, 0.3, 1.9), (0, 0, 0), (0, 1, 0), width=48, height=32, fov_y=0.1)
     settings = ls.RealtimeConfig(antialiasing=False, filter=ls.config.FilterConfig(frames=1, passes=0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=0, aovs=("direct_glossy",), realtime=settings)
     renderer = ls.create_renderer(config, device="cpu")
-    shown = ls.Scene(meshes=[floor], lights=[sky, ls.LightPoint((0.0, 2.0, 1.9), intensity=20.0)])
-    samples = np.array([renderer.render(shown, slanted).direct_glossy for _ in range(64)])[..., 0]
-    bright: Any = paths(shown, slanted, 256, 0, aovs=("direct_glossy",))
+    lit_scene = ls.Scene(meshes=[floor], lights=[environment, ls.LightPoint((0.0, 2.0, 1.9), intensity=20.0)])
+    samples = np.array([renderer.render(lit_scene, slanted).direct_glossy for _ in range(64)])[..., 0]
+    bright: Any = paths(lit_scene, slanted, 256, 0, aovs=("direct_glossy",))
     truth = bright.direct_glossy[..., 0]
     assert samples.mean(dtype=np.float64) == pytest.approx(truth.mean(dtype=np.float64), rel=0.03)
-    assert samples.max() < 80.0 * truth.mean()  # 450 by samples of the sky alone
+    assert samples.max() < 80.0 * truth.mean()  # 450 by samples of the environment alone
 
 
-def test_layers_add_up_to_the_picture() -> None:
-    """The five of them, of which one has the captured colours; and they do not change it."""
-    lamp = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
-    lit = scene(*LAMPS, SKY, lamp)
+def test_layers_sum_to_the_frame() -> None:
+    """The five layers, one of them with captured colours, sum to the frame, and requesting them does not change it."""
+    light = ls.LightSphere((0.3, 0.6, -0.4), 0.15, intensity=3.0, name="ball")
+    lit = scene(*LAMPS, SKY, light)
     frame, plain = (sequence(lit, camera(), 3, 3, aovs=aovs) for aovs in (PATH_PARTS, ()))
     np.testing.assert_array_equal(frame.color, plain.color)
     parts = [getattr(frame, name).astype(np.float64) for name in PATH_PARTS]
@@ -95,27 +95,27 @@ def test_layers_add_up_to_the_picture() -> None:
 
 
 @pytest.mark.parametrize("name", ["point", "rect"])
-def test_two_surfaces_in_a_pixel(name: str) -> None:
-    """A relit sheet of opacity 0.6 before a coloured mesh: per channel the light of paths, to 1 %."""
-    lamps: dict[str, Light] = {
+def test_two_surfaces_in_a_pixel_match_the_path_tracer(name: str) -> None:
+    """A relit sheet of opacity 0.6 before a coloured mesh is within 1 % of the path tracer in each channel."""
+    lights: dict[str, Light] = {
         "point": ls.LightPoint((0.5, 0.0, -2.0), intensity=4.0),
         "rect": ls.LightRect((0.0, 0.0, -1.5), (0.5, 0, 0), (0, 0.5, 0), intensity=6.0),
     }
     wall = quad((-3, -3, 1), (0, 6, 0), (6, 0, 0), replace(diffuse(0.5), base_color=(0.9, 0.5, 0.1)))
-    shown = ls.Scene([wide_sheet(0.0, 0.6, 0.4)], [wall], [lamps[name]])
+    lit_scene = ls.Scene([wide_sheet(0.0, 0.6, 0.4)], [wall], [lights[name]])
     front = ls.Camera.look_at((0.0, 0.0, -1.0), (0.0, 0.0, 0.0), width=24, height=16, fov_y=0.02)
     settings = ls.RealtimeConfig(filter=ls.config.FilterConfig(frames=256, passes=0))
-    found = sequence(shown, front, 64, 0, realtime=settings).color.mean(axis=(0, 1), dtype=np.float64)
-    truth = paths(shown, front, 64, 0, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
+    found = sequence(lit_scene, front, 64, 0, realtime=settings).color.mean(axis=(0, 1), dtype=np.float64)
+    truth = paths(lit_scene, front, 64, 0, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
     truth = truth.color.mean(axis=(0, 1), dtype=np.float64)
     assert truth[0] > 1.15 * truth[2] > 0.0
     np.testing.assert_allclose(found, truth, rtol=0.01)
 
 
-@pytest.mark.parametrize("lamp", ["point", "rect"])
-def test_a_lamp_that_goes_out(lamp: str) -> None:
-    """In a box whose walls reflect half: nine tenths of direct light are gone after 8 frames, of bounced after 24."""
-    lamps: dict[str, Any] = {
+@pytest.mark.parametrize("light", ["point", "rect"])
+def test_light_fades_when_a_light_goes_out(light: str) -> None:
+    """In a box of albedo 0.5, nine tenths of direct light are gone after 8 frames, of indirect light after 24."""
+    lights: dict[str, Any] = {
         "point": ls.LightPoint((0.5, 0.8, 0.5), intensity=0.5),
         "rect": ls.LightRect((0.5, 0.99, 0.5), (0.4, 0, 0), (0, 0, 0.4), intensity=4.0),
     }
@@ -123,8 +123,8 @@ def test_a_lamp_that_goes_out(lamp: str) -> None:
     inside = ls.Camera.look_at((0.5, 0.6, 0.1), (0.5, 0.3, 1.0), width=48, height=32, fov_y=1.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, aovs=PATH_PARTS)
     renderer = ls.create_renderer(config, device="cpu")
-    lit: Any = [renderer.render(ls.Scene(meshes=room, lights=[lamps[lamp]]), inside) for _ in range(32)][-1]
-    out = ls.Scene(meshes=room, lights=[replace(lamps[lamp], intensity=0.0)])
+    lit: Any = [renderer.render(ls.Scene(meshes=room, lights=[lights[light]]), inside) for _ in range(32)][-1]
+    out = ls.Scene(meshes=room, lights=[replace(lights[light], intensity=0.0)])
     dark: list[Any] = [renderer.render(out, inside) for _ in range(24)]
     for name, frames in (("direct_diffuse", 8), ("indirect_diffuse", 24)):
         before, after = getattr(lit, name).mean(), getattr(dark[frames - 1], name).mean()
