@@ -56,7 +56,7 @@ def halves(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("roughness", [0.2, pytest.param(0.45, marks=pytest.mark.deep), 0.6])
 def test_highlights_match_the_path_tracer(roughness: float) -> None:
-    """Highlights use rays, rays and probes, or probes, by roughness: all within 10 %. Only rays reproduce the colours."""
+    """By roughness, highlights use rays, both, or probes: all within 10 %. Only rays reproduce the colours."""
     scene = corner(roughness)
     truth = halves(glossy(scene, ls.Pipeline.PATH, samples=64))
     found = halves(glossy(scene, ls.Pipeline.REALTIME, 16))

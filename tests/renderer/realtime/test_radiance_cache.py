@@ -1,4 +1,4 @@
-"""Cells of the radiance cache: what goes in comes out, where it belongs, in the same bits everywhere."""
+"""Cells of the radiance cache: look-ups return the right radiance, with the same bits for any schedule."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.scenes.cache_rig import CacheRig, made_samples, on_floor, unit
 
 
 def anywhere(rng: np.random.Generator, count: int, **fields: Any) -> Samples:
-    """Samples of random surfaces, seen from near and far by short and long rays."""
+    """Returns samples of random surfaces at random distances, hit by short and long rays."""
     return made_samples(
         rng.uniform(-3.0, 3.0, (count, 3)),
         normal=unit(rng.normal(size=(count, 3))),
@@ -26,19 +26,19 @@ def anywhere(rng: np.random.Generator, count: int, **fields: Any) -> Samples:
     )
 
 
-def taken(samples: Samples, order: np.ndarray) -> Samples:
-    """Some samples, in an order."""
+def reordered(samples: Samples, order: np.ndarray) -> Samples:
+    """Returns the samples in ``order``."""
     return Samples(*(getattr(samples, field)[order] for field in samples.__dataclass_fields__))
 
 
 def state(rig: CacheRig) -> dict[str, np.ndarray]:
-    """All that the cache holds."""
+    """Returns copies of all arrays of the cache."""
     tiles = rig.cache.tiles
     return {name: getattr(tiles, name).numpy().copy() for name in CacheTiles.vars}  # pyright: ignore
 
 
-def test_constant_radiance_comes_out_exactly() -> None:
-    """Whatever cells, mips, levels and frames: to the bit."""
+def test_constant_radiance_is_reproduced_exactly() -> None:
+    """The bits are preserved across cells, mips, levels and frames."""
     rng = np.random.default_rng(0)
     rig = CacheRig(history=5)
     color = np.array([0.1, 0.7, 12.3], np.float32)
@@ -49,7 +49,7 @@ def test_constant_radiance_comes_out_exactly() -> None:
 
 
 def test_a_cell_is_the_mean_of_its_samples() -> None:
-    """Of all frames up to the history, each sample with the same weight."""
+    """Samples of all frames up to the history have equal weights."""
     rng = np.random.default_rng(1)
     rig = CacheRig()
     batches = [made_samples(on_floor(rng, n), radiance=rng.uniform(0, 2, (n, 3))) for n in (5000, 100, 2500)]
@@ -63,14 +63,14 @@ def test_a_cell_is_the_mean_of_its_samples() -> None:
     assert np.abs(found - truth).max() < 1e-6
 
 
-def test_order_of_samples_does_not_matter() -> None:
-    """The same cells to 1e-6, and the same tiles to the bit."""
+def test_results_do_not_depend_on_the_order_of_samples() -> None:
+    """Cells agree to 1e-6, and tiles to the bit."""
     rng = np.random.default_rng(2)
     rigs = CacheRig(), CacheRig()
     for frame in range(4):
         samples = anywhere(rng, 3000)
         rigs[0].insert(samples, frame)
-        rigs[1].insert(taken(samples, rng.permutation(3000)), frame)
+        rigs[1].insert(reordered(samples, rng.permutation(3000)), frame)
     one, other = (state(rig) for rig in rigs)
     for name in ("counts", "keys", "slots", "used", "filled", "frames"):
         assert (one[name] == other[name]).all(), name
@@ -79,7 +79,7 @@ def test_order_of_samples_does_not_matter() -> None:
 
 
 def run_frames(rig: CacheRig, *, frames: int = 8) -> dict[str, np.ndarray]:
-    """The cache after frames with bounces, and with evictions of both kinds."""
+    """Returns the cache after frames with bounces, and with evictions of unused and of excess tiles."""
     rng = np.random.default_rng(3)
     for frame in range(frames):
         size = 2.0 + frame
@@ -91,10 +91,10 @@ def run_frames(rig: CacheRig, *, frames: int = 8) -> dict[str, np.ndarray]:
 
 
 def test_every_schedule_has_the_same_bits() -> None:
-    """One thread, several bands, and the schedule of CUDA, in which no count is read back."""
+    """Schedules are one thread, several bands, and that of CUDA, in which the host reads no count."""
     settings = {"tiles": 700, "unused_frames": 4, "bounces": 512}
     truth = run_frames(CacheRig(Launcher("cpu", threads=1), **settings))
-    assert truth["counts"][3] > 0, "the capacity was never reached"
+    assert truth["counts"][3] > 0, "the cache must reach its capacity"
     for launcher in (Launcher("cpu", threads=2), Launcher("cpu", threads=5), Launcher("cpu", threads=3, parallel=True)):
         other = run_frames(CacheRig(launcher, **settings))
         live = int(truth["counts"][0])
@@ -106,14 +106,14 @@ def test_every_schedule_has_the_same_bits() -> None:
 
 
 def per_slot_equal(one: dict[str, np.ndarray], other: dict[str, np.ndarray], name: str) -> bool:
-    """Whether the slots of live tiles hold the same bits."""
+    """Returns whether the slots of live tiles have the same bits."""
     slots = one["slots"][: one["counts"][0]]
     a, b = (values[name].reshape(len(values["slots"]), -1)[slots] for values in (one, other))
     return bool((a.view(np.uint32) == b.view(np.uint32)).all())
 
 
-def test_reset_is_a_new_cache() -> None:
-    """The same frames give the same bits."""
+def test_reset_equals_a_new_cache() -> None:
+    """After a reset, the same frames give the same bits."""
     rig = CacheRig(tiles=700, unused_frames=4)
     run_frames(rig)
     rig.cache.reset()
@@ -127,69 +127,69 @@ def test_reset_is_a_new_cache() -> None:
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(4, 4), (32, 32), (16, 4)])
-def test_agreement_with_the_twin(history: int, bounce_history: int) -> None:
-    """Random surfaces, frames and bounces, few and many samples a cell, against dictionaries in float64."""
+def test_cache_matches_the_float64_reference(history: int, bounce_history: int) -> None:
+    """Random surfaces, frames and bounces, with few and many samples a cell, are compared with float64 dictionaries."""
     rng = np.random.default_rng(4)
     rig = CacheRig(history=history, bounce_history=bounce_history, tiles=4096, bounces=128)
-    twin = RadianceCacheOracle(rig.config.cell_size, history, min(8, history), bounce_history)
+    reference = RadianceCacheOracle(rig.config.cell_size, history, min(8, history), bounce_history)
     worst = 0.0
     for frame in range(5):
         samples = anywhere(rng, 300)
         dense = made_samples(on_floor(rng, 300, 4.0), from_eye=8.0 * 1.2**frame, radiance=rng.uniform(0, 1, (300, 3)))
         for batch in (samples, dense):
             rig.insert(batch, frame)
-            twin.insert(batch, frame)
+            reference.insert(batch, frame)
         hits = anywhere(rng, rig.config.bounces)
         host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
-        add_twin_bounces(twin, host, hits, [samples, dense])
+        add_reference_bounces(reference, host, hits, [samples, dense])
         probes = anywhere(rng, 100)
-        some = taken(dense, np.arange(80))
+        some = reordered(dense, np.arange(80))
         for batch in (probes, some, replace(some, distance=np.full(80, 0.2, np.float32))):
-            worst = max(worst, np.abs(rig.look_up(batch) - twin.look_up(batch)).max())
-            worst = max(worst, np.abs(rig.look_up_indirect(batch) - twin.look_up_indirect(batch)).max())
+            worst = max(worst, np.abs(rig.look_up(batch) - reference.look_up(batch)).max())
+            worst = max(worst, np.abs(rig.look_up_indirect(batch) - reference.look_up_indirect(batch)).max())
     assert worst < 3e-6
-    assert len(twin.indirect) > 150
+    assert len(reference.indirect) > 150
 
 
 @pytest.mark.parametrize("share", [OUTDATED_HISTORY_WEIGHT, 0.7])
-def test_outdated_means_are_the_twins(share: float) -> None:
-    """When light changes after three frames: right after it, and while cells find other light, some of few samples."""
+def test_outdated_means_match_the_reference(share: float) -> None:
+    """Light changes after three frames. Means agree right after that, and while cells of few samples refill."""
     rng = np.random.default_rng(10)
     rig = CacheRig(history=16, bounce_history=4, bounces=128)
-    twin = RadianceCacheOracle(rig.config.cell_size, 16, 8, 4)
+    reference = RadianceCacheOracle(rig.config.cell_size, 16, 8, 4)
     probes = made_samples(on_floor(rng, 80, 4.0), from_eye=8.0)
     for frame in range(6):
         count = 600 if frame < 3 else 60
         floor = made_samples(on_floor(rng, count, 4.0), from_eye=8.0, radiance=rng.uniform(0, 1, (count, 3)))
         rig.insert(floor, frame)
-        twin.insert(floor, frame)
+        reference.insert(floor, frame)
         hits = made_samples(on_floor(rng, rig.config.bounces, 4.0), from_eye=8.0)
         host = rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
-        add_twin_bounces(twin, host, hits, [floor])
+        add_reference_bounces(reference, host, hits, [floor])
         if frame == 2:
             rig.cache.outdate(share)
-            twin.outdate(share)
-        assert np.abs(rig.look_up(probes) - twin.look_up(probes)).max() < 3e-6
-        assert np.abs(rig.look_up_indirect(probes) - twin.look_up_indirect(probes)).max() < 3e-6
+            reference.outdate(share)
+        assert np.abs(rig.look_up(probes) - reference.look_up(probes)).max() < 3e-6
+        assert np.abs(rig.look_up_indirect(probes) - reference.look_up_indirect(probes)).max() < 3e-6
 
 
-def add_twin_bounces(
-    twin: RadianceCacheOracle, host: dict[str, np.ndarray], hits: Samples, batches: list[Samples]
+def add_reference_bounces(
+    reference: RadianceCacheOracle, host: dict[str, np.ndarray], hits: Samples, batches: list[Samples]
 ) -> None:
-    """The same bounces; a point's cell is that of the sample that it is of."""
-    places: dict[tuple[float, ...], Cell] = getattr(twin, "places", {})
+    """Adds the same bounces to the reference; the cell of a point is that of its sample."""
+    cell_at_position: dict[tuple[float, ...], Cell] = getattr(reference, "cell_at_position", {})
     for batch in batches:
         for i in range(len(batch)):
-            places[tuple(batch.position[i])] = twin.cell_of(batch, i)
-    twin.places = places  # pyright: ignore[reportAttributeAccessIssue]
+            cell_at_position[tuple(batch.position[i])] = reference.cell_of(batch, i)
+    reference.cell_at_position = cell_at_position  # pyright: ignore[reportAttributeAccessIssue]
     first = np.flatnonzero(host["is_active"] & (host["ray"] == 0))
-    cells = [places[tuple(host["position"][i])] for i in first]
+    cells = [cell_at_position[tuple(host["position"][i])] for i in first]
     rays = {cell: range(i, i + host["rays"][i]) for i, cell in zip(first, cells, strict=True)}
-    twin.add_bounces(rays, hits)
+    reference.add_bounces(rays, hits)
 
 
-def test_a_gradient_is_off_by_half_a_cell() -> None:
-    """A mean is the value in the middle of its cell."""
+def test_a_gradient_has_an_error_of_half_a_cell() -> None:
+    """A cell's mean is the value at its centre, so the error is half a cell's gradient."""
     x, y = np.meshgrid(np.arange(-8, 8, 1 / 8) + 1 / 16, np.arange(-8, 8, 1 / 8) + 1 / 16)
     positions = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 0.5)])
     for width in (1.0, 2.0):
@@ -200,24 +200,24 @@ def test_a_gradient_is_off_by_half_a_cell() -> None:
         assert 0.4 * width * 0.3 < error <= 0.5 * width * 0.3
 
 
-def test_few_samples_take_wider_means() -> None:
-    """Below 8 samples a cell's mean is over more cells, and never over more than needed."""
+def test_cells_with_few_samples_use_coarser_mips() -> None:
+    """A cell with fewer than 8 samples uses the smallest mip level that has 8."""
     rng = np.random.default_rng(5)
     positions = np.column_stack([rng.uniform(0, 8, (64 * 3, 2)), np.full(64 * 3, 0.5)])
     samples = made_samples(positions, radiance=positions[:, :1] @ np.ones((1, 3)))
     rig = CacheRig()
     rig.insert(samples, 0)
     found = rig.look_up(samples)[:, 0]
-    for i, place in enumerate(positions):
+    for i, position in enumerate(positions):
         for side in (1, 2, 4, 8):
-            inside = (positions[:, :2] // side == place[:2] // side).all(1)
+            inside = (positions[:, :2] // side == position[:2] // side).all(1)
             if inside.sum() >= 8:
                 break
         assert found[i] == pytest.approx(positions[inside, 0].mean(), abs=2e-6)
 
 
-def test_keys_hold_what_they_are_made_of() -> None:
-    """Far from the origin, on both sides of it, at all levels: cells of a kind are one, others are not."""
+def test_keys_identify_cells_at_all_scales() -> None:
+    """Cells are distinguished exactly far from the origin, on both sides of it, and at all levels."""
     rng = np.random.default_rng(6)
     count = 4000
     samples = made_samples(
@@ -229,18 +229,18 @@ def test_keys_hold_what_they_are_made_of() -> None:
     )
     rig = CacheRig(tiles=8192, samples_min=1)
     rig.insert(samples, 0)
-    twin = RadianceCacheOracle(rig.config.cell_size, 32, 1, 32)
-    twin.insert(samples, 0)
-    assert rig.statistics.cells == len(twin.direct)
-    tiles = {cell._replace(u=cell.u // 8, v=cell.v // 8) for cell in twin.direct}
+    reference = RadianceCacheOracle(rig.config.cell_size, 32, 1, 32)
+    reference.insert(samples, 0)
+    assert rig.statistics.cells == len(reference.direct)
+    tiles = {cell._replace(u=cell.u // 8, v=cell.v // 8) for cell in reference.direct}
     assert rig.statistics.tiles == len(tiles)
-    assert np.abs(rig.look_up(samples) - twin.look_up(samples)).max() < 1e-6
-    assert min(cell.level for cell in twin.direct) < -10 and max(cell.level for cell in twin.direct) > 8
+    assert np.abs(rig.look_up(samples) - reference.look_up(samples)).max() < 1e-6
+    assert min(cell.level for cell in reference.direct) < -10 and max(cell.level for cell in reference.direct) > 8
     assert cell_at(samples, 0, 0, is_near=False).level == 0
 
 
-def test_what_is_no_number_stays_out() -> None:
-    """One NaN would else stay, and light between cells would carry it everywhere."""
+def test_non_finite_samples_are_dropped() -> None:
+    """A single NaN would stay in its cell, and bounces would spread it to all others."""
     rng = np.random.default_rng(7)
     samples = made_samples(on_floor(rng, 640))
     for field in ("position", "normal", "radiance", "from_eye"):
@@ -255,12 +255,12 @@ def test_what_is_no_number_stays_out() -> None:
     assert (found == 1.0).all()
 
 
-def test_what_is_not_active_does_not_count() -> None:
-    """Rays that hit nothing neither make tiles nor find any."""
+def test_inactive_samples_are_ignored() -> None:
+    """Rays without a hit neither create tiles nor find any."""
     rng = np.random.default_rng(8)
     samples = made_samples(on_floor(rng, 1000))
     rig = CacheRig()
     rig.insert(samples, 0, active=False)
     assert rig.statistics.tiles == 0
     assert (rig.look_up(samples, active=False) == 0).all()
-    assert (rig.look_up(samples) == samples.radiance).all(), "without a tile, a sample is what it is"
+    assert (rig.look_up(samples) == samples.radiance).all(), "without a tile, a sample returns its own radiance"

@@ -12,16 +12,16 @@ from support.oracles.radiance_cache_oracle import Samples
 from support.scenes.cache_rig import UP, CacheRig, cosine_directions, made_samples, on_floor
 
 WIDTH = 4.0
-"""Of the rooms here: four cells."""
+"""Width of the rooms: four cells."""
 
 
 def joined(*parts: Samples) -> Samples:
-    """Several samples as one."""
+    """Concatenates samples."""
     return Samples(*(np.concatenate([getattr(p, field) for p in parts]) for field in parts[0].__dataclass_fields__))
 
 
 def plates(position: np.ndarray, color: Any, albedo: Any) -> Samples:
-    """Samples on two plates, at z = 0 and WIDTH, that repeat for ever: the lower first in ``color`` and ``albedo``."""
+    """Returns samples on two infinite plates at z = 0 and WIDTH; colours and albedos begin with the lower plate."""
     upper = (position[:, 2] > WIDTH / 2).astype(int)
     position = position.copy()
     position[:, :2] %= 2 * WIDTH
@@ -34,7 +34,7 @@ def plates(position: np.ndarray, color: Any, albedo: Any) -> Samples:
 
 
 def between_plates(rng: np.random.Generator, host: dict[str, np.ndarray]) -> np.ndarray:
-    """Where rays from points of one plate hit the other, shape (N, 3)."""
+    """Returns the hits on one plate of rays from the other, shape (N, 3)."""
     directions = cosine_directions(rng, np.where(host["is_active"][:, None], host["normal"], UP))
     position = np.where(host["is_active"][:, None], host["position"], 0.0)
     ends = position + WIDTH * directions / np.abs(directions[:, 2:])
@@ -43,13 +43,13 @@ def between_plates(rng: np.random.Generator, host: dict[str, np.ndarray]) -> np.
 
 
 def on_plates(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Points of both plates."""
+    """Returns random points of both plates."""
     return np.column_stack([rng.uniform(0, 2 * WIDTH, (count, 2)), WIDTH * rng.integers(0, 2, count)])
 
 
 @pytest.mark.parametrize(("frames", "albedo"), [(60, 0.5), (160, 0.8), (300, 0.9)])
-def test_plates_light_each_other(frames: int, albedo: float) -> None:
-    """J1 = M1 / (1 - a1 a2), J2 = a2 J1, each channel with its own albedos: all bounces, without drift."""
+def test_radiosity_of_two_plates_matches_the_closed_form(frames: int, albedo: float) -> None:
+    """J1 = M1 / (1 - a1 a2) and J2 = a2 J1 for each channel's albedos: all bounces, without drift."""
     rng = np.random.default_rng(0)
     lower, upper = np.array([albedo, 0.5, 0.2]), np.array([albedo, 0.3, 0.9])
     shine = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
@@ -70,7 +70,7 @@ def test_plates_light_each_other(frames: int, albedo: float) -> None:
 
 
 def test_light_bounces_four_times_a_frame() -> None:
-    """Between plates that reflect 1 of the lamps and half of their light: 1 + 1/2 + ... + 1/16 after one frame."""
+    """Plates reflect radiance 1 of lights, with albedo 0.5: the sum is 1 + 1/2 + ... + 1/16 after one frame."""
     rng = np.random.default_rng(6)
     rig = CacheRig(bounces=8192)
     shine, half = np.ones((2, 3)), np.full((2, 3), 0.5)
@@ -81,7 +81,7 @@ def test_light_bounces_four_times_a_frame() -> None:
 
 
 def in_box(rng: np.random.Generator, host: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where rays from points of a cubic room hit its walls, with normals and distances."""
+    """Returns the hits of rays from a cubic room's walls, with normals and distances."""
     active = host["is_active"][:, None]
     position, normal = np.where(active, host["position"], WIDTH / 2), np.where(active, host["normal"], UP)
     directions = cosine_directions(rng, normal)
@@ -96,7 +96,7 @@ def in_box(rng: np.random.Generator, host: dict[str, np.ndarray]) -> tuple[np.nd
 
 
 def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a cubic room's walls, and their normals."""
+    """Returns random points of a cubic room's walls, and their normals."""
     position, normal = rng.uniform(0, WIDTH, (count, 3)), np.zeros((count, 3))
     axis, side = rng.integers(0, 3, count), rng.integers(0, 2, count)
     position[np.arange(count), axis] = WIDTH * side
@@ -104,8 +104,8 @@ def on_walls(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarr
     return position, normal
 
 
-def test_surfaces_of_one_cell_reflect_their_own_share() -> None:
-    """A floor of stripes of two colours, narrower than its cells, under a ceiling that sends radiance 1."""
+def test_surfaces_in_one_cell_use_their_own_albedo() -> None:
+    """A floor has stripes of two colours narrower than its cells, under a ceiling of radiance 1."""
     rng = np.random.default_rng(5)
     rig = CacheRig()
     position = on_floor(rng, 4000, 4.0)
@@ -115,7 +115,7 @@ def test_surfaces_of_one_cell_reflect_their_own_share() -> None:
         rig.insert(floor, 0)
 
         def ceiling(host: dict[str, np.ndarray]) -> tuple[Samples, Any]:
-            position = np.where(host["is_active"][:, None], host["position"], 0.0)  # the others may hold anything
+            position = np.where(host["is_active"][:, None], host["position"], 0.0)  # inactive points are undefined
             return made_samples(position + 3.0 * UP, normal=-UP, radiance=1.0, albedo=0.0), True
 
         rig.bounce(0, ceiling)
@@ -124,8 +124,8 @@ def test_surfaces_of_one_cell_reflect_their_own_share() -> None:
 
 
 @pytest.mark.parametrize("albedo", [0.5, 0.8])
-def test_a_closed_room_reaches_all_bounces(albedo: float) -> None:
-    """Every wall reflects 1 of the lamps: 1 / (1 - albedo) in all, in corners and for short rays too."""
+def test_a_closed_room_converges_to_all_bounces(albedo: float) -> None:
+    """Every wall reflects 1 of the lights, so the sum is 1 / (1 - albedo), also in corners and for short rays."""
     rng = np.random.default_rng(1)
     rig = CacheRig(history=4, bounces=8192)
     for frame in range(120):
@@ -145,8 +145,8 @@ def test_a_closed_room_reaches_all_bounces(albedo: float) -> None:
         assert found.mean() == pytest.approx(1 / (1 - albedo), rel=0.01)
 
 
-def test_white_walls_do_not_grow_without_bound() -> None:
-    """Two plates that reflect everything would gather light for ever; here 1 in 100 is lost a bounce."""
+def test_white_walls_stay_bounded() -> None:
+    """Two plates of albedo 1 would accumulate light for ever; the cache loses 1 % a bounce."""
     rng = np.random.default_rng(2)
     rig = CacheRig(history=4)
     white = np.ones((2, 3))
@@ -158,18 +158,18 @@ def test_white_walls_do_not_grow_without_bound() -> None:
 
 
 def floor_of_two_rooms(rng: np.random.Generator, count: int, x0: float, x1: float, distance: float) -> Samples:
-    """A floor with a thin wall at x = 0.37: it reflects 1 on the left, nothing on the right."""
+    """Returns a floor that reflects 1 left of a thin wall at x = 0.37, and nothing right of it."""
     position = np.column_stack([rng.uniform(x0, x1, count), rng.uniform(0, 8, count), np.full(count, 0.5)])
     lit = (position[:, 0] < 0.37).astype(float)
     return made_samples(position, radiance=np.outer(lit, np.ones(3)), albedo=0.5, distance=distance)
 
 
 @pytest.mark.parametrize("distance", [0.5, 5.0])
-def test_short_rays_do_not_see_through_walls(distance: float) -> None:
-    """Rays that leave the dark side of a wall, thinner than a cell, and hit the floor next to it.
+def test_short_rays_take_no_light_through_walls(distance: float) -> None:
+    """Rays leave the dark side of a wall thinner than a cell, and hit the floor beside it.
 
-    Shorter than a cell, they take nothing from a mean that reaches into the bright room; longer ones would: a third of
-    the light comes through.
+    Rays shorter than a cell do not use means that reach into the bright room. Longer rays do, and a third of the light
+    leaks.
     """
     rng = np.random.default_rng(3)
     rig = CacheRig(history=16)
@@ -196,7 +196,7 @@ def test_short_rays_do_not_see_through_walls(distance: float) -> None:
 
 
 def test_sides_of_a_wall_share_no_cell() -> None:
-    """Surfaces that face apart, 1/100 of a cell from each other: whatever rays see them."""
+    """Surfaces face in opposite directions, 1/100 of a cell apart."""
     rng = np.random.default_rng(4)
     position = on_floor(rng, 4000)
     sides = [
@@ -210,10 +210,10 @@ def test_sides_of_a_wall_share_no_cell() -> None:
 
 
 @pytest.mark.parametrize(("history", "bounce_history"), [(8, 8), (16, 16), (16, 4)])
-def test_light_that_goes_out_fades_by_the_history(history: int, bounce_history: int) -> None:
-    """(1 - 1/N)^n after n frames, of direct light, and of light from other surfaces once those are dark."""
+def test_light_fades_by_the_history_when_lights_go_out(history: int, bounce_history: int) -> None:
+    """Direct light fades as (1 - 1/N)^n after n frames, and so does indirect light once its sources are dark."""
     rng = np.random.default_rng(5)
-    rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # a ray for each cell
+    rig = CacheRig(history=history, bounce_history=bounce_history, bounces=256)  # one ray a cell
     position = on_floor(rng, 6000, 16.0)
     wall = np.array([100.0, 100.0, 100.0])
 
@@ -222,7 +222,9 @@ def test_light_that_goes_out_fades_by_the_history(history: int, bounce_history: 
 
         def hits(host: dict[str, np.ndarray]) -> tuple[Samples, bool]:
             far = np.broadcast_to(wall, (len(host["key"]), 3))
-            return made_samples(far, radiance=light, albedo=0.0, distance=0.1), True  # shorter than a cell: itself
+            return made_samples(
+                far, radiance=light, albedo=0.0, distance=0.1
+            ), True  # rays shorter than a cell return the sample's own radiance
 
         rig.bounce(frame, hits, inserts=False)
 
@@ -236,34 +238,36 @@ def test_light_that_goes_out_fades_by_the_history(history: int, bounce_history: 
 
 
 def lit_floor(rig: CacheRig, position: np.ndarray, frames: range, light: float) -> None:
-    """Frames of a floor that reflects ``light``, and half of it once more from what bounces see."""
+    """Renders a floor that reflects ``light``, plus half of it as indirect light."""
     for frame in frames:
         rig.insert(made_samples(position, radiance=light), frame)
-        lamp = np.full((rig.config.bounces, 3), 100.0)
-        hits = made_samples(lamp, radiance=light, albedo=0.0, distance=0.1)  # shorter than a cell: itself
+        source = np.full((rig.config.bounces, 3), 100.0)
+        hits = made_samples(
+            source, radiance=light, albedo=0.0, distance=0.1
+        )  # rays shorter than a cell return the sample's own radiance
         rig.bounce(frame, lambda _, hits=hits: (hits, True), inserts=False)
 
 
-def test_outdated_light_stays_until_other_is_found() -> None:
-    """When lamps go out, the next frame's samples and rays take the place of all before; without them nothing fades."""
+def test_outdated_light_stays_until_it_is_replaced() -> None:
+    """When lights go out, samples and rays of the next frame replace the old means; without them, nothing fades."""
     rng = np.random.default_rng(8)
     rig = CacheRig()
     position = on_floor(rng, 3000, 8.0)
     lit_floor(rig, position, range(40), 1.0)
     rig.cache.outdate(OUTDATED_HISTORY_WEIGHT)
-    assert rig.look_up(made_samples(position)) == pytest.approx(1.5, rel=1e-6), "better than nothing"
+    assert rig.look_up(made_samples(position)) == pytest.approx(1.5, rel=1e-6), "outdated means are kept until replaced"
     _, host = rig.points(40)
     cells = {*zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True)}
     assert len(cells) == 64, "all cells still send rays"
     assert host["cell"][host["is_active"]].max() < 64
     rig.insert(made_samples(position, radiance=0.0), 40)
-    assert rig.look_up(made_samples(position)) == pytest.approx(0.5, abs=0.01), "what bounces know stays, too"
+    assert rig.look_up(made_samples(position)) == pytest.approx(0.5, abs=0.01), "indirect means are kept, too"
     lit_floor(rig, position, range(41, 42), 0.0)
     assert rig.look_up(made_samples(position)).max() < 0.01
 
 
-def test_indirect_light_is_looked_up_alone() -> None:
-    """Whatever samples say of their own light, and however short their rays are; 0 where nothing is known."""
+def test_indirect_look_up_excludes_direct_light() -> None:
+    """The samples' own radiance and ray lengths have no effect; the result is 0 in empty cells."""
     rng = np.random.default_rng(9)
     rig = CacheRig()
     position = on_floor(rng, 3000, 8.0)
@@ -276,8 +280,8 @@ def test_indirect_light_is_looked_up_alone() -> None:
     assert (rig.look_up_indirect(made_samples(position + 100.0)) == 0).all()
 
 
-def test_two_insertions_of_a_frame_are_one() -> None:
-    """What bounces hit is inserted after what pixels see, and must not make the past fade twice as fast."""
+def test_insertions_with_one_frame_number_count_once() -> None:
+    """Hits of bounce rays are inserted after those of pixels, and must not make old means fade twice as fast."""
     rng = np.random.default_rng(6)
     position = on_floor(rng, 3000, 8.0)
     rig = CacheRig(history=8)
@@ -290,7 +294,7 @@ def test_two_insertions_of_a_frame_are_one() -> None:
 
 
 def flown(frames: int, *, bounces: int) -> np.ndarray:
-    """Mean radiance of the same points of a floor in each frame of a flight away from it and back."""
+    """Returns the mean radiance of fixed points of a floor in each frame of a flight away from it and back."""
     rng = np.random.default_rng(7)
     rig = CacheRig(history=32, bounces=bounces, unused_frames=50)
     probes = on_floor(rng, 3000)
@@ -311,8 +315,8 @@ def flown(frames: int, *, bounces: int) -> np.ndarray:
     return np.array(means)
 
 
-def test_flights_through_levels_are_continuous() -> None:
-    """Cells of a new size begin with what those of the old one know; but for that, frames would lose indirect light."""
+def test_radiance_is_continuous_across_levels() -> None:
+    """Cells of a new level start from those of the old one; otherwise frames would lose indirect light."""
     means = flown(60, bounces=128)[8:]
     steps = np.abs(np.diff(means)) / means[:-1]
     assert steps.max() < 0.02

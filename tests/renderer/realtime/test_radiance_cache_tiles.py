@@ -1,4 +1,4 @@
-"""Tiles of the radiance cache come and go: within bounds, oldest first, and nothing is lost in silence."""
+"""Tiles of the radiance cache are created and evicted: within bounds, oldest first, and losses are logged."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from support.scenes.cache_rig import CacheRig, made_samples, on_floor
 
 
 def tile_row(first: int, count: int) -> np.ndarray:
-    """Points in the middle of tiles of a row, one each."""
+    """Returns one point in the middle of each of a row of tiles."""
     x = 8.0 * np.arange(first, first + count) + 4.5
     return np.column_stack([x, np.full(count, 4.5), np.full(count, 0.5)])
 
 
-def test_unused_tiles_are_forgotten() -> None:
-    """After as many frames as the settings say, not one sooner; tiles in use stay."""
+def test_unused_tiles_are_evicted() -> None:
+    """Tiles are evicted after exactly ``unused_frames`` frames; tiles in use stay."""
     rig = CacheRig(unused_frames=10)
     rig.insert(made_samples(tile_row(0, 20), radiance=2.0), 0)
     for frame in range(1, 15):
@@ -31,33 +31,33 @@ def test_unused_tiles_are_forgotten() -> None:
         assert rig.statistics.tiles == (20 if frame < 10 else 5)
     probes = made_samples(tile_row(0, 20), radiance=0.0)
     assert rig.look_up(probes)[:, 0].tolist() == [2.0] * 5 + [0.0] * 15
-    assert rig.statistics.evicted == 0, "these have not gone before their time"
+    assert rig.statistics.evicted == 0, "none may be evicted early"
 
 
-def test_tiles_come_back_empty() -> None:
-    """A slot keeps nothing of the tile that had it before."""
+def test_reused_slots_are_empty() -> None:
+    """A slot retains nothing of the tile that used it before."""
     rig = CacheRig(unused_frames=2)
     rng = np.random.default_rng(0)
     for frame in range(12):
         position = on_floor(rng, 2000, 32.0, (100.0 * frame, 0.0))
         rig.insert(made_samples(position, radiance=float(frame)), frame)
         above = np.full((rig.config.bounces, 3), 1000.0)
-        lamp = made_samples(above, radiance=1.0 if frame < 6 else 0.0, distance=0.1)
-        rig.bounce(frame, lambda _, lamp=lamp: (lamp, True), inserts=False)
+        source = made_samples(above, radiance=1.0 if frame < 6 else 0.0, distance=0.1)
+        rig.bounce(frame, lambda _, source=source: (source, True), inserts=False)
         rig.cache.evict(frame)
         found = rig.look_up(made_samples(position))
         assert found == pytest.approx(frame + 0.5 * (frame < 6), rel=1e-6)
 
 
-def test_a_full_cache_forgets_the_oldest(caplog: pytest.LogCaptureFixture) -> None:
-    """Of 64 tiles, the ones unused longest go, and it is counted, and told once."""
+def test_a_full_cache_evicts_the_oldest_tiles(caplog: pytest.LogCaptureFixture) -> None:
+    """Of 64 tiles, those unused for longest are evicted; evictions are counted and logged once."""
     rig = CacheRig(tiles=64)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         for frame in range(8):
             rig.insert(made_samples(tile_row(8 * frame, 8), radiance=1.0), frame)
             rig.cache.evict(frame)
         assert rig.statistics.tiles == 64 and rig.statistics.evicted == 0 and not caplog.records
-        rig.insert(made_samples(tile_row(0, 4)), 8)  # the first four are young again
+        rig.insert(made_samples(tile_row(0, 4)), 8)  # uses the first four tiles again
         for frame in (9, 10):
             rig.insert(made_samples(tile_row(10 * frame, 10)), frame)
             rig.cache.evict(frame)
@@ -70,8 +70,8 @@ def test_a_full_cache_forgets_the_oldest(caplog: pytest.LogCaptureFixture) -> No
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_a_frame_larger_than_the_cache_is_counted(parallel: bool) -> None:
-    """What finds no room is what the sample itself says; nothing of the frame goes to make room for the rest of it."""
+def test_dropped_tiles_of_a_large_frame_are_counted(parallel: bool) -> None:
+    """Samples without a tile return their own radiance; no tile of the frame is evicted for another one."""
     rig = CacheRig(Launcher("cpu", threads=2, parallel=parallel), tiles=64)
     rig.insert(made_samples(tile_row(-50, 50)), 0)
     samples = made_samples(tile_row(0, 100), radiance=3.0)
@@ -79,12 +79,12 @@ def test_a_frame_larger_than_the_cache_is_counted(parallel: bool) -> None:
     statistics = rig.statistics
     assert (statistics.tiles, statistics.evicted, statistics.dropped) == (64, 50, 36)
     assert (rig.look_up(samples) == 3.0).all()
-    kept = rig.look_up(made_samples(tile_row(0, 100), radiance=0.0))[:, 0]
-    assert (kept == 3.0).sum() == 64
+    stored = rig.look_up(made_samples(tile_row(0, 100), radiance=0.0))[:, 0]
+    assert (stored == 3.0).sum() == 64
 
 
-def test_a_long_walk_holds_memory_constant() -> None:
-    """1,000 frames, each somewhere else: as many arrays and bytes as after the first."""
+def test_memory_is_constant_over_a_long_walk() -> None:
+    """After 1,000 frames at different positions, there are as many arrays and bytes as after the first ones."""
     rng = np.random.default_rng(1)
     rig = CacheRig(tiles=256, bounces=128, unused_frames=20)
     held: set[tuple[int, int]] = set()
@@ -104,32 +104,32 @@ def test_a_long_walk_holds_memory_constant() -> None:
     assert rig.statistics.bytes < 2**21
 
 
-def test_cells_take_turns() -> None:
-    """A share of the cells a frame: new tiles first, then those that wait longest, so that none is left out."""
+def test_all_cells_bounce_in_turn() -> None:
+    """A fraction of the cells bounces in each frame, new tiles first, then those that have waited longest."""
     rng = np.random.default_rng(2)
     rig = CacheRig(bounces=256)
     rig.insert(made_samples(on_floor(rng, 6000, 64.0)), 0)
     cells = rig.statistics.cells
     visits: dict[tuple[int, int], int] = {}
-    rounds = 0
+    frame = 0
     while len(visits) + 256 <= cells:
-        _, host = rig.points(rounds)
-        for place in zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True):
-            assert visits.setdefault(place, rounds) == rounds, "twice, while others wait"
+        _, host = rig.points(frame)
+        for cell in zip(host["slot"][host["is_active"]], host["cell"][host["is_active"]], strict=True):
+            assert visits.setdefault(cell, frame) == frame, "no cell may bounce twice while others wait"
         assert 256 - 64 < host["is_active"].sum() <= 256
-        rounds += 1
-    _, host = rig.points(rounds)
+        frame += 1
+    _, host = rig.points(frame)
     left = cells - len(visits)
-    places = list(zip(host["slot"], host["cell"], strict=True))
-    assert not visits.keys() & set(places[:left]), "the last ones come before a new round"
-    assert {visits[place] for place in places[left : host["is_active"].sum()]} <= {0}
-    rig.insert(made_samples(tile_row(1000, 3)), rounds)
-    _, host = rig.points(rounds + 1)
+    cells_of_rays = list(zip(host["slot"], host["cell"], strict=True))
+    assert not visits.keys() & set(cells_of_rays[:left]), "all cells bounce before any bounces again"
+    assert {visits[cell] for cell in cells_of_rays[left : host["is_active"].sum()]} <= {0}
+    rig.insert(made_samples(tile_row(1000, 3)), frame)
+    _, host = rig.points(frame + 1)
     assert (host["position"][:3, 0] > 8000).all()
 
 
-def test_points_are_samples_of_their_cells() -> None:
-    """With what was said of them; over frames, all samples of a cell are drawn alike; keys differ by cell and frame."""
+def test_bounce_points_are_uniform_samples_of_their_cells() -> None:
+    """Points carry normal and extent of their samples and are uniform over them; keys differ by cell and frame."""
     rng = np.random.default_rng(3)
     rig = CacheRig()
     drawn: list[float] = []
@@ -150,14 +150,14 @@ def test_points_are_samples_of_their_cells() -> None:
     assert np.var(drawn) == pytest.approx(1 / 12, rel=0.1)
 
 
-def test_points_of_tiles_that_go_do_not_count() -> None:
-    """What rays from them see does not reach the tiles that get their slots."""
+def test_points_of_evicted_tiles_are_ignored() -> None:
+    """Radiance of their rays does not reach the tiles that take their slots."""
     rig = CacheRig(tiles=64)
     rig.insert(made_samples(tile_row(0, 64)), 0)
     points, _ = rig.points(0)
     rig.insert(made_samples(tile_row(100, 64)), 1)
-    lamp = made_samples(np.zeros((rig.config.bounces, 3)), radiance=5.0, distance=0.1)
-    rig.cache.add_bounces(points, rig.upload("hits", lamp))
+    source = made_samples(np.zeros((rig.config.bounces, 3)), radiance=5.0, distance=0.1)
+    rig.cache.add_bounces(points, rig.upload("hits", source))
     assert (rig.look_up(made_samples(tile_row(100, 64))) == 1.0).all()
 
 
@@ -174,14 +174,14 @@ def test_points_of_tiles_that_go_do_not_count() -> None:
     ],
 )
 def test_settings_are_checked(settings: dict[str, Any], message: str) -> None:
-    """One line that says what is wrong."""
+    """The error states the setting, its value and the range in one line."""
     with pytest.raises(ConfigError, match=re.escape(message)):
         RadianceCacheConfig(**settings)
 
 
 @pytest.mark.parametrize(("budget", "rays"), [(128, 1), (129, 1), (130, 2), (500, 7), (4096, 16)])
 def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
-    """As many as fit, and 16 at most; cells of short rays one each. They are neighbours, and count from 0."""
+    """A cell sends as many rays as fit, at most 16; cells of short rays send one. A cell's rays are consecutive."""
     rng = np.random.default_rng(4)
     rig = CacheRig(bounces=budget)
     rig.insert(made_samples(on_floor(rng, 3000, 8.0)), 0)
@@ -197,14 +197,14 @@ def test_few_cells_send_several_rays_each(budget: int, rays: int) -> None:
     assert (active["rays"] == np.where(is_near, 1, rays)).all()
     assert (active["ray"][is_near] == 0).all()
     assert (active["ray"][~is_near].reshape(64, rays) == np.arange(rays)).all()
-    places = (64 * active["slot"] + active["cell"])[~is_near].reshape(64, rays)
-    assert (places == places[:, :1]).all()
-    assert len(set(places[:, 0])) == 64
+    cells_of_rays = (64 * active["slot"] + active["cell"])[~is_near].reshape(64, rays)
+    assert (cells_of_rays == cells_of_rays[:, :1]).all()
+    assert len(set(cells_of_rays[:, 0])) == 64
 
 
 @pytest.mark.parametrize(("far_width", "rays"), [(8.0, 4), (24.0, 1)])
-def test_many_cells_of_short_rays_leave_half_to_those_of_long_ones(far_width: float, rays: int) -> None:
-    """However many they are, and both kinds take turns: after some frames none is left out."""
+def test_cells_of_short_rays_take_at_most_half_of_the_rays(far_width: float, rays: int) -> None:
+    """Half of the rays go to cells of long rays, and after some frames no cell of either kind is left out."""
     rng = np.random.default_rng(5)
     rig = CacheRig(bounces=512)
     rig.insert(made_samples(on_floor(rng, 20_000, 8.0), distance=0.1), 0)
@@ -217,7 +217,7 @@ def test_many_cells_of_short_rays_leave_half_to_those_of_long_ones(far_width: fl
         _, host = rig.points(frame)
         active = host["is_active"]
         of_far = active & (host["rays"] == rays) & (np.arange(512) >= 256)
-        assert of_far[256 : 256 + 64 * rays].all(), "half of the rays are theirs"
+        assert of_far[256 : 256 + 64 * rays].all(), "half of the rays belong to cells of long rays"
         assert active[: 256 - 64].all() and (host["rays"][:256][active[:256]] == 1).all()
         visited |= set(zip(host["slot"][active], host["cell"][active], strict=True))
     assert len(visited) == near_cells + far_cells

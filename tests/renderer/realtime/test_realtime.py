@@ -1,4 +1,4 @@
-"""Frames of `Pipeline.REALTIME`: held to paths, to closed forms, and to what a sequence promises."""
+"""Frames of `Pipeline.REALTIME` against the path tracer and closed forms, and properties of sequences."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ BLOCK = 12
 def sequence(
     scene: ls.Scene, frames: int, camera: ls.Camera = VIEW, *, threads: int | None = None, **settings: Any
 ) -> tuple[ls.Renderer, ls.Frame]:
-    """A renderer, and the last of so many frames of a scene that stands still."""
+    """Returns a renderer, and the last of ``frames`` frames of a static scene."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, **settings), "cpu", threads=threads)
     return renderer, frame_after(renderer, scene, frames, camera)
 
 
 def frame_after(renderer: ls.Renderer, scene: ls.Scene, frames: int, camera: ls.Camera = VIEW) -> ls.Frame:
-    """The last of so many further frames."""
+    """Returns the last of ``frames`` further frames."""
     frame = renderer.render(scene, camera)
     for _ in range(frames - 1):
         frame = renderer.render(scene, camera)
@@ -40,13 +40,13 @@ def frame_after(renderer: ls.Renderer, scene: ls.Scene, frames: int, camera: ls.
 
 
 def blocks(image: np.ndarray) -> np.ndarray:
-    """Means over square blocks of pixels, and over channels."""
+    """Returns means over square blocks of pixels, and over channels."""
     height, width = image.shape[:2]
     return image.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK, 3).mean(axis=(1, 3, 4))
 
 
 def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: Any) -> ls.Frame:
-    """The truth, of the same first surface."""
+    """Path-traces the reference, with the same first surfaces."""
     first = ls.PathConfig(primary="iso")  # pyright: ignore[reportArgumentType]
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, path=first, aovs=PARTS, **settings)
     return ls.render(scene, camera, config, device="cpu")
@@ -55,8 +55,8 @@ def paths(scene: ls.Scene, samples: int, camera: ls.Camera = VIEW, **settings: A
 @pytest.mark.parametrize(
     "of_gaussians", [pytest.param(False, id="meshes"), pytest.param(True, id="gaussians", marks=pytest.mark.deep)]
 )
-def test_a_room_is_lit_as_by_paths(of_gaussians: bool) -> None:
-    """After 64 frames: direct light within 3 % in the mean, indirect light 5 %, twice that with Gaussians."""
+def test_a_room_matches_the_path_tracer(of_gaussians: bool) -> None:
+    """After 64 frames, mean direct light is within 3 % and indirect light within 5 %; with Gaussians, twice that."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 4000).scene if of_gaussians else ROOM
     truth = paths(scene, 48)
     _, frame = sequence(scene, 64, aovs=PARTS)
@@ -71,24 +71,24 @@ def test_a_room_is_lit_as_by_paths(of_gaussians: bool) -> None:
     assert np.percentile(np.abs(errors), 90) < 0.10
 
 
-def test_a_white_box_under_a_white_sky_cannot_be_seen() -> None:
-    """Nothing but direct light: every pixel is 1, but for what the noise of samples leaves."""
-    sky = ls.LightEnvironment(np.ones((16, 32, 3), np.float32))
+def test_a_white_box_vanishes_in_a_white_furnace() -> None:
+    """With direct light only, every pixel of the white furnace is 1 up to the noise of samples."""
+    environment = ls.LightEnvironment(np.ones((16, 32, 3), np.float32))
     view = ls.Camera.look_at((2.0, 1.5, -2.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=96, height=72, fov_y=0.7)
-    _, frame = sequence(ls.Scene((), [box((1.0, 1.0, 1.0), matte(1.0))], [sky]), 32, view)
+    _, frame = sequence(ls.Scene((), [box((1.0, 1.0, 1.0), matte(1.0))], [environment]), 32, view)
     assert frame.color.mean() == pytest.approx(1.0, abs=0.002)
     assert np.abs(frame.color - 1.0).max() < 0.03
 
 
-def test_layers_are_the_frame() -> None:
-    """Direct and indirect, diffuse and glossy light, and what shines, add up to it."""
+def test_layers_sum_to_the_frame() -> None:
+    """Direct and indirect, diffuse and glossy light and emission sum to the frame."""
     _, frame = sequence(ROOM, 3, aovs=PARTS)
     total = sum(np.asarray(getattr(frame, part), np.float64) for part in PARTS)
     np.testing.assert_allclose(total, frame.color, atol=1e-5, rtol=1e-5)
 
 
-def test_threads_do_not_matter() -> None:
-    """The same bits with 1, 2 and 5."""
+def test_results_do_not_depend_on_thread_count() -> None:
+    """Results have the same bits with 1, 2 and 5 threads."""
     scene = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene
     one, two, five = (sequence(scene, 3, threads=threads)[1].color for threads in (1, 2, 5))
     np.testing.assert_array_equal(one, two)
@@ -96,8 +96,8 @@ def test_threads_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("launcher", [partial(Launcher, "cpu", parallel=True), GraphLauncher], ids=["cuda", "graph"])
-def test_schedules_do_not_matter(launcher: Callable[[], Launcher]) -> None:
-    """Frame by frame the same with the kernels of CUDA, replayed as graphs or not, but for what rounding does."""
+def test_cuda_schedules_agree_with_the_cpu(launcher: Callable[[], Launcher]) -> None:
+    """Each frame agrees with CUDA's schedule, with and without graphs, up to rounding."""
     scene, settings = with_gaussians(PathRoom(ROOM, VIEW), 2000).scene, ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     direct, other = ls.create_renderer(settings, "cpu"), ls.Renderer(settings, launcher())
     for _ in range(5):
@@ -106,22 +106,22 @@ def test_schedules_do_not_matter(launcher: Callable[[], Launcher]) -> None:
         assert (error > 1e-3).mean() < 0.01
 
 
-def test_reset_is_a_new_renderer() -> None:
-    """Bit for bit, whatever was rendered before."""
+def test_reset_equals_a_new_renderer() -> None:
+    """The bits are equal, whatever was rendered before."""
     renderer, first = sequence(ROOM, 3)
     frame_after(renderer, ls.Scene((), ROOM.meshes[:4]), 2)
     renderer.reset()
     np.testing.assert_array_equal(frame_after(renderer, ROOM, 3).color, first.color)
 
 
-def test_another_size_begins_anew(caplog: pytest.LogCaptureFixture) -> None:
-    """As a new renderer does; one line says so, once, unless the sequence was to end."""
+def test_a_new_image_size_begins_a_new_sequence(caplog: pytest.LogCaptureFixture) -> None:
+    """The new sequence equals that of a new renderer. The change is logged once, unless the renderer was reset."""
     small = room_camera(64, 48)
     renderer, _ = sequence(ROOM, 2)
     again = frame_after(renderer, ROOM, 12, small)
     frame_after(renderer, ROOM, 1)
-    told = [line for line in caplog.messages if "size" in line]
-    assert told == ["the image size has changed from 96 x 72 to 64 x 48: the real-time history is discarded"]
+    logged = [line for line in caplog.messages if "size" in line]
+    assert logged == ["the image size has changed from 96 x 72 to 64 x 48: the real-time history is discarded"]
     other, _ = sequence(ROOM, 1, max_bounces=0)
     other.reset()
     frame_after(other, ROOM, 1, small)
@@ -130,12 +130,12 @@ def test_another_size_begins_anew(caplog: pytest.LogCaptureFixture) -> None:
     assert again.color.mean() == pytest.approx(sequence(ROOM, 12, small)[1].color.mean(), rel=0.02)
 
 
-def test_captures_that_shine_light_rooms_by_all_bounces() -> None:
-    """A ball that keeps its look lights a dark room as by paths, to 1.5 %; without its bounces 3 % are missing."""
+def test_captured_light_includes_all_bounces() -> None:
+    """An unlit captured ball lights a dark room within 1.5 % of the path tracer; its bounces are 3 % of the light."""
     dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
     *walls, ball, tall = (replace(each, mesh=replace(each.mesh, material=matte(0.5))) for each in dark)
-    shining = as_splats(replace(ball.mesh, material=matte(0.9)), 4000)
-    scene = ls.Scene([replace(shining, world_from_object=ball.transform, material=None)], [*walls, tall])
+    captured = as_splats(replace(ball.mesh, material=matte(0.9)), 4000)
+    scene = ls.Scene([replace(captured, world_from_object=ball.transform, material=None)], [*walls, tall])
     camera = room_camera(48, 36)
     truth = paths(scene, 32, camera, lighting=True, max_bounces=16)
     _, frame = sequence(scene, 24, camera, lighting=True)
@@ -143,8 +143,8 @@ def test_captures_that_shine_light_rooms_by_all_bounces() -> None:
     assert frame.color[lit].mean() == pytest.approx(truth.color[lit].mean(), rel=0.015)
 
 
-def test_a_lamp_that_goes_out_is_gone() -> None:
-    """Its direct light by nine tenths in eight frames, its indirect light in 24."""
+def test_light_fades_when_a_light_goes_out() -> None:
+    """Nine tenths of the direct light are gone in 8 frames, of the indirect light in 24."""
     dark = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive]
     lit, out = (ls.Scene((), dark, [ls.LightPoint((2.0, 2.5, 2.5), intensity=power)]) for power in (10.0, 0.0))
     renderer, before = sequence(lit, 32, aovs=PARTS)
@@ -158,13 +158,13 @@ def test_a_lamp_that_goes_out_is_gone() -> None:
     assert late.indirect_diffuse.mean() < 0.1 * before.indirect_diffuse.mean()
 
 
-def test_a_ball_that_moves_takes_its_shadow_along() -> None:
-    """Where its shadow was is as bright after 24 frames as if it had never been there, to 5 %; nothing is black."""
-    lamp = ls.LightPoint((2.0, 2.8, 2.5), intensity=20.0)
+def test_the_shadow_of_a_moved_object_moves_along() -> None:
+    """After 24 frames, the former shadow is within 5 % of a sequence without it, and no pixel was ever black."""
+    light = ls.LightPoint((2.0, 2.8, 2.5), intensity=20.0)
     floor = [instance for instance in ROOM.meshes if not instance.mesh.material.is_emissive][:4]
     ball = ROOM.meshes[-2]
     scenes = [
-        ls.Scene((), [*floor, replace(ball, world_from_object=moved(x) @ ball.transform)], [lamp]) for x in (0.0, 1.5)
+        ls.Scene((), [*floor, replace(ball, world_from_object=moved(x) @ ball.transform)], [light]) for x in (0.0, 1.5)
     ]
     renderer, _ = sequence(scenes[0], 24)
     first = frame_after(renderer, scenes[1], 1)
@@ -176,14 +176,14 @@ def test_a_ball_that_moves_takes_its_shadow_along() -> None:
 
 
 def moved(x: float) -> np.ndarray:
-    """A translation."""
+    """Returns a translation along x."""
     matrix = np.eye(4)
     matrix[0, 3] = x
     return matrix
 
 
 def test_a_mirror_shows_indirect_light() -> None:
-    """What direct light does not reach is not black in it."""
+    """Surfaces without direct light are not black in the mirror."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     shade = box((0.8, 0.8, 0.8), silver)
     placed = ls.MeshInstance(shade, position=(2.6, 0.6, 1.6))
@@ -196,12 +196,12 @@ def test_a_mirror_shows_indirect_light() -> None:
 
 
 def test_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
-    """Nothing but shadows falls on them."""
+    """Shadow catchers receive shadows only, as in hybrid frames."""
     floor = with_gaussians(PathRoom(ROOM, VIEW), 3000).scene.splats[0]
     receiver = replace(floor, shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
-    ball, lamp = ROOM.meshes[-2], ls.LightPoint((2.0, 1.5, 4.5), intensity=10.0)
-    scene = ls.Scene([receiver], [ball], [lamp])
-    _, frame = sequence(scene, 2, realtime=ls.RealtimeConfig(antialiasing=False))  # in the middles of pixels
+    ball, light = ROOM.meshes[-2], ls.LightPoint((2.0, 1.5, 4.5), intensity=10.0)
+    scene = ls.Scene([receiver], [ball], [light])
+    _, frame = sequence(scene, 2, realtime=ls.RealtimeConfig(antialiasing=False))  # samples at pixel centres
     hybrid = ls.render(scene, VIEW, ls.RenderConfig(pipeline=ls.Pipeline.HYBRID), device="cpu")
     captured = frame.instance_index == 0
     np.testing.assert_allclose(frame.color[captured], hybrid.color[captured], atol=0.02)
@@ -209,29 +209,29 @@ def test_shadow_catchers_are_darkened_as_in_hybrid_frames() -> None:
 
 
 def frame_without(scene: ls.Scene) -> ls.Frame:
-    """Without what casts shadows."""
+    """Renders the scene without shadow casters."""
     return ls.render(replace(scene, meshes=()), VIEW, ls.RenderConfig(pipeline=ls.Pipeline.HYBRID), device="cpu")
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [({"samples": 4}, "one sample"), ({"noise": 0.1}, "one sample"), ({"aovs": "bounces"}, "no bounces")],
 )
-def test_what_sequences_do_not_have_is_said(settings: dict[str, Any], said: str) -> None:
-    """In one line."""
-    with pytest.raises(ls.ConfigError, match=said):
+def test_unsupported_settings_are_refused(settings: dict[str, Any], message: str) -> None:
+    """The error states in one line what real time does not support."""
+    with pytest.raises(ls.ConfigError, match=message):
         sequence(ROOM, 1, **settings)
 
 
-def test_a_frame_of_a_sequence_is_not_resumed() -> None:
-    """The next one goes on."""
+def test_frames_of_a_sequence_cannot_be_resumed() -> None:
+    """The error refers to the next frame, which continues the sequence."""
     renderer, frame = sequence(ROOM, 1)
     with pytest.raises(ls.ConfigError, match="next frame"):
         renderer.render(ROOM, VIEW, resume=frame)
 
 
-def test_a_long_walk_holds_its_memory() -> None:
-    """Nothing grows from frame to frame."""
+def test_memory_is_constant_over_a_long_walk() -> None:
+    """Memory does not grow from frame to frame."""
     renderer, _ = sequence(ROOM, 1)
     sizes: list[int] = []
     for step in range(40):
@@ -242,8 +242,8 @@ def test_a_long_walk_holds_its_memory() -> None:
     assert sizes[-1] == sizes[10]
 
 
-def test_light_in_every_second_frame_has_the_same_mean() -> None:
-    """After 64 frames with half of the samples in each; what a camera uncovers then is not black."""
+def test_sampling_every_second_frame_has_the_same_mean() -> None:
+    """With half of the samples a frame, the mean after 64 frames is the same, and disoccluded pixels are not black."""
     settings = ls.RealtimeConfig(light_interval=2)
     truth = sequence(ROOM, 64, max_bounces=0)[1].color
     renderer, frame = sequence(ROOM, 64, max_bounces=0, realtime=settings)
@@ -255,13 +255,13 @@ def test_light_in_every_second_frame_has_the_same_mean() -> None:
     assert uncovered[lit > 0.1 * lit.mean()].min() > 0.0
 
 
-def test_lights_may_all_go_and_come_back() -> None:
-    """Lamps that are off light nothing; meshes without any lamp have the headlight that other pipelines give them."""
+def test_light_recovers_after_all_lights_were_removed() -> None:
+    """Disabled lights light nothing; without any lights, meshes get the default headlight, as in other pipelines."""
     plain = ls.Scene((), [box((1.0, 1.0, 1.0), matte(0.7))])
-    lamp = ls.LightPoint((1.0, 2.0, -2.0), intensity=8.0)
+    light = ls.LightPoint((1.0, 2.0, -2.0), intensity=8.0)
     view = ls.Camera.look_at((2.0, 1.5, -2.5), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), width=48, height=36, fov_y=0.7)
     settings: dict[str, Any] = {"lighting": None, "max_bounces": 0}
-    lit, off = replace(plain, lights=(lamp,)), replace(plain, lights=(replace(lamp, enabled=False),))
+    lit, off = replace(plain, lights=(light,)), replace(plain, lights=(replace(light, enabled=False),))
     renderer, before = sequence(lit, 8, view, **settings)
     assert before.color.max() > 0.1
     dark = frame_after(renderer, off, 8, view)
@@ -273,7 +273,7 @@ def test_lights_may_all_go_and_come_back() -> None:
 
 
 def test_transforms_of_nan_are_refused() -> None:
-    """Before a frame is made of them, in one line."""
+    """The error is raised before rendering, in one line."""
     bad = np.eye(4)
     bad[0, 3] = np.nan
     with pytest.raises(ls.SceneError, match="world_from_object has non-finite values") as error:

@@ -1,4 +1,4 @@
-"""Each step of screen probes by itself: placing, rays, means, reprojection and look-ups, against their float64 twin."""
+"""Steps of screen probes one by one, against float64: placement, rays, means, reprojection and look-ups."""
 
 from __future__ import annotations
 
@@ -28,25 +28,27 @@ Whole = npt.NDArray[np.int64]
 
 
 def box_camera(step: float = 0.0) -> ls.Camera:
-    """Inside the cube; each step moves it."""
+    """Returns a camera inside the cube; each step moves it."""
     eye = (0.1 + 0.03 * step, -0.4, 0.05)
     return ls.Camera.look_at(eye, (0.1, 0.5, 0.0), (0.0, 0.0, 1.0), width=160, height=96, fov_y=1.2)
 
 
-def striped(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
-    """Light that differs from direction to direction, at distances that do."""
-    radiance = np.stack([1.0 + np.sin(9.0 * ways[:, 0]), 1.0 + ways[:, 1], np.abs(ways[:, 2])], axis=1)
-    return radiance, 0.3 + np.abs(ways[:, 2])
+def striped(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
+    """Returns radiance and distances that differ by direction."""
+    radiance = np.stack(
+        [1.0 + np.sin(9.0 * directions[:, 0]), 1.0 + directions[:, 1], np.abs(directions[:, 2])], axis=1
+    )
+    return radiance, 0.3 + np.abs(directions[:, 2])
 
 
 def fields(probes: ProbeData) -> dict[str, npt.NDArray[np.float64]]:
-    """Copies of what is known of probes."""
-    with np.errstate(invalid="ignore"):  # what is not placed may hold anything
+    """Returns copies of the fields of the probes."""
+    with np.errstate(invalid="ignore"):  # fields of missing probes are undefined
         return {name: getattr(probes, name).numpy().astype(np.float64) for name in ProbeData.vars}  # pyright: ignore
 
 
 def cells_of(sequence: ProbeSequence) -> oracle.Cells:
-    """Copies of all cells, probe after probe."""
+    """Returns copies of all cells, probe after probe."""
     steps = (np.arange(8) + 0.5) / 8
     centers = directions_of_square(np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2))
     cells = sequence.probes.cells
@@ -57,19 +59,19 @@ def cells_of(sequence: ProbeSequence) -> oracle.Cells:
 
 
 def one(cells: oracle.Cells, i: int) -> oracle.Cells:
-    """The cells of one probe."""
+    """Returns the cells of one probe."""
     part = slice(i * CELLS, (i + 1) * CELLS)
     return oracle.Cells(cells.direction, cells.radiance[part], cells.nearness[part], cells.samples[part])
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_nothing_moves_and_nothing_changes(extent: float) -> None:
-    """Reprojection of a probe onto itself is the identity: same place, same cells, bit for bit."""
-    sequence, seen = ProbeSequence(striped), seen_in_box(box_camera(), extent)
+def test_reprojection_of_static_probes_is_the_identity(extent: float) -> None:
+    """Reprojection of a probe onto itself is the identity: same position, same cells."""
+    sequence, surfaces = ProbeSequence(striped), seen_in_box(box_camera(), extent)
     for _ in range(6):
-        sequence.render(seen)
+        sequence.render(surfaces)
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
-    sequence.place(seen)
+    sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
     own = np.arange(60)
     np.testing.assert_array_equal(after["source"][own], own)
@@ -83,34 +85,34 @@ def test_nothing_moves_and_nothing_changes(extent: float) -> None:
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
 @pytest.mark.parametrize("moves", ["sample", "camera"])
-def test_probes_stay_while_samples_and_camera_move(moves: str, extent: float) -> None:
-    """Those that go on are where they were, to the bit, and so are their cells, though no pixel shows that point."""
+def test_probes_keep_their_position_while_samples_and_camera_move(moves: str, extent: float) -> None:
+    """Continued probes keep their positions and cells to the bit, though no pixel shows that point."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for step in range(3):
         sequence.render(seen_in_box(box_camera(), extent, subpixel(step)))
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
-    seen = seen_in_box(box_camera(0.1 * (moves == "camera")), extent, subpixel(3))
-    sequence.place(seen)
+    surfaces = seen_in_box(box_camera(0.1 * (moves == "camera")), extent, subpixel(3))
+    sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
     went_on = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
     source = after["source"][went_on].astype(int)
     stayed = (after["position"][went_on] == before["position"][source]).all(1)
     assert len(went_on) > 50 and stayed.mean() > 0.9
-    assert np.isin(before["position"][source][:, 0], seen.position[:, 0].astype(np.float32)).mean() < 0.5
+    assert np.isin(before["position"][source][:, 0], surfaces.position[:, 0].astype(np.float32)).mean() < 0.5
     for i, j in zip(went_on[stayed].tolist(), source[stayed].tolist(), strict=True):
         np.testing.assert_array_equal(one(carried, i).samples, one(cells, j).samples)
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_cells_are_aimed_at_their_hits_anew(extent: float) -> None:
-    """Those of probes that have moved are the twin's, and most directions change."""
+def test_reprojected_cells_match_the_reference(extent: float) -> None:
+    """Cells of moved probes match the reference, and most directions change."""
     sequence = ProbeSequence(striped, refreshed=1.0)
     for _ in range(3):
         sequence.render(seen_in_box(box_camera(), extent))
     before, cells = fields(sequence.probes.probes), cells_of(sequence)
-    seen = seen_in_box(box_camera(1.0), extent)
-    seen.previous = seen.position + 1e-5  # else probes would stay where they were
-    sequence.place(seen)
+    surfaces = seen_in_box(box_camera(1.0), extent)
+    surfaces.previous = surfaces.position + 1e-5  # otherwise probes would keep their positions
+    sequence.place(surfaces)
     after, carried = fields(sequence.probes.probes), cells_of(sequence)
     moved = 0
     for i in np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0)).tolist():
@@ -119,41 +121,41 @@ def test_cells_are_aimed_at_their_hits_anew(extent: float) -> None:
         horizon = after["normal"][i] if extent == 0.0 else None
         expected, found = oracle.carried(one(cells, source), old, new, horizon, ProbeConfig().history), one(carried, i)
         same = np.isclose(found.samples, expected.samples)
-        assert same.mean() > 0.96, "float32 puts what is on a border into the next cell"
+        assert same.mean() > 0.96, "float32 may put directions on a border into the next cell"
         np.testing.assert_allclose(found.radiance[same].mean(), expected.radiance[same].mean(), rtol=0.02)
         np.testing.assert_allclose(found.nearness[same].mean(), expected.nearness[same].mean(), rtol=0.02)
         moved += int(np.linalg.norm(old - new) > 1e-4)
     assert moved > 20
 
 
-def test_probes_follow_what_moves() -> None:
-    """A plane that moves sideways takes its probes along, with their cells; the camera stands still."""
+def test_probes_follow_moving_surfaces() -> None:
+    """A plane that moves sideways takes its probes and their cells along; the camera is static."""
     camera = ls.Camera.look_at((0.0, 0.0, 3.0), (0, 0, 0), (0.0, 1.0, 0.0), width=160, height=96, fov_y=0.6)
-    sequence, seen = ProbeSequence(striped, refreshed=1.0), seen_plane(camera, (0.0, 0.0, 1.0))
-    sequence.render(seen)
+    sequence, surfaces = ProbeSequence(striped, refreshed=1.0), seen_plane(camera, (0.0, 0.0, 1.0))
+    sequence.render(surfaces)
     before = fields(sequence.probes.probes)
     step = np.array([0.019375 * 2, 0.0, 0.0])  # about two pixels
-    seen.previous = seen.position - step
-    sequence.place(seen)
+    surfaces.previous = surfaces.position - step
+    sequence.place(surfaces)
     after = fields(sequence.probes.probes)
     carried = np.flatnonzero((after["is_placed"] == 1) & (after["source"] >= 0))
-    ways = after["position"][carried] - before["position"][after["source"][carried].astype(int)]
+    directions = after["position"][carried] - before["position"][after["source"][carried].astype(int)]
     assert len(carried) > 50
-    assert np.mean(np.abs(ways - step).max(axis=1) < 0.02) > 0.8, "the others would have left their tile"
-    assert np.median(ways[:, 0]) == pytest.approx(step[0], abs=0.01)
+    assert np.mean(np.abs(directions - step).max(axis=1) < 0.02) > 0.8, "the other probes leave their tile"
+    assert np.median(directions[:, 0]) == pytest.approx(step[0], abs=0.01)
 
 
 def test_each_ray_is_uniform_in_its_cell() -> None:
-    """One ray a cell, in it; their points are spread over the cell; none repeats."""
+    """Each cell has one ray; the points are spread over the cell and do not repeat."""
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), refreshed=1.0)
-    seen = seen_in_box(box_camera(), 0.004)
+    surfaces = seen_in_box(box_camera(), 0.004)
     points = []
     for _ in range(4):
-        sequence.place(seen)
+        sequence.place(surfaces)
         sequence.trace()
         sequence.frame += 1
-        ways = sequence.rays[1].reshape(-1, CELLS, 3)
-        squares = np.array([[oracle.square_of(way) for way in probe] for probe in ways[:20]]) * 8
+        directions = sequence.rays[1].reshape(-1, CELLS, 3)
+        squares = np.array([[oracle.square_of(direction) for direction in probe] for probe in directions[:20]]) * 8
         np.testing.assert_array_equal(np.minimum(squares.astype(int), 7) @ [1, 8], np.tile(np.arange(CELLS), (20, 1)))
         points.append(squares % 1.0)
     counts, _, _ = np.histogram2d(*np.reshape(points, (-1, 2)).T, bins=4, range=((0, 1), (0, 1)))
@@ -162,11 +164,11 @@ def test_each_ray_is_uniform_in_its_cell() -> None:
     assert np.abs(points[0] - points[1]).mean() > 0.2
 
 
-def test_rays_leave_their_surface() -> None:
-    """From meshes outwards only; from Gaussians all around, above their layer, beyond what does not shadow them."""
+def test_rays_start_above_their_surface() -> None:
+    """Rays of meshes leave outwards; those of Gaussians leave in all directions, above their layer and offset."""
     for extent, share in ((0.0, 0.5), (0.004, 1.0)):
-        sequence, seen = ProbeSequence(constant([1.0, 1.0, 1.0])), seen_in_box(box_camera(), extent)
-        sequence.place(seen)
+        sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0])), seen_in_box(box_camera(), extent)
+        sequence.place(surfaces)
         rays = sequence.probes.rays(0)
         active = device_array(rays.is_active).numpy()
         assert active.mean() == pytest.approx(share, abs=0.03)
@@ -178,11 +180,11 @@ def test_rays_leave_their_surface() -> None:
 
 
 def test_all_probes_are_refreshed_in_turn() -> None:
-    """New ones first, spread over the picture, then the oldest: as many a frame as asked for, none is forgotten."""
-    sequence, seen = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0), seen_in_box(box_camera(), 0.002)
+    """New probes are refreshed first, spread over the image, then the oldest, in a fixed number a frame."""
+    sequence, surfaces = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0), seen_in_box(box_camera(), 0.002)
     rounds = np.zeros((6, 10), np.int32)
     for frame in range(12):
-        sequence.render(seen)
+        sequence.render(surfaces)
         assert len(sequence.rays[0]) == 15 * CELLS
         rounds = device_array(sequence.probes.probes.refresh_count).numpy().reshape(6, 10)
         assert rounds.sum() == 15 * (frame + 1)
@@ -193,19 +195,19 @@ def test_all_probes_are_refreshed_in_turn() -> None:
 
 
 @pytest.mark.parametrize("history", [1, 4, 8])
-def test_means_of_cells(history: int) -> None:
-    """A young mean counts for half of its samples, an old one goes back its history; what is not finite is left out."""
-    seen = seen_in_box(box_camera(), 0.002)
+def test_cell_means_match_the_reference(history: int) -> None:
+    """A young mean counts for half of its samples, an old one for its history; non-finite samples are dropped."""
+    surfaces = seen_in_box(box_camera(), 0.002)
     light = [1.0, 2.0, np.nan, 6.0, *[3.0] * 7, 30.0]
     values = iter(light)
 
-    def tracer(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
-        return np.full((len(ways), 3), next(values)), np.full(len(ways), 0.5)
+    def tracer(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
+        return np.full((len(directions), 3), next(values)), np.full(len(directions), 0.5)
 
     sequence = ProbeSequence(tracer, refreshed=1.0, adaptive=0.0, history=history)
     mean, count = 0.0, 0
     for value in light:
-        sequence.place(seen)
+        sequence.place(surfaces)
         sequence.trace()
         sequence.frame += 1
         cells = one(cells_of(sequence), 7)
@@ -217,92 +219,92 @@ def test_means_of_cells(history: int) -> None:
         np.testing.assert_array_equal(cells.samples, count)
 
 
-def test_outdated_light_stays_until_other_is_found() -> None:
-    """When light changes, a cell's next ray takes the place of all before; until then it keeps what it knew."""
-    seen = seen_in_box(box_camera(), 0.002)
+def test_outdated_light_stays_until_it_is_replaced() -> None:
+    """When light changes, a cell's next ray replaces the old mean; until then, the cell keeps it."""
+    surfaces = seen_in_box(box_camera(), 0.002)
     old, new = np.array([4.0, 1.0, 0.5]), np.array([0.5, 2.0, 0.0])
     sequence = ProbeSequence(constant(old))
     for _ in range(12):
-        sequence.render(seen)
-    sequence.place(seen)
+        sequence.render(surfaces)
+    sequence.place(surfaces)
     sequence.probes.outdate(OUTDATED_HISTORY_WEIGHT)
     sequence.tracer = constant([np.nan] * 3)
     sequence.trace()
-    np.testing.assert_allclose(sequence.look_up(seen), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)
+    np.testing.assert_allclose(sequence.look_up(surfaces), np.broadcast_to(np.pi * old, (160 * 96, 3)), rtol=4e-6)
     sequence.tracer = constant(new)
     worst = []
     for _ in range(8):
         sequence.frame += 1
-        worst.append(np.abs(sequence.render(seen) / np.pi - new).max())
-    assert worst[0] > 1.0, "not all are refreshed at once"
-    assert worst[-1] < 2e-3, "a plain mean of 4 would still have a third"
+        worst.append(np.abs(sequence.render(surfaces) / np.pi - new).max())
+    assert worst[0] > 1.0, "not all probes are refreshed in one frame"
+    assert worst[-1] < 2e-3, "a plain mean would still have a third of the old light"
 
 
 def thin_pole(camera: ls.Camera) -> Seen:
-    """The cube with a pole before it, three pixels wide, in every tile but those of the last columns."""
-    seen = seen_in_box(camera)
+    """Returns the cube with a pole three pixels wide before it in every tile except the last columns."""
+    surfaces = seen_in_box(camera)
     columns = np.tile(np.arange(camera.width), camera.height)
     pole = (columns % 16 >= 6) & (columns % 16 < 9) & (columns < 128)
-    ways = (seen.position - camera.eye) / seen.distance[:, None]
-    seen.distance = np.where(pole, 0.1, seen.distance)
-    seen.position = np.where(pole[:, None], camera.eye + 0.1 * ways, seen.position)
-    seen.previous = seen.position.copy()
-    seen.normal = np.where(pole[:, None], -np.asarray(camera.world_from_camera[:3, 2]), seen.normal)
-    return seen
+    directions = (surfaces.position - camera.eye) / surfaces.distance[:, None]
+    surfaces.distance = np.where(pole, 0.1, surfaces.distance)
+    surfaces.position = np.where(pole[:, None], camera.eye + 0.1 * directions, surfaces.position)
+    surfaces.previous = surfaces.position.copy()
+    surfaces.normal = np.where(pole[:, None], -np.asarray(camera.world_from_camera[:3, 2]), surfaces.normal)
+    return surfaces
 
 
-def test_surfaces_that_tiles_miss_get_probes() -> None:
-    """Each surface of a tile that is not that of its own probe gets one, as far as there are any; these last."""
-    seen = thin_pole(box_camera())
+def test_surfaces_missed_by_tile_probes_get_adaptive_probes() -> None:
+    """Each surface of a tile that differs from its probe's gets an adaptive probe, up to their number; they last."""
+    surfaces = thin_pole(box_camera())
     sequence = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=1.0, refreshed=1.0)
-    for _ in range(4):  # until all have been refreshed once, which makes them stay
-        sequence.render(seen)
+    for _ in range(4):  # until every probe has been refreshed once and hence persists
+        sequence.render(surfaces)
     first = device_array(sequence.probes.adaptive_of).numpy().copy()
     assert (first >= 60).sum() > 15
     for _ in range(2):
-        sequence.render(seen)
+        sequence.render(surfaces)
     again = device_array(sequence.probes.adaptive_of).numpy()
     np.testing.assert_array_equal(first >= 0, again >= 0)
     assert (device_array(sequence.probes.probes.refresh_count).numpy()[again[again >= 0]] > 2).all()
     few = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.1, refreshed=1.0)
-    few.render(seen)
+    few.render(surfaces)
     assert (device_array(few.probes.adaptive_of).numpy() >= 0).sum() == 6
     none = ProbeSequence(constant([1.0, 1.0, 1.0]), adaptive=0.0, refreshed=1.0)
-    none.render(seen)
+    none.render(surfaces)
     assert (device_array(none.probes.adaptive_of).numpy() == -1).all()
 
 
-def test_the_filter_keeps_what_is_near_apart() -> None:
-    """Neighbours make new probes less noisy, but do not blur what a probe sees near with what lies behind."""
-    seen = seen_in_box(box_camera(), 0.002)
+def test_the_filter_does_not_blur_near_hits_with_the_background() -> None:
+    """Neighbours reduce the noise of new probes, but do not blur near hits with the background."""
+    surfaces = seen_in_box(box_camera(), 0.002)
     rng = np.random.default_rng(3)
 
     def noise(distance: float):
-        return lambda origins, ways: (rng.exponential(size=ways.shape), np.full(len(ways), distance))
+        return lambda origins, directions: (rng.exponential(size=directions.shape), np.full(len(directions), distance))
 
     spread = {}
     for distance in (0.01, 1e6):
         sequence = ProbeSequence(noise(distance), refreshed=1.0, adaptive=0.0)
-        sequence.render(seen)
+        sequence.render(surfaces)
         spread[distance] = np.std(device_array(sequence.probes.light.radiance).numpy())
-    assert spread[1e6] < 0.75, "a mean over up to five"
-    assert spread[0.01] > 0.9, "nothing in common"
+    assert spread[1e6] < 0.75, "each cell averages up to five probes"
+    assert spread[0.01] > 0.9, "near hits share nothing"
 
 
 @pytest.mark.parametrize("extent", [0.0, 0.002])
-def test_look_ups_are_the_twins(extent: float) -> None:
-    """Irradiance at pixels, by the probes of the four tiles around that no pole cuts off; some pixels have none."""
-    seen = thin_pole(box_camera())
-    seen.extent[:] = extent
+def test_irradiance_look_ups_match_the_reference(extent: float) -> None:
+    """Pixel irradiance uses the probes of the four tiles around that no pole occludes; some pixels have none."""
+    surfaces = thin_pole(box_camera())
+    surfaces.extent[:] = extent
     sequence = ProbeSequence(striped, refreshed=1.0)
     for _ in range(3):
-        sequence.render(seen)
+        sequence.render(surfaces)
     pixels = np.random.default_rng(4).choice(160 * 96, 60, replace=False)
     points = np.stack([pixels % 160, pixels // 160], axis=1).astype(np.float64) + 0.5
-    found = looked_up(sequence, seen, pixels, points, seen.normal[pixels], glossy=False)
+    found = looked_up(sequence, surfaces, pixels, points, surfaces.normal[pixels], glossy=False)
     known = fields(sequence.probes.probes)
     radiance = device_array(sequence.probes.light.radiance).numpy().astype(np.float64).reshape(-1, CELLS, 3)
-    adaptive, camera = device_array(sequence.probes.adaptive_of).numpy(), seen.camera
+    adaptive, camera = device_array(sequence.probes.adaptive_of).numpy(), surfaces.camera
     compared = cut_off = 0
     for pixel, point, light in zip(pixels, points, found, strict=True):
         around = []
@@ -313,54 +315,63 @@ def test_look_ups_are_the_twins(extent: float) -> None:
             for i in (y * 10 + x, adaptive[y * 10 + x]):
                 if i >= 0 and known["is_placed"][i]:
                     apart = float(np.linalg.norm(known["pixel"][i] - point) / 16)
-                    value = oracle.probe_irradiance(radiance[i], seen.normal[pixel], known["normal"][i])
+                    value = oracle.probe_irradiance(radiance[i], surfaces.normal[pixel], known["normal"][i])
                     position, normal = known["position"][i], known["normal"][i]
                     distance, wide = float(known["distance"][i]), float(known["extent"][i])
-                    nearer = min(distance, float(seen.distance[pixel]))
-                    if oracle.is_cut_off(point, known["pixel"][i], nearer, seen.distance.reshape(96, 160)):
+                    nearer = min(distance, float(surfaces.distance[pixel]))
+                    if oracle.is_cut_off(point, known["pixel"][i], nearer, surfaces.distance.reshape(96, 160)):
                         cut_off += 1
                         continue
                     around.append((apart, oracle.Probe(position, normal, distance, wide, value)))
-        distance, extent_here = float(seen.distance[pixel]), float(seen.extent[pixel])
+        distance, extent_here = float(surfaces.distance[pixel]), float(surfaces.extent[pixel])
         reach = 16 / min(camera.fx, camera.fy) * distance
-        expected = oracle.near_mean(seen.position[pixel], seen.normal[pixel], distance, extent_here, reach, around)
+        expected = oracle.near_mean(
+            surfaces.position[pixel], surfaces.normal[pixel], distance, extent_here, reach, around
+        )
         if expected is not None:
             np.testing.assert_allclose(light, np.maximum(expected, 0.0), rtol=5e-3, atol=5e-3)
             compared += 1
     assert compared > 40 and cut_off > 40
 
 
-def test_glossy_look_ups_see_along_directions() -> None:
-    """Between cells linear, so that a slow gradient comes out; a bright side is bright, across the border too."""
-    seen = seen_in_box(box_camera(), 0.002)
+def test_glossy_look_ups_interpolate_between_cells() -> None:
+    """Look-ups interpolate linearly between cells, also across the border: a slow gradient is reproduced."""
+    surfaces = seen_in_box(box_camera(), 0.002)
 
-    def gradient(origins: Doubles, ways: Doubles) -> tuple[Doubles, Doubles]:
-        return 2.0 + ways, np.full(len(ways), np.inf)
+    def gradient(origins: Doubles, directions: Doubles) -> tuple[Doubles, Doubles]:
+        return 2.0 + directions, np.full(len(directions), np.inf)
 
     sequence = ProbeSequence(gradient, refreshed=1.0, history=256)
     for _ in range(24):
-        sequence.render(seen)
+        sequence.render(surfaces)
     pixels = np.full(400, 50 * 160 + 75)
-    ways = oracle.spiral(400)
-    found = looked_up(sequence, seen, pixels, np.full((400, 2), (75.5, 50.5)), ways, glossy=True)
-    assert np.sqrt(np.mean((found - 2.0 - ways) ** 2)) < 0.06
-    assert np.abs(found - 2.0 - ways).max() < 0.25
+    directions = oracle.spiral(400)
+    found = looked_up(sequence, surfaces, pixels, np.full((400, 2), (75.5, 50.5)), directions, glossy=True)
+    assert np.sqrt(np.mean((found - 2.0 - directions) ** 2)) < 0.06
+    assert np.abs(found - 2.0 - directions).max() < 0.25
 
 
 def looked_up(
-    sequence: ProbeSequence, seen: Seen, pixels: Whole, points: Doubles, ways: Doubles, *, glossy: bool
+    sequence: ProbeSequence, surfaces: Seen, pixels: Whole, points: Doubles, directions: Doubles, *, glossy: bool
 ) -> Doubles:
-    """What the device finds for pixels."""
+    """Returns the device's look-ups for pixels."""
     probes, count = sequence.probes, len(pixels)
     given = [
         wp.array(values.astype(kind), dtype=dtype, device="cpu")
         for values, kind, dtype in (
             (pixels, np.int32, int),
             (points, np.float32, wp.vec2),
-            (ways, np.float32, wp.vec3),
+            (directions, np.float32, wp.vec3),
         )
     ]
     found = wp.zeros(count, dtype=wp.vec3, device="cpu")
-    places = probes.grid, camera_rows(seen.camera), seen.upload(), probes.probes, probes.adaptive_of, probes.light
-    wp.launch(probe_light, count, inputs=[glossy, *places, *given, found], device="cpu")
+    positions = (
+        probes.grid,
+        camera_rows(surfaces.camera),
+        surfaces.upload(),
+        probes.probes,
+        probes.adaptive_of,
+        probes.light,
+    )
+    wp.launch(probe_light, count, inputs=[glossy, *positions, *given, found], device="cpu")
     return device_array(found).numpy().astype(np.float64)

@@ -1,4 +1,4 @@
-"""Rays on which light bounces go on at smooth surfaces: what glass and mirrors leave of the light of a room."""
+"""Secondary rays continue at smooth surfaces: brightness of rooms with glass and mirrors."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ INSIDE = ls.Camera.look_at((2.1, 1.5, 4.9), (1.95, 1.15, 0.0), (0.1, 1.0, 0.0), 
 
 
 def last_frames(scene: ls.Scene, camera: ls.Camera, frames: int = 40) -> np.ndarray:
-    """Mean of the last half of a sequence, linear, shape (H, W, 3)."""
-    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=8)  # the camera's, through two panes
+    """Returns the mean of the last half of a sequence, linear, shape (H, W, 3)."""
+    config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, max_bounces=8)  # enough for camera rays through two panes
     renderer = ls.create_renderer(config, "cpu")
-    seen = [renderer.render(scene, camera).color for _ in range(frames)]
-    return np.stack(seen[frames // 2 :]).astype(np.float64).mean(axis=0)
+    found = [renderer.render(scene, camera).color for _ in range(frames)]
+    return np.stack(found[frames // 2 :]).astype(np.float64).mean(axis=0)
 
 
 def paths(scene: ls.Scene, camera: ls.Camera, samples: int) -> ls.Frame:
-    """The truth."""
+    """Path-traces the reference."""
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=32, path=ls.PathConfig(primary=PathPrimary.ISO)
     )
@@ -34,26 +34,28 @@ def paths(scene: ls.Scene, camera: ls.Camera, samples: int) -> ls.Frame:
 
 
 @pytest.mark.parametrize("material", [MIRROR, clear_glass(), replace(clear_glass(), metallic=0.5)])
-def test_a_floor_before_a_smooth_wall_is_as_bright_as_the_sky(material: ls.MaterialPbr) -> None:
-    """In an even sky of 1, white things, mirrors and clear glass are 1, however light gets to them.
+def test_smooth_walls_are_exact_in_a_white_furnace(material: ls.MaterialPbr) -> None:
+    """In a white furnace of 1, white surfaces, mirrors and clear glass are 1.
 
-    To 2 %: the error of a step in harmonics.
+    The tolerance of 2 % is the SH error of a step in radiance.
     """
     floor = parallelogram((-3.0, 0.0, -3.0), (0.0, 0.0, 6.0), (6.0, 0.0, 0.0), matte(1.0))
     wall = ls.MeshInstance(box((1.6, 1.2, 0.1), material), position=(0.0, 0.65, -0.3))
     scene = ls.Scene((), [floor, wall], [ls.LightEnvironment(np.ones((8, 16, 3), np.float32))])
-    seen = last_frames(scene, EYE)
+    found = last_frames(scene, EYE)
     frame = ls.render(scene, EYE, ls.RenderConfig(), device="cpu")
     near = (frame.instance_index == 0) & (frame.depth < 3.0)
     assert near.sum() > 300
-    assert seen[near].mean() == pytest.approx(1.0, abs=0.02)
+    assert found[near].mean() == pytest.approx(1.0, abs=0.02)
 
 
-def room_with(*things: ls.MeshInstance) -> ls.Scene:
-    """A closed room with a lamp that no ray meets, and things in it."""
+def room_with(*objects: ls.MeshInstance) -> ls.Scene:
+    """Returns a closed room with objects in it and a point light, which no ray hits."""
     ceiling = parallelogram((0.0, 3.0, 0.0), (4.0, 0.0, 0.0), (0.0, 0.0, 5.0), matte(0.6))
     behind = parallelogram((4.0, 0.0, 5.0), (-4.0, 0.0, 0.0), (0.0, 3.0, 0.0), matte(0.6))
-    return ls.Scene((), [*floor_and_walls(), ceiling, behind, *things], [ls.LightPoint((2.0, 2.6, 2.5), intensity=9.0)])
+    return ls.Scene(
+        (), [*floor_and_walls(), ceiling, behind, *objects], [ls.LightPoint((2.0, 2.6, 2.5), intensity=9.0)]
+    )
 
 
 PANE = ls.MeshInstance(box((3.6, 2.6, 0.1), clear_glass()), position=(2.0, 1.5, 0.2))
@@ -61,7 +63,7 @@ GREEN = replace(clear_glass(), base_color=(0.5, 0.9, 0.6))
 
 
 @pytest.mark.parametrize(
-    "things",
+    "objects",
     [
         pytest.param([PANE], marks=pytest.mark.deep),
         [PANE, ls.MeshInstance(PANE.mesh, position=(2.0, 1.5, 0.5))],
@@ -70,25 +72,25 @@ GREEN = replace(clear_glass(), base_color=(0.5, 0.9, 0.6))
     ],
     ids=["a pane before a wall", "two panes", "a coloured table", "a mirror on a wall"],
 )
-def test_a_room_with_glass_is_as_bright_as_by_paths(things: list[ls.MeshInstance]) -> None:
-    """In the mean and in each channel within 4 %; as black bodies they would take 10 to 50 %."""
-    scene = room_with(*things)
-    seen, truth = last_frames(scene, INSIDE, 60), paths(scene, INSIDE, 96).color
-    ratio = seen.mean(axis=(0, 1)) / truth.mean(axis=(0, 1))
+def test_a_room_with_glass_matches_the_path_tracer(objects: list[ls.MeshInstance]) -> None:
+    """The mean and each channel are within 4 %; black objects would cost 10 to 50 %."""
+    scene = room_with(*objects)
+    found, truth = last_frames(scene, INSIDE, 60), paths(scene, INSIDE, 96).color
+    ratio = found.mean(axis=(0, 1)) / truth.mean(axis=(0, 1))
     np.testing.assert_allclose(ratio, 1.0, atol=0.04)
 
 
-def test_a_lamp_lights_by_a_mirror_what_it_does_not_see() -> None:
-    """A floor behind a screen, to 10 % of what paths find; hardly any light falls there otherwise."""
-    shining = replace(matte(0.0), emissive=(6.0, 6.0, 6.0))
-    lamp = ls.MeshInstance(box((1.6, 0.6, 1.8), shining), position=(1.3, 0.9, 0.0))
+def test_light_reflected_by_a_mirror_matches_the_path_tracer() -> None:
+    """A floor behind a screen is lit by the mirror alone, within 10 % of the path tracer."""
+    emissive = replace(matte(0.0), emissive=(6.0, 6.0, 6.0))
+    light = ls.MeshInstance(box((1.6, 0.6, 1.8), emissive), position=(1.3, 0.9, 0.0))
     screen = ls.MeshInstance(box((0.05, 2.4, 2.4), matte(0.0)), position=(0.3, 1.2, 0.0))
     mirror = ls.MeshInstance(box((4.0, 0.05, 4.0), MIRROR), position=(0.0, 3.2, 0.0))
     floor = parallelogram((-2.0, 0.0, -1.5), (0.0, 0.0, 3.0), (2.2, 0.0, 0.0), matte(0.6))
     eye = ls.Camera.look_at((-2.5, 2.4, 2.0), (-0.9, 0.0, 0.0), (0.0, 1.0, 0.0), width=48, height=36, fov_y=0.6)
-    scene = ls.Scene((), [floor, lamp, screen, mirror])
+    scene = ls.Scene((), [floor, light, screen, mirror])
     truth = paths(scene, eye, 256)
     on_floor = truth.instance_index == 0
     assert truth.color[on_floor].mean() > 0.03
-    seen = last_frames(scene, eye)
-    assert seen[on_floor].mean() == pytest.approx(truth.color[on_floor].mean(), rel=0.1)
+    found = last_frames(scene, eye)
+    assert found[on_floor].mean() == pytest.approx(truth.color[on_floor].mean(), rel=0.1)
