@@ -1,4 +1,4 @@
-"""Meshes that are shadow catchers: seen only where something shadows them, or where they mirror it."""
+"""Meshes as shadow catchers: visible only by the shadows on them and by their reflections."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PIPELINES = pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda on
 
 
 def plane(material: ls.MaterialPbr | None = None, y: float = 0.0, size: float = 4.0) -> ls.MeshInstance:
-    """A level proxy that catches shadows."""
+    """Returns a horizontal proxy mesh that catches shadows."""
     corners = [[-size, y, size], [size, y, size], [size, y, -size], [-size, y, -size]]
     mesh = ls.Mesh(corners, [[0, 1, 2], [0, 2, 3]], material=material or diffuse(0.5))
     return ls.MeshInstance(mesh, shadow_catcher=True)
 
 
 def floaters(count: int = 4000, seed: int = 3) -> ls.SplatInstance:
-    """A captured floor without a surface: Gaussians up to 4 cm below and above the plane."""
+    """Returns a captured floor without a clear surface: Gaussians up to 4 cm below and above the plane."""
     random = np.random.default_rng(seed)
     means = np.column_stack(
         [random.uniform(-4, 4, count), random.uniform(-0.04, 0.04, count), random.uniform(-4, 4, count)]
@@ -35,34 +35,34 @@ def floaters(count: int = 4000, seed: int = 3) -> ls.SplatInstance:
 
 
 def rendered(scene: ls.Scene, camera: ls.Camera, pipeline: ls.Pipeline, **settings: object) -> ls.Frame:
-    """A frame with its ratio."""
+    """Renders a frame with the shadow ratio."""
     config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",))
     return ls.render(scene, camera, replace(config, **settings), device="cpu")
 
 
 @PIPELINES
-def test_a_proxy_darkens_what_is_behind_it_as_a_captured_floor_is_darkened(pipeline: ls.Pipeline) -> None:
-    """Under a disc, what is left is the open share of the ambient light, over that and the sun's."""
+def test_a_proxy_has_the_shadow_ratio_of_a_captured_floor(pipeline: ls.Pipeline) -> None:
+    """Below a disc, the ratio is the unoccluded ambient light over ambient light plus sun."""
     scene = ls.Scene([], [plane(), disc()], [SUN])
     frame = rendered(scene, below(), pipeline, background=None)
     given = 0.5 * np.pi
     expected = given * (1.0 - SHARE) / (given + SUN.intensity * np.array(SUN.color))
     assert frame.shadow_ratio is not None and frame.shadow_matte is not None
     np.testing.assert_allclose(frame.shadow_ratio.mean(axis=(0, 1)), expected, rtol=0.04)
-    # Over a plate, the transparent frame is the shadow, and nothing else.
+    # For compositing over a backplate, the transparent frame holds the shadow only.
     np.testing.assert_allclose(frame.alpha.mean(), 1.0 - expected.min(), rtol=0.02)
     np.testing.assert_allclose(frame.shadow_matte[..., :3], 0.0, atol=1e-6)
     assert RADIUS > HEIGHT
 
 
 @PIPELINES
-def test_a_proxy_is_not_seen_itself(pipeline: ls.Pipeline) -> None:
-    """Far from what was added, captures are as they were, to the bit, and so are indices; nothing is hidden by it."""
+def test_a_proxy_is_invisible(pipeline: ls.Pipeline) -> None:
+    """Away from added objects, captures and indices keep their bits, and the proxy hides nothing."""
     camera = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=96, height=48, fov_y=0.5)
     ball = ls.MeshInstance(replace(sphere(0.2, rows=16), material=diffuse(0.5)), position=(0, 0.2, 0))
-    lamp = ls.LightPoint((0, 1.0, 0), intensity=3.0)
-    with_plane = rendered(ls.Scene([floaters()], [plane(size=0.8), ball], [lamp]), camera, pipeline)
-    without = rendered(ls.Scene([floaters()], [ball], [lamp]), camera, pipeline)
+    light = ls.LightPoint((0, 1.0, 0), intensity=3.0)
+    with_plane = rendered(ls.Scene([floaters()], [plane(size=0.8), ball], [light]), camera, pipeline)
+    without = rendered(ls.Scene([floaters()], [ball], [light]), camera, pipeline)
     away = np.abs(without.position[..., 0]) > 1.0
     assert away.sum() > 500
     np.testing.assert_array_equal(with_plane.color[away], without.color[away])
@@ -72,23 +72,23 @@ def test_a_proxy_is_not_seen_itself(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("albedo", [0.2, 0.7])
-def test_a_proxy_reflects_as_a_floor_of_its_color(albedo: float) -> None:
-    """Light goes to and fro between a white lid and the floor: the ratio of a proxy is that of a real floor."""
-    even = ls.LightEnvironment(color=(1.0, 1.0, 1.0), visible=False)
+def test_a_proxy_includes_bounced_light_of_its_albedo(albedo: float) -> None:
+    """Light bounces between a white lid and the floor: a proxy has the ratio of a real floor."""
+    constant = ls.LightEnvironment(color=(1.0, 1.0, 1.0), visible=False)
     settings = {"background": (0.0, 0.0, 0.0), "samples": 64, "max_bounces": 6}
     lid = disc(0.9)
-    proxy = rendered(ls.Scene([], [plane(diffuse(albedo)), lid], [even]), below(), ls.Pipeline.PATH, **settings)
+    proxy = rendered(ls.Scene([], [plane(diffuse(albedo)), lid], [constant]), below(), ls.Pipeline.PATH, **settings)
     floor = replace(plane(diffuse(albedo)), shadow_catcher=False)
     shadowed, open_floor = (
         ls.render(scene, below(), ls.RenderConfig(pipeline=ls.Pipeline.PATH, **settings), device="cpu").color.mean()
-        for scene in (ls.Scene([], [floor, lid], [even]), ls.Scene([], [floor], [even]))
+        for scene in (ls.Scene([], [floor, lid], [constant]), ls.Scene([], [floor], [constant]))
     )
     assert proxy.shadow_ratio is not None
     assert proxy.shadow_ratio.mean() == pytest.approx(shadowed / open_floor, rel=0.04)
 
 
-def test_a_light_without_blue_is_shadowed_in_red_and_green() -> None:
-    """The ratio of a channel without light is 1, as nothing is known of it."""
+def test_channels_without_light_have_ratio_one() -> None:
+    """The ratio is 1 in channels without light."""
     yellow = ls.LightEnvironment(color=(0.3, 0.4, 0.0), visible=False)
     frame = rendered(ls.Scene([], [plane(), disc()], [yellow]), below(), ls.Pipeline.HYBRID, samples=16)
     assert frame.shadow_ratio is not None
@@ -98,16 +98,16 @@ def test_a_light_without_blue_is_shadowed_in_red_and_green() -> None:
 
 @PIPELINES
 def test_a_proxy_darkens_the_visible_environment_behind_it(pipeline: ls.Pipeline) -> None:
-    """An environment map is the plate where nothing was captured."""
-    even = ls.LightEnvironment(color=(0.3, 0.4, 0.9))
-    scene = ls.Scene([], [plane(), disc()], [even])
+    """The environment map is the backplate where nothing was captured."""
+    constant = ls.LightEnvironment(color=(0.3, 0.4, 0.9))
+    scene = ls.Scene([], [plane(), disc()], [constant])
     frame = rendered(scene, below(), pipeline)
     assert frame.shadow_ratio is not None and frame.shadow_ratio.mean() < 0.6
     np.testing.assert_allclose(frame.color, frame.shadow_ratio * np.array((0.3, 0.4, 0.9)), rtol=1e-3)
 
 
-def test_a_proxy_catches_a_clean_shadow_for_a_capture_without_a_surface() -> None:
-    """Shadows on the floaters themselves break into flecks; on the plane through them they do not."""
+def test_a_proxy_catches_clean_shadows_for_floaters() -> None:
+    """Shadows on the floaters themselves are blotchy; on the plane through them they are clean."""
     camera = ls.Camera.look_at((0, 3.0, 0.01), (0, 0, 0), (0, 0, -1), width=64, height=64, fov_y=0.5)
     lid = replace(disc(), positions=disc().positions * np.array([0.9, 2.0, 0.9]) + np.array([0.0, 0.6, 0.9]))
     sun = ls.LightDirectional((0.0, -1.0, -0.64), intensity=3.0)
@@ -119,16 +119,16 @@ def test_a_proxy_catches_a_clean_shadow_for_a_capture_without_a_surface() -> Non
     assert proxy.shadow_ratio[inside].std() < 0.05 and proxy.shadow_ratio[inside].mean() < 0.5
 
 
-def test_a_shiny_proxy_mirrors_what_was_added() -> None:
-    """And leaves the rest of the picture as it is."""
+def test_a_glossy_proxy_reflects_added_objects() -> None:
+    """The rest of the frame is unchanged."""
     camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0, 0), (0, 1, 0), width=64, height=48, fov_y=0.6)
-    lamp = ls.LightDirectional((0, -0.3, -1), intensity=4.0, casts_shadow=False)
+    light = ls.LightDirectional((0, -0.3, -1), intensity=4.0, casts_shadow=False)
     red = ls.MeshInstance(
         replace(sphere(0.3, rows=24), material=ls.MaterialPbr(base_color=(0.8, 0.05, 0.05))), position=(0, 0.5, 0)
     )
     glossy = ls.MaterialPbr(base_color=(0.5,) * 3, roughness=0.0, ior=2.5)
     frames = [
-        rendered(ls.Scene([], [plane(material), red], [lamp]), camera, ls.Pipeline.HYBRID, background=(0.5, 0.5, 0.5))
+        rendered(ls.Scene([], [plane(material), red], [light]), camera, ls.Pipeline.HYBRID, background=(0.5, 0.5, 0.5))
         for material in (glossy, diffuse(0.5))
     ]
     gained = frames[0].color - frames[1].color
@@ -139,8 +139,8 @@ def test_a_shiny_proxy_mirrors_what_was_added() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["glb", "usda", "toml"])
-def test_files_keep_meshes_that_catch_shadows(tmp_path: Path, suffix: str) -> None:
-    """In extras of glTF and hints of USD, and as a key of scene files."""
+def test_files_store_shadow_catcher_meshes(tmp_path: Path, suffix: str) -> None:
+    """The flag is in the extras of glTF, in primvars of USD, and a key of scene files."""
     if suffix == "usda":
         pytest.importorskip("pxr")
     if suffix == "toml":
@@ -154,8 +154,8 @@ def test_files_keep_meshes_that_catch_shadows(tmp_path: Path, suffix: str) -> No
     assert sorted(one.shadow_catcher for one in loaded.meshes) == [False, True]
 
 
-def test_unlit_frames_and_mattes_do_not_know_proxies() -> None:
-    """What stands behind them in the list keeps its number."""
+def test_unlit_frames_and_mattes_ignore_proxies() -> None:
+    """Instances behind them in the list keep their index."""
     camera = ls.Camera.look_at((0, 0.8, 3.0), (0, 0.2, 0), (0, 1, 0), width=32, height=24, fov_y=0.6)
     box = ls.MeshInstance(ls.box((0.5, 0.5, 0.5)), name="box")
     scene = ls.Scene([floaters()], [plane(), box])
@@ -165,8 +165,8 @@ def test_unlit_frames_and_mattes_do_not_know_proxies() -> None:
     assert mattes.objects.coverage("box").max() == pytest.approx(1.0)
 
 
-def test_frames_with_proxies_are_not_resumed() -> None:
-    """In one line."""
+def test_frames_with_proxies_cannot_be_resumed() -> None:
+    """The error is one line."""
     scene = ls.Scene([], [plane(), disc()], [SUN])
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=2), "cpu")
     frame = renderer.render(scene, below())

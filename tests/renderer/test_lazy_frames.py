@@ -1,4 +1,4 @@
-"""Frames whose images are downloaded when they are read, as on a GPU, played on the CPU."""
+"""Lazy frames, whose images are downloaded on first read as on a GPU, simulated on the CPU."""
 
 from __future__ import annotations
 
@@ -36,29 +36,29 @@ SETTINGS = {
 
 
 def lazy_renderer(settings: ls.RenderConfig, launcher: Launcher | None = None) -> ls.Renderer:
-    """One that downloads as on a GPU."""
+    """Returns a renderer that downloads lazily, as on a GPU."""
     renderer = ls.Renderer(settings, launcher or GraphLauncher())
     renderer._buffers.downloads = Downloads(is_lazy=True)
     return renderer
 
 
 def eager_frame(settings: ls.RenderConfig, view: ls.Camera) -> ls.Frame:
-    """The frame as a CPU downloads it."""
+    """Returns the frame as a CPU downloads it."""
     return ls.Renderer(settings, Launcher("cpu", parallel=True)).render(scene(*LAMPS, SKY), view)
 
 
 def other_camera() -> ls.Camera:
-    """Of the same size."""
+    """Returns another camera of the same size."""
     return ls.Camera.look_at((0.9, 1.1, -2.0), (0.0, 0.25, 0.7), width=48, height=32, fov_y=0.8)
 
 
 def unread(frame: ls.Frame) -> set[str]:
-    """Images that have not been downloaded."""
+    """Returns the names of images that have not been downloaded."""
     return set(frame._fetches()) - {"picture"}
 
 
 def assert_same(frame: Any, expected: ls.Frame) -> None:
-    """All images are equal."""
+    """Checks that all images are equal."""
     for field in fields(expected):
         value = getattr(expected, field.name)
         if isinstance(value, np.ndarray):
@@ -71,8 +71,8 @@ def assert_same(frame: Any, expected: ls.Frame) -> None:
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
-def test_frames_stay_as_they_were(settings: ls.RenderConfig) -> None:
-    """Read after the next frames, which show something else: also those that waited on the device, or did not fit."""
+def test_later_frames_do_not_change_earlier_ones(settings: ls.RenderConfig) -> None:
+    """Frames are read after later frames were rendered, whether their images waited on the device or were evicted."""
     renderer, shown = lazy_renderer(settings), scene(*LAMPS, SKY)
     views = [camera(), other_camera()] * 3
     frames = [renderer.render(shown, view) for view in views]
@@ -82,8 +82,8 @@ def test_frames_stay_as_they_were(settings: ls.RenderConfig) -> None:
         assert not unread(frame)
 
 
-def test_images_that_nobody_reads_stay_on_the_device() -> None:
-    """Neither does the text of a frame need them, nor a question for its layers."""
+def test_unread_images_stay_on_the_device() -> None:
+    """The frame's repr and list of layers do not download images, either."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
     everything = unread(frame)
     assert {"color", "depth", "albedo", "light_shadow", "captured", "hits"} <= everything
@@ -96,7 +96,7 @@ def test_images_that_nobody_reads_stay_on_the_device() -> None:
 
 
 def test_copies_of_frames_have_all_images() -> None:
-    """Pickled, copied, or with another field."""
+    """Frames are pickled, copied and deep-copied."""
     expected = eager_frame(SETTINGS["lit"], camera())
     for duplicate in (lambda frame: pickle.loads(pickle.dumps(frame)), copy.copy, copy.deepcopy):
         frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
@@ -104,14 +104,14 @@ def test_copies_of_frames_have_all_images() -> None:
 
 
 def test_unknown_attributes_are_errors() -> None:
-    """As of any object, whether images are unread or not."""
+    """The error is that of any object, for lazy and eager frames."""
     for frame in (lazy_renderer(SETTINGS["unlit"]).render(scene(), camera()), eager_frame(SETTINGS["unlit"], camera())):
         with pytest.raises(AttributeError, match=r"'Frame' object has no attribute 'colour'"):
             frame.colour  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]  # noqa: B018
 
 
-def test_device_memory_of_frames_is_used_again() -> None:
-    """When they are dropped, or all of their images are read."""
+def test_device_memory_of_frames_is_reused() -> None:
+    """Memory is returned when a frame is dropped, or when all of its images are read."""
     renderer = lazy_renderer(SETTINGS["lit"])
     downloads = renderer._buffers.downloads
     frame = renderer.render(scene(*LAMPS), camera())
@@ -126,8 +126,8 @@ def test_device_memory_of_frames_is_used_again() -> None:
     assert len({stats.memory_bytes for stats in memory if stats}) == 1
 
 
-def test_lazy_frames_are_resumed() -> None:
-    """Their images go back to the device."""
+def test_lazy_frames_can_be_resumed() -> None:
+    """Their images are uploaded again."""
     settings = config(ls.Pipeline.HYBRID, samples=2)
     renderer, shown = lazy_renderer(settings), scene(*LAMPS, SKY)
     resumed = renderer.render(shown, camera(), resume=renderer.render(shown, camera()))
@@ -135,8 +135,8 @@ def test_lazy_frames_are_resumed() -> None:
     assert_same(resumed, eager.render(shown, camera(), resume=eager.render(shown, camera())))
 
 
-def test_threads_may_read_a_frame() -> None:
-    """Several at a time, each all of it."""
+def test_threads_can_read_a_frame_concurrently() -> None:
+    """Six threads read all images concurrently."""
     frame, expected = (
         lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera()),
         eager_frame(SETTINGS["lit"], camera()),
@@ -161,7 +161,7 @@ def test_threads_may_read_a_frame() -> None:
 
 
 def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tuple[np.ndarray | None, np.ndarray]:
-    """The bytes of an unlit frame as a device encodes them, and as the host does."""
+    """Encodes an unlit frame to bytes, on the device and on the host."""
     launcher, buffers = Launcher("cpu", parallel=True), Buffers("cpu")
     pixels = PixelBuffers.of(buffers, (color.shape[1], color.shape[0]))
     shape = alpha.shape
@@ -178,8 +178,8 @@ def pictures(color: np.ndarray, alpha: np.ndarray, *, transparent: bool) -> tupl
 
 
 @pytest.mark.parametrize("transparent", [False, True])
-def test_devices_encode_the_bytes_of_the_host(transparent: bool) -> None:
-    """To the bit, also next to where bytes change, beyond 0..1, and where alpha is 0 or tiny."""
+def test_device_and_host_encode_the_same_bytes(transparent: bool) -> None:
+    """Bytes are equal next to rounding edges, beyond 0..1, and for alpha of 0 or nearly 0."""
     rng = np.random.default_rng(4)
     edges = ((np.arange(256) + 0.5) / 255.0).astype(np.float32)
     for _ in range(3):
@@ -193,8 +193,8 @@ def test_devices_encode_the_bytes_of_the_host(transparent: bool) -> None:
     np.testing.assert_array_equal(picture, expected)
 
 
-def test_pixels_that_are_not_finite_are_left_to_the_host() -> None:
-    """One is enough, of colour or alpha: they are black, and counted when they are saved."""
+def test_non_finite_pixels_are_left_to_the_host() -> None:
+    """One non-finite colour or alpha suffices; the host draws it black and counts it when saving."""
     for channel, value in ((0, np.nan), (1, np.inf), (2, -np.inf)):
         color = np.full((4, 5, 3), 0.5, np.float32)
         color[2, 3, channel] = value
@@ -203,7 +203,7 @@ def test_pixels_that_are_not_finite_are_left_to_the_host() -> None:
 
 
 def lit_bytes(images: dict[str, np.ndarray], exposure: float, tone_map: ls.ToneMap, *, transparent: bool) -> Any:
-    """The bytes of a lit frame as a device encodes them; None: some pixel is not finite."""
+    """Encodes a lit frame on the device; None if a pixel is not finite."""
     launcher, buffers = Launcher("cpu", parallel=True), Buffers("cpu")
     alpha = images["alpha"]
     size, index = (alpha.shape[1], alpha.shape[0]), np.zeros(alpha.shape, np.int32)
@@ -217,7 +217,7 @@ def lit_bytes(images: dict[str, np.ndarray], exposure: float, tone_map: ls.ToneM
 
 
 def random_lit_images(rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Captured, mixed and lit pixels: dark and bright, shadowed, transparent, of no light and of no capture."""
+    """Returns captured, mixed and lit pixels, dark and bright, shadowed, transparent, unlit or without capture."""
     shape = (120, 160)
     alpha = rng.choice([0.0, 1e-4, 0.3, 1.0], shape)
     weight = alpha * rng.choice([0.0, 0.2, 1.0 - 1e-6, 1.0], shape)
@@ -232,8 +232,8 @@ def random_lit_images(rng: np.random.Generator) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("transparent", [False, True])
 @pytest.mark.parametrize("exposure", [-2.5, 0.0, 1.0, 100.0])
 @pytest.mark.parametrize("tone_map", ls.ToneMap)
-def test_devices_encode_lit_pictures_as_the_host_does(tone_map: ls.ToneMap, exposure: float, transparent: bool) -> None:
-    """Within a step of 255, next to a byte's edge; what only shows a capture is the same to the bit."""
+def test_device_and_host_encode_lit_frames_alike(tone_map: ls.ToneMap, exposure: float, transparent: bool) -> None:
+    """Bytes differ by at most 1 next to rounding edges; purely captured pixels are equal to the bit."""
     images = random_lit_images(np.random.default_rng(int(exposure) + 9))
     captured, weight, light = (images[name] for name in ("captured", "captured_weight", "light"))
     if transparent:
@@ -246,14 +246,14 @@ def test_devices_encode_lit_pictures_as_the_host_does(tone_map: ls.ToneMap, expo
     assert difference.max() <= 1
     assert (difference > 0).mean() < 1e-3
     if exposure == 0.0:
-        kept = (weight >= 1.0 - 1e-5) & (light == 0.0).all(axis=2)
-        assert kept.sum() > 500
-        np.testing.assert_array_equal(picture[kept], expected[kept][..., : picture.shape[2]])
+        captured_only = (weight >= 1.0 - 1e-5) & (light == 0.0).all(axis=2)
+        assert captured_only.sum() > 500
+        np.testing.assert_array_equal(picture[captured_only], expected[captured_only][..., : picture.shape[2]])
 
 
 @pytest.mark.parametrize("name", ["captured", "captured_weight", "light", "alpha"])
-def test_lit_pixels_that_are_not_finite_are_left_to_the_host(name: str) -> None:
-    """One is enough, of any part."""
+def test_non_finite_lit_pixels_are_left_to_the_host(name: str) -> None:
+    """One non-finite value in any part suffices."""
     images = random_lit_images(np.random.default_rng(3))
     assert lit_bytes(images, 0.0, ls.ToneMap.NEUTRAL, transparent=False) is not None
     images[name][5, 7] = np.nan
@@ -261,8 +261,8 @@ def test_lit_pixels_that_are_not_finite_are_left_to_the_host(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SETTINGS.keys())
-def test_a_picture_is_all_that_is_downloaded(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a frame that is saved, shown, or taken for bytes: 4 a pixel."""
+def test_only_the_8_bit_image_is_downloaded(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Saving, displaying and converting a frame to bytes downloads 4 bytes a pixel."""
     renderer, view = lazy_renderer(SETTINGS[name]), camera()
     copied: list[int] = []
     words = DeviceCopies.words
@@ -284,14 +284,14 @@ def test_a_picture_is_all_that_is_downloaded(name: str, tmp_path: Path, monkeypa
 
 
 def assert_same_picture(picture: np.ndarray, expected: np.ndarray, name: str) -> None:
-    """To the bit if unlit, else within a step of 255."""
+    """Checks that bytes are equal if unlit, and else differ by at most 1."""
     if SETTINGS[name].lighting is False:
         np.testing.assert_array_equal(picture, expected)
     assert np.abs(picture.astype(int) - expected).max() <= 1
 
 
-def test_pictures_show_what_was_changed() -> None:
-    """Who writes into the colours of a frame sees that in its picture, whatever the device has encoded before."""
+def test_changed_colours_show_in_the_8_bit_image() -> None:
+    """Writing to a frame's colours changes its 8-bit image, though the device has encoded one."""
     frame = lazy_renderer(SETTINGS["unlit"]).render(scene(*LAMPS, SKY), camera())
     before = np.asarray(frame, dtype=np.uint8)
     frame.color[...] = 0.25
@@ -303,8 +303,8 @@ def test_pictures_show_what_was_changed() -> None:
 
 @pytest.mark.parametrize("kind", ["png", "exr", "npz"])
 @pytest.mark.parametrize("name", SETTINGS.keys())
-def test_saved_files_are_the_same(name: str, kind: str, tmp_path: Path) -> None:
-    """Byte by byte; lit pictures within a step of 255."""
+def test_lazy_and_eager_frames_save_the_same_files(name: str, kind: str, tmp_path: Path) -> None:
+    """Files are equal byte by byte; 8-bit lit images differ by at most 1."""
     frame = lazy_renderer(SETTINGS[name]).render(scene(*LAMPS, SKY), camera())
     lazy, eager = tmp_path / f"lazy.{kind}", tmp_path / f"eager.{kind}"
     frame.save(lazy)
@@ -315,8 +315,8 @@ def test_saved_files_are_the_same(name: str, kind: str, tmp_path: Path) -> None:
         assert lazy.read_bytes() == eager.read_bytes()
 
 
-def test_changed_light_is_shown() -> None:
-    """Who writes into a part of a lit frame sees that in its picture."""
+def test_changed_light_shows_in_the_8_bit_image() -> None:
+    """Writing to the light of a lit frame changes its 8-bit image."""
     frame = lazy_renderer(SETTINGS["lit"]).render(scene(*LAMPS, SKY), camera())
     before = np.asarray(frame, dtype=np.uint8)
     assert frame.light is not None
@@ -325,8 +325,8 @@ def test_changed_light_is_shown() -> None:
 
 
 @pytest.mark.parametrize("name", ["unlit", "unlit rays", "lit", "transparent"])
-def test_a_cpu_encodes_pictures_when_it_is_asked_to(name: str) -> None:
-    """Then the bytes are there with the frame, on several threads, and are those of the frame that has none."""
+def test_a_cpu_encodes_frames_on_request(name: str) -> None:
+    """With ``encode``, the frame comes with its bytes, which equal those encoded later."""
     renderer = ls.Renderer(SETTINGS[name], Launcher("cpu", threads=3))
     plain = renderer.render(scene(*LAMPS, SKY), camera())
     encoded = renderer.render(scene(*LAMPS, SKY), camera(), encode=True)

@@ -1,4 +1,4 @@
-"""Blocks of a frame's samples, merged by their sums: the same to the bit, whoever has made them."""
+"""Frames merged from parts of their samples: the same bits, whichever process rendered the parts."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ CAMERA = lit_scene.camera(*SIZE)
 
 
 def settings(pipeline: ls.Pipeline = ls.Pipeline.PATH, samples: int = 38, **changes: object) -> ls.RenderConfig:
-    """A lit frame of a block of 32 samples and one of 6."""
+    """Returns the config of a lit frame with a part of 32 samples and one of 6."""
     return lit_scene.config(pipeline, samples=samples, **changes)
 
 
 def part_of(values: np.ndarray, first: int, layer: np.ndarray) -> SamplePart:
-    """A part of a frame of one pixel, whose samples are numbers; NaN: one that is left out."""
-    kept = values[~np.isnan(values)].astype(np.float64)
-    count = len(kept)
-    mean = kept.mean() if count else 0.0
-    sums = {name: np.full(1 if name in ("alpha", "captured_weight") else 3, kept.sum()) for name in SUMS[:4]}
-    sums["squares"] = np.full(3, np.square(kept - mean).sum())
+    """Returns a part of a frame of one pixel with these sample values; NaN samples are dropped."""
+    valid = values[~np.isnan(values)].astype(np.float64)
+    count = len(valid)
+    mean = valid.mean() if count else 0.0
+    sums = {name: np.full(1 if name in ("alpha", "captured_weight") else 3, valid.sum()) for name in SUMS[:4]}
+    sums["squares"] = np.full(3, np.square(valid - mean).sum())
     held = {
         "count": np.array([count], np.int32).view(np.float32),
         "sums": np.concatenate(list(sums.values())).view(np.float32),
@@ -38,8 +38,8 @@ def part_of(values: np.ndarray, first: int, layer: np.ndarray) -> SamplePart:
     return SamplePart(first, len(values), (1, 1), held, {})
 
 
-def test_sums_of_parts_are_those_of_all() -> None:
-    """Counts, sums, squares about the mean, and means of layers, in float64; parts without any sample count nothing."""
+def test_merged_sums_equal_the_sums_of_all_samples() -> None:
+    """Counts, sums, centred squares and layer means agree in float64; parts without samples have no effect."""
     rng = np.random.default_rng(2)
     values = 5.0 + rng.normal(size=90).astype(np.float32)
     layer = rng.random(90).astype(np.float32)
@@ -48,23 +48,23 @@ def test_sums_of_parts_are_those_of_all() -> None:
     cuts = [0, 32, 64, 80, 90]
     parts = [part_of(values[a:b], a, layer[a:b]) for a, b in pairwise(cuts)]
     whole = merged(parts)
-    kept = values[~np.isnan(values)].astype(np.float64)
+    valid = values[~np.isnan(values)].astype(np.float64)
     sums = whole.accumulated["sums"].view(np.float64)
-    assert whole.count == 90 and whole.accumulated["count"].view(np.int32)[0] == len(kept)
-    np.testing.assert_allclose(sums[:7], kept.sum(), rtol=1e-14)
-    np.testing.assert_allclose(sums[7:], np.square(kept - kept.mean()).sum(), rtol=1e-12)
+    assert whole.count == 90 and whole.accumulated["count"].view(np.int32)[0] == len(valid)
+    np.testing.assert_allclose(sums[:7], valid.sum(), rtol=1e-14)
+    np.testing.assert_allclose(sums[7:], np.square(valid - valid.mean()).sum(), rtol=1e-12)
     np.testing.assert_allclose(whole.accumulated["albedo"], layer[~np.isnan(values)].mean(dtype=np.float64), rtol=1e-6)
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.HYBRID])
-def test_a_shared_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """By two renderers in any order, from files, and by one: to the bit. And nearly what is rendered at once."""
+def test_a_merged_frame_has_the_bits_of_one_renderer(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """Two renderers in any order, through files, give the bits of one; a frame rendered at once is nearly equal."""
     config = settings(pipeline, shadows=ls.Shadows.SOFT, aovs=("albedo", "lights", "variance", "sample_count"))
     scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
     one, other = (ls.create_renderer(config, "cpu") for _ in range(2))
     blocks = ls.farm.sample_blocks(one, scene)
     assert [len(block) for block in blocks] == [32, 6]
-    alone = ls.farm.merge_samples(
+    serial = ls.farm.merge_samples(
         one, scene, CAMERA, (ls.farm.render_samples(one, scene, CAMERA, block) for block in blocks)
     )
     for number, renderer in ((1, other), (0, one)):
@@ -73,18 +73,18 @@ def test_a_shared_frame(pipeline: ls.Pipeline, tmp_path: Path) -> None:
     shared = ls.farm.merge_samples(ls.create_renderer(config, "cpu"), scene, CAMERA, loaded)
     plain = other.render(scene, CAMERA)
     assert shared.samples == 38
-    for name, image in alone.arrays().items():
+    for name, image in serial.arrays().items():
         np.testing.assert_array_equal(shared.arrays()[name], image, name)
         expected = plain.arrays()[name]
         if expected.dtype.kind != "f":
             np.testing.assert_array_equal(image, expected, name)
-        else:  # layers are running means in float32, and what Gaussians receive is a mean of its block
+        else:  # layers are running float32 means, and catcher light is averaged per part
             np.testing.assert_allclose(image, expected, rtol=2e-3, atol=2e-5, err_msg=name)
     assert np.abs(shared.color - plain.color).max() < 1e-5
 
 
-def test_parts_that_do_not_fit() -> None:
-    """One line each."""
+def test_mismatched_parts_are_refused() -> None:
+    """Each error is one line."""
     scene, renderer = lit_scene.scene(), ls.create_renderer(settings(samples=2), "cpu")
     part = ls.farm.render_samples(renderer, scene, CAMERA, range(2))
     with pytest.raises(ls.ConfigError, match="begins at sample 2, expected 0"):
@@ -110,16 +110,16 @@ def test_parts_that_do_not_fit() -> None:
         (ls.RenderConfig(pipeline=ls.Pipeline.PATH, time_limit=1.0), "set samples"),
     ],
 )
-def test_frames_that_are_not_shared(config: ls.RenderConfig, message: str) -> None:
-    """One line instead of a frame that no process would make alone."""
+def test_unsupported_frames_are_refused(config: ls.RenderConfig, message: str) -> None:
+    """Such frames are refused in one line."""
     renderer = ls.create_renderer(config, "cpu")
     scene = ls.Scene() if config.pipeline is ls.Pipeline.RASTER else lit_scene.scene()
     with pytest.raises(ls.ConfigError, match=message):
         ls.farm.sample_blocks(renderer, scene)
 
 
-def test_resampled_frames_are_not_shared() -> None:
-    """Rasterised frames of distorting lenses."""
+def test_resampled_frames_are_refused() -> None:
+    """Rasterised frames of distorted lenses are resampled, and hence refused."""
     renderer = ls.create_renderer(settings(ls.Pipeline.HYBRID), "cpu")
     with pytest.raises(ls.ConfigError, match="distorting lenses"):
         ls.farm.render_samples(
@@ -127,8 +127,8 @@ def test_resampled_frames_are_not_shared() -> None:
         )
 
 
-def test_damaged_files(tmp_path: Path) -> None:
-    """A part that was cut off, and what is none."""
+def test_damaged_part_files_are_refused(tmp_path: Path) -> None:
+    """Truncated files and files of other formats are refused."""
     renderer, scene = ls.create_renderer(settings(samples=1), "cpu"), lit_scene.scene()
     path = tmp_path / "part.npz"
     ls.farm.render_samples(renderer, scene, CAMERA, range(1)).save(path)

@@ -1,4 +1,4 @@
-"""Frames that end by their noise, and pixels that have more samples than others."""
+"""Frames that end at a noise level or time limit, and adaptive sampling of pixels."""
 
 from __future__ import annotations
 
@@ -22,101 +22,101 @@ IMAGES = ("color", "alpha", "captured", "captured_weight", "light", "depth", *LA
 
 
 def view() -> ls.Camera:
-    """A small picture."""
+    """Returns the camera of a small frame."""
     return camera().scaled(30, 20)
 
 
-def shown() -> ls.Scene:
-    """Meshes, Gaussians, mirrors and glass under lamps and a sky."""
+def lit_room() -> ls.Scene:
+    """Returns meshes, Gaussians, mirrors and glass under lights and an environment."""
     return scene(*LAMPS, SKY)
 
 
 @functools.cache
 def adaptive() -> ls.Frame:
-    """A frame of paths."""
-    return ls.render(shown(), view(), PATHS, device="cpu")
+    """Returns an adaptive frame of the path tracer."""
+    return ls.render(lit_room(), view(), PATHS, device="cpu")
 
 
 def image(frame: ls.Frame, name: str) -> np.ndarray:
-    """One that must be there."""
+    """Returns an image of the frame, which must exist."""
     assert getattr(frame, name) is not None
     return getattr(frame, name)
 
 
 def assert_equal(found: ls.Frame, expected: ls.Frame) -> None:
-    """To the bit."""
+    """Checks that all images have the same bits."""
     for name in IMAGES:
         np.testing.assert_array_equal(image(found, name), image(expected, name), name)
 
 
-def test_pixels_are_those_of_frames_with_as_many_samples() -> None:
-    """To the bit: their samples, places in the pixel and low-discrepancy points have no gaps."""
+def test_pixels_equal_those_of_frames_with_the_same_sample_count() -> None:
+    """Bits are equal, as samples, subpixel positions and low-discrepancy points are numbered without gaps."""
     found, counts = adaptive(), image(adaptive(), "sample_count")
     assert counts.min() == 16 + 24 * SAMPLE_RATE_MIN // SAMPLE_RATES and counts.max() == 40
     assert len(np.unique(counts)) > 8
     plain = replace(PATHS, adaptive=False)
     more = ls.create_renderer(replace(plain, samples=1), "cpu")
-    frame = ls.render(shown(), view(), replace(plain, samples=18), device="cpu")
+    frame = ls.render(lit_room(), view(), replace(plain, samples=18), device="cpu")
     for count in range(19, 41):
-        frame = more.render(shown(), view(), resume=frame)
+        frame = more.render(lit_room(), view(), resume=frame)
         chosen = counts == count
         for name in ("color", "alpha", *LAYERS):
             np.testing.assert_array_equal(image(found, name)[chosen], image(frame, name)[chosen], name)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 5])
-def test_interruptions_and_threads_change_nothing(threads: int) -> None:
-    """Before, at and after the sample that decides, and where pixels pause."""
+def test_results_do_not_depend_on_interruptions_or_threads(threads: int) -> None:
+    """Frames are interrupted before, at and after the sample that sets the rates, and while pixels pause."""
     frame = None
     renderers = {n: ls.create_renderer(replace(PATHS, samples=n), "cpu", threads=threads) for n in (1, 7, 9, 11)}
     for n in (7, 9, 1, 1, 11, 11):
-        frame = renderers[n].render(shown(), view(), resume=frame)
+        frame = renderers[n].render(lit_room(), view(), resume=frame)
     assert frame is not None and frame.samples == 40
     assert_equal(frame, adaptive())
 
 
-@pytest.mark.parametrize("way", WAYS[1:])
-def test_every_way_counts_alike(way: str) -> None:
-    """The schedule of CUDA, and its graphs."""
-    frame = renderer_of(way, PATHS).render(shown(), view())
+@pytest.mark.parametrize("schedule", WAYS[1:])
+def test_all_schedules_choose_the_same_sample_counts(schedule: str) -> None:
+    """CUDA's schedule, with and without graphs, gives the same sample counts up to rounding."""
+    frame = renderer_of(schedule, PATHS).render(lit_room(), view())
     counts = image(frame, "sample_count"), image(adaptive(), "sample_count")
-    assert np.mean(counts[0] != counts[1]) < 0.02, "rounding may move a rate by a step"
+    assert np.mean(counts[0] != counts[1]) < 0.02, "rounding may change a rate by one step"
     assert abs(frame.color.mean() / adaptive().color.mean() - 1.0) < 1e-3
     assert frame.stats is not None and frame.stats.nonfinite_count == 0
 
 
-def test_a_frame_ends_when_its_noise_is_low_enough() -> None:
-    """At the same sample, however often it was interrupted before; and no sample is added to one that has ended."""
+def test_a_frame_ends_at_its_noise_target() -> None:
+    """The frame ends at the same sample, however often it was interrupted; a finished frame gets no more samples."""
     settings = replace(PATHS, samples=None, noise=0.15, adaptive=None)
-    whole = ls.render(shown(), view(), settings, device="cpu")
+    whole = ls.render(lit_room(), view(), settings, device="cpu")
     assert whole.stats is not None and whole.stats.noise is not None
     assert 0.1 < whole.stats.noise <= 0.15 and whole.samples > NOISE_SAMPLES_MIN
     parts = ls.create_renderer(replace(settings, samples=13), "cpu")
-    frame = parts.render(shown(), view())
+    frame = parts.render(lit_room(), view())
     while frame.samples < whole.samples:
-        frame = parts.render(shown(), view(), resume=frame)
+        frame = parts.render(lit_room(), view(), resume=frame)
     assert_equal(frame, whole)
-    assert_equal(parts.render(shown(), view(), resume=frame), whole)
+    assert_equal(parts.render(lit_room(), view(), resume=frame), whole)
     errors = np.sqrt(image(whole, "variance") @ np.array([0.2126, 0.7152, 0.0722]))
     luminance = np.maximum(whole.color @ np.array([0.2126, 0.7152, 0.0722]), 0.01)
     assert np.mean(errors / luminance <= whole.stats.noise) == pytest.approx(0.95, abs=0.01)
 
 
-def test_a_frame_ends_when_its_time_is_over() -> None:
-    """After one sample at least; resumed, it is the frame that has as many samples at once."""
+def test_a_frame_ends_at_its_time_limit() -> None:
+    """At least one sample is rendered; a resumed frame equals one with the same number of samples."""
     settings = replace(PATHS, samples=None, adaptive=None, aovs=LAYERS)
     short = ls.create_renderer(replace(settings, time_limit=1e-6), "cpu")
-    frame = short.render(shown(), view(), resume=short.render(shown(), view()))
+    frame = short.render(lit_room(), view(), resume=short.render(lit_room(), view()))
     assert frame.samples == 2
-    frame = ls.create_renderer(replace(settings, time_limit=0.2), "cpu").render(shown(), view(), resume=frame)
+    frame = ls.create_renderer(replace(settings, time_limit=0.2), "cpu").render(lit_room(), view(), resume=frame)
     assert frame.samples > 2 and frame.stats is not None
-    assert_equal(frame, ls.render(shown(), view(), replace(settings, samples=frame.samples), device="cpu"))
-    few = ls.render(shown(), view(), replace(settings, time_limit=1e3, samples=3), device="cpu")
+    assert_equal(frame, ls.render(lit_room(), view(), replace(settings, samples=frame.samples), device="cpu"))
+    few = ls.render(lit_room(), view(), replace(settings, time_limit=1e3, samples=3), device="cpu")
     assert few.samples == 3
 
 
 def veil() -> tuple[ls.Scene, ls.Camera, ls.RenderConfig]:
-    """One white Gaussian: each sample of a pixel is white with the probability of its alpha, else black."""
+    """Returns a white Gaussian: each sample of a pixel is white with the probability of its alpha, else black."""
     hit = ls.TraceConfig(strategy=ls.config.TraceStrategy.STOCHASTIC_HIT)
     settings = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE, trace=hit, lighting=False, jitter=False, samples=1, aovs=("sample_count",)
@@ -125,12 +125,12 @@ def veil() -> tuple[ls.Scene, ls.Camera, ls.RenderConfig]:
 
 
 def score(means: np.ndarray, counts: np.ndarray, truth: np.ndarray) -> float:
-    """How many standard errors the sum of pixels' means is from the truth."""
+    """Returns the error of the sum of pixel means, in standard errors."""
     return float((means - truth).sum() / np.sqrt((truth * (1.0 - truth) / counts).sum()))
 
 
 def test_adaptive_sampling_is_unbiased() -> None:
-    """Where stopping pixels by their own samples makes the picture dark: rare samples are bright."""
+    """Rare samples are bright, so stopping pixels by their own samples would darken the frame."""
     gaussian, camera, settings = veil()
     steady = replace(settings, trace=ls.TraceConfig(), aovs=())
     truth = ls.render(gaussian, camera, steady, device="cpu").alpha.astype(np.float64)
@@ -145,11 +145,11 @@ def test_adaptive_sampling_is_unbiased() -> None:
     draws = np.random.default_rng(8).random((96, *truth.shape)) < truth
     counts = naive_counts(draws)
     means = np.take_along_axis(np.cumsum(draws, axis=0), counts[None] - 1, axis=0)[0] / counts
-    assert score(means, counts, truth) < -6.0, "or the test would see no bias either"
+    assert score(means, counts, truth) < -6.0, "the test must detect the bias of naive stopping"
 
 
 def naive_counts(draws: np.ndarray) -> np.ndarray:
-    """Samples of pixels that stop once their own relative error is below 20 %, after 16 or more."""
+    """Returns sample counts of pixels that stop, after 16 or more, once their own relative error is below 20 %."""
     numbers = np.arange(1, len(draws) + 1)[:, None, None]
     means = np.cumsum(draws, axis=0) / numbers
     errors = np.sqrt(means * (1.0 - means) / (numbers - 1).clip(1)) / np.maximum(means, 0.1)
@@ -158,7 +158,7 @@ def naive_counts(draws: np.ndarray) -> np.ndarray:
 
 
 def test_rates_follow_the_noise() -> None:
-    """In steps, from an eighth for what is quiet to all for the noisiest; frames without noise stay even."""
+    """Rates rise in steps from an eighth for quiet pixels to 1 for the noisiest; frames without noise have rate 1."""
     noise = np.linspace(0.0, 1.0, 1001, dtype=np.float32)
     rates = rates_of(noise)
     assert (np.diff(rates) >= 0).all() and set(rates) == set(range(SAMPLE_RATE_MIN, SAMPLE_RATES + 1))
@@ -166,8 +166,8 @@ def test_rates_follow_the_noise() -> None:
     assert (rates_of(np.zeros(9, np.float32)) == SAMPLE_RATES).all()
 
 
-def test_samples_that_are_not_finite_are_left_out() -> None:
-    """Of paths: they are counted, and the mean is that of the others, with an even and with an adaptive number."""
+def test_non_finite_samples_are_dropped_and_counted() -> None:
+    """The path tracer counts dropped samples and averages the others, with fixed and with adaptive sample counts."""
     _, camera, settings = veil()
     broken = replace(one_gaussian(scale=0.7, opacity=0.6), sh=np.full((1, 16, 3), 3e38, np.float32))
     for changes in ({"samples": 40}, {"samples": 40, "adaptive": True}):
@@ -176,7 +176,7 @@ def test_samples_that_are_not_finite_are_left_out() -> None:
             counts = image(frame, "sample_count")
             assert frame.stats is not None and frame.stats.nonfinite_count > 1000
             assert np.isfinite(frame.color).all()
-            assert not frame.alpha.any(), "all that is left saw nothing"
+            assert not frame.alpha.any(), "the remaining samples are misses"
             if "adaptive" not in changes:
                 assert frame.stats.nonfinite_count == (40 - counts).sum()
 
@@ -195,13 +195,13 @@ def test_samples_that_are_not_finite_are_left_out() -> None:
     ],
 )
 def test_wrong_limits_are_refused(changes: dict[str, Any], message: str) -> None:
-    """By name, with the range."""
+    """The error names the setting and its range."""
     with pytest.raises(ls.ConfigError, match=message):
         ls.RenderConfig(**changes)
 
 
-def test_what_cannot_be_adaptive_says_so() -> None:
-    """Rasterised pixels, and those that share their draws; by default they are even instead."""
+def test_unsupported_adaptive_sampling_is_refused() -> None:
+    """Rasterised frames and shared random numbers cannot be adaptive; by default, they sample all pixels equally."""
     gaussian, camera, settings = veil()
     shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
     for changes, message in (
@@ -220,16 +220,16 @@ def test_what_cannot_be_adaptive_says_so() -> None:
     ("changes", "names"),
     [({"noise": 0.1}, "noise"), ({"adaptive": False}, "adaptive"), ({"aovs": ("albedo",)}, "aovs")],
 )
-def test_frames_are_resumed_with_what_they_began(changes: dict[str, Any], names: str) -> None:
-    """Another target, other layers: one line."""
+def test_frames_are_resumed_with_equal_settings_only(changes: dict[str, Any], names: str) -> None:
+    """Another noise target or other layers are refused in one line."""
     renderer = ls.create_renderer(replace(PATHS, **changes), "cpu")
     with pytest.raises(ls.ConfigError, match=rf"other settings: they differ in {names}$"):
-        renderer.render(shown(), view(), resume=adaptive())
+        renderer.render(lit_room(), view(), resume=adaptive())
     with pytest.raises(
         ls.ConfigError,
         match=r"lacks accumulated images: albedo, count, rates, sums; render it again with these settings$",
     ):
-        ls.create_renderer(PATHS, "cpu").render(shown(), view(), resume=replace(adaptive(), accumulated=None))
+        ls.create_renderer(PATHS, "cpu").render(lit_room(), view(), resume=replace(adaptive(), accumulated=None))
     with pytest.raises(ls.ConfigError, match=r"lacks accumulated images: sums; render it again with these settings$"):
         held = {name: words for name, words in (adaptive().accumulated or {}).items() if name != "sums"}
-        ls.create_renderer(PATHS, "cpu").render(shown(), view(), resume=replace(adaptive(), accumulated=held))
+        ls.create_renderer(PATHS, "cpu").render(lit_room(), view(), resume=replace(adaptive(), accumulated=held))

@@ -1,4 +1,4 @@
-"""Sums of samples: means and variances of streams of numbers, and samples that are not finite."""
+"""Sample sums of the film: means and variances of number streams, and noise estimates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from support.probes.probe_film_kernels import add_stream, read_pixel
 
 
 def statistics(values: np.ndarray, least: float = 0.01) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """Mean, variance, mean of alpha and relative variance of samples, shape (N, 3), by the film of an unlit frame."""
+    """Returns mean, variance, mean alpha and relative variance of samples, (N, 3), from the film of an unlit frame."""
     buffers = Buffers("cpu")
     row = FilmData()
     row.width, row.height = 1, 1
@@ -42,8 +42,8 @@ STREAMS = {
 
 
 @pytest.mark.parametrize("stream", STREAMS.values(), ids=STREAMS.keys())
-def test_a_hundred_thousand_samples_lose_nothing(stream) -> None:
-    """Mean and variance are those of float64, to the rounding of a float32: running means in float32 are not."""
+def test_sums_of_100000_samples_are_exact(stream) -> None:
+    """Mean and variance match float64 up to float32 rounding, which running means in float32 would not."""
     values = stream(np.random.default_rng(5), 100_000).astype(np.float32)
     mean, variance, alpha, _ = statistics(values)
     exact = values.astype(np.float64)
@@ -52,8 +52,8 @@ def test_a_hundred_thousand_samples_lose_nothing(stream) -> None:
     np.testing.assert_allclose(variance, exact.var(axis=0, ddof=1), rtol=1e-6)
 
 
-def test_relative_variance_is_of_luminance() -> None:
-    """The luminance of the variances over the square of the mean's, or of the least; inf for one sample."""
+def test_relative_variance_uses_luminance() -> None:
+    """Luminance of the variances over the squared luminance of the mean, or of the minimum; inf for one sample."""
     values = np.random.default_rng(6).random((64, 3)) * (0.2, 1.0, 3.0)
     exact = values.astype(np.float32).astype(np.float64)
     weights = np.array([0.2126, 0.7152, 0.0722])
@@ -61,26 +61,26 @@ def test_relative_variance_is_of_luminance() -> None:
     assert statistics(values)[3] == pytest.approx(spread / (exact.mean(axis=0) @ weights) ** 2, rel=1e-5)
     assert statistics(values, least=2.0)[3] == pytest.approx(spread / 4.0, rel=1e-5)
     assert statistics(values[:1])[3] == np.inf
-    assert (exact @ weights).var(ddof=1) <= spread, "an upper bound of the luminance's own"
+    assert (exact @ weights).var(ddof=1) <= spread, "the estimate bounds the variance of luminance"
     grey = values[:, :1] * np.ones(3)
     assert statistics(grey)[3] == pytest.approx(grey[:, 0].var(ddof=1) / grey.mean() ** 2, rel=1e-5)
 
 
 def test_equal_samples_have_no_variance() -> None:
-    """However many."""
+    """10,000 equal samples have no variance beyond rounding."""
     _, variance, _, noise = statistics(np.full((10_000, 3), 0.1))
     assert (variance >= 0.0).all() and variance.max() < 1e-15 and noise < 1e-13
 
 
-def test_errors_are_relative_down_to_what_can_be_seen() -> None:
-    """An exposure of two stops brings darker pixels to light; unlit frames are in display space."""
+def test_minimum_luminance_follows_the_exposure() -> None:
+    """An exposure of two stops makes darker pixels visible; unlit frames are in display space."""
     assert least_luminance(0.0, is_lit=True) == pytest.approx(0.01)
     assert least_luminance(2.0, is_lit=True) == pytest.approx(0.0025)
     assert least_luminance(2.0, is_lit=False) == pytest.approx(0.0998, abs=1e-4)
 
 
-def test_quantiles_are_values() -> None:
-    """The smallest that the share of all is not above."""
+def test_quantiles_are_elements_of_the_data() -> None:
+    """The quantile is the smallest value that the given fraction does not exceed."""
     values = np.random.default_rng(7).permutation(np.arange(1, 101)).astype(np.float32)
     assert quantile(values, 0.95) == 95.0
     assert quantile(values[:1], 0.95) == values[0]
@@ -90,7 +90,7 @@ def test_quantiles_are_values() -> None:
 
 
 def test_noise_is_estimated_eight_times_while_samples_double() -> None:
-    """From 16 on."""
+    """Estimates begin at 16 samples."""
     checks = [n for n in range(1000) if is_noise_checked(n)]
     assert checks[:9] == [16, 18, 20, 22, 24, 26, 28, 30, 32]
     assert [n for n in checks if 256 <= n < 512] == list(range(256, 512, 32))

@@ -1,4 +1,4 @@
-"""Gaussians of another layer block light however near they are: rooms are tight, and no layer shadows itself."""
+"""Near Gaussians of another layer block light, and no layer shadows itself."""
 
 from __future__ import annotations
 
@@ -16,64 +16,64 @@ from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, similarity
 from support.scenes.shadow_rig import SCHEDULES, ShadowRig
 
-SKY = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
+ENVIRONMENT = ls.LightEnvironment(color=(1.0, 1.0, 1.0))
 X, Y, Z = np.eye(3)
 
 
-def one_near_each_ray(count: int, *, own: bool) -> tuple[ls.Gaussians, np.ndarray, np.ndarray, np.ndarray]:
-    """Gaussians far apart, of all shapes and tilts; beside each a point of a layer, its normal and a ray through it."""
+def gaussians_near_rays(count: int, *, has_normals: bool) -> tuple[ls.Gaussians, np.ndarray, np.ndarray, np.ndarray]:
+    """Returns distant Gaussians of all shapes and tilts; beside each, a point of a layer, its normal and a ray."""
     rng = np.random.default_rng(4)
     normals, axes = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, count, 3)))
     half = axes + Z
-    turns = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(count)], axis=1)
+    quaternions = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(count)], axis=1)
     scales = 0.1 * np.stack([np.ones(count), rng.uniform(0.5, 1.0, count), rng.choice([0.02, 0.1, 0.4], count)], axis=1)
     means = 10.0 * np.stack([np.arange(count) % 20, np.arange(count) // 20 % 20, np.arange(count) // 400], axis=1)
     gaussians = ls.Gaussians(
         means,
-        turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
         scales,
         np.full(count, 0.9),
         flat_sh(np.full((count, 3), 0.5)),
-        normals=rng.choice([-1.0, 1.0], (count, 1)) * axes if own else None,
+        normals=rng.choice([-1.0, 1.0], (count, 1)) * axes if has_normals else None,
     )
-    ways = normals + 0.9 * rng.normal(size=(count, 3)) / np.sqrt(3.0)
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    points = means - rng.uniform(0.02, 0.35, (count, 1)) * ways
-    return gaussians, points, normals, ways
+    directions = normals + 0.9 * rng.normal(size=(count, 3)) / np.sqrt(3.0)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    points = means - rng.uniform(0.02, 0.35, (count, 1)) * directions
+    return gaussians, points, normals, directions
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
 @pytest.mark.parametrize(
     "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
 )
-@pytest.mark.parametrize("own", [False, True], ids=["planes", "own normals"])
-def test_near_gaussians_block_by_their_layer(schedule: str, method: ls.config.ShadowMethod, own: bool) -> None:
-    """As the float64 twin has it, also where the set is placed turned and larger; without a normal none does."""
-    gaussians, points, normals, ways = one_near_each_ray(1200, own=own)
+@pytest.mark.parametrize("has_normals", [False, True], ids=["planes", "own normals"])
+def test_near_gaussians_of_other_layers_block(schedule: str, method: ls.config.ShadowMethod, has_normals: bool) -> None:
+    """Results match the float64 reference, also for a transformed instance; without normals, nothing near blocks."""
+    gaussians, points, normals, directions = gaussians_near_rays(1200, has_normals=has_normals)
     near = np.full(len(points), 4.0 * 0.1)
-    expected = other_layers(gaussians, points, normals, ways, near)
+    expected = other_layers(gaussians, points, normals, directions, near)
     assert 0.15 < expected.mean() < 0.85
     placed = similarity((0.4, -0.3, 0.8), 1.1, 3.0, (1.0, -2.0, 0.5))
-    turn = placed[:3, :3] / 3.0
+    rotation = placed[:3, :3] / 3.0
     scene = ls.Scene([ls.SplatInstance(gaussians, placed)])
-    origins, along = points @ placed[:3, :3].T + placed[:3, 3], ways @ turn.T
+    origins, along = points @ placed[:3, :3].T + placed[:3, 3], directions @ rotation.T
     settings = {"t_min": 9.0, "t_max": 6.0, "method": method}
     rig = ShadowRig(schedule)
-    found = rig.light(scene, origins, along, normals=normals @ turn.T, **settings)[:, 0] < 0.5
-    # Rounding decides where a number is within 1e-3 of its bound.
+    found = rig.light(scene, origins, along, normals=normals @ rotation.T, **settings)[:, 0] < 0.5
+    # Rounding may decide within 1e-3 of a bound.
     moved = [
-        other_layers(gaussians, points + step * normals, normals, ways, near * (1.0 + grow))
+        other_layers(gaussians, points + step * normals, normals, directions, near * (1.0 + grow))
         for step in (-1e-4, 1e-4)
         for grow in (-1e-3, 1e-3)
     ]
-    sure = (np.array(moved) == expected).all(axis=0)
-    assert sure.mean() > 0.97
-    np.testing.assert_array_equal(found[sure], expected[sure])
+    certain = (np.array(moved) == expected).all(axis=0)
+    assert certain.mean() > 0.97
+    np.testing.assert_array_equal(found[certain], expected[certain])
     assert (rig.light(scene, origins, along, **settings)[:, 0] == 1.0).all()
 
 
 def walls() -> list[ls.Mesh]:
-    """The sides of a closed box of 2 m, facing inwards: its floor is the last but one."""
+    """Returns the sides of a closed 2 m box, facing inwards; the last but one is its floor."""
     low, size = np.full(3, -1.0), 2.0
     return [
         quad(low + shift, size * u, size * v, diffuse(0.8))
@@ -90,12 +90,12 @@ def walls() -> list[ls.Mesh]:
 
 @functools.cache
 def room(count: int) -> ls.Scene:
-    """A closed white box of 2 m in a sky of 1, made of Gaussians whose normals face inwards."""
+    """Returns a closed white 2 m box of Gaussians with inward normals, in a constant environment of 1."""
     sides = walls()
     positions = np.concatenate([side.positions for side in sides])
     indices = np.concatenate([side.indices + 4 * number for number, side in enumerate(sides)])
     gaussians = ls.gaussians_from_mesh(ls.Mesh(positions, indices, material=diffuse(0.8)), count)
-    return ls.Scene([ls.SplatInstance(gaussians, material=diffuse(1.0))], lights=[SKY])
+    return ls.Scene([ls.SplatInstance(gaussians, material=diffuse(1.0))], lights=[ENVIRONMENT])
 
 
 CORNER = ls.Camera.look_at((0.6, 0.3, 0.7), (-1.0, -0.6, -1.0), width=64, height=48, fov_y=1.2)
@@ -106,32 +106,33 @@ CORNER = ls.Camera.look_at((0.6, 0.3, 0.7), (-1.0, -0.6, -1.0), width=64, height
     [(20_000, 0.004, 0.01), pytest.param(60_000, 0.002, 0.008, marks=pytest.mark.deep)],
 )
 def test_a_closed_room_is_dark(count: int, direct: float, all_bounces: float) -> None:
-    """Of a sky around it, less than 1 % arrives inside: 1.5 and 10 % did with 20,000 Gaussians."""
+    """Less than 1 % of the environment leaks inside; it was 1.5 and 10 % with 20,000 Gaussians before."""
     scene = room(count)
     assert paths(scene, CORNER, 16, 0).color.mean() < direct
     assert paths(scene, CORNER, 16, 16).color.mean() < all_bounces
 
 
 def frames_in_real_time(scene: ls.Scene) -> np.ndarray:
-    """Green light of the corner, mean of the frames 8 to 15."""
+    """Returns green light of the corner in real time, mean of frames 8 to 15."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     return np.mean([renderer.render(scene, CORNER).color[..., 1] for _ in range(16)][8:], axis=0)
 
 
 def test_a_closed_room_is_dark_in_real_time() -> None:
-    """Of the sky, less than 1 % arrives after all bounces; 1.4 % did where rays began within their own layer."""
+    """Less than 1 % of the environment leaks after all bounces; rays starting within their own layer leaked 1.4 %."""
     assert frames_in_real_time(room(20_000)).mean() < 0.01
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH, ls.Pipeline.REALTIME], ids=lambda one: one.value)
-def test_no_light_comes_through_the_seam_with_a_mesh(pipeline: ls.Pipeline) -> None:
-    """A floor of Gaussians ends at walls of meshes: splats that reach over a wall are lit on this side of it.
+def test_no_light_leaks_at_the_seam_between_splats_and_meshes(pipeline: ls.Pipeline) -> None:
+    """A floor of Gaussians ends at mesh walls: splats that reach through a wall are lit on this side of it.
 
-    On the other side, blocks of pixels at the seam had 2.6 % of the sky in hybrid frames, 12.7 % in real time.
+    Lit on the other side, blocks of pixels at the seam had 2.6 % of the environment in hybrid frames, 12.7 % in real
+    time.
     """
     *others, floor, ceiling = walls()
     ground = ls.gaussians_from_mesh(floor, 5_000)
-    scene = ls.Scene([ls.SplatInstance(ground, material=diffuse(1.0))], [*others, ceiling], [SKY])
+    scene = ls.Scene([ls.SplatInstance(ground, material=diffuse(1.0))], [*others, ceiling], [ENVIRONMENT])
     if pipeline is ls.Pipeline.REALTIME:
         light = frames_in_real_time(scene)
     else:
@@ -142,7 +143,7 @@ def test_no_light_comes_through_the_seam_with_a_mesh(pipeline: ls.Pipeline) -> N
 
 @PIPELINES
 def test_a_closed_room_gets_no_direct_light(pipeline: ls.Pipeline) -> None:
-    """Nor does any block of pixels at its edges get much of it: 1.3 % in the mean, and 8 % there, before."""
+    """Blocks of pixels at its edges are dark, too; before, 1.3 % leaked in the mean and 8 % at edges."""
     frame = lit(room(20_000), CORNER, pipeline, samples=8, shadows=ls.Shadows.SOFT)
     light = frame.color[..., 1]
     assert light.mean() < 0.006
@@ -150,12 +151,12 @@ def test_a_closed_room_gets_no_direct_light(pipeline: ls.Pipeline) -> None:
 
 
 def discs(points: np.ndarray, normals: np.ndarray, scale: float) -> ls.Gaussians:
-    """Opaque thin discs with normals of their own."""
+    """Returns opaque thin discs with normals."""
     half = normals + Z
-    turns = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(len(points))], axis=1)
+    quaternions = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(len(points))], axis=1)
     return ls.Gaussians(
         points,
-        turns / np.linalg.norm(turns, axis=1, keepdims=True),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
         np.tile([scale, scale, 0.05 * scale], (len(points), 1)),
         np.full(len(points), 0.99),
         flat_sh(np.full((len(points), 3), 0.5)),
@@ -164,7 +165,7 @@ def discs(points: np.ndarray, normals: np.ndarray, scale: float) -> ls.Gaussians
 
 
 def sheet(shape: str) -> ls.Gaussians:
-    """Discs of scale 0.04 over a square of 2 m: flat, a hill, a bowl, or flat but for what is found of normals."""
+    """Returns discs of scale 0.04 over a 2 m square: flat, a hill, a bowl, or flat with noisy heights and normals."""
     rng = np.random.default_rng(5)
     x, y = (0.03 * axis.ravel() for axis in np.mgrid[-33:34, -33:34])
     bend = {"hill": -0.15, "bowl": 0.15}.get(shape, 0.0)
@@ -177,26 +178,26 @@ def sheet(shape: str) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda pipeline: pipeline.value)
-@pytest.mark.parametrize("own", [False, True], ids=["planes", "own normals"])
+@pytest.mark.parametrize("has_normals", [False, True], ids=["planes", "own normals"])
 @pytest.mark.parametrize(("shape", "lost"), [("flat", 0.002), ("hill", 0.002), ("bowl", 0.002), ("noisy", 0.035)])
-def test_layers_do_not_shadow_themselves(shape: str, lost: float, own: bool, pipeline: ls.Pipeline) -> None:
-    """In light 20 degrees above them and from overhead; noisy ones lost as much before layers were told apart."""
+def test_layers_do_not_shadow_themselves(shape: str, lost: float, has_normals: bool, pipeline: ls.Pipeline) -> None:
+    """Light arrives from 20 degrees and from overhead; noisy layers lose no more than without the layer test."""
     layer = sheet(shape)
-    layer = layer if own else replace(layer, normals=None)
+    layer = layer if has_normals else replace(layer, normals=None)
     camera = ls.Camera.look_at((0.0, -0.6, 2.0), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.45)
     for elevation in (20.0, 80.0):
         up, along = np.sin(np.radians(elevation)), np.cos(np.radians(elevation))
         sun = ls.LightDirectional((along, 0.0, -up), intensity=3.0)
         scene = ls.Scene([ls.SplatInstance(layer, material=diffuse(1.0))], lights=[sun])
         settings = {"samples": 4, "pipeline": pipeline}
-        shown = lit(scene, camera, **settings).color.sum()
+        shadowed = lit(scene, camera, **settings).color.sum()
         unshadowed = lit(scene, camera, **settings, shadows=ls.Shadows.OFF).color.sum()
-        assert shown > (1.0 - lost) * unshadowed, (elevation, shown / unshadowed)
+        assert shadowed > (1.0 - lost) * unshadowed, (elevation, shadowed / unshadowed)
 
 
 @PIPELINES
 def test_a_shadow_reaches_the_foot_of_a_wall(pipeline: ls.Pipeline) -> None:
-    """A wall of discs on a floor of discs of the same scale: the floor is dark up to it, not from four scales on."""
+    """A wall and a floor of discs have one scale; the floor is dark right up to the wall, not from four scales on."""
     x, y = (0.03 * axis.ravel() for axis in np.mgrid[-25:26, -25:26])
     ground = discs(np.stack([x, y, 0.0 * x], axis=1), np.tile(Z, (len(x), 1)), 0.04)
     along, up = (axis.ravel() for axis in np.meshgrid(0.03 * np.arange(-25, 26), 0.012 + 0.03 * np.arange(20)))

@@ -1,4 +1,4 @@
-"""Shadows of meshes and Gaussians against closed forms, and against integrals in float64 where there is none."""
+"""Shadows of meshes and Gaussians, against closed forms and float64 integrals."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ from support.scenes.raster_scenes import flat_sh, joined, one_gaussian, rotation
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("shape", ["square", "sliver", "tilted"])
 def test_a_plane_does_not_shadow_itself(shape: str, axis: int, pipeline: ls.Pipeline) -> None:
-    """Whichever way it faces, and however its triangles are cut: light that comes at any angle arrives everywhere."""
+    """Light from any angle arrives everywhere, for all orientations and triangle shapes of the plane."""
     long, wide = (9.0, 0.02) if shape == "sliver" else (5.5, 4.5)
-    turn = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
+    transform = rotation((1.0, 1.0, 1.0), axis * 2.0 * np.pi / 3.0)
     if shape == "tilted":
-        turn = rotation((0.3, 0.8, -0.5), 0.9) @ turn
-    corner, *edges = np.array([[-0.4 * long, 0.0, 0.6 * wide], [long, 0.0, 0.0], [0.0, 0.0, -wide]]) @ turn[:3, :3].T
-    eye, up = np.array([0.2, 3.0, 0.7]) @ turn[:3, :3].T, turn[:3, :3] @ [0.0, 0.0, -1.0]
+        transform = rotation((0.3, 0.8, -0.5), 0.9) @ transform
+    corner, *edges = (
+        np.array([[-0.4 * long, 0.0, 0.6 * wide], [long, 0.0, 0.0], [0.0, 0.0, -wide]]) @ transform[:3, :3].T
+    )
+    eye, up = np.array([0.2, 3.0, 0.7]) @ transform[:3, :3].T, transform[:3, :3] @ [0.0, 0.0, -1.0]
     camera = ls.Camera.look_at(eye, (0.0, 0.0, 0.0), up, width=96, height=64, fov_y=0.8)
-    lights = [ls.LightPoint(tuple(np.array(at) @ turn[:3, :3].T)) for at in ((1.6, 2.6, 1.4), (-3.0, 0.4, 0.2))]
+    lights = [ls.LightPoint(tuple(np.array(at) @ transform[:3, :3].T)) for at in ((1.6, 2.6, 1.4), (-3.0, 0.4, 0.2))]
     plane = parallelogram(corner, edges[0], edges[1], matte(0.8))
     frame = lit(ls.Scene((), [plane], lights), camera, pipeline, aovs=("lights",))
     assert frame.light_shadow is not None
@@ -43,8 +45,8 @@ def test_a_plane_does_not_shadow_itself(shape: str, axis: int, pipeline: ls.Pipe
 
 @PIPELINES
 @pytest.mark.parametrize("height", [1.2, 2.0, 6.0])
-def test_hard_shadow_of_a_sphere_ends_where_it_must(pipeline: ls.Pipeline, height: float) -> None:
-    """A light straight over a sphere: a circle of a radius known to a twentieth of a pixel, wherever the light is."""
+def test_hard_shadow_of_a_sphere_has_the_exact_radius(pipeline: ls.Pipeline, height: float) -> None:
+    """A light above a sphere casts a circle whose radius is right to a twentieth of a pixel, at any light height."""
     radius, center = 0.3, 0.6
     light = ls.LightPoint((0.0, height, 0.0), intensity=5.0)
     ball = ball_at((0.0, center, 0.0), radius, matte(0.5), rows=96)
@@ -61,15 +63,15 @@ def test_hard_shadow_of_a_sphere_ends_where_it_must(pipeline: ls.Pipeline, heigh
     assert set(np.unique(frame.light_shadow[0])) == {0.0, 1.0}
     assert not bright[on_floor & (distance < edge - 0.05 * pixel)].any()
     assert bright[on_floor & (distance > edge + 0.05 * pixel)].all()
-    # What hides the floor lies over the shadow: all that is not bright counts.
+    # The sphere hides parts of the shadow, so all floor that is not bright counts.
     area = np.count_nonzero(~(bright & on_floor)) * pixel**2
     assert math.sqrt(area / np.pi) == pytest.approx(edge, abs=0.15 * pixel)
 
 
 def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray, radius: float) -> np.ndarray:
-    """How much of a sphere's light passes another sphere, for points on the plane, shape (N,): an integral in float64.
+    """Returns the unoccluded fraction of a sphere light behind a sphere, for floor points, shape (N,), in float64.
 
-    Over the cone of directions to the light, by solid angle and weighted by the cosine with the plane's normal.
+    It integrates over the cone of directions to the light, weighted by the cosine with the floor's normal.
     """
     steps = 160
     shares = []
@@ -79,15 +81,15 @@ def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray
         axis = away / distance
         least = math.sqrt(1.0 - (light.radius / distance) ** 2)
         cosine = 1.0 - (1.0 - least) * (np.arange(steps) + 0.5)[:, None] / steps
-        turn = (np.arange(2 * steps) + 0.5) * np.pi / steps
+        azimuth = (np.arange(2 * steps) + 0.5) * np.pi / steps
         side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
         side /= np.linalg.norm(side)
         other = np.cross(axis, side)
         across = np.sqrt(1.0 - cosine**2)
         directions = (
             cosine[..., None] * axis
-            + (across * np.cos(turn))[..., None] * side
-            + (across * np.sin(turn))[..., None] * other
+            + (across * np.cos(azimuth))[..., None] * side
+            + (across * np.sin(azimuth))[..., None] * other
         )
         offset = center - point
         along = directions @ offset
@@ -104,10 +106,10 @@ def penumbra_share(points: np.ndarray, light: ls.LightSphere, center: np.ndarray
         pytest.param(ls.Pipeline.HYBRID, id="hybrid", marks=pytest.mark.deep),
     ],
 )
-def test_penumbra_of_a_spherical_light(pipeline: ls.Pipeline) -> None:
-    """No light within the umbra, all of it beyond the penumbra, and in between the profile of the integral."""
-    radius, center, lamp, height = 0.3, 0.5, 0.15, 2.0
-    light = ls.LightSphere((0.0, height, 0.0), lamp, intensity=50.0)
+def test_penumbra_of_a_sphere_light_matches_the_integral(pipeline: ls.Pipeline) -> None:
+    """The umbra has no light, the outside has all of it, and the penumbra follows the integral."""
+    radius, center, light_radius, height = 0.3, 0.5, 0.15, 2.0
+    light = ls.LightSphere((0.0, height, 0.0), light_radius, intensity=50.0)
     ball = ball_at((0.0, center, 0.0), radius, matte(0.5), rows=96)
     camera = above(height=4.0, eye=(0.0, 0.01), fov_y=0.3, width=64, rows=64)
     scene = ls.Scene((), [floor(matte(0.8)), ball], [light])
@@ -115,10 +117,10 @@ def test_penumbra_of_a_spherical_light(pipeline: ls.Pipeline) -> None:
     assert frame.light_shadow is not None
     points = floor_points(camera)
     distance = np.hypot(points[..., 0], points[..., 2])
-    # Lines that touch both spheres: on the same side of the axis for the umbra, on opposite ones for the penumbra.
+    # Tangents of both spheres, on the same side of the axis for the umbra, on opposite sides for the penumbra.
     umbra, penumbra = (
         (radius + center * sine) / math.sqrt(1.0 - sine * sine)
-        for sine in ((radius - lamp) / (height - center), (radius + lamp) / (height - center))
+        for sine in ((radius - light_radius) / (height - center), (radius + light_radius) / (height - center))
     )
     on_floor = frame.instance_index == 0
     share = frame.light_shadow[0, ..., 0]
@@ -134,8 +136,8 @@ def test_penumbra_of_a_spherical_light(pipeline: ls.Pipeline) -> None:
 
 
 @PIPELINES
-def test_penumbra_of_a_disc_in_the_sky(pipeline: ls.Pipeline) -> None:
-    """A sun of a known angle behind a straight edge: the share of its disc that is seen, by distance from the edge."""
+def test_penumbra_of_a_sun_matches_the_closed_form(pipeline: ls.Pipeline) -> None:
+    """Behind a straight edge, the visible fraction of the sun's disc follows the distance from the edge."""
     angle, height = 0.1, 0.8
     light = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, angle=angle)
     lid = parallelogram((-9.0, height, 9.0), (9.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5))
@@ -146,8 +148,8 @@ def test_penumbra_of_a_disc_in_the_sky(pipeline: ls.Pipeline) -> None:
     x = floor_points(camera)[..., 0]
     on_floor = frame.instance_index == 0
     # On the plane, directions of equal irradiance are evenly spread over a disc of radius sin(angle).
-    turn, out = np.meshgrid((np.arange(400) + 0.5) / 200 * np.pi, np.sqrt((np.arange(400) + 0.5) / 400))
-    slope_x, slope_z = math.sin(angle) * out * np.cos(turn), math.sin(angle) * out * np.sin(turn)
+    azimuth, out = np.meshgrid((np.arange(400) + 0.5) / 200 * np.pi, np.sqrt((np.arange(400) + 0.5) / 400))
+    slope_x, slope_z = math.sin(angle) * out * np.cos(azimuth), math.sin(angle) * out * np.sin(azimuth)
     reach = height * slope_x / np.sqrt(1.0 - slope_x**2 - slope_z**2)
     width = height * math.tan(angle)
     share = frame.light_shadow[0, ..., 0]
@@ -157,14 +159,14 @@ def test_penumbra_of_a_disc_in_the_sky(pipeline: ls.Pipeline) -> None:
     for low, high in itertools.pairwise(edges):
         band = on_floor & (x >= low) & (x < high)
         assert band.sum() > 20
-        expected = np.mean([(place + reach > 0.0).mean() for place in x[band]])
+        expected = np.mean([(offset + reach > 0.0).mean() for offset in x[band]])
         assert share[band].mean() == pytest.approx(expected, abs=0.015)
 
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", [ls.Shadows.HARD, ls.Shadows.SOFT], ids=lambda shadows: shadows.value)
-def test_only_what_is_nearer_than_a_light_blocks_it(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
-    """A lid right under a lamp leaves the floor dark, one right above it changes nothing."""
+def test_only_objects_before_a_light_block_it(shadows: ls.Shadows, pipeline: ls.Pipeline) -> None:
+    """A lid right below a light darkens the floor; one right above it changes nothing."""
     lights = [
         ls.LightSphere((0.0, 2.0, 0.0), 0.3, intensity=5.0),
         ls.LightPoint((0.5, 2.0, 0.3), radius=0.2),
@@ -182,8 +184,8 @@ def test_only_what_is_nearer_than_a_light_blocks_it(shadows: ls.Shadows, pipelin
 
 
 @PIPELINES
-def test_glass_lets_light_through_straight(pipeline: ls.Pipeline) -> None:
-    """Two faces of a slab, each with the share that Fresnel's equations let through at that angle."""
+def test_glass_transmits_shadow_rays_by_fresnel(pipeline: ls.Pipeline) -> None:
+    """Both faces of a slab transmit the fraction of Fresnel's equations at that angle."""
     slab = box((8.0, 0.1, 8.0), replace(clear_glass(1.5), base_color=(0.9, 0.8, 0.5)))
     slab = replace(slab, positions=slab.positions + np.array([0.0, 1.2, 0.0], np.float32))
     light = ls.LightPoint((0.3, 2.0, 0.0), intensity=5.0)
@@ -203,7 +205,7 @@ def test_glass_lets_light_through_straight(pipeline: ls.Pipeline) -> None:
 
 
 def stack() -> ls.Gaussians:
-    """Gaussians of known place, shape and colour over the plane, some of them overlapping."""
+    """Returns Gaussians of known position, shape and colour above the plane, some overlapping."""
     return joined(
         one_gaussian((0.0, 0.9, 0.0), (0.25, 0.1, 0.2), 0.6, (0.9, 0.1, 0.1), (0.9, 0.2, 0.3, 0.1)),
         one_gaussian((0.1, 1.2, 0.05), (0.3, 0.05, 0.3), 0.5, (0.1, 0.8, 0.2)),
@@ -214,9 +216,11 @@ def stack() -> ls.Gaussians:
 
 @PIPELINES
 @pytest.mark.parametrize("kind", ["sun", "environment"])
-def test_shadows_reach_as_far_as_the_light_says(pipeline: ls.Pipeline, kind: str) -> None:
-    """A captured sky 5 above a floor is no roof to light of a shorter ``shadow_distance``; what is nearer still is."""
-    sky = ls.gaussians_from_mesh(parallelogram((-9.0, 5.0, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5)), 4000)
+def test_shadow_distance_limits_shadows(pipeline: ls.Pipeline, kind: str) -> None:
+    """A captured sky 5 above a floor does not block light with a shorter ``shadow_distance``; nearer objects do."""
+    captured_sky = ls.gaussians_from_mesh(
+        parallelogram((-9.0, 5.0, 9.0), (18.0, 0.0, 0.0), (0.0, 0.0, -18.0), matte(0.5)), 4000
+    )
     lid = parallelogram((-0.3, 0.5, 0.3), (0.6, 0.0, 0.0), (0.0, 0.0, -0.6), matte(0.5))
     camera = ls.Camera.look_at((0.0, 0.4, 2.0), (0.0, 0.0, 0.2), width=64, height=48, fov_y=0.7)
     points = floor_points(camera)
@@ -231,7 +235,9 @@ def test_shadows_reach_as_far_as_the_light_says(pipeline: ls.Pipeline, kind: str
             up = np.zeros((16, 32, 3))
             up[0] = 1.0  # light from within 11 degrees of the zenith
             light = ls.LightEnvironment(up, shadow_distance=distance)
-        frame = lit(ls.Scene([sky], [floor(matte(0.8)), lid], [light]), camera, pipeline, aovs=("lights",), samples=4)
+        frame = lit(
+            ls.Scene([captured_sky], [floor(matte(0.8)), lid], [light]), camera, pipeline, aovs=("lights",), samples=4
+        )
         assert frame.light_shadow is not None
         shares, on_floor = frame.light_shadow[0, ..., 0], frame.instance_index == 1
         left[distance] = shares[on_floor & under].mean(), shares[on_floor & beside].mean()
@@ -242,7 +248,7 @@ def test_shadows_reach_as_far_as_the_light_says(pipeline: ls.Pipeline, kind: str
 
 
 def alphas(gaussians: ls.Gaussians, points: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """Of each Gaussian on the way from points to a light, in 3D: min(0.99, opacity exp(-d^2 / 2)), shape (N, ...)."""
+    """Returns each Gaussian's alpha between points and a light, min(0.99, opacity exp(-d^2 / 2)), shape (N, ...)."""
     result = []
     axes = rotation_from_quaternion(gaussians.rotations_wxyz.astype(np.float64))
     for mean, frame, scales, opacity in zip(gaussians.means, axes, gaussians.scales, gaussians.opacities, strict=True):
@@ -256,38 +262,40 @@ def alphas(gaussians: ls.Gaussians, points: np.ndarray, light: np.ndarray) -> np
 
 
 STACK_CAMERA = ls.Camera.look_at((0.0, 0.4, 2.2), (0.0, 0.0, -0.1), width=64, height=48, fov_y=0.5)
-"""Sees the plane from under the Gaussians."""
+"""Camera that sees the plane from below the Gaussians."""
 STACK_LIGHT = ls.LightPoint((0.1, 2.2, -0.1), color=(1.0, 0.9, 0.8), intensity=5.0)
 
 
 @PIPELINES
 @pytest.mark.parametrize("method", ls.config.ShadowMethod, ids=lambda method: method.value)
-def test_gaussians_let_through_the_product(pipeline: ls.Pipeline, method: ls.config.ShadowMethod) -> None:
-    """Along each shadow ray the product of 1 - alpha; also of the nearest eight of four, and by chance on average."""
+def test_shadow_of_gaussians_is_the_product_of_transmittances(
+    pipeline: ls.Pipeline, method: ls.config.ShadowMethod
+) -> None:
+    """The product of 1 - alpha is exact, also for up to eight nearest hits, and stochastic shadows average to it."""
     samples = 64 if method is ls.config.ShadowMethod.STOCHASTIC else 1
     settings = {"samples": samples, "shadow_rays": ls.ShadowConfig(method=method), "jitter": False}
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), **settings)
     assert frame.light_shadow is not None
     expected = (1.0 - alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))).prod(axis=0)
-    seen = (frame.instance_index == 1) & (frame.alpha >= 1.0) & (np.abs(frame.position[..., 1]) < 1e-3)
-    assert seen.mean() > 0.75
-    assert expected[seen].min() < 0.05
+    on_plane = (frame.instance_index == 1) & (frame.alpha >= 1.0) & (np.abs(frame.position[..., 1]) < 1e-3)
+    assert on_plane.mean() > 0.75
+    assert expected[on_plane].min() < 0.05
     share = frame.light_shadow[0]
     if samples == 1:
-        edge = 1.1 / 255.0  # Where a Gaussian ends, rounding decides.
-        off = np.abs(share - expected[..., None])[seen]
+        edge = 1.1 / 255.0  # rounding decides at the edge of a Gaussian
+        off = np.abs(share - expected[..., None])[on_plane]
         assert off.max() < edge
         assert np.percentile(off, 98) < 1e-4
     else:
-        # The numbers of a ray lie one in each 64th.
-        assert (np.abs(share[..., 0] - expected) < 1.0 / samples + 1.1 / 255.0)[seen].all()
-        assert share[seen].mean() == pytest.approx(expected[seen].mean(), abs=1e-3)
+        # A ray's random numbers are stratified: one in each 64th.
+        assert (np.abs(share[..., 0] - expected) < 1.0 / samples + 1.1 / 255.0)[on_plane].all()
+        assert share[on_plane].mean() == pytest.approx(expected[on_plane].mean(), abs=1e-3)
 
 
 @PIPELINES
-def test_stochastic_shadows_are_grain_and_not_blotches(pipeline: ls.Pipeline) -> None:
-    """A box filter removes far more of their noise than if rays share their numbers: neighbours differ."""
+def test_stochastic_shadow_noise_is_uncorrelated_between_pixels(pipeline: ls.Pipeline) -> None:
+    """A box filter removes far more noise of independent draws than of draws shared between rays."""
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frames = [
         lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), samples=16, jitter=False, shadow_rays=shadow_rays)
@@ -297,35 +305,37 @@ def test_stochastic_shadows_are_grain_and_not_blotches(pipeline: ls.Pipeline) ->
             ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True),
         )
     ]
-    exact, *by_chance = (arriving_share(frame) for frame in frames)
-    grain, blotches = (sliding_window_view(noisy - exact, (5, 5)).mean(axis=(2, 3)) for noisy in by_chance)
-    assert np.sqrt((grain**2).mean()) < 0.3 * np.sqrt((blotches**2).mean())
+    exact, *stochastic = (arriving_share(frame) for frame in frames)
+    independent_noise, shared_noise = (
+        sliding_window_view(noisy - exact, (5, 5)).mean(axis=(2, 3)) for noisy in stochastic
+    )
+    assert np.sqrt((independent_noise**2).mean()) < 0.3 * np.sqrt((shared_noise**2).mean())
 
 
 def arriving_share(frame: ls.Frame) -> np.ndarray:
-    """Of the first light's red, (H, W); 0 where none would arrive anyway."""
+    """Returns the unshadowed fraction of the first light's red, (H, W); 0 where it would not arrive anyway."""
     assert frame.light_direct is not None
     assert frame.light_shadow is not None
     return np.where(frame.light_direct[0] > 0.0, frame.light_shadow[0], 0.0)[..., 0]
 
 
 @PIPELINES
-def test_opaque_enough_counts_as_black_and_the_rest_is_stretched(pipeline: ls.Pipeline) -> None:
-    """The threshold of docs/method/shadows.md: (T - threshold) / (1 - threshold), at least 0."""
+def test_transmittance_threshold_darkens_and_rescales_shadows(pipeline: ls.Pipeline) -> None:
+    """The threshold of docs/method/shadows.md maps T to (T - threshold) / (1 - threshold), at least 0."""
     shadow = ls.ShadowConfig(transmittance_threshold=0.3)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, pipeline, aovs=("lights",), shadow_rays=shadow)
     assert frame.light_shadow is not None
     passed = (1.0 - alphas(stack(), floor_points(STACK_CAMERA), np.array(STACK_LIGHT.position))).prod(axis=0)
     expected = np.clip((passed - 0.3) / 0.7, 0.0, 1.0)
-    seen = frame.instance_index == 1
-    off = np.abs(frame.light_shadow[0] - expected[..., None])[seen]
+    on_plane = frame.instance_index == 1
+    off = np.abs(frame.light_shadow[0] - expected[..., None])[on_plane]
     assert off.max() < 2.0 / 255.0
     assert np.percentile(off, 98) < 2e-4
 
 
-def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
-    """Stained glass: towards the mean colour of the Gaussians, brightest channel 1, by strength times darkness."""
+def test_shadows_are_tinted_by_the_occluding_gaussians() -> None:
+    """The tint is the mean colour of the Gaussians, brightest channel 1, weighted by strength times darkness."""
     shadow = ls.ShadowConfig(color_strength=1.5)
     scene = ls.Scene([stack()], [floor(matte(0.8))], [STACK_LIGHT])
     frame = lit(scene, STACK_CAMERA, aovs=("lights",), shadow_rays=shadow)
@@ -337,9 +347,9 @@ def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
     tint /= np.maximum(tint.max(axis=-1, keepdims=True), 1e-12)
     share = np.minimum(1.5 * (1.0 - passed), 1.0)[..., None]
     expected = passed[..., None] * (1.0 - share + share * tint)
-    seen = frame.instance_index == 1
-    off = np.abs(frame.light_shadow[0] - expected)[seen]
-    assert np.ptp(expected[seen], axis=-1).max() > 0.2
+    on_plane = frame.instance_index == 1
+    off = np.abs(frame.light_shadow[0] - expected)[on_plane]
+    assert np.ptp(expected[on_plane], axis=-1).max() > 0.2
     assert off.max() < 2.0 / 255.0
     assert np.percentile(off, 98) < 1e-3
 
@@ -348,17 +358,17 @@ def test_shadows_take_on_the_colour_of_what_is_in_the_way() -> None:
 
 
 def sheet(count: int = 1500, **changes: object) -> ls.SplatInstance:
-    """The plane as Gaussians, of one colour, with normals that point up."""
+    """Returns the plane as Gaussians of one colour, with normals that point up."""
     disc = parallelogram((-1.0, 0.0, 1.0), (2.0, 0.0, 0.0), (0.0, 0.0, -2.0), matte(0.5, 0.4, 0.3))
     return replace(ls.SplatInstance(ls.gaussians_from_mesh(disc, count)), **changes)
 
 
 @PIPELINES
-def test_shadow_catchers_are_darkened_by_what_their_lights_lack(pipeline: ls.Pipeline) -> None:
-    """Without ambient light nothing is left of one light, of two the other's share; outside all is as captured."""
+def test_shadow_catchers_are_darkened_by_the_blocked_fraction_of_light(pipeline: ls.Pipeline) -> None:
+    """Without ambient light, a shadow of the only light is black, and of one of two leaves the other's fraction."""
     capture = sheet(shadow_catcher=True, material=ls.MaterialSimple(ambient=0.0))
     lid = parallelogram((-0.4, 0.7, 0.4), (0.8, 0.0, 0.0), (0.0, 0.0, -0.8), matte(0.5))
-    lid = replace(lid, indices=lid.indices[:, ::-1])  # Seen from above or not, it is in the way.
+    lid = replace(lid, indices=lid.indices[:, ::-1])  # blocks light from either side
     light = ls.LightDirectional((0.5, -1.0, 0.0), color=(1.0, 0.6, 0.3), intensity=4.0)
     camera = ls.Camera.look_at((0.0, 3.0, 0.01), (0.3, 0.0, 0.0), (0.0, 0.0, -1.0), width=64, height=48, fov_y=0.45)
     frame = lit(ls.Scene([capture], [lid], [light]), camera, pipeline)
@@ -381,22 +391,22 @@ def test_shadow_catchers_are_darkened_by_what_their_lights_lack(pipeline: ls.Pip
     covered = dark & (unlit.alpha > 0.99)
     np.testing.assert_allclose(frame.color[covered], 0.0, atol=0.01)
 
-    # A lamp that nothing blocks shines into the shadow, whether or not it has an image of its own.
-    lamp = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, casts_shadow=False)
+    # A light without shadows lights the shadow, with and without a layer of its own.
+    second_light = ls.LightDirectional((0.0, -1.0, 0.0), intensity=3.0, casts_shadow=False)
     ratio = 3.0 / (3.0 + power)
     for aovs in ((), ("lights",)):
-        brighter = lit(ls.Scene([capture], [lid], [light, lamp]), camera, pipeline, aovs=aovs)
+        brighter = lit(ls.Scene([capture], [lid], [light, second_light]), camera, pipeline, aovs=aovs)
         np.testing.assert_allclose(brighter.color[covered], decode_srgb(unlit.color[covered]) * ratio, rtol=0.03)
     below = brighter.instance_index == 1
     assert below.sum() > 50
-    plain = lit(ls.Scene([replace(capture, shadow_catcher=False)], [lid], [light, lamp]), camera, pipeline)
+    plain = lit(ls.Scene([replace(capture, shadow_catcher=False)], [lid], [light, second_light]), camera, pipeline)
     np.testing.assert_allclose(brighter.color[below], plain.color[below], rtol=1e-4, atol=1e-6)
 
 
 @PIPELINES
 @pytest.mark.parametrize("aovs", [(), ("lights",)], ids=["", "lights"])
 def test_shadow_catchers_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: tuple[str, ...]) -> None:
-    """With nothing else in the scene they stay as captured, to the bit, and all of the light arrives."""
+    """Alone in the scene, they stay as captured, to the bit, and all light arrives."""
     over = ls.SplatInstance(stack(), shadow_catcher=True)
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     frame = lit(ls.Scene([sheet(shadow_catcher=True), over], (), [light]), STACK_CAMERA, pipeline, aovs=aovs)
@@ -413,8 +423,8 @@ def test_shadow_catchers_do_not_shadow_one_another(pipeline: ls.Pipeline, aovs: 
 
 
 @PIPELINES
-def test_other_sets_shadow_shadow_catchers(pipeline: ls.Pipeline) -> None:
-    """Where only Gaussians are in the way, the exact product is what is left of the light."""
+def test_other_gaussians_cast_shadows_on_shadow_catchers(pipeline: ls.Pipeline) -> None:
+    """Behind Gaussians alone, the light is multiplied by their exact transmittance."""
     light = ls.LightPoint((0.1, 2.2, -0.1), intensity=5.0)
     shares = []
     for shadow_catcher in (False, True):
@@ -433,8 +443,8 @@ def test_other_sets_shadow_shadow_catchers(pipeline: ls.Pipeline) -> None:
 
 
 @PIPELINES
-def test_a_captured_colour_is_the_albedo_of_a_set_without_any(pipeline: ls.Pipeline) -> None:
-    """A matte sheet of Gaussians under a sun: decoded colour over pi times lux times cosine."""
+def test_captured_colour_is_the_default_albedo(pipeline: ls.Pipeline) -> None:
+    """A matte sheet under a sun reflects decoded colour over pi times lux times cosine."""
     capture = sheet(material=matte(1.0))
     bare = replace(
         capture.gaussians, albedo=None, roughness=None, metallic=None, sh=flat_sh(np.tile([0.7, 0.5, 0.2], (1500, 1)))

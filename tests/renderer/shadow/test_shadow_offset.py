@@ -1,4 +1,4 @@
-"""What keeps a surface of Gaussians from shadowing itself, and lets what stands on it shadow it."""
+"""Shadow offsets: surfaces of Gaussians do not shadow themselves, but objects on them do."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ OVERHEAD = ls.LightDirectional((0.1, -1.0, 0.05), intensity=3.0)
 @pytest.mark.parametrize(
     "method", [ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.FIRST_HITS], ids=lambda method: method.value
 )
-def test_of_two_gaussians_the_smaller_decides(schedule: str, method: ls.config.ShadowMethod) -> None:
-    """A Gaussian counts from its own offset or the surface's on, whichever is nearer: in scales, and in world units."""
+def test_the_smaller_gaussian_sets_the_offset(schedule: str, method: ls.config.ShadowMethod) -> None:
+    """A Gaussian blocks beyond the smaller of its own and the surface's offset, in scales and in world units."""
     rig = ShadowRig(schedule)
     for scale, placed, t_min, absolute, arrives in (
-        (0.2, 1.0, 9.0, 0.0, 0.5),  # 4 * 0.2 < 1: far enough for its own size, however wide the surface's Gaussian is.
+        (0.2, 1.0, 9.0, 0.0, 0.5),  # 4 * 0.2 < 1: beyond its own offset, however wide the surface's Gaussian is
         (0.3, 1.0, 9.0, 0.0, 1.0),  # 4 * 0.3 > 1
-        (0.3, 1.0, 0.9, 0.0, 0.5),  # The surface's Gaussian is smaller.
-        (0.1, 3.0, 9.0, 0.0, 1.0),  # 4 * 0.1 * 3 > 1: an instance three times as large.
+        (0.3, 1.0, 0.9, 0.0, 0.5),  # the surface's Gaussian is smaller
+        (0.1, 3.0, 9.0, 0.0, 1.0),  # 4 * 0.1 * 3 > 1: an instance of scale 3
         (0.2, 1.0, 9.0, 0.3, 1.0),  # 4 * 0.2 + 0.3 > 1
     ):
         small = one_gaussian((0.0, 0.0, 1.0 / placed), scale, 0.5)
@@ -36,35 +36,35 @@ def test_of_two_gaussians_the_smaller_decides(schedule: str, method: ls.config.S
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-def test_a_lamp_nearer_than_the_offset_is_shadowed_too(schedule: str) -> None:
-    """What is small enough to stand between a wide Gaussian and a lamp blocks it."""
+def test_lights_nearer_than_the_offset_are_shadowed(schedule: str) -> None:
+    """A small Gaussian between a wide one and a light blocks the light."""
     scene = ls.Scene([one_gaussian((0.0, 0.0, 0.5), 0.05, 0.5)])
     light = ShadowRig(schedule).light(scene, np.zeros((2, 3)), AHEAD, t_min=3.0, t_max=[1.0, 0.4])
     np.testing.assert_allclose(light[:, 0], [0.5, 1.0], atol=1e-5)
 
 
 def discs(points: np.ndarray, normals: np.ndarray, scale: float, thickness: float) -> ls.Gaussians:
-    """Opaque grey discs."""
+    """Returns opaque grey discs."""
     half = normals + np.array([0.0, 0.0, 1.0])
-    turns = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(len(points))], axis=1)
+    quaternions = np.stack([half[:, 2], -half[:, 1], half[:, 0], np.zeros(len(points))], axis=1)
     scales = np.tile([scale, scale, thickness], (len(points), 1))
-    turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    quaternions = quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
     colors = np.full((len(points), 3), 0.5)
-    return ls.Gaussians(points, turns, scales, np.full(len(points), 0.95), flat_sh(colors))
+    return ls.Gaussians(points, quaternions, scales, np.full(len(points), 0.95), flat_sh(colors))
 
 
 def floor_of_discs(scale: float, thickness: float, height_noise: float, tilt: float) -> ls.Gaussians:
-    """A floor in y = 0 whose discs lie at random heights and tilts (standard deviations, units and radians)."""
+    """Returns a floor at y = 0 of discs with random heights and tilts (standard deviations, units and radians)."""
     rng = np.random.default_rng(3)
-    places = np.arange(-1.5, 1.5, 0.75 * scale)
-    x, z = (axis.ravel() for axis in np.meshgrid(places, places))
+    coordinates = np.arange(-1.5, 1.5, 0.75 * scale)
+    x, z = (axis.ravel() for axis in np.meshgrid(coordinates, coordinates))
     normals = np.array([0.0, 1.0, 0.0]) + rng.normal(0.0, tilt, (len(x), 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return discs(np.stack([x, rng.normal(0.0, height_noise, len(x)), z], axis=1), normals, scale, thickness)
 
 
 def ball_of_discs(center: tuple[float, float, float], radius: float, count: int = 3000) -> ls.Gaussians:
-    """A ball, its discs along a spiral."""
+    """Returns a ball of discs along a spiral."""
     y = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
     angle = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
     ring = np.sqrt(1.0 - y * y)
@@ -74,7 +74,7 @@ def ball_of_discs(center: tuple[float, float, float], radius: float, count: int 
 
 
 def floor_light(splats: list[ls.Gaussians], pipeline: ls.Pipeline) -> tuple[np.ndarray, np.ndarray]:
-    """What of the light arrives on the floor, seen from its level, and the points there: (N,) and (N, 3)."""
+    """Returns the unshadowed fraction of light on the floor, (N,), and the points there, (N, 3)."""
     camera = ls.Camera.look_at((0.0, 0.5, 2.5), (0.0, 0.0, 0.0), width=96, height=64, fov_y=0.35)
     scene = ls.Scene([ls.SplatInstance(one, material=ls.MaterialPbr()) for one in splats], lights=[OVERHEAD])
     frame = lit(scene, camera, pipeline, aovs=("lights",))
@@ -84,8 +84,8 @@ def floor_light(splats: list[ls.Gaussians], pipeline: ls.Pipeline) -> tuple[np.n
 
 
 @PIPELINES
-def test_what_stands_on_wide_splats_shadows_them(pipeline: ls.Pipeline) -> None:
-    """A ball 0.05 to 0.45 above discs of scale 0.2: all of it is within four of their scales."""
+def test_objects_on_wide_splats_shadow_them(pipeline: ls.Pipeline) -> None:
+    """A ball 0.05 to 0.45 above discs of scale 0.2 is within four of their scales, and shadows them."""
     ball = ball_of_discs((0.0, 0.25, -0.1), 0.2)
     share, points = floor_light([floor_of_discs(0.2, 0.01, 0.005, 0.02), ball], pipeline)
     below = points - 0.25 / OVERHEAD.direction[1] * np.array(OVERHEAD.direction)
@@ -97,7 +97,7 @@ def test_what_stands_on_wide_splats_shadows_them(pipeline: ls.Pipeline) -> None:
 
 @PIPELINES
 def test_a_rough_layer_of_splats_does_not_shadow_itself(pipeline: ls.Pipeline) -> None:
-    """Discs at heights that scatter by 0.6 of their scale, tilted by 20 degrees, as captures have them."""
+    """Disc heights scatter by 0.6 of their scale, and tilts by 20 degrees, as in captures."""
     share, _ = floor_light([floor_of_discs(0.05, 0.01, 0.03, 0.35)], pipeline)
     assert len(share) > 1000
     assert share.mean() > 0.98

@@ -1,4 +1,4 @@
-"""Shadow rays: what of a light comes through Gaussians and glass, by hand, against the twin, and by chance."""
+"""Shadow rays through Gaussians and glass: closed forms, the float64 reference, and stochastic shadows."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ FIRST, STOCHASTIC = ShadowMethod.FIRST_HITS, ShadowMethod.STOCHASTIC
 
 @pytest.fixture(params=SCHEDULES)
 def rig(request: pytest.FixtureRequest) -> ShadowRig:
-    """Shadow rays, on a device and by a schedule."""
+    """Returns a rig of shadow rays for a device and a schedule."""
     return ShadowRig(request.param)
 
 
 def stack(*opacities: float, color: tuple[float, float, float] = (0.9, 0.5, 0.1)) -> ls.Gaussians:
-    """Gaussians centred on the axis at z = 3, 4, 5 and so on."""
+    """Returns Gaussians centred on the axis at z = 3, 4, 5 and so on."""
     parts = [one_gaussian((0.0, 0.0, 3.0 + i), opacity=opacity, color=color) for i, opacity in enumerate(opacities)]
     return joined(*parts)
 
 
 def glass(**changes: Any) -> ls.MaterialPbr:
-    """White glass that reflects nothing; ``changes`` replace fields."""
+    """Returns white glass without reflection; ``changes`` replace fields."""
     clear = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1.0, specular=0.0)
     return replace(clear, **changes)
 
 
 def rays_around(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
-    """Rays from all sides through the neighbourhood of (0, 0, 4); some in packets, some every which way."""
+    """Returns rays from all sides through the region of (0, 0, 4), half in coherent packets, half incoherent."""
     rng = np.random.default_rng(seed)
     origins = np.array([0.0, 0.0, 4.0]) + rng.normal(0.0, 2.0, (count, 3))
     targets = np.array([0.0, 0.0, 4.0]) + rng.normal(0.0, 0.8, (count, 3))
@@ -57,10 +57,10 @@ def rays_around(seed: int, count: int = 400) -> tuple[np.ndarray, np.ndarray]:
     return origins.astype(np.float32), normalized(targets - origins).astype(np.float32)
 
 
-def assert_as_twin(
+def assert_matches_reference(
     rig: ShadowRig, scene: ls.Scene, config: ls.RenderConfig | None = None, seed: int = 1, **shadow: Any
 ) -> np.ndarray:
-    """Random rays with random offsets and lights, against float64; what arrived."""
+    """Compares random rays with random offsets and light distances to float64; returns the light that arrived."""
     config = config or ls.RenderConfig()
     origins, along = rays_around(seed)
     rng = np.random.default_rng(seed + 100)
@@ -68,13 +68,13 @@ def assert_as_twin(
     t_max = np.where(rng.random(len(origins)) < 0.5, rng.uniform(1.0, 4.0, len(origins)), np.inf)
     t_min, t_max = t_min.astype(np.float32), t_max.astype(np.float32)
     found = rig.light(scene, origins, along, config, t_min=t_min, t_max=t_max, **shadow)
-    twin_config = replace(config, shadow_rays=ls.ShadowConfig(**shadow))
-    expected = shadow_oracle.light(scene, origins, along, twin_config, t_min=t_min, t_max=t_max)
-    sure = np.isfinite(expected.slack)
-    assert sure.mean() > 0.8
-    off = np.abs(found - expected.color).max(axis=1)[sure]
-    worst = int((off - expected.slack[sure]).argmax())
-    assert (off <= expected.slack[sure] + 2e-5).all(), f"ray {np.flatnonzero(sure)[worst]} is off by {off[worst]}"
+    reference_config = replace(config, shadow_rays=ls.ShadowConfig(**shadow))
+    expected = shadow_oracle.light(scene, origins, along, reference_config, t_min=t_min, t_max=t_max)
+    certain = np.isfinite(expected.slack)
+    assert certain.mean() > 0.8
+    off = np.abs(found - expected.color).max(axis=1)[certain]
+    worst = int((off - expected.slack[certain]).argmax())
+    assert (off <= expected.slack[certain] + 2e-5).all(), f"ray {np.flatnonzero(certain)[worst]} is off by {off[worst]}"
     assert 0.1 < (found[:, 0] < 0.99).mean() < 1.0
     return found
 
@@ -82,15 +82,15 @@ def assert_as_twin(
 # --- The product over all Gaussians ---
 
 
-def test_light_is_the_product(rig: ShadowRig) -> None:
-    """Of what each Gaussian before the light lets through; nothing before the first, nor behind the light."""
+def test_transmittance_is_the_product_over_gaussians(rig: ShadowRig) -> None:
+    """The light is the product over Gaussians before it; none before the first, none behind the light."""
     t_max = np.array([2.9, 3.1, 4.1, 5.1, 1e9, np.inf])
     light = rig.light(ls.Scene([stack(0.5, 0.8, 0.3)]), np.zeros((6, 3)), AHEAD, t_max=t_max)
     np.testing.assert_allclose(light, np.outer([1.0, 0.5, 0.1, 0.07, 0.07, 0.07], np.ones(3)), rtol=1e-5)
 
 
-def test_offset_skips_what_is_nearer(rig: ShadowRig) -> None:
-    """Gaussians that peak no farther than ``t_min`` do not count; a ray that ends there meets none."""
+def test_offset_skips_nearer_gaussians(rig: ShadowRig) -> None:
+    """Gaussians that peak before ``t_min`` do not block; a ray that ends there hits none."""
     t_min = np.array([0.0, 3.1, 4.1, 9.0, 3.1])
     t_max = np.array([np.inf, np.inf, np.inf, np.inf, 2.0])
     scene = ls.Scene([stack(0.5, 0.8)])
@@ -99,26 +99,28 @@ def test_offset_skips_what_is_nearer(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 2, 4])
-def test_product_is_the_twins(rig: ShadowRig, degree: int) -> None:
-    """Anisotropic Gaussians of several degrees, in several placements, for bundles and single rays."""
+def test_transmittance_matches_the_reference(rig: ShadowRig, degree: int) -> None:
+    """Anisotropic Gaussians of several degrees and placements, for coherent and single rays."""
     placed = placed_scene()
     scene = ls.Scene([*placed.splats, replace(random_gaussians(7, 60), kernel_degree=degree)])
-    assert_as_twin(rig, scene, seed=10 + degree)
+    assert_matches_reference(rig, scene, seed=10 + degree)
 
 
 @pytest.mark.parametrize("response", [{"min_response": 0.2}, {"kernel_degree": 5}])
-def test_product_follows_the_response(rig: ShadowRig, response: dict[str, Any]) -> None:
-    """Where Gaussians end, and how they respond, is what it is for rays from the camera."""
-    assert_as_twin(rig, placed_scene(), ls.RenderConfig(response=ls.config.ResponseConfig(**response)), seed=20)
+def test_transmittance_follows_the_response_settings(rig: ShadowRig, response: dict[str, Any]) -> None:
+    """The extent and response of Gaussians are the same as for camera rays."""
+    assert_matches_reference(
+        rig, placed_scene(), ls.RenderConfig(response=ls.config.ResponseConfig(**response)), seed=20
+    )
 
 
-def test_product_does_not_depend_on_where_gaussians_are_hit(rig: ShadowRig) -> None:
-    """It is that of all which peak before the light."""
-    assert_as_twin(rig, placed_scene(), seed=20, hit_distance=ls.config.HitDistance.HULL)
+def test_transmittance_does_not_depend_on_the_hit_distance(rig: ShadowRig) -> None:
+    """All Gaussians that peak before the light count, whatever ``hit_distance`` is."""
+    assert_matches_reference(rig, placed_scene(), seed=20, hit_distance=ls.config.HitDistance.HULL)
 
 
-def test_settings_of_the_tracer_do_not_steer_shadows(rig: ShadowRig) -> None:
-    """Nor those of the rasteriser: the same bits, of the product and of the first hits."""
+def test_tracer_settings_do_not_affect_shadows(rig: ShadowRig) -> None:
+    """Neither do those of the rasteriser: bits are equal, for all Gaussians and for the first hits."""
     trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=0.5, hits_per_pass=4, sh_degree=0)
     others = ls.RenderConfig(trace=trace, raster=ls.RasterConfig(transmittance_min=0.5))
     shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}]
@@ -127,8 +129,8 @@ def test_settings_of_the_tracer_do_not_steer_shadows(rig: ShadowRig) -> None:
         np.testing.assert_array_equal(plain, same)
 
 
-def test_order_does_not_matter(rig: ShadowRig) -> None:
-    """However Gaussians are stored and split into instances, the light and its colour are the same."""
+def test_transmittance_does_not_depend_on_the_order_of_gaussians(rig: ShadowRig) -> None:
+    """Light and tint do not depend on the order of Gaussians or on their split into instances."""
     whole = random_gaussians(30, 300)
     shuffled = whole.subset(np.random.default_rng(1).permutation(300))
     parts = [whole.subset(np.arange(start, 300, 3)) for start in range(3)]
@@ -141,16 +143,16 @@ def test_order_does_not_matter(rig: ShadowRig) -> None:
         np.testing.assert_allclose(other, first, atol=5e-6)
 
 
-def test_darker_than_the_least_transmittance_is_black(rig: ShadowRig) -> None:
-    """Above it the product is exact, at it and below there is nothing; without one there is no end."""
+def test_light_below_the_minimum_transmittance_is_black(rig: ShadowRig) -> None:
+    """Above ``transmittance_min``, the product is exact; at it and below, it is 0. With 0, there is no limit."""
     scene = ls.Scene([stack(0.95, 0.95, 0.95)])
     for least, expected in ((1e-4, 0.05**3), (1.2e-4, 0.05**3), (1.3e-4, 0.0), (0.0, 0.05**3)):
         light = rig.light(scene, ORIGIN, AHEAD, transmittance_min=least)[0]
         assert light == pytest.approx(np.full(3, expected), rel=1e-4)
 
 
-def test_threads_do_not_change_a_bit() -> None:
-    """Bands over any number of threads give the same."""
+def test_results_do_not_depend_on_thread_count() -> None:
+    """Results have the same bits with 1 and 3 threads."""
     origins, along = rays_around(40)
     scene = placed_scene()
     shadows: list[dict[str, Any]] = [{"color_strength": 1.0}, {"method": FIRST, "hits": 4}, {"method": STOCHASTIC}]
@@ -162,8 +164,8 @@ def test_threads_do_not_change_a_bit() -> None:
 # --- Threshold and tint ---
 
 
-def test_threshold_stretches_what_is_above(rig: ShadowRig) -> None:
-    """Black at and below the threshold, unchanged where the ray is not blocked, linear between."""
+def test_threshold_rescales_the_light_above_it(rig: ShadowRig) -> None:
+    """Light is black up to the threshold, unchanged where nothing blocks the ray, and linear between."""
     light = rig.light(
         ls.Scene([stack(0.2, 0.5, 0.5)]),
         np.zeros((4, 3)),
@@ -175,8 +177,8 @@ def test_threshold_stretches_what_is_above(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0, 5.0])
-def test_tint_by_hand(rig: ShadowRig, strength: float) -> None:
-    """One pane: the colour over its largest channel, as far as the shadow is dark; linear."""
+def test_tint_of_one_gaussian_matches_the_closed_form(rig: ShadowRig, strength: float) -> None:
+    """The tint is the Gaussian's linear colour over its largest channel, as far as the shadow is dark."""
     color = (0.8, 0.4, 0.2)
     light = rig.light(ls.Scene([stack(0.6, color=color)]), ORIGIN, AHEAD, color_strength=strength)[0]
     tint = decode_srgb(np.array(color)) / decode_srgb(0.8)
@@ -184,7 +186,7 @@ def test_tint_by_hand(rig: ShadowRig, strength: float) -> None:
 
 
 def test_tint_is_the_mean_colour_weighted_by_alpha(rig: ShadowRig) -> None:
-    """Two panes of different colours and opacities, whichever comes first; black ones tint nothing."""
+    """Two Gaussians of different colours and opacities, in either order; black ones do not tint."""
     red, green = (stack(opacity, color=c) for opacity, c in ((0.6, (1.0, 0.0, 0.0)), (0.3, (0.0, 1.0, 0.0))))
     away = similarity(offset=(0.0, 0.0, 1.0))
     for splats in ([red, ls.SplatInstance(green, away)], [green, ls.SplatInstance(red, away)]):
@@ -195,9 +197,9 @@ def test_tint_is_the_mean_colour_weighted_by_alpha(rig: ShadowRig) -> None:
     np.testing.assert_allclose(black, 0.5, rtol=1e-5)
 
 
-def test_tint_and_threshold_are_the_twins(rig: ShadowRig) -> None:
-    """Both at once, on random scenes."""
-    found = assert_as_twin(rig, placed_scene(), seed=50, color_strength=1.5, transmittance_threshold=0.3)
+def test_tint_and_threshold_match_the_reference(rig: ShadowRig) -> None:
+    """Tint and threshold are combined, on random scenes."""
+    found = assert_matches_reference(rig, placed_scene(), seed=50, color_strength=1.5, transmittance_threshold=0.3)
     assert (np.ptp(found, axis=1) > 0.05).mean() > 0.1
 
 
@@ -206,7 +208,7 @@ def test_tint_and_threshold_are_the_twins(rig: ShadowRig) -> None:
 
 @pytest.mark.parametrize("reverse", [False, True])
 def test_first_hits_are_the_nearest(rig: ShadowRig, reverse: bool) -> None:
-    """The product and the colour of the nearest four, in whatever order they are stored; the rest lets all through."""
+    """Product and tint are those of the nearest four, in any storage order; further Gaussians do not block."""
     six = stack(0.1, 0.2, 0.3, 0.4, 0.9, 0.9)
     scene = ls.Scene([six.subset(np.arange(5, -1, -1)) if reverse else six])
     light = rig.light(scene, ORIGIN, AHEAD, method=FIRST, hits=4)[0]
@@ -217,33 +219,35 @@ def test_first_hits_are_the_nearest(rig: ShadowRig, reverse: bool) -> None:
     np.testing.assert_allclose(blue, 0.0625 * np.array([1.0 - 0.9375 * (1.0 - tint)] * 2 + [1.0]), rtol=1e-4)
 
 
-def test_first_hits_at_one_distance_go_by_number(rig: ShadowRig) -> None:
-    """Copies are ordered by their place in the scene."""
+def test_first_hits_at_equal_distance_are_ordered_by_index(rig: ShadowRig) -> None:
+    """Coincident copies are ordered by their index in the scene."""
     same = copies(12, 60)
     aim = normalized(np.array([0.1, -0.2, 4.0]))
     light = rig.light(ls.Scene([same]), ORIGIN, aim, method=FIRST, hits=8)[0]
     np.testing.assert_allclose(light, np.prod(1.0 - same.opacities[:8].astype(float)), rtol=1e-4)
 
 
-def test_first_hits_never_darken_more(rig: ShadowRig) -> None:
-    """Gaussians that are not counted do not darken; where a ray crosses few, all are counted."""
+def test_first_hits_are_never_darker_than_exact(rig: ShadowRig) -> None:
+    """Gaussians beyond the limit do not darken; rays that cross few Gaussians count all of them."""
     origins, along = rays_around(61)
     scene = ls.Scene([random_gaussians(62, 400)])
     exact = rig.light(scene, origins, along)[:, 0]
     few, many = (rig.light(scene, origins, along, method=FIRST, hits=hits)[:, 0] for hits in (4, 32))
-    rounding = 0.004  # of a ray that touches the edge of a Gaussian, which is 1/255 opaque there
+    rounding = 0.004  # at the edge of a Gaussian, where alpha is 1/255
     assert (few >= exact - rounding).all() and (few > exact + 0.05).mean() > 0.1
     np.testing.assert_allclose(many, exact, atol=rounding)
     assert (np.abs(many - exact) < 2e-6).mean() > 0.99
-    assert_as_twin(rig, placed_scene(), seed=63, method=FIRST, hits=4)
-    assert_as_twin(rig, placed_scene(), seed=64, method=FIRST, hits=4, hit_distance=ls.config.HitDistance.HULL)
+    assert_matches_reference(rig, placed_scene(), seed=63, method=FIRST, hits=4)
+    assert_matches_reference(
+        rig, placed_scene(), seed=64, method=FIRST, hits=4, hit_distance=ls.config.HitDistance.HULL
+    )
 
 
 # --- Meshes ---
 
 
-def test_walls_block(rig: ShadowRig) -> None:
-    """A triangle between the point and the light does, from either side; behind the light it does not."""
+def test_meshes_block_shadow_rays(rig: ShadowRig) -> None:
+    """A triangle between point and light blocks from either side; behind the light, it does not."""
     scene = ls.Scene([stack(0.5)], [quad(4.0)])
     t_max = [2.0, 3.5, 4.5, np.inf]
     np.testing.assert_allclose(
@@ -253,15 +257,15 @@ def test_walls_block(rig: ShadowRig) -> None:
     assert rig.light(scene, 8.0 * AHEAD, -AHEAD, t_max=4.1)[0, 0] == 0.0
 
 
-def test_meshes_count_from_the_origin_on(rig: ShadowRig) -> None:
-    """The offset is for Gaussians: a wall nearer than it blocks, even if the light is nearer, too."""
+def test_offset_does_not_apply_to_meshes(rig: ShadowRig) -> None:
+    """The offset applies to Gaussians only: a wall nearer than the offset blocks, even if the light is nearer, too."""
     scene = ls.Scene([stack(0.5)], [quad(1.0)])
     light = rig.light(scene, np.zeros((3, 3)), AHEAD, t_min=[2.0, 2.0, 0.0], t_max=[np.inf, 1.5, 0.9])
     np.testing.assert_array_equal(light[:, 0], [0.0, 0.0, 1.0])
 
 
-def test_smooth_glass_lets_light_through(rig: ShadowRig) -> None:
-    """Transmission, tint, Fresnel's 4 % by the reflection's strength, and what is no metal; rough glass nothing."""
+def test_smooth_glass_transmits_light(rig: ShadowRig) -> None:
+    """Transmission, tint, Fresnel's 4 % times specular, and 1 - metallic are applied; rough glass transmits nothing."""
     for changes, expected in (
         ({}, (1.0, 1.0, 1.0)),
         ({"base_color": (0.5, 0.25, 1.0)}, (0.5, 0.25, 1.0)),
@@ -277,8 +281,8 @@ def test_smooth_glass_lets_light_through(rig: ShadowRig) -> None:
         np.testing.assert_allclose(rig.light(scene, [0.3, 0.1, 0.0], AHEAD)[0], expected, atol=1e-6)
 
 
-def test_both_sides_of_a_pane_reflect_alike(rig: ShadowRig) -> None:
-    """Light goes straight on, so it never meets glass from within: grazing light comes through a slab, squared."""
+def test_both_faces_of_a_pane_reflect_equally(rig: ShadowRig) -> None:
+    """Light passes straight, so both faces use the Fresnel term of air to glass; a slab transmits its square."""
     material = glass(specular=1.0)
     slanted = normalized(np.array([0.9, 0.1, 0.3]))
     cosine = float(slanted[2])
@@ -293,7 +297,7 @@ def test_both_sides_of_a_pane_reflect_alike(rig: ShadowRig) -> None:
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 2, 0]])
 def test_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
-    """Coloured panes, each its own instance or all in one mesh; a wall among them ends it."""
+    """Coloured panes are separate instances or one mesh; a wall among them blocks all light."""
     colors = ((0.5, 1.0, 0.8), (0.9, 0.2, 0.5), (0.7, 0.6, 0.5))
     panes = [quad(2.0 + i, material=glass(base_color=colors[i])) for i in order]
     light = rig.light(ls.Scene([], panes), [0.3, 0.1, 0.0], AHEAD)[0]
@@ -311,14 +315,14 @@ def test_panes_multiply_in_any_order(rig: ShadowRig, order: list[int]) -> None:
 
 
 def test_edges_and_corners_count_once(rig: ShadowRig) -> None:
-    """Rays exactly through the edges and vertices of a pane meet one triangle, however these are wound."""
+    """Rays exactly through edges and vertices of a pane hit one triangle, for any winding."""
     x, y = np.meshgrid(np.arange(5.0), np.arange(5.0))
     points = np.stack([x.ravel(), y.ravel(), np.full(25, 3.0)], axis=-1)
     corner = (np.arange(4)[:, None] * 5 + np.arange(4)).reshape(-1, 1)
     faces = np.concatenate([np.add(corner, [0, 1, 5]), np.add(corner, [1, 6, 5])])
     for indices in (faces, faces[:, ::-1], np.concatenate([faces[:7, ::-1], faces[7:]])):
         pane = ls.Mesh(points, indices, material=glass(base_color=(0.5, 0.5, 0.5)))
-        steps = np.arange(0.5, 3.6, 0.5)  # corners, middles of edges, and of diagonals
+        steps = np.arange(0.5, 3.6, 0.5)  # corners, and midpoints of edges and diagonals
         origins = np.array([(u, v, 0.0) for u in steps for v in steps])
         for along in (AHEAD, -AHEAD):
             start = origins if along[2] > 0.0 else origins + 6.0 * AHEAD
@@ -326,7 +330,7 @@ def test_edges_and_corners_count_once(rig: ShadowRig) -> None:
 
 
 def test_closed_glass_is_crossed_an_even_number_of_times(rig: ShadowRig) -> None:
-    """Aimed at vertices, edges and faces of a sphere: in and out."""
+    """Rays are aimed at vertices, edges and faces of a sphere: each enters and leaves."""
     sphere = icosphere(1.0, subdivisions=2)
     ball = ls.Mesh(sphere.positions, sphere.indices, material=glass(base_color=(0.5, 0.5, 0.5)))
     rng = np.random.default_rng(70)
@@ -343,18 +347,18 @@ def test_closed_glass_is_crossed_an_even_number_of_times(rig: ShadowRig) -> None
     assert (np.round(crossings) == 2).mean() > 0.99 and (np.round(crossings) % 2 == 0).all()
 
 
-def test_glass_and_gaussians_are_the_twins(rig: ShadowRig) -> None:
-    """Textured, tilted, sheared and mirrored panes among Gaussians."""
+def test_glass_and_gaussians_match_the_reference(rig: ShadowRig) -> None:
+    """Panes are textured, tilted, sheared and mirrored, among Gaussians."""
     tilted = quad(4.5, 1.4, tilt=0.8, material=glass(base_color=(0.9, 0.6, 0.4), specular=0.8, ior=1.8))
     board = checker_quad(0.0)
     textured = replace(board, material=glass(base_color_texture=board.material.base_color_texture, metallic=0.3))
     sheared = similarity((1.0, 2.0, 0.5), 0.7, 0.9, (0.1, 0.2, 3.8)) @ np.diag([1.0, -1.3, 1.0, 1.0])
     meshes = [tilted, ls.MeshInstance(textured, sheared), ls.MeshInstance(quad(0.0, 0.6), similarity(offset=(1, 1, 4)))]
-    assert_as_twin(rig, ls.Scene([random_gaussians(71, 60)], meshes), seed=72, color_strength=1.0)
+    assert_matches_reference(rig, ls.Scene([random_gaussians(71, 60)], meshes), seed=72, color_strength=1.0)
 
 
-def test_opaque_asks_for_no_glass(rig: ShadowRig) -> None:
-    """On request, every mesh blocks."""
+def test_opaque_rays_are_blocked_by_glass(rig: ShadowRig) -> None:
+    """With ``opaque``, every mesh blocks."""
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass())])
     assert rig.light(scene, ORIGIN, AHEAD)[0, 0] == pytest.approx(0.5, rel=1e-5)
     assert rig.light(scene, ORIGIN, AHEAD, opaque=True)[0, 0] == 0.0
@@ -364,7 +368,7 @@ def test_opaque_asks_for_no_glass(rig: ShadowRig) -> None:
 
 
 def test_rays_skip_shadow_catchers(rig: ShadowRig) -> None:
-    """Only marked rays skip them, not the others of the packet; all intersect the rest of the scene."""
+    """Only marked rays skip them, not the others of the packet; all rays intersect the rest of the scene."""
     scene = ls.Scene(
         [
             ls.SplatInstance(stack(0.5), shadow_catcher=True),
@@ -381,8 +385,8 @@ def test_rays_skip_shadow_catchers(rig: ShadowRig) -> None:
     assert (rig.light(alone, np.zeros((16, 3)), AHEAD, skips=1) == 1.0).all()
 
 
-def test_nothing_is_no_number(rig: ShadowRig) -> None:
-    """Places without a ray, lights at the point itself, and rays out of nowhere leave no NaN, nor spoil the others."""
+def test_degenerate_rays_give_no_nan(rig: ShadowRig) -> None:
+    """Inactive rays, lights at the point itself and NaN rays give no NaN and do not affect other rays."""
     scene = ls.Scene([stack(0.5)], [quad(5.0, material=glass())])
     t_max = np.tile([4.0, -np.inf, 0.0, -1.0, np.inf, np.nan, 4.0, np.inf], 4)
     origins = np.zeros((32, 3))
@@ -404,7 +408,7 @@ def test_nothing_is_no_number(rig: ShadowRig) -> None:
 
 
 def chances(rig: ShadowRig, scene: ls.Scene, rays: Any, samples: int, **options: Any) -> np.ndarray:
-    """The share of samples in which light arrives, (N,); each is all or nothing."""
+    """Returns the fraction of samples in which light arrives, (N,); each sample is 0 or 1."""
     total = np.zeros(len(rays[0]))
     for sample in range(samples):
         light = rig.light(scene, *rays, sample=sample, method=STOCHASTIC, **options)
@@ -414,13 +418,13 @@ def chances(rig: ShadowRig, scene: ls.Scene, rays: Any, samples: int, **options:
 
 
 SHARED = pytest.mark.parametrize("shared", [False, True], ids=["per ray", "shared"])
-"""Whether rays draw a number each, or share one for each Gaussian."""
+"""Parameter: random numbers per ray, or one number per Gaussian that all rays share."""
 
 
 @SHARED
 @pytest.mark.parametrize("degree", [0, 2, pytest.param(3, marks=pytest.mark.deep)])
 def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int, shared: bool) -> None:
-    """Ray by ray within four standard deviations, and more tightly over all; instances share their trees."""
+    """Each ray is within four standard deviations, the mean over rays within less; instances share BVHs."""
     asset = replace(random_gaussians(80, 80, center=(0.0, 0.0, 0.0)), kernel_degree=degree)
     scene = ls.Scene([asset, ls.SplatInstance(asset, similarity((1, 2, 0.5), 1.1, 1.2, (0.3, 0.1, 4.0))), stack(0.5)])
     rays = rays_around(81, 200)
@@ -433,15 +437,15 @@ def test_stochastic_mean_is_exact(rig: ShadowRig, degree: int, shared: bool) -> 
         assert (np.abs(mean - exact) <= 5.0 * sigma + 2.0 / samples).all()
         assert abs(float(np.mean(mean - exact))) < 0.02
     else:
-        # The numbers of a ray lie one in each 256th: the mean is exact to that.
+        # A ray's random numbers are stratified, one in each 256th, so the mean is exact to 1/256.
         assert (np.abs(mean - exact) <= 1.0 / samples + 1e-5).all()
         assert abs(float(np.mean(mean - exact))) < 4.0 / samples / math.sqrt(len(exact))
 
 
 def test_neighbouring_rays_draw_independently(rig: ShadowRig) -> None:
-    """The same ray many times: half get through in each sample, whatever became of those beside it.
+    """Of many equal rays, half pass in each sample, uncorrelated with their neighbours.
 
-    With numbers that rays share, all of them get through, or none.
+    With shared numbers, all of them pass, or none.
     """
     count = 64 * 64
     scene, rays = ls.Scene([stack(0.5)]), (np.zeros((count, 3)), AHEAD)
@@ -449,7 +453,7 @@ def test_neighbouring_rays_draw_independently(rig: ShadowRig) -> None:
     passed = [rig.light(scene, *rays, sample=sample, method=STOCHASTIC)[:, 0] for sample in (0, 1, 16)]
     for light in passed:
         assert light.mean() == pytest.approx(0.5, abs=0.5 * limit)
-        for step in (1, 2, 3, 4, 16, 64):  # of a packet, of the next one, and of other rows
+        for step in (1, 2, 3, 4, 16, 64):  # in a packet, in the next one, and in other rows
             assert abs(np.corrcoef(light[:-step], light[step:])[0, 1]) < limit
     # Numbers 0 and 1 of a sequence lie in different halves; those of other pairs are independent.
     np.testing.assert_array_equal(passed[0] + passed[1], 1.0)
@@ -459,8 +463,8 @@ def test_neighbouring_rays_draw_independently(rig: ShadowRig) -> None:
 
 
 @SHARED
-def test_acceptance_scale_blocks_sooner(rig: ShadowRig, shared: bool) -> None:
-    """Each Gaussian blocks with the probability min(1, alpha over the scale): darker than exact, by a known amount."""
+def test_acceptance_scale_darkens_by_a_known_amount(rig: ShadowRig, shared: bool) -> None:
+    """Each Gaussian blocks with the probability min(1, alpha / scale), so the mean is darker by a known amount."""
     pane = stack(0.3, 0.2)
     scene, rays = ls.Scene([pane]), (np.zeros((16, 3)), AHEAD)
     sigma = math.sqrt(0.24 / 256)
@@ -469,19 +473,19 @@ def test_acceptance_scale_blocks_sooner(rig: ShadowRig, shared: bool) -> None:
         assert mean == pytest.approx(expected, abs=4.0 * sigma)
     config = ls.RenderConfig(shadow_rays=ls.ShadowConfig(method=STOCHASTIC, acceptance_scale=0.4))
     scene, rays = ls.Scene([random_gaussians(93, 100)]), rays_around(94, 120)
-    twin = shadow_oracle.light(scene, *rays, config)
+    reference = shadow_oracle.light(scene, *rays, config)
     mean = chances(rig, scene, rays, 256, acceptance_scale=0.4, shared_draws=shared)
-    deviation = np.sqrt(np.maximum(twin.color[:, 0] * (1.0 - twin.color[:, 0]), 0.0) / 256)
-    sure = twin.slack < 1e-3
-    assert sure.mean() > 0.9
-    assert (np.abs(mean - twin.color[:, 0]) <= 5.0 * deviation + 2.0 / 256)[sure].all()
+    deviation = np.sqrt(np.maximum(reference.color[:, 0] * (1.0 - reference.color[:, 0]), 0.0) / 256)
+    certain = reference.slack < 1e-3
+    assert certain.mean() > 0.9
+    assert (np.abs(mean - reference.color[:, 0]) <= 5.0 * deviation + 2.0 / 256)[certain].all()
 
 
 @pytest.mark.parametrize("samples", [256, pytest.param(1024, marks=pytest.mark.deep)])
 @pytest.mark.parametrize("other", ["same set twice", "two sets"])
 @SHARED
 def test_draws_are_independent(rig: ShadowRig, shared: bool, other: str, samples: int) -> None:
-    """Two Gaussians at one place each let light through half the time: together a quarter, not half."""
+    """Two coincident Gaussians of alpha 0.5 together transmit a quarter of the light, not half."""
     pane = stack(0.5)
     scene = ls.Scene([pane, pane if other == "same set twice" else stack(0.5)])
     sigma = math.sqrt(0.25 * 0.75 / samples)
@@ -491,14 +495,14 @@ def test_draws_are_independent(rig: ShadowRig, shared: bool, other: str, samples
 
 @SHARED
 def test_samples_are_stratified(rig: ShadowRig, shared: bool) -> None:
-    """Sixteen samples of one Gaussian miss its alpha by less than one of them."""
+    """Sixteen samples of one Gaussian estimate its alpha with an error below one sample."""
     for opacity in (0.1, 0.5, 0.77):
         through = chances(rig, ls.Scene([stack(opacity)]), (np.zeros((1, 3)), AHEAD), 16, shared_draws=shared)[0]
         assert abs(16.0 * through - 16.0 * (1.0 - opacity)) < 1.0
 
 
-def test_seeds_and_samples_differ(rig: ShadowRig) -> None:
-    """The same ones give the same shadows, others give others."""
+def test_shadows_differ_by_seed_and_sample(rig: ShadowRig) -> None:
+    """Equal seeds and samples give equal shadows; others differ."""
     scene, rays = ls.Scene([random_gaussians(82, 200)]), rays_around(83)
 
     def shadows(seed: int, sample: int) -> np.ndarray:
@@ -510,8 +514,8 @@ def test_seeds_and_samples_differ(rig: ShadowRig) -> None:
         assert 0.1 < (first != shadows(seed, sample)).mean() < 0.6
 
 
-def test_schedules_draw_the_same() -> None:
-    """Packets and single rays, trees by area and by code: the same light but where rounding decides."""
+def test_schedules_draw_the_same_numbers() -> None:
+    """Packets with SAH BVHs and single rays with Morton BVHs agree up to rounding."""
     scene, rays = placed_scene(), rays_around(84, 2000)
     packets, alone = (ShadowRig(schedule).light(scene, *rays, method=STOCHASTIC) for schedule in SCHEDULES[:2])
     assert (packets != alone).mean() < 1e-3
@@ -520,10 +524,10 @@ def test_schedules_draw_the_same() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("response", [{}, {"min_response": 0.2}, {"min_response": 0.3, "adaptive_clamping": False}])
-def test_shrunk_trees_change_nothing(
+def test_shrunk_bvhs_give_the_same_hits(
     rig: ShadowRig, degree: int, response: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every ray meets in them what it meets in the whole ones, whatever the kernel and the number of instances."""
+    """Every ray has the same hits as with the full BVHs, for any kernel and number of instances."""
     config = ls.RenderConfig(response=ls.config.ResponseConfig(**response))
     asset = replace(random_gaussians(85, 150, center=(0, 0, 0), scale_range=(0.01, 0.4)), kernel_degree=degree)
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.5 + 0.3 * i, (0.2 * i, -0.1 * i, 4.0)) for i in range(3)]
@@ -539,8 +543,8 @@ def test_shrunk_trees_change_nothing(
     assert 0.02 < np.mean(found[0.0]) < 0.98
 
 
-def test_shrunk_trees_follow_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Instances come, also more than are worth it, and go and move; sets are replaced."""
+def test_shrunk_bvhs_follow_scene_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Instances are added, beyond the shrinking limit, too, removed and moved, and sets are replaced."""
     one, other = (random_gaussians(seed, 100, center=(0.0, 0.0, 0.0)) for seed in (91, 92))
     poses = [similarity((1.0, i, 0.5), 1.1 * i, 0.3, (0.2 * i - 1.0, 0.1 * i, 4.0)) for i in range(12)]
     scenes = [
@@ -562,8 +566,8 @@ def test_shrunk_trees_follow_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
         assert 0.1 < shrunk.mean() < 0.999
 
 
-def test_stochastic_takes_no_part_in_threshold_and_tint(rig: ShadowRig) -> None:
-    """All or nothing is what the formulas leave alone."""
+def test_threshold_and_tint_do_not_affect_stochastic_shadows(rig: ShadowRig) -> None:
+    """Both formulas leave 0 and 1 unchanged."""
     scene, rays = ls.Scene([random_gaussians(88, 200)]), rays_around(89)
     plain = rig.light(scene, *rays, method=STOCHASTIC)
     other = rig.light(scene, *rays, method=STOCHASTIC, transmittance_threshold=0.8, color_strength=3.0)
@@ -571,8 +575,8 @@ def test_stochastic_takes_no_part_in_threshold_and_tint(rig: ShadowRig) -> None:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_frames_resume_their_shadows(pipeline: ls.Pipeline) -> None:
-    """Two samples and two more are four: each sample draws its own shadows, whenever it is rendered."""
+def test_resumed_frames_draw_new_shadows(pipeline: ls.Pipeline) -> None:
+    """Two samples plus two more equal four, as each sample draws its own shadows."""
     floor = ls.SplatInstance(
         joined(*(one_gaussian((x, 0.6, z), (0.3, 0.05, 0.3), 0.95) for x in (-0.4, 0.0, 0.4) for z in (3.6, 4.0, 4.4))),
         material=ls.MaterialSimple(diffuse=(1.0, 1.0, 1.0)),
@@ -588,18 +592,18 @@ def test_frames_resume_their_shadows(pipeline: ls.Pipeline) -> None:
     assert np.abs(half.color - whole.color).max() > 0.01
 
 
-def test_samples_near_the_exact_shadow_of_a_capture(data_dir: Path) -> None:
-    """64 samples of the biker's shadows on itself and around: 35 dB over an image of them."""
+def test_stochastic_shadows_of_a_capture_converge_to_exact_ones(data_dir: Path) -> None:
+    """64 samples of the biker's shadows on itself and around reach 35 dB over the image."""
     scene = ls.Scene([load_gaussians(data_dir / "splats" / "biker.compressed.ply")])
     camera = ls.Camera.look_at((0.9, -2.2, -3.6), (-0.1, -1.6, 0.0), (0, -1, 0), width=96, height=56, fov_y=0.85)
     directions = (camera.ray_directions() @ camera.camera_from_world[:3, :3]).reshape(-1, 3)
     depth = ls.trace_rays(scene, camera.eye, directions, device="cpu").depth
-    met = np.isfinite(depth)
-    points = camera.eye + depth[met, None] * directions[met]
+    hits_surface = np.isfinite(depth)
+    points = camera.eye + depth[hits_surface, None] * directions[hits_surface]
     to_light = normalized(np.array([0.6, -1.5, -1.0]))
     rig = ShadowRig()
     exact = rig.light(scene, points, to_light, t_min=0.02)[:, 0]
     mean = chances(rig, scene, (points, np.broadcast_to(to_light, points.shape)), 64, t_min=0.02)
     error = float(np.mean((mean - exact) ** 2))
     assert -10.0 * math.log10(error) > 29.0
-    assert -10.0 * math.log10(error * met.mean()) > 35.0
+    assert -10.0 * math.log10(error * hits_surface.mean()) > 35.0
