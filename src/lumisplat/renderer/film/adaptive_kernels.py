@@ -1,4 +1,4 @@
-"""Kernels of adaptive sampling: which pixels take part in a sample, by their noise. One item is one ray or one pixel.
+"""Kernels of adaptive sampling: which pixels take part in a sample, by their noise. One thread per ray or pixel.
 
 The equations are in docs/method/samples.md#adaptive-sampling.
 """
@@ -42,7 +42,7 @@ def subpixel(sample: int) -> wp.vec2:
 
 @wp.kernel
 def mark_rays(start: int, sample: int, width: int, height: int, rates: wp.array[int], is_drawn_out: wp.array[int]):
-    """Item = ray of the full frame: writes 1 if its pixel takes part in the sample, else 0."""
+    """Per ray of the full frame: writes 1 if its pixel takes part in the sample, else 0."""
     ray = start + wp.tid()
     is_drawn_out[ray] = 0
     pixel = pixel_of_ray(width, ray)
@@ -62,7 +62,7 @@ def list_rays(
     ends: wp.array[int],
     listed_out: ListedRays,
 ):
-    """Item = ray of the full frame: lists it if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
+    """Per ray of the full frame: lists it if its pixel takes part. ``ends`` is the inclusive sum of ``is_drawn``."""
     ray = start + wp.tid()
     if is_drawn[ray] == 0:
         return
@@ -76,14 +76,14 @@ def list_rays(
 
 @wp.kernel
 def measure_noise(start: int, least: float, film: wp.array[FilmData], noise_out: wp.array[float]):
-    """Item = pixel: writes the relative variance of one sample."""
+    """Per pixel: writes the relative variance of one sample."""
     pixel = start + wp.tid()
     noise_out[pixel] = relative_variance(pixel, least, film)
 
 
 @wp.kernel
 def average_neighbors(start: int, width: int, height: int, noise: wp.array[float], mean_out: wp.array[float]):
-    """Item = pixel: averages the noise of its neighbours, excluding itself and neighbours whose noise is not finite."""
+    """Per pixel: averages the noise of its neighbours, excluding itself and neighbours whose noise is not finite."""
     pixel = start + wp.tid()
     x = pixel % width
     y = pixel // width

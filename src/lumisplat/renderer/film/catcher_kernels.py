@@ -1,4 +1,4 @@
-"""Kernels that smooth the shadow ratios of catchers over the noise of their depths. One item is one pixel.
+"""Kernels that smooth the shadow ratios of catchers over the noise of their depths. One thread per pixel.
 
 The equations are in docs/method/lighting.md#captures-without-a-surface.
 """

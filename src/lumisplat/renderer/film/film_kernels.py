@@ -1,4 +1,4 @@
-"""Kernels that add samples of rays to the film, and turn it into images. One item is one ray or one pixel."""
+"""Kernels that add samples of rays to the film, and turn it into images. One thread per ray or pixel."""
 
 import warp as wp
 
@@ -94,7 +94,7 @@ def add_samples(
 
 @wp.kernel
 def restore_sums(start: int, film_inout: wp.array[FilmData]):
-    """Item = pixel: restores the sums of a frame of one sample from its images."""
+    """Per pixel: restores the sums of a frame of one sample from its images."""
     pixel = start + wp.tid()
     if film_inout[0].count[pixel] == 1:
         add_to_sums(pixel, sample_of_pixel(pixel, film_inout), film_inout)
@@ -102,7 +102,7 @@ def restore_sums(start: int, film_inout: wp.array[FilmData]):
 
 @wp.kernel
 def average_samples(start: int, film_inout: wp.array[FilmData]):
-    """Item = pixel: turns the sums into images. With shadow catchers, ``develop_ratios`` writes the colours later."""
+    """Per pixel: turns the sums into images. With shadow catchers, ``develop_ratios`` writes the colours later."""
     pixel = start + wp.tid()
     store_sample(pixel, mean_sample(pixel, film_inout), film_inout)
     if film_inout[0].lit.light and not film_inout[0].ratio:
@@ -113,7 +113,7 @@ def average_samples(start: int, film_inout: wp.array[FilmData]):
 def add_captured(
     start: int, is_apart: bool, film: wp.array[FilmData], emission: wp.array[wp.vec3], emission_out: wp.array[wp.vec3]
 ):
-    """Item = pixel: adds changes of the captured colour to the emission and, if ``is_apart``, that colour itself."""
+    """Per pixel: adds changes of the captured colour to the emission and, if ``is_apart``, that colour itself."""
     pixel = start + wp.tid()
     emission_out[pixel] = emission[pixel] + captured_change(pixel, film)
     if is_apart:
@@ -122,7 +122,7 @@ def add_captured(
 
 @wp.kernel
 def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.array[wp.vec3]):
-    """Item = pixel: writes the variance of the mean; inf for fewer than two samples."""
+    """Per pixel: writes the variance of the mean; inf for fewer than two samples."""
     pixel = start + wp.tid()
     count = film[0].count[pixel]
     variance_out[pixel] = wp.vec3(wp.inf)
@@ -132,7 +132,7 @@ def estimate_variance(start: int, film: wp.array[FilmData], variance_out: wp.arr
 
 @wp.kernel
 def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_out: wp.array[float]):
-    """Item = pixel: writes the standard error of the mean over its luminance, or over ``least`` if that is larger."""
+    """Per pixel: writes the standard error of the mean over its luminance, or over ``least`` if that is larger."""
     pixel = start + wp.tid()
     errors_out[pixel] = wp.inf
     if film[0].count[pixel] >= 2:
@@ -141,7 +141,7 @@ def relative_errors(start: int, least: float, film: wp.array[FilmData], errors_o
 
 @wp.kernel
 def sum_counts(counts: wp.array[int], total_inout: wp.array[wp.int64]):
-    """Sums counts in 64 bits; each item adds every 4096th count. Must not be banded, as it uses atomics."""
+    """Sums counts in 64 bits; each thread adds every 4096th. Must not be banded, as it uses atomics."""
     total = wp.int64(0)
     i = wp.tid()
     while i < counts.shape[0]:

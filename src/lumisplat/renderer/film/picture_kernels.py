@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False}, RAYS)
 
 @wp.kernel
 def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp.array[wp.uint32]):
-    """Item = pixel: packs red, green, blue and alpha into one word; sets the last word to 1 if a pixel is not finite.
+    """Per pixel: packs red, green, blue and alpha into one word; sets the last word to 1 if a pixel is not finite.
 
     With ``straight``, colours are divided by alpha.
     """
@@ -41,7 +41,7 @@ def encode_pixels(start: int, straight: bool, pixels: PixelData, picture_out: wp
 def encode_lit_pixels(
     start: int, picture: ToneMapData, pixels: PixelData, lit: LitPixels, picture_out: wp.array[wp.uint32]
 ):
-    """Item = pixel: exposes and tone-maps a pixel of a lit frame, and packs it as ``encode_pixels``."""
+    """Per pixel: exposes and tone-maps a pixel of a lit frame, and packs it as ``encode_pixels``."""
     i = start + wp.tid()
     captured = pixels.color[i]
     alpha = pixels.alpha[i]
@@ -62,7 +62,7 @@ def encode_lit_pixels(
 def store_ray_colors(
     start: int, width: int, height: int, background: wp.vec3, hits: GaussianHits, pixels_out: PixelData
 ):
-    """Item = ray: writes the colour of its pixel over the background, and alpha; the other images are unchanged."""
+    """Per ray: writes the colour of its pixel over the background, and alpha; the other images are unchanged."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     if at[0] < width and at[1] < height:

@@ -41,7 +41,7 @@ def replace_colors(
     splats: wp.array[Splat],
     splats_out: wp.array[Splat],
 ):
-    """Item = splat: copies it with three features, from column ``first`` on, as its colour and three as its normal."""
+    """Per splat: copies it with three features, from column ``first`` on, as its colour and three as its normal."""
     i = start + wp.tid()
     if not is_listed(rects[i]):
         return
@@ -55,7 +55,7 @@ def replace_colors(
 def store_sums(
     start: int, camera: wp.array[CameraData], sums: GaussianHits, first: int, features_out: wp.array2d[float]
 ):
-    """Item = pixel: writes its blended sums of six features to columns ``first`` to ``first + 5``."""
+    """Per pixel: writes its blended sums of six features to columns ``first`` to ``first + 5``."""
     i = start + wp.tid()
     width = camera[0].width
     ray = ray_of_pixel(width, i % width, i // width)
@@ -65,7 +65,7 @@ def store_sums(
 
 @wp.kernel
 def take_three(start: int, values: wp.array2d[float], first: int, three_out: wp.array[wp.vec3]):
-    """Item = row: copies three of its columns to a vector."""
+    """Per row: copies three of its columns to a vector."""
     i = start + wp.tid()
     three_out[i] = three_of(values, i, first)
 
@@ -78,7 +78,7 @@ def add_gradients(
     splats_inout: wp.array[SplatGradient],
     features_out: wp.array2d[float],
 ):
-    """Item = splat: adds the shape gradients of a pass over three features, and stores the features' gradients.
+    """Per splat: adds the shape gradients of a pass over three features, and stores the features' gradients.
 
     The pass's blending weights and absolute centre gradients are dropped: they count for the colour alone.
     """

@@ -34,7 +34,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 4})
 def start_pixels(
     start: int, width: int, height: int, pixels: PixelData, gradient: PixelGradient, rays_out: RayGradient
 ):
-    """Item = camera ray: takes the gradients of its pixel; 0 beyond the image. Pixels that show a mesh have alpha 1."""
+    """Per camera ray: takes the gradients of its pixel; 0 beyond the image. Pixels that show a mesh have alpha 1."""
     ray = start + wp.tid()
     at = pixel_of_ray(width, ray)
     rays_out.color[ray] = wp.vec3(0.0)
@@ -61,7 +61,7 @@ def replay_rays(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Item = ray: blends its hits once more and writes their gradients, each with its Gaussian as sort key."""
+    """Per ray: blends its hits once more and writes their gradients, each with its Gaussian as sort key."""
     i = start + wp.tid()
     if counts[i] == 0:
         return
@@ -90,7 +90,7 @@ def replay_rays(
 
 @wp.kernel
 def find_runs(start: int, count: int, keys: wp.array[int], begins_out: wp.array[int], ends_out: wp.array[int]):
-    """Item = hit, sorted by Gaussian: writes where the hits of each Gaussian begin and end."""
+    """Per hit, sorted by Gaussian: writes where the hits of each Gaussian begin and end."""
     entry = start + wp.tid()
     key = keys[entry]
     if entry == 0 or keys[wp.max(entry - 1, 0)] != key:
@@ -117,7 +117,7 @@ def gather_gaussians(
     motions_inout: wp.array[RayMotion],
     gaussians_inout: GaussianGradient,
 ):
-    """Item = Gaussian of the asset: sums the gradients of its hits over its instances.
+    """Per Gaussian of the asset: sums the gradients of its hits over its instances.
 
     Consecutive hits from one eye show one colour, so their colour gradients are summed before the SH backward pass.
     """

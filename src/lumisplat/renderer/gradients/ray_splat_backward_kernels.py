@@ -31,7 +31,7 @@ wp.set_module_options(TILE_OPTIONS)
 
 Arrays = backward_arrays(ALONG_RAYS)
 
-# Gradient records on CPUs: one item is one tile.
+# Gradient records on CPUs: one thread per tile.
 
 TILES = wp.get_module(f"{__name__}.tiles")
 wp.set_module_options(TILE_OPTIONS, TILES)
@@ -55,7 +55,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[RaySplatGradient],
 ):
-    """Item = tile: writes a gradient record for each Gaussian of the tile."""
+    """Per tile: writes a gradient record for each Gaussian of the tile."""
     around = PixelRays()
     around.rays = rays
     around.limits = limits
@@ -68,7 +68,7 @@ def backward_tiles(
     add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, arrays)
 
 
-# Gradient records on CUDA: one thread block is one tile.
+# Gradient records on CUDA: one thread block per tile.
 
 BLOCKS = wp.get_module(f"{__name__}.blocks")
 wp.set_module_options(WARP_OPTIONS, BLOCKS)
@@ -115,7 +115,7 @@ def add_records(
     pairs: wp.array[RaySplatGradient],
     splats_out: wp.array[RaySplatGradient],
 ):
-    """Item = Gaussian of the scene: sums its records in the order of its tiles."""
+    """Per Gaussian of the scene: sums its records in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_records(pairs, pair_starts[i], pair_starts[i + 1])
 
@@ -134,7 +134,7 @@ def backward_ray_gaussians(
     motions_out: wp.array[RayMotion],
     gaussians_out: GaussianGradient,
 ):
-    """Item = Gaussian of the asset: sums its gradients over its instances, and writes each instance's ray gradients."""
+    """Per Gaussian of the asset: sums its gradients over its instances, and writes each instance's ray gradients."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]

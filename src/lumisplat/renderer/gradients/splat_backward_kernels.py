@@ -24,7 +24,7 @@ CHUNK = wp.constant(POSE_CHUNK)
 SH_COEFFICIENTS = wp.constant(SH_COEFFICIENTS_MAX)
 Arrays = backward_arrays(ELLIPSE)
 
-# Gradient records on CPUs: one item is one tile.
+# Gradient records on CPUs: one thread per tile.
 
 TILES = wp.get_module(f"{__name__}.tiles")
 wp.set_module_options(TILE_OPTIONS, TILES)
@@ -47,7 +47,7 @@ def backward_tiles(
     gradient: PixelGradient,
     pairs_out: wp.array[SplatGradient],
 ):
-    """Item = tile: writes a gradient record for each splat of the tile."""
+    """Per tile: writes a gradient record for each splat of the tile."""
     arrays = Arrays()
     arrays.rects = rects
     arrays.pair_starts = pair_starts
@@ -57,7 +57,7 @@ def backward_tiles(
     add_tile_records(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
 
 
-# Gradient records on CUDA: one thread block is one tile.
+# Gradient records on CUDA: one thread block per tile.
 
 BLOCKS = wp.get_module(f"{__name__}.blocks")
 wp.set_module_options(WARP_OPTIONS, BLOCKS)
@@ -97,7 +97,7 @@ def backward_blocks(
 def add_pairs(
     start: int, pair_starts: wp.array[int], pairs: wp.array[SplatGradient], splats_out: wp.array[SplatGradient]
 ):
-    """Item = splat: sums its records in the order of its tiles."""
+    """Per splat: sums its records in the order of its tiles."""
     i = start + wp.tid()
     splats_out[i] = sum_of_pairs(pairs, pair_starts[i], pair_starts[i + 1])
 
@@ -142,7 +142,7 @@ def backward_gaussians(
     gradients: wp.array[SplatGradient],
     gaussians_out: GaussianGradient,
 ):
-    """Item = Gaussian of the asset: sums its gradients over its instances."""
+    """Per Gaussian of the asset: sums its gradients over its instances."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]
@@ -191,7 +191,7 @@ def backward_pose(
     gradients: wp.array[SplatGradient],
     chunks_out: wp.array[PoseGradient],
 ):
-    """Item = chunk of the Gaussians of one instance: sums their gradients with respect to the camera pose."""
+    """Per chunk of the Gaussians of one instance: sums their gradients with respect to the camera pose."""
     chunk = start + wp.tid()
     view = camera[0]
     raster = settings[0]

@@ -33,7 +33,8 @@ ANTIALIASING_SIGMAS = 3.0
 """Standard deviations by which the samples of a still pixel may differ from their mean and still count as noise."""
 
 ANTIALIASING_LEAST = 0.05
-"""Distance by which the history may lie outside the colours of the 3 x 3 pixels, as a fraction of their luminance."""
+"""Tolerance of colour clamping: the history may lie outside the colours of the 3 x 3 pixels by this fraction of their
+luminance."""
 
 FAR_AWAY = 1e6
 """Distance at which the background is placed to compute its motion, scene units."""
@@ -59,7 +60,7 @@ def store_pixels(
     shown_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
-    """Item = ray: writes colour, surface and motion of its pixel, and captured weight and alpha to ``shares_out``.
+    """Per ray: writes colour, surface and motion of its pixel, and captured weight and alpha to ``shares_out``.
 
     The third component of the motion is the distance of the surface.
     """
@@ -212,10 +213,10 @@ def weight_history(
     shown_inout: TemporalPixels,
     history_out: TemporalHistory,
 ):
-    """Item = pixel: computes its position in the previous frame and the weight of the new sample against its history.
+    """Per pixel: computes its position in the previous frame and the weight of the new sample against its history.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         size: Width and height of the images.
         history_weight: Factor on the length of every history; 1 unless lights or objects have changed.
         moved_to: Current numbers of the previous frame's instances, as of ``has_left``.
@@ -287,7 +288,7 @@ def blend(
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
 ):
-    """Item = ray: replaces its image value by the mean over frames, stored in ``after_out`` for the next frame."""
+    """Per ray: replaces its image value by the mean over frames, stored in ``after_out`` for the next frame."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -303,7 +304,7 @@ def blend(
 
 @wp.kernel
 def store_shares(start: int, camera: wp.array[CameraData], shares: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Item = ray: writes the averaged captured weight and alpha back to the wave."""
+    """Per ray: writes the averaged captured weight and alpha back to the wave."""
     i = start + wp.tid()
     if pixel_number(i, camera) < 0:
         return

@@ -1,4 +1,4 @@
-"""Kernels that sample captures as area lights for the surfaces of pixels. One item is one ray.
+"""Kernels that sample captures as area lights for the surfaces of pixels. One thread per ray.
 
 The method is in docs/method/realtime.md#captured-emitters.
 """
@@ -44,7 +44,7 @@ def start_captured_rays(
     """Starts a ray from one surface of a pixel towards the captures.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         follows_lobes: Whether highlight rays hit captures, too; then only the rest of the highlight is sampled here.
         boxes: Boxes around the captures.
         scene: The scene.
@@ -137,7 +137,7 @@ def add_captured_light(
     """Adds the light of captures to a light sample, and multiplies the sample by its own shadow ray.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         scene: The scene.
         emitted: Captured radiance on the rays towards captures, apart from other radiance.
         reflected: Reflected radiance for incoming radiance 1, written by ``start_captured_rays``.

@@ -49,7 +49,7 @@ def store_splat_surfaces(
     wave: wp.array[WaveData],
     surfaces_out: SurfacePixels,
 ):
-    """Item = ray: writes the surface of the Gaussians at its pixel."""
+    """Per ray: writes the surface of the Gaussians at its pixel."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -76,7 +76,7 @@ def store_mesh_surfaces(
     wave: wp.array[WaveData],
     surfaces_out: SurfacePixels,
 ):
-    """Item = ray: writes the surface of the mesh at its pixel."""
+    """Per ray: writes the surface of the mesh at its pixel."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

@@ -29,7 +29,7 @@ GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
 
 @wp.kernel
 def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, shown_out: SurfacePixels):
-    """Item = pixel: copies the surface that covers more of it."""
+    """Per pixel: copies the surface that covers more of it."""
     pixel = start + wp.tid()
     chosen = splats
     if meshes.share[pixel] > splats.share[pixel]:
@@ -44,7 +44,7 @@ def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, sh
 
 @wp.kernel
 def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: RayData):
-    """Item = ray: leaves a cache point in a cosine-weighted direction; rays without a point are inactive.
+    """Per ray: leaves a cache point in a cosine-weighted direction; rays without a point are inactive.
 
     Gaussians within ``offset`` times the scale of the point's Gaussian do not block the ray.
     """
@@ -76,7 +76,7 @@ def start_cache_rays(start: int, offset: float, points: CachePoints, rays_out: R
 
 @wp.kernel
 def add_direct(start: int, samples: CacheSamples, reflected_inout: wp.array[wp.vec3]):
-    """Item = ray: adds the sampled direct light that the surface at its hit reflects."""
+    """Per ray: adds the sampled direct light that the surface at its hit reflects."""
     i = start + wp.tid()
     if samples.is_active[i]:
         reflected_inout[i] += samples.radiance[i]
@@ -129,10 +129,10 @@ def gather_light(
     interval: int,
     light_out: SurfaceLight,
 ):
-    """Item = pixel: computes the light that its surface reflects, from probes and rays within highlights.
+    """Per pixel: computes the light that its surface reflects, from probes and rays within highlights.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         slot: Kind of the surfaces.
         grids: Layout of the probes.
         camera: Camera of the frame.

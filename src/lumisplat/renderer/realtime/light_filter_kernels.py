@@ -63,7 +63,7 @@ TINY = wp.constant(wp.float32(1e-8))
 
 @struct
 class PixelHistory:
-    """One element of `LightHistory`."""
+    """History of one pixel, an element of `LightHistory`."""
 
     frames: float
     diffuse: wp.vec3
@@ -198,7 +198,7 @@ def reproject(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Item = pixel: fetches the history of its surface from the surface's position in the previous frame."""
+    """Per pixel: fetches the history of its surface from the surface's position in the previous frame."""
     pixel = start + wp.tid()
     own = PixelHistory()
     if surfaces.share[pixel] > 0.0:
@@ -244,7 +244,7 @@ def retained_share(change: LightChange, shared: float) -> float:
 
 @wp.func
 def share_inside(change: LightChange, held: float) -> float:
-    """Returns the fraction of its history that a pixel retains when objects move: 1 in the range of nearby samples."""
+    """Returns the fraction of its history that a pixel keeps when objects move: 1 in the range of nearby samples."""
     outside = wp.max(change.lowest - held, held - change.highest)
     tolerated = CHANGED_LEAST * held
     if outside <= tolerated:
@@ -274,13 +274,13 @@ def accumulate(
     history: LightHistory,
     history_out: LightHistory,
 ):
-    """Item = pixel: adds its sample to its history, which is shortened the more the light has changed.
+    """Per pixel: adds its sample to its history, which is shortened the more the light has changed.
 
     The change is measured over the 5 x 5 pixels around (docs/method/realtime.md#filters). Short histories are shortened
     only when objects move, if they are outside the range of the samples there.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         size: Width and height of the images.
         frames_max: Frames after which old samples fade.
         history_weight: Factor on the length of a short history; 1 unless lights or objects have changed.
@@ -357,7 +357,7 @@ def estimate_variance(
     history: LightHistory,
     variance_out: wp.array[wp.vec2],
 ):
-    """Item = pixel: estimates the variance of its mean over frames.
+    """Per pixel: estimates the variance of its mean over frames.
 
     Long histories average the temporal variances of the 3 x 3 pixels, as a single pixel may have missed rare samples.
     Short ones use the variance over pixels and frames in 7 x 7.
@@ -438,10 +438,10 @@ def filter_pass(
     light: FilteredLight,
     light_out: FilteredLight,
 ):
-    """Item = pixel: averages its light with that of neighbours on the same surface.
+    """Per pixel: averages its light with that of neighbours on the same surface.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         size: Width and height of the images.
         radius: Neighbours to each side, 1 or 2.
         step: Distance between them, pixels.

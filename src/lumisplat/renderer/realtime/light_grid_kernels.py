@@ -38,7 +38,7 @@ def find_cells(
     keys_out: wp.array[wp.int64],
     order_out: wp.array[int],
 ):
-    """Item = ray: writes the cell key of the surface that receives its light sample."""
+    """Per ray: writes the cell key of the surface that receives its light sample."""
     i = start + wp.tid()
     order_out[i] = i
     keys_out[i] = NO_CELL
@@ -57,7 +57,7 @@ def find_cells(
 
 @wp.kernel
 def mark_cells(start: int, keys: wp.array[wp.int64], is_first_out: wp.array[int]):
-    """Item = ray in key order: marks the first ray of each cell."""
+    """Per ray in key order: marks the first ray of each cell."""
     i = start + wp.tid()
     is_first = keys[i] != NO_CELL
     if i > 0 and is_first:
@@ -75,7 +75,7 @@ def list_cells(
     cell_of_out: wp.array[int],
     cells_out: wp.array[wp.int64],
 ):
-    """Item = ray in key order: writes the number of its cell; the first ray of a cell also writes the cell's key.
+    """Per ray in key order: writes the number of its cell; the first ray of a cell also writes the cell's key.
 
     Surfaces beyond ``cells_max`` cells choose among all lights.
     """
@@ -112,7 +112,7 @@ def largest_rank(ranks: wp.array[float], first: int) -> int:
 def choose_lights(
     start: int, cells: wp.array[wp.int64], ends: wp.array[int], scene: wp.array[ShadingScene], grid_out: LightGrid
 ):
-    """Item = cell: chooses the lights with the smallest ranks; a rank is an exponential draw over the light's weight.
+    """Per cell: chooses the lights with the smallest ranks; a rank is an exponential draw over the light's weight.
 
     The largest of the stored ranks yields the probability with which each of the other lights is chosen.
     """

@@ -34,7 +34,7 @@ def list_surfaces(
     samples_out: CacheSamples,
     points_out: wp.array[wp.vec3],
 ):
-    """Item = interaction: writes its surface as a query of the radiance cache, and a point in its plane to look up.
+    """Per interaction: writes its surface as a query of the radiance cache, and a point in its plane to look up.
 
     The point is random within ``cell_size``, the width of cells as a fraction of their distance; 0: the hit itself.
     """
@@ -59,7 +59,7 @@ def list_surfaces(
 
 @wp.kernel
 def add_cached(start: int, indirect: wp.array[wp.vec3], wave_inout: wp.array[WaveData]):
-    """Item = ray: adds the indirect light that its surfaces reflect, one element of ``indirect`` an interaction."""
+    """Per ray: adds the indirect light that its surfaces reflect, one element of ``indirect`` an interaction."""
     i = start + wp.tid()
     count = wave_inout[0].rays.is_active.shape[0]
     if not wave_inout[0].rays.is_active[i]:
@@ -99,7 +99,7 @@ def sample_emitters(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: samples a point of the emissive triangles for one of its surfaces, and starts the shadow ray."""
+    """Per ray: samples a point of the emissive triangles for one of its surfaces, and starts the shadow ray."""
     i = start + wp.tid()
     contributions_out[i] = wp.vec3(0.0)
     rays_out.is_active[i] = False
@@ -122,7 +122,7 @@ def sample_light_of_cells(
     contributions_out: wp.array[wp.vec3],
     rays_out: RayData,
 ):
-    """Item = ray: samples the light in ``slot`` of its grid cell, over its probability, and starts the shadow ray.
+    """Per ray: samples the light in ``slot`` of its grid cell, over its probability, and starts the shadow ray.
 
     Surfaces that choose among all lights have one sample, in slot 0.
     """
@@ -151,7 +151,7 @@ def add_samples(
     visibility: wp.array[wp.vec3],
     wave_inout: wp.array[WaveData],
 ):
-    """Item = ray: adds a light sample times its visibility."""
+    """Per ray: adds a light sample times its visibility."""
     i = start + wp.tid()
     light = contributions[i]
     if rays.is_active[i]:
@@ -161,6 +161,6 @@ def add_samples(
 
 @wp.kernel
 def subtract(start: int, wave: wp.array[WaveData], before: wp.array[wp.vec3], difference_out: wp.array[wp.vec3]):
-    """Item = ray: writes its radiance minus ``before``."""
+    """Per ray: writes its radiance minus ``before``."""
     i = start + wp.tid()
     difference_out[i] = wave[0].radiance.light[i] - before[i]

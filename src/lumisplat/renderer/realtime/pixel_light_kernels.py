@@ -23,7 +23,7 @@ LEAST_ALBEDO = wp.constant(wp.float32(ALBEDO_MIN))
 
 @wp.kernel
 def number_samples(start: int, interval: int, frame: int, camera: wp.array[CameraData], wave_inout: wp.array[WaveData]):
-    """Item = ray: numbers its light sample if its pixel has one, without gaps, as low-discrepancy sequences need."""
+    """Per ray: numbers its light sample if its pixel has one, without gaps, as low-discrepancy sequences need."""
     i = start + wp.tid()
     at = pixel_of_ray(camera[0].width, i)
     if wave_inout[0].rays.is_active[i] and is_sampled_in_frame(at[0], at[1], interval, frame):
@@ -43,10 +43,10 @@ def sample_lights(
     light_out: PixelLight,
     rays_out: RayData,
 ):
-    """Item = ray: chooses one of its surfaces and a light, and starts the shadow ray.
+    """Per ray: chooses one of its surfaces and a light, and starts the shadow ray.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         no_shadows: Whether nothing blocks light.
         interval: Every how many frames a pixel gets a sample, 1 or 2.
         frame: Number of the frame.
@@ -91,7 +91,7 @@ def store_light(
     albedo: wp.array[wp.vec3],
     light_out: SurfaceLight,
 ):
-    """Item = ray: writes the shadowed sample of its pixel over the albedo, if it is for surfaces of kind ``slot``."""
+    """Per ray: writes the shadowed sample of its pixel over the albedo, if it is for surfaces of kind ``slot``."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:
@@ -112,7 +112,7 @@ def store_light(
 
 @wp.kernel
 def select_shadow_catchers(start: int, wave_inout: wp.array[WaveData]):
-    """Item = interaction: removes it unless it is on a shadow catcher."""
+    """Per interaction: removes it unless it is on a shadow catcher."""
     j = start + wp.tid()
     if wave_inout[0].interactions.exists[j] and not wave_inout[0].interactions.shadow_only[j]:
         wave_inout[0].interactions.exists[j] = False
@@ -128,7 +128,7 @@ def add_surface_light(
     diffuse_inout: wp.array[wp.vec3],
     glossy_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: adds the light of its pixel's surface of one kind to its radiance, and to two layers."""
+    """Per ray: adds the light of its pixel's surface of one kind to its radiance, and to two layers."""
     i = start + wp.tid()
     pixel = pixel_number(i, camera)
     if pixel < 0:

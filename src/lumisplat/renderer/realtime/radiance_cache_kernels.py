@@ -58,7 +58,7 @@ def find_cells(
     sort_cells_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Item = sample: writes its tile and cell; no tile if the sample is not finite."""
+    """Per sample: writes its tile and cell; no tile if the sample is not finite."""
     i = start + wp.tid()
     keys_out[i] = NO_TILE
     cells_out[i] = 0
@@ -161,7 +161,7 @@ def update_tiles(start: int, samples: SortedSamples, tiles: CacheTiles):
 
 @wp.kernel
 def outdate_means(start: int, share: float, tiles: CacheTiles):
-    """Item = mean of a tile: multiplies its weight by ``share``, in samples and in frames."""
+    """Per mean of a tile: multiplies its weight by ``share``, in samples and in frames."""
     i = start + wp.tid()
     tile = i // TILE_MEANS
     if tile >= tiles.counts[COUNT_LIVE]:
@@ -180,7 +180,7 @@ def outdate_means(start: int, share: float, tiles: CacheTiles):
 def look_up_samples(
     start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, radiance_out: wp.array[wp.vec3]
 ):
-    """Writes the radiance of each sample's surface, linear; 0 if the cache has none."""
+    """Writes the radiance that each sample's surface reflects, linear; 0 for inactive samples."""
     i = start + wp.tid()
     radiance_out[i] = wp.vec3()
     if samples.is_active[i]:
@@ -214,7 +214,7 @@ def look_up_indirect(
 
 @wp.kernel
 def number_cells(start: int, grid: CacheGrid, samples: CacheSamples, tiles: CacheTiles, numbers_out: wp.array[int]):
-    """Item = sample: writes a 24-bit hash of its cell; -1 without a cell."""
+    """Per sample: writes a 24-bit hash of its cell; -1 without a cell."""
     i = start + wp.tid()
     numbers_out[i] = -1
     if samples.is_active[i]:
@@ -284,10 +284,10 @@ def list_points(
     far_ends: wp.array[int],
     points: CachePoints,
 ):
-    """Item = ray: writes the point of its cell, from the tiles that wait longest; as many whole tiles as fit.
+    """Per ray: writes the point of its cell, from the tiles that wait longest; as many whole tiles as fit.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         frame: Number of the frame.
         tiles: Tiles of the cache.
         ranks: Ranks of the tiles, longest wait first.
@@ -334,7 +334,7 @@ def list_points(
 
 @wp.kernel
 def copy_means(start: int, points: CachePoints, tiles: CacheTiles, means_out: wp.array[wp.vec4]):
-    """Item = ray: copies the mean of its cell before the bounces of the frame."""
+    """Per ray: copies the mean of its cell before the bounces of the frame."""
     i = start + wp.tid()
     if points.is_active[i]:
         means_out[i] = tiles.indirect[points.slot[i] * TILE_MEANS + points.cell[i]]
@@ -380,7 +380,7 @@ def update_bounced_tiles(start: int, points: CachePoints, tiles: CacheTiles):
 
 @wp.kernel
 def clear_tiles(start: int, tiles: CacheTiles):
-    """Item = tile: frees its slot."""
+    """Per tile: frees its slot."""
     rank = start + wp.tid()
     tiles.keys[rank] = NO_TILE
     tiles.slots[rank] = rank
@@ -413,7 +413,7 @@ def list_new_tiles(
 
 @wp.kernel
 def count_new_tiles(count: int, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
-    """Counts the new tiles, and how many of them exceed the capacity. One item."""
+    """Counts the new tiles, and how many of them exceed the capacity. Runs as one thread."""
     tiles.counts[COUNT_NEW] = ends[count - 1]
     tiles.counts[COUNT_EXCESS] = wp.max(tiles.counts[COUNT_LIVE] + ends[count - 1] - grid.tiles, 0)
 
@@ -470,7 +470,7 @@ def compact_tiles(
 
 @wp.kernel
 def count_remaining_tiles(is_early: bool, grid: CacheGrid, ends: wp.array[int], tiles: CacheTiles):
-    """Counts the tiles that stayed, and the new tiles that fit beside them. One item."""
+    """Counts the tiles that stayed, and the new tiles that fit beside them. Runs as one thread."""
     remaining = ends[ends.shape[0] - 1]
     if is_early:
         room = wp.min(tiles.counts[COUNT_NEW], grid.tiles - remaining)
@@ -522,6 +522,6 @@ def merge_tiles(
 
 @wp.kernel
 def count_merged_tiles(tiles: CacheTiles):
-    """Updates the number of live tiles after a merge. One item."""
+    """Updates the number of live tiles after a merge. Runs as one thread."""
     tiles.counts[COUNT_LIVE] += tiles.counts[COUNT_NEW]
     tiles.counts[COUNT_NEW] = 0

@@ -44,7 +44,7 @@ STAYS_PX = wp.constant(wp.float32(PROBE_STAYS_PX))
 
 @wp.kernel
 def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
-    """Item = probe: copies the fields that the next frame reads."""
+    """Per probe: copies the fields that the next frame reads."""
     i = start + wp.tid()
     probes_out.is_placed[i] = probes.is_placed[i]
     probes_out.position[i] = probes.position[i]
@@ -56,7 +56,7 @@ def copy_probes(start: int, probes: ProbeData, probes_out: ProbeData):
 
 @wp.kernel
 def copy_cells(start: int, cells: ProbeCells, cells_out: ProbeCells):
-    """Item = cell: copies it."""
+    """Per cell: copies it."""
     i = start + wp.tid()
     cells_out.radiance[i] = cells.radiance[i]
     cells_out.nearness[i] = cells.nearness[i]
@@ -122,7 +122,7 @@ def place_in_tiles(
     adaptive_before: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Item = tile: places its probe."""
+    """Per tile: places its probe."""
     tile = start + wp.tid()
     place = choose_pixel_in_tile(tile, grids[0], cameras[0], cameras_before[0], surfaces, before, adaptive_before)
     set_probe(tile, place.pixel, place.source, grids[0], cameras[0], surfaces, before, probes_out)
@@ -142,7 +142,7 @@ def find_needs(
     keys_out: wp.array[int],
     order_out: wp.array[int],
 ):
-    """Item = tile: counts the pixels that no probe covers, and writes a sort key that puts the largest count first."""
+    """Per tile: counts the pixels that no probe covers, and writes a sort key that puts the largest count first."""
     tile = start + wp.tid()
     place = choose_pixel_among(
         SEARCH_ROWS, tile, True, grids[0], cameras[0], cameras_before[0], surfaces, probes, before, adaptive_before
@@ -166,7 +166,7 @@ def place_adaptive(
     adaptive_of_out: wp.array[int],
     probes_out: ProbeData,
 ):
-    """Item = tile in sorted order: places an adaptive probe if it needs one and one is left."""
+    """Per tile in sorted order: places an adaptive probe if it needs one and one is left."""
     rank = start + wp.tid()
     tile = order[rank]
     adaptive_of_out[tile] = -1
@@ -187,7 +187,7 @@ def carry_cells(
     cells_before: ProbeCells,
     cells_out: ProbeCells,
 ):
-    """Item = probe: reprojects the cells of the probe that it continues to their directions from the new position.
+    """Per probe: reprojects the cells of the probe that it continues to their directions from the new position.
 
     A cell whose hit is nearer than the probe has moved keeps its direction.
     """
@@ -248,7 +248,7 @@ LOOKUP_SEED = wp.constant(wp.uint32(0x6C6F6F6B))
 def rank_probes(
     start: int, grids: wp.array[ProbeGrid], probes: ProbeData, keys_out: wp.array[int], order_out: wp.array[int]
 ):
-    """Item = probe: writes a sort key that puts the probes that most need a refresh first."""
+    """Per probe: writes a sort key that puts the probes that most need a refresh first."""
     i = start + wp.tid()
     keys_out[i] = refresh_key(i, grids[0], probes)
     order_out[i] = i
@@ -258,7 +258,7 @@ def rank_probes(
 def start_probe_rays(
     start: int, grids: wp.array[ProbeGrid], order: wp.array[int], probes: ProbeData, rays_out: RayData
 ):
-    """Item = ray: starts it; there is one ray for each cell of the first probes in sorted order."""
+    """Per ray: starts it; there is one ray for each cell of the first probes in sorted order."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     i = order[ray // count]
@@ -278,7 +278,7 @@ def add_samples(
     probes_out: ProbeData,
     cells_out: ProbeCells,
 ):
-    """Item = ray: adds its radiance to the mean of its cell, unless it is not finite."""
+    """Per ray: adds its radiance to the mean of its cell, unless it is not finite."""
     ray = start + wp.tid()
     count = grids[0].cells * grids[0].cells
     cell = ray % count
@@ -302,7 +302,7 @@ def add_samples(
 
 @wp.kernel
 def outdate_cells(start: int, share: float, cells_inout: ProbeCells):
-    """Item = cell: multiplies the weight of its means by ``share``."""
+    """Per cell: multiplies the weight of its means by ``share``."""
     k = start + wp.tid()
     cells_inout.samples[k] = share * cells_inout.samples[k]
 
@@ -319,7 +319,7 @@ def filter_cells(
     light_out: ProbeLight,
     weights_out: wp.array[float],
 ):
-    """Item = cell: averages it over its probe, the other probe of its tile, and those of the four adjacent tiles."""
+    """Per cell: averages it over its probe, the other probe of its tile, and those of the four adjacent tiles."""
     k = start + wp.tid()
     grid = grids[0]
     count = grid.cells * grid.cells
@@ -368,10 +368,10 @@ def project_probes(
     weights: wp.array[float],
     light_inout: ProbeLight,
 ):
-    """Item = probe: fills its empty cells with the mean of the others, and projects all cells to SH.
+    """Per probe: fills its empty cells with the mean of the others, and projects all cells to SH.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         grids: Layout of the probes.
         probes: The probes.
         fit: Contribution of each cell to the SH coefficients.
@@ -419,7 +419,7 @@ def find_irradiance(
     irradiance_out: wp.array[wp.vec3],
     is_known_out: wp.array[int],
 ):
-    """Item = pixel: computes the irradiance of its surface from the probes around it, if any of them has light."""
+    """Per pixel: computes the irradiance of its surface from the probes around it, if any of them has light."""
     pixel = start + wp.tid()
     grid = grids[0]
     irradiance_out[pixel] = wp.vec3(0.0)
@@ -444,7 +444,7 @@ def tile_means(
     is_known: wp.array[int],
     means_out: wp.array[wp.vec4],
 ):
-    """Item = tile: sums the irradiance over its pixels with known irradiance, and counts them."""
+    """Per tile: sums the irradiance over its pixels with known irradiance, and counts them."""
     tile = start + wp.tid()
     grid = grids[0]
     total = wp.vec4(0.0)
@@ -461,7 +461,7 @@ def tile_means(
 
 @wp.kernel
 def add_means(start: int, means: wp.array[wp.vec4], sums_out: wp.array[wp.vec4]):
-    """Item = chunk: sums a chunk of tile sums."""
+    """Per chunk: sums a chunk of tile sums."""
     chunk = start + wp.tid()
     total = wp.vec4(0.0)
     for i in range(chunk * CHUNK, wp.min((chunk + 1) * CHUNK, means.shape[0])):
@@ -504,7 +504,7 @@ def fill_pixels(
     mean: wp.array[wp.vec4],
     irradiance_out: wp.array[wp.vec3],
 ):
-    """Item = pixel: writes its irradiance or, if no probe has light, the mean of the nearest neighbourhood that has."""
+    """Per pixel: writes its irradiance or, if no probe has light, the mean of the nearest neighbourhood that has."""
     pixel = start + wp.tid()
     irradiance_out[pixel] = irradiance[pixel]
     if is_known[pixel] != 0 or not surfaces.share[pixel] > 0.0:

@@ -57,7 +57,7 @@ def matte(interaction: Interaction) -> Interaction:
 
 @wp.kernel
 def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, rays_out: RayData):
-    """Item = ray: sets its radiance to black, without a hit."""
+    """Per ray: sets its radiance to black, without a hit."""
     i = start + wp.tid()
     rays_out.is_active[i] = False
     samples_out.is_active[i] = False
@@ -68,7 +68,7 @@ def clear_rays(start: int, samples_out: CacheSamples, bounced_out: BouncedRays, 
 
 @wp.kernel
 def begin_onward(start: int, onward_out: OnwardRays):
-    """Item = ray: sets its initial state: in air, not continued, weight 1."""
+    """Per ray: sets its initial state: in air, not continued, weight 1."""
     i = start + wp.tid()
     onward_out.rays.is_active[i] = False
     onward_out.length_before[i] = 0.0
@@ -91,10 +91,10 @@ def shade_hits(
     rays_out: RayData,
     onward_inout: OnwardRays,
 ):
-    """Item = ray: writes its radiance, its surface, and one light sample with a shadow ray; or the ray continues.
+    """Per ray: writes its radiance, its surface, and one light sample with a shadow ray; or the ray continues.
 
     Args:
-        start: First item.
+        start: Offset added to the thread index.
         no_shadows: Whether light passes through everything.
         grid: Light grid of the wave.
         camera: Camera of the frame.
@@ -162,7 +162,7 @@ def shade_hits(
 def apply_visibility(
     start: int, bounced: BouncedRays, rays: RayData, visibility: wp.array[wp.vec3], samples_inout: CacheSamples
 ):
-    """Item = ray: writes the sampled light that the surface at its hit reflects, times the shadow ray's visibility."""
+    """Per ray: writes the sampled light that the surface at its hit reflects, times the shadow ray's visibility."""
     i = start + wp.tid()
     radiance = bounced.sampled[i]
     if rays.is_active[i]:
@@ -179,7 +179,7 @@ def add_reflected(
     radiance_out: wp.array[wp.vec3],
     distance_out: wp.array[float],
 ):
-    """Item = ray: adds the radiance that the surface at its hit reflects, and writes the hit distance; inf: no hit."""
+    """Per ray: adds the radiance that the surface at its hit reflects, and writes the hit distance; inf: no hit."""
     i = start + wp.tid()
     radiance_out[i] = bounced.emitted[i]
     distance_out[i] = wp.inf
@@ -210,7 +210,7 @@ def choose_lobes(
     lobes_out: LobeRays,
     follows_out: wp.array[int],
 ):
-    """Item = square of pixels: chooses the surface that sends a ray, by how much the pixel's two highlights reflect.
+    """Per square of pixels: chooses the surface that sends a ray, by how much the pixel's two highlights reflect.
 
     ``follows_out`` is 1 for each square with a ray.
     """
@@ -243,7 +243,7 @@ def start_lobes(
     lobes_inout: LobeRays,
     rays_out: RayData,
 ):
-    """Item = square of pixels: starts its ray, whose number follows from ``ends``, the running count of rays.
+    """Per square of pixels: starts its ray, whose number follows from ``ends``, the running count of rays.
 
     All rays are inactive before.
     """

@@ -290,7 +290,7 @@ def shadow_ray_by_ray(
     skips: wp.array[wp.bool],
     light_inout: wp.array[wp.vec3],
 ):
-    """Item = ray in ``order``: multiplies its light by the transmittance of the Gaussians up to its limit."""
+    """Per ray in ``order``: multiplies its light by the transmittance of the Gaussians up to its limit."""
     i = order[start + wp.tid()]
     if not rays.is_active[i] or not limits[i] > 0.0:
         return

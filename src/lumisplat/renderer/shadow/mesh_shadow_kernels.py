@@ -1,4 +1,4 @@
-"""Kernel of shadow rays through meshes: their transmittance. One item is one ray."""
+"""Kernel of shadow rays through meshes: their transmittance. One thread per ray."""
 
 import warp as wp
 

@@ -1,4 +1,4 @@
-"""Kernel that shrinks BVHs for one stochastic sample of shadows. One item is one node of a level."""
+"""Kernel that shrinks BVHs for one stochastic sample of shadows. One thread per node of a level."""
 
 import warp as wp
 

@@ -1,7 +1,7 @@
 """Kernels that build BVHs over boxes level by level from the root, and refit their boxes.
 
-``split_by_area`` (CPU), ``split_by_code`` (CUDA): one item is one node of a level; its items are ordered child by
-child. ``link_nodes``, ``refit_nodes``: one item is one node of a level. ``write_links``: one item is one node.
+``split_by_area`` (CPU), ``split_by_code`` (CUDA): one thread per node of a level; its items are ordered child by
+child. ``link_nodes``, ``refit_nodes``: one thread per node of a level. ``write_links``: one thread per node.
 """
 
 import warp as wp

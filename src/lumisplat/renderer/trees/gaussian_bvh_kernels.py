@@ -1,6 +1,6 @@
 """Kernels of BVHs over Gaussians: boxes, Morton codes, and the particle records that rays read.
 
-``box_gaussians``, ``code_gaussians``: one item is one Gaussian. ``gather_particles``: one item is one particle, in BVH
+``box_gaussians``, ``code_gaussians``: one thread per Gaussian. ``gather_particles``: one thread per particle, in BVH
 order.
 """
 

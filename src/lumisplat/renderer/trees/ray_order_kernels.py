@@ -1,4 +1,4 @@
-"""Kernel of the sort keys of incoherent rays. One item is one ray."""
+"""Kernel of the sort keys of incoherent rays. One thread per ray."""
 
 import warp as wp
 
