@@ -90,7 +90,7 @@ def test_words(message: str, expected: str) -> None:
         (("--set=noise=soft",), "--set noise=soft: noise is 'soft', expected"),
         (
             ("--set=adaptive=on", "--pipeline", "hybrid"),
-            "--set adaptive=on needs rays from the camera: --pipeline path or",
+            "--set adaptive=on needs traced camera rays: use --pipeline path or",
         ),
         (("--set=shadow_rays.offset=-2",), "--set shadow_rays.offset=-2: offset is -2, expected 0.0 to 100.0"),
         (

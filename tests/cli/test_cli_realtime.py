@@ -198,7 +198,7 @@ def test_one_call_renders_a_sequence(monkeypatch):
     assert len(counts) == 1
     with pytest.raises(ls.ConfigError, match="frames is 0, expected a whole number from 1"):
         ls.render(scene, camera, config, frames=0, device="cpu")
-    with pytest.raises(ls.ConfigError, match=r"frames is of Pipeline\.REALTIME"):
+    with pytest.raises(ls.ConfigError, match=r"frames is for Pipeline\.REALTIME"):
         ls.render(scene, camera, frames=2, device="cpu")
 
 

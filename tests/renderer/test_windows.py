@@ -133,10 +133,10 @@ def test_windows_that_are_none(window: tuple[float, ...], message: str) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"pipeline": "realtime"}, "needs the whole picture"),
-        ({"pipeline": "path", "noise": 0.1}, "choose samples by the whole picture"),
-        ({"pipeline": "trace", "samples": 4, "adaptive": True}, "choose samples by the whole picture"),
-        ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole picture"),
+        ({"pipeline": "realtime"}, "needs the whole image"),
+        ({"pipeline": "path", "noise": 0.1}, "choose samples by the whole image"),
+        ({"pipeline": "trace", "samples": 4, "adaptive": True}, "choose samples by the whole image"),
+        ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole image"),
     ],
 )
 def test_frames_that_need_the_whole_picture(settings: dict[str, Any], message: str) -> None:
@@ -149,7 +149,7 @@ def test_frames_that_need_the_whole_picture(settings: dict[str, Any], message: s
 def test_what_is_not_of_windows() -> None:
     """Gradients are of whole pictures, and a window is not scaled."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
-    with pytest.raises(ls.SceneError, match="whole pictures"):
+    with pytest.raises(ls.SceneError, match="need the whole image"):
         ls.splat_gradients(ls.Scene([layers(camera)]), camera, dL_dcolor=np.ones((53, 71, 3)), device="cpu")
     with pytest.raises(ls.SceneError, match="scale it first"):
         camera.scaled(width=10)

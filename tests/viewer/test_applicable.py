@@ -184,7 +184,7 @@ def test_no_background_can_be_chosen_and_taken_back() -> None:
     [
         ("Pipeline.HYBRID has no cache among its aovs: Pipeline.REALTIME does", "pipeline hybrid has no cache among"),
         ("only lit frames have it (RenderConfig.lighting=True)", "only lit frames have it (lighting on)"),
-        ("RenderConfig.adaptive=True needs rays from the camera: Pipeline.PATH", "adaptive on needs rays"),
+        ("RenderConfig.adaptive=True needs traced camera rays: use Pipeline.PATH", "adaptive on needs traced"),
         ("where RenderConfig.shadow_rays.hit_distance is 'mean'", "where hit distance is 'mean'"),
         ("hit_distance is 'mean', expected 'peak'", "hit distance is 'mean'"),
         ("NormalMethod.ELLIPSOID is not used", "normal method ellipsoid is not used"),

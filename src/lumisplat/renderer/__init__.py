@@ -1,1 +1,1 @@
-"""From a scene and a camera to a frame: the passes, each a host module beside its kernels."""
+"""Renders a scene and a camera to a frame. Each pass is a host module beside its kernels."""

@@ -1,7 +1,7 @@
-"""Light for meshes that stand in a capture without lights: what the capture shows around them.
+"""Light for meshes in captures of a scene without lights: an environment map rendered from the captures.
 
-Six small unlit frames of the captures, from the middle of the meshes, become an environment: the light of a probe, as
-avatars have it (docs/adr/0093-meshes-put-into-captures.md).
+Six small unlit views of the captures from the centre of the meshes become an environment light, as for the probes of
+avatars (docs/adr/0093-meshes-put-into-captures.md).
 """
 
 from __future__ import annotations
@@ -24,47 +24,48 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CAPTURED_LIGHT_ROWS = 32
-"""Rows of the image of a capture around meshes without lights: 5.6 degrees, finer than most highlights."""
+"""Rows of the environment map that is rendered from captures: 5.6 degrees each, finer than most highlights."""
 
 CAPTURED_LIGHT_COVERED = 0.75
-"""Share of all directions that a capture must cover around meshes to light them; else a light at the camera does. Rooms
-and places under a sky cover nearly all; ground without a sky covers half, from below, and would show meshes nearly
-black."""
+"""Smallest fraction of all directions that captures must cover around meshes to light them; below it, a headlight
+does. Captures of rooms, or of places with their sky, cover nearly all directions. A floor without a sky covers half of
+them, from below, and would leave meshes nearly black."""
 
 _log = logging.getLogger("lumisplat")
 
 _FINER = 4
-"""Directions across and down a pixel of the image, whose mean it is."""
+"""Directions across and down each texel of the environment map; the texel is their mean."""
 
 
 def uses_captured_light(config: RenderConfig, scene: Scene) -> bool:
-    """Whether the light of a scene's captures replaces the lights that it does not have, where that surrounds meshes.
+    """Returns whether captures may light the meshes of a scene that has no lights.
 
-    Paths and frames in real time find that light by themselves.
+    Path traced and real-time frames sample that light by themselves.
     """
     is_unlit = config.lighting is None and not scene.lights
     return is_unlit and bool(scene.meshes) and has_emissive_captures(scene) and not config.pipeline.bounces_light
 
 
 class CapturedLightCache:
-    """Finds the light of captures around meshes, and keeps it as long as both stay where they are."""
+    """Renders the environment map of captures around meshes, and reuses it while both stay where they are."""
 
     def __init__(self) -> None:
         self._splats: tuple[SplatInstance, ...] = ()
-        """Captures for which the light was found."""
+        """Captures of which the cached environment map was rendered."""
         self._box = np.zeros((2, 3))
-        """Box of the meshes then."""
+        """Bounding box of the meshes around which the map was rendered."""
         self._light: CapturedLight | None = None
         self._render: Callable[[Scene, Camera], Frame] | None = None
-        """Renders the captures around meshes that move, which it holds on the device; None: meshes have not moved."""
+        """Renderer of the captures, which stays on the device while the meshes move; None: the meshes have not moved
+        yet."""
 
     def lit(self, scene: Scene, stops: float, renderer: Callable[[], Callable[[Scene, Camera], Frame]]) -> Scene:
-        """Returns the scene with the light of its captures; as it is where these do not surround its meshes.
+        """Returns the scene lit by its captures, or the same scene if they do not surround its meshes.
 
         Args:
-            scene: One that takes it, by `uses_captured_light`.
+            scene: A scene for which `uses_captured_light` is true.
             stops: ``RenderConfig.capture_gain``.
-            renderer: Makes what renders unlit frames without a background, as `lumisplat.Renderer.render` does.
+            renderer: Makes a function that renders unlit frames without a background, like `lumisplat.Renderer.render`.
         """
         box, is_same = np.stack(_bounds(scene.meshes)), _are_same_captures(scene.splats, self._splats)
         if not is_same or not np.array_equal(box, self._box):
@@ -72,11 +73,11 @@ class CapturedLightCache:
             self._light = captured_light(scene, box, render)
             self._splats, self._box, self._render = scene.splats, box, render if is_same else None
         _warn_once(
-            "there are no lights: meshes are lit by the capture around them (RenderConfig.lighting=True: by a light at "
-            "the camera, RenderConfig.lighting=False: not at all)"
+            "the scene has no lights: meshes are lit by the capture around them (RenderConfig.lighting=True: by a "
+            "headlight at the camera, RenderConfig.lighting=False: unlit)"
             if self._light
-            else "there are no lights, and the capture does not surround the meshes: they are lit from the camera "
-            "(RenderConfig.lighting=False: not at all; Pipeline.PATH: by the capture)"
+            else "the scene has no lights, and the capture does not surround the meshes: a headlight at the camera "
+            "lights them (RenderConfig.lighting=False: unlit; Pipeline.PATH: lit by the capture)"
         )
         if self._light is None:
             return scene
@@ -84,9 +85,9 @@ class CapturedLightCache:
 
 
 def captured_light(scene: Scene, box: Doubles, render: Callable[[Scene, Camera], Frame]) -> CapturedLight | None:
-    """Finds the light that the captures of a scene give to what is in a box; None: they cover too little around it.
+    """Renders the environment light of a scene's captures around a box; None: the captures cover too few directions.
 
-    Directions that the captures leave open get the mean of the others. The box has its corners in rows, shape (2, 3).
+    Directions that the captures do not cover get the mean of the others. The box has its corners in rows, shape (2, 3).
     """
     low, high = box
     near = max(0.5 * float((high - low).min()), NEAR_PLANE)
@@ -112,7 +113,7 @@ def _bounds(meshes: tuple[MeshInstance, ...]) -> tuple[Doubles, Doubles]:
 
 
 def _are_same_captures(now: tuple[SplatInstance, ...], before: tuple[SplatInstance, ...]) -> bool:
-    """Whether captures look the same: the same Gaussians at the same places."""
+    """Returns whether two lists of captures look the same: equal Gaussians, transforms, SH degrees and materials."""
     return len(now) == len(before) and all(
         one is other
         or (
@@ -126,5 +127,5 @@ def _are_same_captures(now: tuple[SplatInstance, ...], before: tuple[SplatInstan
 
 @cache
 def _warn_once(line: str) -> None:
-    """Logs a line, once a process: renderers come and go, and what was assumed stays."""
+    """Logs a warning once per process, however many renderers are created."""
     _log.warning("%s", line)

@@ -1,4 +1,4 @@
-"""Meshes that are shadow catchers: what they catch is found by frames of their own, and darkens what lies behind them.
+"""Meshes that are shadow catchers: separate frames measure the shadows on them, which darken the pixels behind them.
 
 The method is in docs/method/lighting.md#meshes-that-catch-shadows.
 """
@@ -21,25 +21,25 @@ from lumisplat.scene.materials import MaterialPbr, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CATCHER_ALBEDO = 0.5
-"""Albedo of meshes that catch shadows whose material has no base colour of its own: light bounces off them in paths."""
+"""Albedo of catcher meshes whose material has no base colour; in path tracing, light bounces off them."""
 
 CATCHER_ALBEDO_MIN = 0.02
-"""Least albedo of a mesh that catches shadows, in each channel: a black one would show no ratio."""
+"""Lowest albedo of a catcher mesh in each channel: on a black mesh the shadow ratio would be 0 / 0."""
 
 CATCHER_FILL_PX = 3
-"""Pixels by which the ratio of meshes that catch shadows is carried on behind the edges of objects."""
+"""Pixels by which the shadow ratio of catcher meshes is extended behind the silhouettes of objects."""
 
 Render = Callable[[Scene], Frame]
-"""Renders a scene from the camera of the frame."""
+"""Renders a scene from the frame's camera."""
 
 
 def has_catcher_meshes(scene: Scene) -> bool:
-    """Whether some mesh is a shadow catcher."""
+    """Returns whether some mesh is a shadow catcher."""
     return any(instance.shadow_catcher for instance in scene.meshes)
 
 
 def without_catcher_meshes(scene: Scene) -> Scene:
-    """The scene as it is seen: meshes that are shadow catchers catch for its captures, which catch nothing then."""
+    """Returns the visible scene: without catcher meshes, and with captures that no longer catch shadows themselves."""
     splats = tuple(
         replace(one, shadow_catcher=False, material=None) if one.shadow_catcher else one for one in scene.splats
     )
@@ -47,7 +47,7 @@ def without_catcher_meshes(scene: Scene) -> Scene:
 
 
 def catcher_config(config: RenderConfig) -> RenderConfig:
-    """Settings of the frames that find what meshes catch: through the middles of pixels, without the background."""
+    """Returns the settings of the frames that measure shadows: samples at pixel centres, and a black background."""
     pipeline = Pipeline.HYBRID if config.pipeline.rasterises else config.pipeline
     return replace(
         config,
@@ -63,20 +63,20 @@ def catcher_config(config: RenderConfig) -> RenderConfig:
 
 
 def catcher_scenes(scene: Scene) -> list[Scene]:
-    """Returns scenes whose frames need the kernels of those that `with_caught_shadows` renders."""
+    """Returns scenes whose frames need the same kernels as those that `with_caught_shadows` renders."""
     added, catchers = _added(scene), tuple(one for one in scene.meshes if one.shadow_catcher)
     bare = replace(scene, splats=(), lights=_lights(scene), meshes=tuple(map(_matte, catchers)))
     return [bare, replace(added, lights=bare.lights, meshes=(*added.meshes, *bare.meshes))]
 
 
 def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_ratio: bool) -> Frame:
-    """The frame of ``without_catcher_meshes`` with what its catcher meshes catch.
+    """Returns a frame of ``without_catcher_meshes`` with the shadows and reflections on catcher meshes added.
 
     Args:
-        frame: It is lit, and has its ``shadow_ratio``.
-        scene: With the catchers.
+        frame: A lit frame with its ``shadow_ratio``.
+        scene: The scene with the catcher meshes.
         render: Renders with `catcher_config`.
-        returns_ratio: Whether the frame shows its ``shadow_ratio``.
+        returns_ratio: Whether the result contains ``shadow_ratio``.
     """
     assert frame.captured is not None and frame.captured_weight is not None and frame.light is not None
     catchers = tuple(one for one in scene.meshes if one.shadow_catcher)
@@ -86,7 +86,7 @@ def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_r
     there = (seen.instance_index >= 0) & ~_is_in_front(frame, scene, seen)
     caught = there & (lit.instance_index >= len(added.splats) + len(added.meshes)) & (seen.color > 0.0).any(axis=2)
     ratio = np.ones_like(seen.color)
-    known = caught[..., None] & (seen.color > 0.0)  # a light may lack a channel
+    known = caught[..., None] & (seen.color > 0.0)  # a light may have no red, green or blue
     ratio[known] = lit.color[known] / seen.color[known]
     ratio = np.where(there[..., None], _dilated(ratio, caught), np.float32(1.0))
     reflected = np.where(there[..., None], _reflections(scene, added, catchers, render), np.float32(0.0))
@@ -108,7 +108,7 @@ def with_caught_shadows(frame: Frame, scene: Scene, render: Render, *, returns_r
 
 
 def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
-    """The frame of ``without_catcher_meshes`` with the numbers that its instances have in the scene."""
+    """Returns a frame of ``without_catcher_meshes`` whose instance indices are those of the full scene."""
     numbers = np.array([k for k, one in enumerate(scene.meshes) if not one.shadow_catcher], np.int32)
     first, index = len(scene.splats), frame.instance_index
     if len(numbers) == 0:
@@ -118,7 +118,10 @@ def with_scene_indices(frame: Frame, scene: Scene) -> Frame:
 
 
 def _added(scene: Scene) -> Scene:
-    """What was added to the captures that the catchers stand for: those that catch, else all that are as captured."""
+    """Returns the scene without its catchers and their plate: the objects that were added to the capture.
+
+    The plate is all captures that catch shadows, or, if none does, all captures that are not relit.
+    """
     plate = [one for one in scene.splats if one.shadow_catcher]
     if not plate:
         plate = [one for one in scene.splats if not is_relit(one)]
@@ -127,7 +130,7 @@ def _added(scene: Scene) -> Scene:
 
 
 def _lights(scene: Scene) -> tuple[Light, ...]:
-    """The lights of the scene, and ambient light unless an environment is among them; all of it invisible."""
+    """Returns the scene's lights, all invisible, plus ambient light unless an environment is among them."""
     lights = [replace(one, visible=False) if isinstance(one, LightEnvironment) else one for one in scene.lights]
     if any(isinstance(one, LightEnvironment) and one.enabled for one in lights):
         return tuple(lights)
@@ -138,10 +141,10 @@ def _lights(scene: Scene) -> tuple[Light, ...]:
 
 
 def _matte(instance: MeshInstance) -> MeshInstance:
-    """Returns a catcher that reflects diffusely in its material's base colour, in `CATCHER_ALBEDO` if none was given.
+    """Returns a catcher with a diffuse material in its base colour, or in `CATCHER_ALBEDO` if it has none.
 
-    The ratio of two such pictures depends on that colour only by light that goes to and fro between the catcher and
-    what was added.
+    That colour affects the ratio of two such frames only through light that bounces between the catcher and added
+    objects.
     """
     color = instance.mesh.material.base_color
     given = CATCHER_ALBEDO if color == MaterialPbr().base_color else np.maximum(color, CATCHER_ALBEDO_MIN)
@@ -150,7 +153,7 @@ def _matte(instance: MeshInstance) -> MeshInstance:
 
 
 def _reflections(scene: Scene, added: Scene, catchers: tuple[MeshInstance, ...], render: Render) -> FloatArray:
-    """What shiny catchers mirror of all that was added, linear, (H, W, 3)."""
+    """Returns the linear radiance that shiny catchers reflect of the added objects, shape (H, W, 3)."""
     shiny = tuple(one for one in catchers if isinstance(one.mesh.material, MaterialPbr) and _mirrors(one.mesh.material))
     if not shiny:
         return np.float32(0.0) * np.ones((1, 1, 3), np.float32)
@@ -181,7 +184,10 @@ def _without_diffuse(material: object) -> MaterialPbr:
 
 
 def _is_in_front(frame: Frame, scene: Scene, seen: Frame) -> Flags:
-    """Where a captured surface stands before a catcher, farther than surfaces of its Gaussians are thick, (H, W)."""
+    """Returns a mask of pixels whose captured surface is in front of the catcher, (H, W).
+
+    The distance must exceed the thickness of the surface's Gaussians.
+    """
     height = ((frame.position - seen.position) * seen.normal).sum(axis=2)
     thickness = np.zeros_like(height)
     for number, splats in enumerate(scene.splats):
@@ -197,7 +203,7 @@ def _offset(frame: Frame) -> float:
 
 
 def _dilated(image: FloatArray, known: Flags) -> FloatArray:
-    """The image with pixels beside the known ones set to the mean of those, as far as edges of objects reach."""
+    """Returns the image extended from the known pixels by `CATCHER_FILL_PX`, with the mean of known neighbours."""
     values, known = np.where(known[..., None], image, np.float32(0.0)), known.copy()
     filled = image.copy()
     for _ in range(CATCHER_FILL_PX):
@@ -210,6 +216,6 @@ def _dilated(image: FloatArray, known: Flags) -> FloatArray:
 
 
 def _around(image: FloatArray) -> FloatArray:
-    """Sums over the 3 x 3 pixels around each."""
+    """Returns the sum over the 3 x 3 pixels around each pixel."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
     return np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(0, 1)).sum(axis=(3, 4), dtype=np.float32)

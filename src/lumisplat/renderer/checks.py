@@ -1,4 +1,4 @@
-"""Checks of what callers give a renderer: what no frame can have is refused, what it draws differently is logged."""
+"""Checks of a renderer's inputs: raises errors for frames that cannot be rendered, and logs approximations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _log = logging.getLogger("lumisplat")
 
 
 def check_scene(scene: object) -> None:
-    """Raises SceneError unless this is a scene whose items 32-bit indices can count."""
+    """Raises SceneError unless the argument is a Scene whose elements fit 32-bit indices."""
     if not isinstance(scene, Scene):
         raise SceneError(f"expected a Scene, got {type(scene).__name__}: ls.Scene(splats=[...], meshes=[...])")
     if max(scene.gaussian_count, scene.face_count) > ITEMS_MAX:
@@ -31,13 +31,13 @@ def check_scene(scene: object) -> None:
         count, coefficients = instance.gaussians.sh.shape[:2]
         if count * coefficients > ITEMS_MAX:
             raise SceneError(
-                f"a set of {count:,} Gaussians with {coefficients} spherical harmonics has more than {ITEMS_MAX:,} "
-                "coefficients: cut it in two, or lower its degree"
+                f"a set of {count:,} Gaussians with {coefficients} SH coefficients each has more than {ITEMS_MAX:,} "
+                "coefficients: split it, or lower its SH degree"
             )
 
 
 def checked_config(config: RenderConfig | None) -> RenderConfig:
-    """The settings, or the defaults.
+    """Returns the settings, or the defaults for None.
 
     Raises:
         ConfigError: ``config`` is no RenderConfig.
@@ -48,7 +48,7 @@ def checked_config(config: RenderConfig | None) -> RenderConfig:
 
 
 def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
-    """Raises ConfigError unless the pipeline has the images that its settings ask for."""
+    """Raises ConfigError if the pipeline cannot render an image in ``aovs``."""
     lacking: set[str] = {*PATH_AOVS}
     others = "Pipeline.PATH does" if "bounces" in plan.aovs else "Pipeline.PATH or Pipeline.REALTIME does"
     if plan.traces_paths:
@@ -65,19 +65,19 @@ def check_aovs(config: RenderConfig, plan: FramePlan) -> None:
 
 
 def check_projection(config: RenderConfig) -> None:
-    """Raises ConfigError if Gaussians are to be rasterised along rays in a way in which they are not."""
+    """Raises ConfigError if another setting does not support Projection.UNSCENTED."""
     raster = config.raster
     if raster.projection is not Projection.UNSCENTED:
         return
     for value, needed in ((raster.strategy, RasterStrategy.SORTED), (raster.surface, GaussianSurface.ISO)):
         if value is not needed:
-            raise ConfigError(f"{value} does not go with Projection.UNSCENTED, which has {needed} alone")
+            raise ConfigError(f"{value} does not work with Projection.UNSCENTED: use {needed}")
     if config.pipeline.is_sequence:
-        raise ConfigError("Projection.UNSCENTED does not go with Pipeline.REALTIME: use Pipeline.HYBRID")
+        raise ConfigError("Projection.UNSCENTED does not work with Pipeline.REALTIME: use Pipeline.HYBRID")
 
 
 def check_sampling(config: RenderConfig) -> None:
-    """Raises ConfigError if a pipeline cannot sample pixels as its settings ask for."""
+    """Raises ConfigError if the pipeline does not support the settings of samples per pixel."""
     if config.pipeline.is_sequence:
         given = [name for name in ("samples", "time_limit", "noise", "adaptive") if getattr(config, name) is not None]
         if config.samples == 1:
@@ -88,41 +88,43 @@ def check_sampling(config: RenderConfig) -> None:
             )
     if config.adaptive and not may_adapt(config):
         if not config.pipeline.rasterises:
-            raise ConfigError("RenderConfig.adaptive=True needs pixels with draws of their own: not shared_draws")
-        raise ConfigError("RenderConfig.adaptive=True needs rays from the camera: Pipeline.PATH or Pipeline.TRACE")
+            raise ConfigError(
+                "RenderConfig.adaptive=True needs independent random numbers per pixel: shadow_rays.shared_draws=False"
+            )
+        raise ConfigError("RenderConfig.adaptive=True needs traced camera rays: use Pipeline.PATH or Pipeline.TRACE")
 
 
 def check_samples(config: RenderConfig, plan: FramePlan, resume: Frame | None) -> None:
-    """Raises ConfigError unless a frame can have the samples that its settings ask for."""
+    """Raises ConfigError if the frame cannot have the samples of its settings, or cannot be resumed."""
     check_sampling(config)
     if config.pipeline.is_sequence and resume is not None:
-        raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: the renderer's next frame goes on")
+        raise ConfigError("a frame of Pipeline.REALTIME cannot be resumed: render the next frame instead")
     if "variance" in plan.aovs and plan.samples == 1 and resume is None and not plan.has_history:
-        raise ConfigError("aovs has variance, which takes two samples or more: samples is 1")
+        raise ConfigError("aovs has variance, which needs two samples or more: samples is 1")
 
 
 def check_window(config: RenderConfig, plan: FramePlan, camera: Camera) -> None:
-    """Raises ConfigError if a window of a picture is to be drawn in a way that needs the whole picture."""
+    """Raises ConfigError if the camera has a window and the settings need the whole image."""
     if camera.window is None:
         return
     if plan.has_history:
-        raise ConfigError("Pipeline.REALTIME needs the whole picture: Camera.window goes with the others")
+        raise ConfigError("Pipeline.REALTIME needs the whole image: use another pipeline with Camera.window")
     if plan.adapts or config.noise is not None or config.time_limit is not None:
         raise ConfigError(
-            "noise, time_limit and adaptive choose samples by the whole picture: with Camera.window, set samples alone"
+            "noise, time_limit and adaptive choose samples by the whole image: with Camera.window, set only samples"
         )
 
 
 def check_blocks(config: RenderConfig, plan: FramePlan, camera: Camera | None = None) -> None:
-    """Raises ConfigError unless a frame has a number of samples that is known before, and is the same everywhere."""
+    """Raises ConfigError unless the frame has a fixed number of samples, the same in each pixel."""
     if camera is not None and plan.rasterises and not plan.is_unscented and camera.is_distorted:
-        raise ConfigError("rasterised frames of distorting lenses are resampled: their samples cannot be shared")
+        raise ConfigError("rasterised frames with lens distortion are resampled: their samples cannot be split")
     if plan.has_history or not plan.is_sampled:
         what = "Pipeline.REALTIME" if plan.has_history else "an unlit frame of the sorted rasteriser"
-        raise ConfigError(f"{what} is drawn in one go: it has no samples to share")
+        raise ConfigError(f"{what} is drawn in one go: it has no samples to split")
     if plan.adapts or config.noise is not None or config.time_limit is not None:
         raise ConfigError(
-            "noise, time_limit and adaptive choose samples by the frame so far: to share them, set samples"
+            "noise, time_limit and adaptive choose samples by the frame so far: to split them, set samples"
         )
 
 
@@ -133,7 +135,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
         frame: The frame to resume.
         camera: Camera of the new samples.
         config: Settings of the new samples.
-        plan: Plan of the frame that adds them.
+        plan: Plan of the frame that adds the samples.
     """
     check_kind("resume", frame, Frame)
     if not plan.is_sampled:
@@ -141,9 +143,9 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
     if frame.samples == 0:
         raise ConfigError("cannot resume a rasterised frame: it has no samples to add to")
     if frame.is_denoised:
-        raise ConfigError("cannot resume a denoised frame: resume the one that it was made of")
+        raise ConfigError("cannot resume a denoised frame: resume the frame before denoising")
     if plan.is_lit != frame.has("light"):
-        raise ConfigError("cannot resume an unlit frame with light, or a lit one without")
+        raise ConfigError("cannot resume an unlit frame as a lit one, or a lit frame as an unlit one")
     if frame.color.shape[:2] != camera.image_size[::-1] or frame.background != config.background:
         height, width = frame.color.shape[:2]
         raise ConfigError(
@@ -163,7 +165,7 @@ def check_resumable(frame: Frame, camera: Camera, config: RenderConfig, plan: Fr
 
 
 def check_resumed_scene(frame: Frame, scene: Scene) -> None:
-    """Raises ConfigError if a frame to resume has other numbers of things than a scene: it shows another one."""
+    """Raises ConfigError if the frame to resume and the scene have different numbers of Gaussians or triangles."""
     before, now = frame.stats, (scene.gaussian_count, scene.face_count)
     if before is not None and (before.gaussian_count, before.triangle_count) != now:
         raise ConfigError(
@@ -173,7 +175,7 @@ def check_resumed_scene(frame: Frame, scene: Scene) -> None:
 
 
 def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
-    """Names of the fields in which two dataclasses of one type differ; of nested ones as ``trace.strategy``."""
+    """Returns the names of fields in which two dataclasses of one type differ; nested ones as ``trace.strategy``."""
     names: list[str] = []
     for field in fields(one):
         value, other_value = getattr(one, field.name), getattr(other, field.name)
@@ -185,7 +187,7 @@ def differing(one: Any, other: Any, prefix: str = "") -> list[str]:
 
 
 class RasterWarnings:
-    """Logs once a renderer what of a scene the rasteriser draws differently."""
+    """Logs, once per renderer, what the rasteriser cannot draw exactly."""
 
     def __init__(self) -> None:
         self._warned_of_degrees: set[int] = set()
@@ -193,32 +195,32 @@ class RasterWarnings:
         self._has_warned_of_normals = False
 
     def warn_of_mirrors(self, scene: Scene) -> None:
-        """Logs once that smooth meshes only reflect the environment, or the background, in lit frames."""
+        """Logs once that smooth meshes reflect only the environment, or the background, in lit raster frames."""
         count = sum(instance.mesh.material.is_smooth for instance in scene.meshes)
         if count and not self._has_warned_of_mirrors:
             self._has_warned_of_mirrors = True
             _log.warning(
-                "%d smooth meshes (mirrors, glass) show the environment alone in the raster pipeline: "
-                "Pipeline.HYBRID follows what they reflect and let through",
+                "%d smooth meshes (mirrors, glass) reflect only the environment in the raster pipeline: "
+                "Pipeline.HYBRID traces their reflections and refractions",
                 count,
             )
 
     def warn_of_normals(self, config: TraceConfig) -> None:
-        """Logs once that what the camera sees itself in hybrid frames has the normals of rasterised Gaussians."""
+        """Logs once that directly visible Gaussians in hybrid frames have the rasteriser's normals."""
         if config.normal_method is NormalMethod.ELLIPSOID and not self._has_warned_of_normals:
             self._has_warned_of_normals = True
             _log.warning(
-                "NormalMethod.ELLIPSOID is not used for what the camera sees itself in the hybrid pipeline: "
+                "NormalMethod.ELLIPSOID is not used for directly visible Gaussians in the hybrid pipeline: "
                 "Pipeline.TRACE uses it"
             )
 
     def warn_of_degree(self, scene: Scene) -> None:
-        """Logs once for each kernel degree other than the rasteriser's, which is Gaussian."""
+        """Logs once for each kernel degree that the rasteriser draws as a Gaussian."""
         degrees = {instance.gaussians.kernel_degree for instance in scene.splats} - {KERNEL_DEGREE}
         for degree in sorted(degrees - self._warned_of_degrees):
             _log.warning(
-                "a capture has kernel degree %d, which the raster pipeline draws as degree %d: its shapes come out "
-                "right with Pipeline.TRACE",
+                "a capture has kernel degree %d, which the raster pipeline draws as degree %d: Pipeline.TRACE draws "
+                "its exact shape",
                 degree,
                 KERNEL_DEGREE,
             )

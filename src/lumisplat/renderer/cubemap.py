@@ -1,4 +1,4 @@
-"""A scene rendered to the six faces of a cube around a place, each pixel with the solid angle that it covers."""
+"""Renders a scene to the six faces of a cube map around a position, with the solid angle of each pixel."""
 
 from __future__ import annotations
 
@@ -29,53 +29,53 @@ _FACES = (
     ((0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
     ((0.0, 0.0, -1.0), (0.0, -1.0, 0.0)),
 )
-"""Direction of view of each face, and the direction that is up in it."""
+"""View direction and up direction of each face."""
 
 
 class CubeSamples(NamedTuple):
-    """Radiance that arrives at a place, one row for each direction."""
+    """Incident radiance at a position, one row per direction."""
 
     directions: Doubles
-    """Unit, world space, shape (N, 3)."""
+    """Unit directions in world space, shape (N, 3)."""
     radiance: FloatArray
-    """Linear Rec.709, shape (N, 3)."""
+    """Linear Rec.709 radiance, shape (N, 3)."""
     weights: Doubles
     """Solid angles, steradians, shape (N,)."""
 
 
 class CubeFaces(NamedTuple):
-    """What the pixels of the six faces of a cube show, P pixels along an edge, face by face and row by row."""
+    """Pixels of a cube map's six faces, P along an edge, face by face and row by row."""
 
     radiance: FloatArray
-    """Linear Rec.709, shape (6 P P, 3); without a background it is premultiplied."""
+    """Linear Rec.709 radiance, shape (6 P P, 3); premultiplied by alpha if the frames have no background."""
     alpha: FloatArray
-    """How much of each pixel the scene covers, 0..1, shape (6 P P,)."""
+    """Coverage of each pixel by the scene, 0..1, shape (6 P P,)."""
 
 
 class _Cube(NamedTuple):
-    """The faces of a cube around the origin."""
+    """The cameras of a cube map around the origin, and the geometry of its pixels."""
 
     cameras: tuple[Camera, ...]
     directions: Doubles
-    """Through the pixels' centres, shape (6 P P, 3)."""
+    """Directions through the pixels' centres, shape (6 P P, 3)."""
     weights: Doubles
-    """Solid angles of the pixels, shape (6 P P,)."""
+    """Solid angles of the pixels, steradians, shape (6 P P,)."""
 
 
 def render_faces(
     scene: Scene, position: Doubles, render: Callable[[Scene, Camera], Frame], face_px: int, near: float
 ) -> CubeFaces:
-    """Renders a scene from a place to the six faces of a cube.
+    """Renders a scene from a position to the six faces of a cube map.
 
-    Unlit frames are decoded by `captured_radiance`, lit ones are linear. Uncovered pixels have the background of the
-    frames, or in lit ones the scene's visible environment.
+    Unlit frames are decoded by `captured_radiance`; lit frames are linear already. Uncovered pixels show the background
+    of the frames, or in lit frames the scene's visible environment.
 
     Args:
         scene: The scene.
-        position: The centre of the cube, world space, shape (3,).
+        position: Centre of the cube, world space, shape (3,).
         render: Renders a face, as `lumisplat.Renderer.render` does.
         face_px: Pixels along a face's edge.
-        near: Half the side of the cube inside which nothing is seen, scene units.
+        near: Half the side of a cube around the position inside which nothing is rendered, scene units.
 
     Raises:
         SceneError: The scene is refused.
@@ -88,9 +88,9 @@ def render_faces(
 def render_cube(
     scene: Scene, position: Doubles, render: Callable[[Scene, Camera], Frame], face_px: int, near: float
 ) -> CubeSamples:
-    """Samples the radiance that arrives at a place, as of `render_faces`.
+    """Samples the incident radiance at a position; arguments as for `render_faces`.
 
-    Pixels that are not finite are left out, and counted in a log line.
+    Pixels that are not finite are left out, and a warning counts them.
 
     Raises:
         SceneError: No pixel is finite, or the scene is refused.
@@ -98,19 +98,19 @@ def render_cube(
     cube = _cube(face_px)
     radiance, alpha = render_faces(scene, position, render, face_px, near)
     if np.nanmax(alpha) == 0.0:
-        place = ", ".join(f"{x:g}" for x in position)
-        _log.warning("a probe at (%s) sees nothing of the scene, only the background", place)
+        where = ", ".join(f"{x:g}" for x in position)
+        _log.warning("a probe at (%s) sees nothing of the scene, only the background", where)
     finite = np.isfinite(radiance).all(axis=1)
     if not finite.any():
-        raise SceneError("a probe sees no pixel that is finite: are colours or lights of the scene too large?")
+        raise SceneError("a probe has no pixel that is finite: colours or lights of the scene are too large")
     if not finite.all():
-        _log.warning("%d pixels of a probe's faces are not finite, and left out", np.count_nonzero(~finite))
+        _log.warning("%d pixels of a probe's faces are not finite and are left out", np.count_nonzero(~finite))
         return CubeSamples(cube.directions[finite], radiance[finite], cube.weights[finite])
     return CubeSamples(cube.directions, radiance, cube.weights)
 
 
 def face_pixels(directions: Doubles, face_px: int) -> IntArray:
-    """Finds the pixels of a cube's faces that lie along directions.
+    """Returns the cube map pixel in each direction.
 
     Args:
         directions: World space, of any length above 0, shape (N, 3).
@@ -127,9 +127,10 @@ def face_pixels(directions: Doubles, face_px: int) -> IntArray:
 
 
 def cube_solid_angles(face_px: int) -> Doubles:
-    """Solid angle of each pixel of a face, steradians, shape (P, P): over six faces they sum to 4 pi, exactly.
+    """Returns the solid angle of each pixel of a face, steradians, shape (P, P).
 
-    A rectangle from the face's centre to (x, y), at distance 1, covers ``atan(x y / sqrt(x^2 + y^2 + 1))``.
+    Over six faces they sum to 4 pi exactly. A rectangle from the face's centre to (x, y), at distance 1, covers
+    ``atan(x y / sqrt(x^2 + y^2 + 1))``.
     """
     edge = np.linspace(-1.0, 1.0, face_px + 1)
     x, y = edge[None, :], edge[:, None]
@@ -151,14 +152,14 @@ def _cube(face_px: int) -> _Cube:
 
 
 def _moved(camera: Camera, position: Doubles, near: float) -> Camera:
-    """The camera with its eye at a place instead of the origin."""
+    """Returns the camera with its eye at the position instead of the origin."""
     pose = np.array(camera.camera_from_world)
     pose[:3, 3] = -pose[:3, :3] @ position
     return replace(camera, camera_from_world=pose, near=near)
 
 
 def _radiance(frame: Frame) -> FloatArray:
-    """Linear radiance of a frame's pixels over its background, (H, W, 3)."""
+    """Returns the linear radiance of a frame's pixels over its background, (H, W, 3)."""
     if frame.color_space == "linear":
         return frame.color
     weight = frame.alpha if frame.background is None else np.ones_like(frame.alpha)

@@ -1,4 +1,4 @@
-"""Deep frames: what the rays of each pixel meet, joined to a few samples that add up to the frame."""
+"""Deep frames: a few depth samples per pixel, from traced rays, which composite to the frame."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from lumisplat.scene.ops.views import world_rays
 from lumisplat.scene.scene import Scene
 
 _STEPS = 16
-"""Steps of a pixel's transmittance from 1 to 0: Gaussians within one of them are one sample."""
+"""Steps of a pixel's transmittance from 1 to 0. Gaussians within the same step become one sample."""
 _RAYS = 16
-"""Rays that are followed of a pixel at most: an edge of a mesh then covers it in steps of a 16th."""
+"""Largest number of rays per pixel; the edge of a mesh then covers a pixel in steps of a 16th."""
 _SURFACE_PX = 16.0
-"""Distance in depth between rays of one pixel, in widths of it there, within which meshes are one surface: it is seen
-at up to 86 degrees from its normal."""
+"""Largest distance in depth, in pixel widths at that depth, between mesh hits of one pixel that are one surface. The
+value allows surfaces up to 86 degrees from facing the camera."""
 _ENVIRONMENT_DEPTH = 1e30
-"""How far away an environment is, scene units: behind everything, and finite for those who compute with it."""
+"""Depth of an environment, scene units: behind everything, but finite, so that compositors can compute with it."""
 _TINY = float(np.finfo(np.float32).tiny)
-"""Keeps divisions from 0."""
+"""Lower bound that avoids division by zero."""
 _BAND_RAYS = 2**14
-"""Rays that are followed at once."""
+"""Rays that are traced at once."""
 
 
 def render_deep(
@@ -52,22 +52,23 @@ def render_deep(
     *,
     device: str = "auto",
 ) -> DeepFrame:
-    """Renders what a pixel shows sample by sample in depth, so that compositors can put smoke or people in between.
+    """Renders depth samples of each pixel, so that compositors can insert smoke or people between them.
 
-    The rays are those of the frame's own samples, up to 16 a pixel, each of which has as large a share of it; Gaussians
-    are as wide as pixels make them. What they meet is sorted by depth. Gaussians within a 16th of the pixel's
-    transmittance are one sample, from the first one's depth to the last one's; so are meshes that are one surface.
+    Traces the rays of the frame's own samples, up to 16 per pixel with equal weights; Gaussians are widened by the
+    pixel's footprint. Hits are sorted by depth. Gaussians within a 16th of the pixel's transmittance form one sample,
+    from the first one's depth to the last one's. Mesh hits on one surface form one sample, too.
 
-    All samples over each other are the frame: shares are scaled to its alpha pixel by pixel, and its colour is divided
-    among them in proportion to the linear colours that Gaussians and meshes have by themselves. Where a frame shows
-    what no ray meets, as at the edges of Gaussians that a rasteriser draws a little wider, that is one sample as deep
-    as the frame's surface or first Gaussian there. Lamps that the frame shows are samples of light alone, of alpha 0;
-    an environment is one at a depth of 1e30.
+    All samples composited over each other give the frame: weights are scaled to its alpha pixel by pixel, and its
+    colour is divided among the samples in proportion to the linear colours of their Gaussians and meshes. Where the
+    frame shows something that no ray hits, such as the edge of a Gaussian that a rasteriser draws a little wider, that
+    is one sample at the depth of the frame's surface or first Gaussian. Visible lights are samples with light and alpha
+    0. An environment is a sample at depth 1e30.
 
     Args:
-        scene: What to draw.
-        camera: From where.
-        frame: The same view as it is to look, such as a lit one of any pipeline; None: an unlit one of rays.
+        scene: The scene to render.
+        camera: The camera.
+        frame: A frame of the same view whose look the samples add up to, such as a lit frame of any pipeline. None: an
+            unlit traced frame.
         config: Settings of the rays; None: the defaults.
         device: As for ``create_renderer``.
 
@@ -82,7 +83,7 @@ def render_deep(
         raise SceneError(f"the frame has {frame.alpha.shape} rows and columns, the camera {size}")
     config = checked_config(config)
     if frame is not None and frame.config is not None:
-        config = replace(config, seed=frame.config.seed)  # by which its rays went through the lens
+        config = replace(config, seed=frame.config.seed)  # the seed determines where rays pass the lens
     tracer = _DeepTracer(scene, camera, config, device)
     frame = frame or tracer.frame()
     tracer.show_lights(frame)
@@ -98,51 +99,51 @@ def render_deep(
 
 
 class _Target(NamedTuple):
-    """What the samples of each pixel are to add up to."""
+    """The frame that the samples of each pixel must add up to."""
 
     color: FloatArray
-    """Premultiplied linear, (N, 3)."""
+    """Premultiplied linear colour, (N, 3)."""
     alpha: Doubles
-    """(N,)."""
+    """Alpha, (N,)."""
     depth: FloatArray
-    """Of what no ray meets, (N,)."""
+    """Depth of a sample where no ray hits anything, (N,)."""
 
     def of(self, pixels: slice) -> _Target:
-        """That of some pixels."""
+        """Returns the rows of some pixels."""
         return _Target(self.color[pixels], self.alpha[pixels], self.depth[pixels])
 
 
 class _Layers(NamedTuple):
-    """What the rays of pixels meet, before it is joined to samples; M in all."""
+    """Hits of the rays through all pixels of a band, before they are merged into samples; M in all."""
 
     pixel: Rows
-    """Of the band, (M,)."""
+    """Index of the pixel in the band, (M,)."""
     depth: FloatArray
-    """As `DeepFrame.near`, (M,)."""
+    """Depth of the hit, as `DeepFrame.near`, (M,)."""
     weight: FloatArray
-    """Its share of its ray, (M,)."""
+    """Compositing weight of the hit on its ray, (M,)."""
     light: FloatArray
-    """What it adds to its ray, at last to its pixel, by itself, linear, (M, 3)."""
+    """Linear radiance that the hit's own colour adds to its ray, later to its pixel, (M, 3)."""
     is_mesh: Flags
-    """It is a mesh, a lamp or the environment, (M,)."""
+    """True if the hit is on a mesh, a light or the environment, (M,)."""
 
     @classmethod
     def of(cls, parts: Sequence[_Layers]) -> _Layers:
-        """All of some."""
+        """Concatenates layers."""
         columns: Iterator[Any] = zip(*parts, strict=True)
         return cls(*(np.concatenate(column) for column in columns))
 
     def chosen(self, rows: Rows) -> _Layers:
-        """Some of them."""
+        """Returns some of the rows."""
         columns: Iterator[Any] = iter(self)
         return _Layers(*(values[rows] for values in columns))
 
 
 class _Samples(NamedTuple):
-    """Samples of pixels, as of `DeepFrame`."""
+    """Depth samples of pixels, as in `DeepFrame`."""
 
     counts: Rows
-    """Of each pixel, (N,)."""
+    """Samples of each pixel, (N,)."""
     near: FloatArray
     far: FloatArray
     color: FloatArray
@@ -150,13 +151,13 @@ class _Samples(NamedTuple):
 
 
 class _DeepTracer:
-    """Follows the rays of a camera's pixels.
+    """Traces the rays of a camera's pixels and merges their hits into depth samples.
 
     Args:
-        scene: What they meet.
-        camera: Whose rays they are.
-        config: How they are traced.
-        device: Where.
+        scene: The scene to trace.
+        camera: The camera of the rays.
+        config: Settings of the rays.
+        device: Device name, as for ``create_renderer``.
     """
 
     def __init__(self, scene: Scene, camera: Camera, config: RenderConfig, device: str) -> None:
@@ -171,11 +172,11 @@ class _DeepTracer:
         self._area_lights: list[AreaLight] = []
 
     def frame(self) -> Frame:
-        """The frame of the rays."""
+        """Renders the unlit traced frame of the scene."""
         return self._gaussians.render(self._scene, self._camera)
 
     def show_lights(self, frame: Frame) -> None:
-        """Has rays meet lamps if the frame shows them, and end at the environment: its alpha is then 1."""
+        """Lets rays hit the area lights and the environment that the frame shows. An environment makes its alpha 1."""
         config = frame.config
         if config is None or not FramePlan.of(config, self._scene).is_lit:
             return
@@ -186,21 +187,21 @@ class _DeepTracer:
                 self._area_lights.append(light)
 
     def band(self, pixels: slice, target: _Target, offsets: list[tuple[float, float]]) -> _Samples:
-        """Samples of some pixels, by one ray through each of some points of them, 0..1."""
+        """Returns the samples of some pixels, from one ray per pixel through each sub-pixel offset, 0..1."""
         ray_indices = self._ray_indices[pixels]
         target = target.of(pixels)
         found = [self._layers(ray_indices, sample, offset) for sample, offset in enumerate(offsets)]
         layers = _Layers.of(found)
         layers = layers._replace(light=layers.light / np.float32(len(offsets)))
         has_any = np.bincount(layers.pixel, minlength=len(ray_indices)) > 0
-        covers = np.bincount(layers.pixel, layers.weight, len(ray_indices)) > 0.0  # lamps cover nothing
+        covers = np.bincount(layers.pixel, layers.weight, len(ray_indices)) > 0.0  # lights cover nothing
         missed = np.flatnonzero((~covers & (target.alpha > 0.0)) | (~has_any & target.color.any(axis=1)))
         ones, white = np.ones(len(missed), np.float32), np.ones((len(missed), 3), np.float32)
         layers = _Layers.of([layers, _Layers(missed, target.depth[missed], ones, white, np.zeros(len(missed), bool))])
         return self._samples_of(layers.chosen(np.lexsort((layers.depth, layers.pixel))), target)
 
     def _layers(self, ray_indices: IntArray, sample: int, offset: tuple[float, float]) -> _Layers:
-        """Gaussians and meshes on a ray of each pixel."""
+        """Traces one ray per pixel, and returns its hits on Gaussians, meshes, lights and the environment."""
         traced = self._gaussians.profile_pixels(self._scene, self._camera, ray_indices, sample, offset)
         profile = traced.gaussians
         pixel = np.repeat(np.arange(len(profile)), np.diff(profile.first))
@@ -212,7 +213,7 @@ class _DeepTracer:
         left = np.ones(len(ray_indices), np.float32)
         ends = np.flatnonzero(np.diff(profile.first))
         left[ends] = profile.transmittance[profile.first[ends + 1] - 1]
-        left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray has ended before
+        left[left <= self._gaussians.config.trace.transmittance_min] = 0.0  # the ray ended in front of it
         behind = [gaussians, *(self._light_layers(light, traced, pixel) for light in self._area_lights)]
         if self._scene.meshes:
             behind.append(self._mesh_layers(traced, left))
@@ -226,7 +227,10 @@ class _DeepTracer:
         return _Layers.of(behind)
 
     def _light_layers(self, light: AreaLight, traced: PixelProfile, pixel: Rows) -> _Layers:
-        """A lamp that is seen as a body: it adds light, and blocks none; ``pixel`` is that of each Gaussian."""
+        """Returns the hits of rays on a visible area light, which adds radiance and blocks none.
+
+        ``pixel`` is the pixel of each Gaussian hit.
+        """
         distance = light.distances(traced.origins, traced.directions.astype(np.float64))
         left = np.ones(len(distance), np.float32)
         in_front = traced.gaussians.t < distance[pixel]
@@ -238,7 +242,7 @@ class _DeepTracer:
         return _Layers(hit, depth, np.zeros(len(hit), np.float32), radiance, np.ones(len(hit), bool))
 
     def _mesh_layers(self, traced: PixelProfile, left: FloatArray) -> _Layers:
-        """The meshes that end rays, of which so much is left there."""
+        """Returns the mesh hits at which rays end, with the transmittance ``left`` in front of them."""
         end = np.flatnonzero(np.isfinite(traced.mesh_distance) & (left > 0.0))
         if not len(end):
             return _Layers(end, left[end], left[end], np.zeros((0, 3), np.float32), np.zeros(0, bool))
@@ -248,7 +252,7 @@ class _DeepTracer:
         return _Layers(end, depth, left[end], light, np.ones(len(end), bool))
 
     def _depths(self, traced: PixelProfile, pixel: Rows, distance: FloatArray) -> FloatArray:
-        """Depths of points on rays."""
+        """Converts distances along rays to depths: view depth, or the distance itself for a fisheye."""
         if self._camera.model is CameraModel.FISHEYE:
             return distance
         forward = self._camera.world_from_camera[:3, 2]
@@ -256,7 +260,7 @@ class _DeepTracer:
         return (from_eye[pixel] + distance * (traced.directions @ forward)[pixel]).astype(np.float32)
 
     def _samples_of(self, layers: _Layers, target: _Target) -> _Samples:
-        """Samples that add up to what is wanted, of layers that are sorted."""
+        """Merges sorted layers into samples whose sums are the target's colour and alpha."""
         count = len(target.alpha)
         total = np.bincount(layers.pixel, layers.weight, count)
         scale = np.divide(target.alpha, total, out=np.zeros(count), where=total > 0.0)
@@ -278,11 +282,11 @@ class _DeepTracer:
         return _Samples(counts, near, far, color.astype(np.float32), alpha.astype(np.float32))
 
     def _starts(self, layers: _Layers, through: Doubles) -> Rows:
-        """The first layer of each sample."""
+        """Returns the index of the first layer of each sample."""
         is_other = np.diff(layers.pixel, prepend=-1) != 0
         farther = np.diff(layers.depth, prepend=np.float32(0.0))
         is_apart = is_other | (farther > 0.0)
-        first = np.maximum.accumulate(np.where(is_apart, np.arange(len(is_apart)), 0))  # of those at one depth
+        first = np.maximum.accumulate(np.where(is_apart, np.arange(len(is_apart)), 0))  # first layer of each depth
         step = np.minimum((1.0 - through[first]) * _STEPS, _STEPS - 1).astype(np.int32)
         changes = np.diff(layers.is_mesh, prepend=False) | (np.diff(step, prepend=-1) != 0)
         goes_on = layers.is_mesh & ~np.diff(layers.is_mesh, prepend=False)
@@ -290,20 +294,20 @@ class _DeepTracer:
         return np.flatnonzero(is_other | (is_apart & np.where(goes_on, ends_surface, changes)))
 
     def _pixel_widths(self, depth: FloatArray) -> FloatArray:
-        """Widths of pixels at depths, scene units."""
+        """Returns the width of a pixel at each depth, scene units."""
         distance = np.ones_like(depth) if self._camera.model is CameraModel.ORTHOGRAPHIC else np.abs(depth)
         return distance / np.float32(min(self._camera.fx, self._camera.fy))
 
 
 def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
-    """What each layer adds to its pixel, (M, 3).
+    """Returns the radiance that each layer adds to its pixel, (M, 3).
 
-    Lamps, which alone have no weight, their own light, as it is known; the others what is left, channel by channel in
-    proportion to their own light, where all are black to their weight.
+    Lights, the only layers without a weight, add their own radiance, which is known. The other layers divide the rest,
+    channel by channel, in proportion to their own radiance, or to their weights where all are black.
     """
 
     def summed(values: Doubles) -> Doubles:
-        """Of each pixel, (N, 1 or 3)."""
+        """Sums values by pixel, (N, 1 or 3)."""
         columns = [np.bincount(layers.pixel, one, len(target)) for one in values.T]
         return np.stack(columns, axis=1, dtype=np.float64)
 
@@ -319,7 +323,7 @@ def _contributions(layers: _Layers, target: FloatArray) -> Doubles:
 
 
 def _environment_radiance(environment: LightEnvironment, directions: FloatArray) -> FloatArray:
-    """Radiance of an environment along unit directions in the world, (N, 3)."""
+    """Returns an environment's radiance in unit directions of world space, (N, 3)."""
     image = np.ones((1, 1, 3)) if environment.image is None else environment.image
     world_from_environment = matrices_from_quaternions(np.array([environment.rotation_wxyz]))[0]
     seen = panorama_lookup(image, directions.astype(np.float64) @ world_from_environment)
@@ -327,7 +331,7 @@ def _environment_radiance(environment: LightEnvironment, directions: FloatArray)
 
 
 def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, float]]:
-    """Points of a pixel, 0..1, through which rays are followed: those of the frame's first samples."""
+    """Returns the sub-pixel offsets of the rays, 0..1: those of the frame's first samples."""
     config = frame.config or RenderConfig(samples=max(frame.samples, 1))
     plan = FramePlan.of(config, scene)
     count = _RAYS if plan.has_history else min(max(frame.samples, 1), _RAYS)
@@ -337,7 +341,7 @@ def _offsets(frame: Frame, scene: Scene, camera: Camera) -> list[tuple[float, fl
 
 
 def _pixel_ray_indices(width: int, height: int) -> IntArray:
-    """Of the pixels' rays among those of all, pixels row by row: rays come in square blocks, (H W,)."""
+    """Returns the ray index of each pixel, pixels row by row, (H W,). Rays are stored in square blocks of pixels."""
     side = RAY_BLOCK_PX
     down, right = (numbers.ravel() for numbers in np.divmod(np.arange(width * height), width))
     block = down // side * (-(-width // side)) + right // side
@@ -345,7 +349,10 @@ def _pixel_ray_indices(width: int, height: int) -> IntArray:
 
 
 def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
-    """Depths of a frame's surface, else of its first Gaussian's mean, else between those beside, row by row."""
+    """Returns a depth for each pixel of a frame, row by row.
+
+    The depth is that of the surface, else of the first Gaussian's mean, else interpolated between neighbouring pixels.
+    """
     forward, is_fisheye = camera.world_from_camera[:3, 2], camera.model is CameraModel.FISHEYE
     distance = np.where(np.isfinite(frame.depth), frame.depth, np.float32(np.nan))
     along = 1.0 if is_fisheye else world_rays(camera)[1] @ forward
@@ -364,7 +371,7 @@ def _depths(frame: Frame, scene: Scene, camera: Camera) -> FloatArray:
 
 
 def _view_colors(scene: Scene, camera: Camera) -> FloatArray:
-    """Linear colours of all Gaussians as the camera sees them, instance by instance, (N, 3)."""
+    """Returns linear colours of all Gaussians in the camera's view directions, instance by instance, (N, 3)."""
     shown = [np.zeros((0, 3), np.float32)]
     for splat in scene.splats:
         object_from_world = np.linalg.inv(splat.transform)
@@ -375,6 +382,6 @@ def _view_colors(scene: Scene, camera: Camera) -> FloatArray:
 
 
 def _linear(frame: Frame) -> FloatArray:
-    """Premultiplied linear colours of a frame, as files hold them, (H, W, 3)."""
+    """Returns premultiplied linear colours of a frame, as in files, (H, W, 3)."""
     channels = frame.layers([])
     return np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Mattes of a camera: frames whose pixels' centres are moved through the pixel, and what each of them shows."""
+"""Cryptomatte coverage of a camera's pixels, from frames with shifted sub-pixel positions."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 _SIDE = 4
-"""Points along a pixel's side, which give 17 steps of an edge's coverage."""
+"""Sub-pixel positions along a pixel's side; their square, 16, gives 17 levels of coverage at an edge."""
 _RANKS = 6
-"""Names kept of a pixel: three groups of channels, as renderers for films write."""
+"""Largest number of names stored per pixel: three groups of channels, as production renderers write."""
 
 
 def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = None, *, device: str = "auto") -> Mattes:
-    """Finds which objects and materials cover each pixel, and how much of it, for Cryptomatte in compositors.
+    """Renders the coverage of each pixel by objects and materials, for Cryptomatte in compositors.
 
-    16 unlit frames whose pixels' centres are moved through the pixel. At each point, what stands at the frame's surface
-    (see ``instance_index``) covers as much as the frame's alpha there: what lies behind translucent Gaussians has no
-    share.
+    Renders 16 unlit frames, whose rays go through a 4 x 4 grid in each pixel. In each frame, the instance at the
+    pixel's surface (see ``instance_index``) covers as much as the frame's alpha. Surfaces behind translucent Gaussians
+    count as uncovered.
 
-    Instances with one name are one object. One without a name is called by its place, ``capture 0`` or ``mesh 0``; a
-    mesh's material without a name, and a capture, by the object.
+    Instances with the same name are one object. An instance without a name is called ``capture 0`` or ``mesh 0``, by
+    its index. A mesh material without a name, and a capture's material, take the name of the object.
 
     Args:
-        scene: What to draw.
-        camera: From where. Mattes are sharp: its aperture is not used.
-        config: Settings of the frame that the mattes are for: visibility is that of its rasteriser, or of its rays with
-            ``Pipeline.TRACE`` and ``PATH``. None: the defaults.
+        scene: The scene to render.
+        camera: The camera. Mattes are sharp: its aperture is ignored.
+        config: Settings of the frame that the mattes are for. Visibility is rasterised or, for ``Pipeline.TRACE`` and
+            ``PATH``, traced, as in that frame. None: the defaults.
         device: As for ``create_renderer``.
 
     Raises:
@@ -62,7 +62,7 @@ def render_mattes(scene: Scene, camera: Camera, config: RenderConfig | None = No
 
 
 def _names(scene: Scene) -> tuple[list[str], list[str]]:
-    """Names of the object and of the material of each instance, captures first, as frames count them."""
+    """Returns the object name and the material name of each instance, captures first, by instance index."""
     objects = [splat.name or f"capture {index}" for index, splat in enumerate(scene.splats)]
     materials = list(objects)
     for index, mesh in enumerate(scene.meshes):
@@ -72,13 +72,13 @@ def _names(scene: Scene) -> tuple[list[str], list[str]]:
 
 
 def _matte(kind: str, names: Sequence[str], shown: IntArray, weights: FloatArray) -> Matte:
-    """Sums the shares of points by name, and keeps the largest of each pixel.
+    """Sums the coverage of all sub-pixel positions by name, and returns the largest sums of each pixel.
 
     Args:
-        kind: As of `Matte`.
-        names: Of each instance.
-        shown: Instance at each point, -1: none, shape (P, H, W).
-        weights: Share of the pixel that each point covers, of the same shape.
+        kind: Name of the matte, as in `Matte`.
+        names: Name of each instance.
+        shown: Instance at each sub-pixel position; -1: none, shape (P, H, W).
+        weights: Fraction of the pixel that each position covers, shape (P, H, W).
     """
     distinct = tuple(dict.fromkeys(names))
     name_of = np.array([*map(distinct.index, names), -1], dtype=np.int32)
@@ -87,7 +87,7 @@ def _matte(kind: str, names: Sequence[str], shown: IntArray, weights: FloatArray
     found, weights = np.take_along_axis(found, order, 0), np.take_along_axis(weights, order, 0)
     sums = np.zeros_like(weights)
     sums[0] = weights[0]
-    for point in range(1, len(found)):  # what goes on is carried along, so that the last of a run has its sum
+    for point in range(1, len(found)):  # the last entry of a run of equal names gets their sum
         goes_on = found[point] == found[point - 1]
         sums[point] = weights[point] + np.where(goes_on, sums[point - 1], 0.0)
         sums[point - 1] = np.where(goes_on, 0.0, sums[point - 1])

@@ -1,4 +1,4 @@
-"""Functions of one call: each creates a renderer, uses it once and drops it."""
+"""Functions that create a renderer, use it once and release it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 WARM_UP_FRAMES = 32
-"""Frames of a view that stands still, of which the last is shown: as many as direct light is averaged over."""
+"""Frames of a still real-time view, of which the last is returned: direct light is averaged over as many."""
 
 
 def render(
@@ -30,15 +30,15 @@ def render(
     frames: int | None = None,
     device: str = "auto",
 ) -> Frame:
-    """Renders one frame with a renderer of its own; for several frames, ``create_renderer`` keeps what they share.
+    """Renders one frame. For several frames, ``create_renderer`` is faster: it reuses kernels, buffers and assets.
 
-    With ``Pipeline.REALTIME`` it is the last one of a sequence that stands still, in which light finds its way.
+    With ``Pipeline.REALTIME``, the result is the last frame of a still sequence, over which its lighting converges.
 
     Args:
-        scene: What to draw.
-        camera: From where.
+        scene: The scene to render.
+        camera: The camera.
         config: Settings; None: the defaults.
-        frames: Of ``Pipeline.REALTIME`` alone, the length of the sequence; None: 32, as on the command line.
+        frames: Length of the sequence, for ``Pipeline.REALTIME`` only; None: 32, as on the command line.
         device: As for ``create_renderer``.
 
     Raises:
@@ -49,7 +49,7 @@ def render(
     is_sequence = checked_config(config).pipeline.is_sequence
     if frames is not None:
         if not is_sequence:
-            raise ConfigError("frames is of Pipeline.REALTIME: samples make frames of other pipelines better")
+            raise ConfigError("frames is for Pipeline.REALTIME only: set samples for other pipelines")
         check_whole("frames", frames, 1, SAMPLES_MAX)
     renderer = create_renderer(config, device)
     for _ in range((frames or WARM_UP_FRAMES) - 1 if is_sequence else 0):
@@ -66,19 +66,19 @@ def trace_rays(
     profile: bool = False,
     device: str = "auto",
 ) -> RayHits:
-    """Traces any rays through a scene, mirrors and glass included.
+    """Traces rays with given origins and directions through a scene, including mirrors and glass.
 
-    Rays are traced in batches, so that memory does not grow with their number; neighbours in the arrays that are
-    neighbours in space are traced together, and faster. For many calls on one scene, ``create_renderer`` with
-    ``Pipeline.TRACE`` and its ``trace_rays`` keep what they share.
+    Rays are traced in batches, so memory does not grow with their number. Rays that are close in space should be close
+    in the arrays: they are traced together, which is faster. For many calls on one scene, use ``create_renderer`` with
+    ``Pipeline.TRACE`` and its ``trace_rays``.
 
     Args:
-        scene: What they hit.
+        scene: The scene to trace.
         origins: World space, shape (N, 3), or (3,) for all rays.
         directions: World space, of any length, shape (N, 3).
-        config: Settings; None: the defaults. ``background`` is seen in mirrors only.
-        profile: Whether to list the Gaussians on each ray up to the first mesh, in ``RayHits.profile``: exact and
-            in order, whatever the strategy. The result has 20 bytes a Gaussian; device memory stays bounded.
+        config: Settings; None: the defaults. ``background`` is visible in mirrors only.
+        profile: Whether to list the Gaussians on each ray up to the first mesh in ``RayHits.profile``. The list is
+            exact and sorted, whatever the strategy. It takes 20 bytes per Gaussian; device memory stays bounded.
         device: As for ``create_renderer``.
 
     Raises:
@@ -93,13 +93,13 @@ def trace_rays(
 def focused(
     scene: Scene, camera: Camera, x: int, y: int, config: RenderConfig | None = None, *, device: str = "auto"
 ) -> Camera:
-    """The camera with what one of its pixels shows in focus: ``focus_distance`` follows, all else stays.
+    """Returns the camera focused on the surface at one pixel: only ``focus_distance`` changes.
 
-    The surface is that of the frame's depth at this pixel, without the lens. For a frame to blur what is not in focus,
-    the camera needs an ``aperture``, and the frame a pipeline of rays.
+    The surface is at the frame's depth at that pixel, traced through a pinhole. Defocus blur also needs an ``aperture``
+    and a ray-traced pipeline.
 
     Args:
-        scene: What the camera looks at.
+        scene: The scene that the camera sees.
         camera: The camera.
         x: Column of the pixel, from 0.
         y: Row of the pixel, from 0.
@@ -109,7 +109,7 @@ def focused(
     Raises:
         ConfigError: ``config`` is no RenderConfig.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: There is no such pixel, or it shows no surface.
+        SceneError: There is no such pixel, or no surface at it.
     """
     return create_renderer(tracing(checked_config(config)), device).focused(scene, camera, x, y)
 
@@ -123,16 +123,16 @@ def transmittance(
     config: RenderConfig | None = None,
     device: str = "auto",
 ) -> FloatArray:
-    """Transmittance along rays, from their origins to ``max_distance``.
+    """Returns the transmittance along rays from their origins to ``max_distance``.
 
-    The product of 1 - alpha over all Gaussians on the way, 0 if below ``config.trace.transmittance_min``, or if a mesh
-    of any material is on the way.
+    Transmittance is the product of 1 - alpha over all Gaussians on the segment. It is 0 where the product is below
+    ``config.trace.transmittance_min``, or where a mesh of any material is on the segment.
 
     Args:
-        scene: What blocks them.
+        scene: The scene that blocks the rays.
         origins: World space, shape (N, 3), or (3,) for all rays.
         directions: World space, of any length, shape (N, 3).
-        max_distance: Scene units, one number or one a ray, shape (N,).
+        max_distance: Scene units, one number or one per ray, shape (N,).
         config: Settings; None: the defaults.
         device: As for ``create_renderer``.
 

@@ -1,4 +1,4 @@
-"""Any rays through a scene: given by a caller or of a camera's pixels, what they show, and the Gaussians on them."""
+"""Ray queries: traces rays given by a caller or by a camera's pixels, and lists the Gaussians on them."""
 
 from __future__ import annotations
 
@@ -35,35 +35,35 @@ from lumisplat.scene.scene import Scene
 _log = logging.getLogger("lumisplat")
 
 RAY_BATCH = 2**20
-"""Rays of a query that are on the device at once: some 200 MiB."""
+"""Largest number of rays of a query on the device at once, about 200 MiB."""
 
 _INPUTS = {"origins": wp.vec3, "directions": wp.vec3, "ends": wp.float32, "starts": wp.float32}
 
 PROFILE_ROWS = 2**22
-"""Hits of a query that are on the device at once: 64 MiB, unless rays that are followed together have more."""
+"""Largest number of listed hits on the device at once, 64 MiB; more only if rays that must be traced together have
+more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayProfile:
-    """The Gaussians on N rays, M in all: ray by ray, each in the order in which a sorted ray blends them.
+    """The Gaussians on N rays, M in all: ray by ray, each in the order in which sorted blending composites them.
 
-    A ray ends behind the Gaussian at which its transmittance falls to ``TraceConfig.transmittance_min``, or before the
-    first mesh.
+    A ray ends after the Gaussian at which its transmittance falls to ``TraceConfig.transmittance_min``, or at the first
+    mesh.
     """
 
     first: Rows
     """Row of each ray's first Gaussian, and M at the end, (N + 1,)."""
     t: FloatArray
-    """Distance at which the ray hits the Gaussian, as ``TraceConfig.hit_distance`` says, scene units, (M,); ascending
-    on each ray."""
+    """Hit distance of the Gaussian by ``TraceConfig.hit_distance``, scene units, (M,); ascending on each ray."""
     alpha: FloatArray
-    """Share of the light from behind that the Gaussian blocks, 0..0.99, (M,)."""
+    """Alpha of the Gaussian: the fraction of light from behind that it blocks, 0..0.99, (M,)."""
     transmittance: FloatArray
-    """Share of the light from behind that reaches the ray's origin, 0..1, (M,)."""
+    """Transmittance from behind the Gaussian to the ray's origin, 0..1, (M,)."""
     gaussian_index: IntArray
-    """The Gaussian, within its own instance, (M,)."""
+    """Index of the Gaussian in its own instance, (M,)."""
     instance_index: IntArray
-    """Its splat instance, in scene order, (M,)."""
+    """Index of its splat instance, in scene order, (M,)."""
 
     def __repr__(self) -> str:
         return f"RayProfile(rays={len(self)}, hits={len(self.t)})"
@@ -72,22 +72,22 @@ class RayProfile:
         return len(self.first) - 1
 
     def rows(self, ray: int) -> slice:
-        """The rows of a ray, from 0: ``profile.alpha[profile.rows(3)]``."""
+        """Returns the rows of a ray, counted from 0: ``profile.alpha[profile.rows(3)]``."""
         return slice(int(self.first[ray]), int(self.first[ray + 1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PixelProfile:
-    """One ray of each of N pixels of a camera, and all that it meets."""
+    """One ray for each of N camera pixels, with all its hits."""
 
     gaussians: RayProfile
-    """Of Gaussians as wide as the pixels make them; pixels without a ray meet none."""
+    """Gaussians on the rays, widened by the pixel footprint; none for pixels without a ray."""
     mesh_distance: FloatArray
-    """Of the nearest mesh, scene units, (N,); inf: there is none."""
+    """Distance of the nearest mesh, scene units, (N,); inf: no mesh."""
     origins: Doubles
-    """Where rays start, world space, (N, 3); undefined without a ray."""
+    """Ray origins, world space, (N, 3); undefined for pixels without a ray."""
     directions: FloatArray
-    """Unit vectors, (N, 3); 0 where a pixel has no ray."""
+    """Unit ray directions, (N, 3); 0 for pixels without a ray."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,22 +95,23 @@ class RayHits:
     """Radiance and hits of N rays."""
 
     radiance: FloatArray
-    """Of all that the ray hits, in ``color_space``, without a background or an environment behind it, (N, 3)."""
+    """Radiance of everything that the ray hits, in ``color_space``, without a background or environment behind it, (N,
+    3)."""
     transmittance: FloatArray
-    """Share of a background behind the ray, 0..1, (N,); 0 if the ray hits a mesh, also one of clear glass: what is seen
-    through it is in ``radiance``."""
+    """Weight of a background behind the ray, 0..1, (N,). 0 if the ray hits a mesh, even of clear glass: ``radiance``
+    then includes the surfaces visible through it."""
     depth: FloatArray
-    """Distance to the iso-opacity surface, scene units, (N,); inf: there is none."""
+    """Distance to the iso-opacity surface, scene units, (N,); inf: no surface."""
     normal: FloatArray
-    """World space, unit, against the ray, (N, 3); zero: nothing is hit."""
+    """Unit normal in world space, facing the ray's origin, (N, 3); zero: no hit."""
     gaussian_index: IntArray
-    """Gaussian at the surface, within its own instance, (N,); -1: none."""
+    """Index of the Gaussian at the surface in its own instance, (N,); -1: none."""
     instance_index: IntArray
-    """Instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
+    """Index of the instance at the surface, (N,): splat instances in scene order, then mesh instances; -1: none."""
     color_space: str = "srgb"
-    """Of the radiance: ``srgb``, display-referred, or ``linear`` if it is lit."""
+    """Colour space of the radiance: ``srgb``, display-referred, or ``linear`` for lit queries."""
     profile: RayProfile | None = None
-    """The Gaussians on the rays one by one; None: they were not asked for."""
+    """List of the Gaussians on the rays; None: not requested."""
 
     def __repr__(self) -> str:
         depths = self.depth[np.isfinite(self.depth)]
@@ -122,7 +123,7 @@ class RayHits:
 
 
 class RayLoader:
-    """Loads rays, up to a batch at a time.
+    """Uploads rays in batches.
 
     Args:
         launcher: Runs the kernel.
@@ -134,15 +135,15 @@ class RayLoader:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [camera_ray_kernels]
 
     def allocate(self, count: int) -> RayData:
-        """Room for so many rays; there are a few sizes instead of one a call."""
+        """Returns arrays for this many rays, rounded up to one of a few sizes so that buffers are reused."""
         return self._buffers.struct("rays.rays", RayData, whole_packets(grown_capacity(count)))
 
     def upload(self, batch: list[FloatArray]) -> list[DeviceArray]:
-        """Origins, directions, distances of ends, and from where on Gaussians count if that is given, on the device."""
+        """Uploads origins, directions, end distances and, if given, the distances from which Gaussians count."""
         if len(batch) < len(_INPUTS):
             batch = [*batch, np.zeros(len(batch[0]), np.float32)]
         arrays: list[DeviceArray] = []
@@ -154,25 +155,27 @@ class RayLoader:
         return arrays
 
     def load(self, scene: DeviceScene, first: int, count: int, inputs: list[DeviceArray], rays: RayData) -> None:
-        """Starts ``count`` rays of the scene's current sample; ``first`` is the number of the first in its query."""
+        """Starts ``count`` rays of the scene's current sample. ``first`` is the index of the first one in its query."""
         self._launcher.run_banded(
             camera_ray_kernels.load_rays, len(rays.t_max), first, count, scene.sample, *inputs, rays
         )
 
 
 def batches(*arrays: FloatArray) -> Iterator[tuple[int, list[FloatArray]]]:
-    """Consecutive rows of all arrays, and the index of the first."""
+    """Yields consecutive rows of all arrays, each with the index of its first row."""
     for first in range(0, max(len(arrays[0]), 1), RAY_BATCH):
         yield first, [array[first : first + RAY_BATCH] for array in arrays]
 
 
 def whole_packets(count: int) -> int:
-    """The next multiple of a packet's rays."""
+    """Rounds a count up to a multiple of a packet's rays."""
     return -(-count // PACKET_RAYS) * PACKET_RAYS
 
 
 def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Doubles, FloatArray]:
-    """Returns origins, float64, and unit directions, float32, shape (N, 3) each; one of shape (3,) is that of all rays.
+    """Returns origins, float64, and unit directions, float32, shape (N, 3) each.
+
+    One origin of shape (3,) is used for all rays.
 
     Raises:
         SceneError: A shape does not fit, an origin is not finite, or a direction is not finite or has no length.
@@ -186,7 +189,7 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Dou
         bad = int(np.count_nonzero(~(np.isfinite(values) & (np.abs(values) <= largest)).all(axis=1)))
         if bad:
             raise SceneError(f"{bad} of {len(values)} ray {name} are not finite: leave these rays out")
-    # In two steps, as the squares of large and small components overflow and underflow.
+    # Normalised in two steps, since squares of large and small components overflow and underflow.
     largest = np.abs(along).max(axis=1, keepdims=True, initial=0.0)
     empty = int(np.count_nonzero(largest == 0.0))
     if empty:
@@ -197,10 +200,10 @@ def checked_rays(origins: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Dou
 
 
 def checked_distances(distances: npt.ArrayLike, count: int) -> FloatArray:
-    """One distance a ray, float32, shape (N,).
+    """Returns one distance per ray, float32, shape (N,).
 
     Raises:
-        SceneError: They are not one number or one a ray, or some are NaN or negative.
+        SceneError: The distances are not one number or one per ray, or some are NaN or negative.
     """
     values = _numbers("max_distance", distances)
     if values.shape not in ((), (count,)):
@@ -236,7 +239,7 @@ class RayQueries:
         buffers: Holds the arrays.
         config: Settings.
         tracer: Finds the hits of the rays.
-        integrators: Compute their radiance.
+        integrators: Compute the radiance of the rays.
     """
 
     def __init__(
@@ -254,7 +257,7 @@ class RayQueries:
         self._transmittance = ShadowRays(launcher, buffers, replace(config, shadow_rays=exact), "transmit")
 
     def transmittance_modules(self) -> list[KernelModule]:
-        """The kernel modules of `transmittance`, but for hierarchies."""
+        """Returns the kernel modules of `transmittance`, without those that build BVHs."""
         return [*self._transmittance.modules(ON_ALL, has_meshes=True), *self._rays.modules()]
 
     def query(
@@ -267,16 +270,16 @@ class RayQueries:
         *,
         ends: FloatArray | None = None,
     ) -> RayHits:
-        """Radiance and hits of rays; ``directions`` are unit vectors.
+        """Returns radiance and hits of rays; ``directions`` are unit vectors.
 
         Args:
-            scene: Up to date for rays.
-            plan: Of the scene.
-            origins: Shape (N, 3).
-            directions: Likewise.
-            offsets: Of rays that leave Gaussians: distances within which those as large do not count, as of shadow
-                rays, shape (N,); None: all Gaussians count.
-            ends: Distances beyond which nothing is seen, shape (N,); None: all is.
+            scene: The device scene, synced for rays.
+            plan: Plan of the scene.
+            origins: Ray origins, shape (N, 3).
+            directions: Ray directions, shape (N, 3).
+            offsets: For rays that leave Gaussians: distances within which Gaussians of that size are skipped, as for
+                shadow rays, shape (N,). None: no Gaussian is skipped.
+            ends: Distances at which the rays end, shape (N,); None: rays do not end.
         """
         parts: list[dict[str, npt.NDArray[Any]]] = []
         nonfinite = 0
@@ -311,7 +314,7 @@ class RayQueries:
         distances: FloatArray,
         offsets: FloatArray | None = None,
     ) -> FloatArray:
-        """Transmittance up to ``distances``, (N,); 0 if below the lowest one that counts. ``offsets`` as of `query`."""
+        """Returns transmittances up to ``distances``, (N,); 0 below ``transmittance_min``. Args are as for `query`."""
         parts: list[FloatArray] = []
         scene.begin_sample(0)
         for first, batch in batches(origins, directions, distances, _starts(origins, offsets)):
@@ -326,8 +329,8 @@ class RayQueries:
     def _query_batch(
         self, scene: DeviceScene, plan: FramePlan, first: int, batch: list[FloatArray], *, bounced: bool
     ) -> tuple[dict[str, npt.NDArray[Any]], int]:
-        """Images of one row of rays, and how many samples were not finite."""
-        # Given rays are not jittered: without random numbers, all samples are equal.
+        """Returns the images of one batch as one row of pixels, and the number of samples that were not finite."""
+        # A caller's rays are not jittered: without random numbers, all samples are equal.
         is_random = plan.is_lit or self._config.trace.strategy is not TraceStrategy.SORTED
         samples = plan.samples if is_random else 1
         count, rays = len(batch[0]), self._rays.allocate(len(batch[0]))
@@ -356,18 +359,18 @@ class RayQueries:
 
 
 def _starts(origins: FloatArray, offsets: FloatArray | None) -> FloatArray:
-    """Where Gaussians begin to count, shape (N,)."""
+    """Returns the distance on each ray from which Gaussians count, shape (N,)."""
     return np.zeros(len(origins), np.float32) if offsets is None else offsets
 
 
 def tracing(config: RenderConfig | None) -> RenderConfig:
-    """The settings with a pipeline of rays: that of paths, or the ray tracer."""
+    """Returns the settings with a ray-traced pipeline: ``PATH`` if they have it, else ``TRACE``."""
     config = config or RenderConfig()
     return config if config.pipeline.traces_paths else replace(config, pipeline=Pipeline.TRACE)
 
 
 class RayProfiles:
-    """Follows rays that blend all Gaussians in order, whatever the strategy of the settings.
+    """Lists the Gaussians on rays, always by sorted blending, whatever the strategy of the settings.
 
     Args:
         launcher: Runs the kernels.
@@ -384,15 +387,16 @@ class RayProfiles:
         self._camera_rays = CameraRays(launcher, buffers)
 
     def query(self, scene: DeviceScene, user_scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
-        """The profile of rays; ``directions`` are unit vectors.
+        """Returns the profile of rays; ``directions`` are unit vectors.
 
-        Hits are counted first, and then written by so many rays at a time that the device holds a bounded number.
+        A first pass counts the hits. A second pass writes them for a few rays at a time, so that device memory is
+        bounded.
 
         Args:
-            scene: The scene on the device, synced.
-            user_scene: The same as the caller has it.
-            origins: World space, (N, 3).
-            directions: Likewise.
+            scene: The device scene, synced.
+            user_scene: The caller's scene, from which the device scene was synced.
+            origins: Ray origins, local to the device scene, (N, 3).
+            directions: Ray directions, (N, 3).
         """
         found = self._hits(scene, origins, directions)
         counts = np.concatenate([device_array(hits.gaussians.hits).numpy()[:count].copy() for count, hits in found])
@@ -403,13 +407,13 @@ class RayProfiles:
     def query_pixels(
         self, scene: DeviceScene, user_scene: Scene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> PixelProfile:
-        """Of the rays by which a camera's pixels are sampled, which are as wide as the pixels.
+        """Returns the profile of rays through camera pixels, with Gaussians widened by the pixel footprint.
 
         Args:
             scene: As for `query`, with the camera.
             user_scene: As for `query`.
-            ray_indices: Of the rays among those of all pixels, (N,).
-            sample: Number of the sample, from which its place on the lens follows.
+            ray_indices: Indices of the rays among those of all pixels, (N,).
+            sample: Index of the sample, which determines its position on the lens.
             offset: Position of the sample in its pixels, 0..1.
         """
         scene.begin_sample(sample)
@@ -433,7 +437,7 @@ class RayProfiles:
         return PixelProfile(profile, mesh_distance, origins, directions)
 
     def surface_distances(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> FloatArray:
-        """Distance of the first surface on each ray, as the depth of a frame, (N,); inf: there is none."""
+        """Returns the distance of the first surface on each ray, as a frame's depth, (N,); inf: no surface."""
         parts: list[FloatArray] = []
         for count, hits in self._hits(scene, origins, directions):
             found = (hits.gaussians.depth, hits.meshes.t)
@@ -444,7 +448,7 @@ class RayProfiles:
     def _hits(
         self, scene: DeviceScene, origins: FloatArray, directions: FloatArray
     ) -> Iterator[tuple[int, PrimaryHits]]:
-        """What rays hit, batch by batch, and how many they are; the arrays are those of the last batch."""
+        """Yields the number of rays and their hits, batch by batch; each batch overwrites the last one's arrays."""
         scene.begin_sample(0)
         for first, batch in batches(origins, directions, np.full(len(origins), np.inf, np.float32)):
             rays = self._rays.allocate(len(batch[0]))
@@ -452,13 +456,13 @@ class RayProfiles:
             yield len(batch[0]), self._find(scene, rays)
 
     def _find(self, scene: DeviceScene, rays: RayData, profiles: DeviceArray | None = None) -> PrimaryHits:
-        """What rays hit; ``profiles`` receives the hits one by one."""
+        """Returns the hits of rays, and lists their Gaussians in ``profiles`` if it is given."""
         meshes = self._meshes.find(scene, rays, "profile.meshes")
         gaussians = self._gaussians.find(scene, rays, meshes.t, "profile.gaussians", bounced=False, profiles=profiles)
         return PrimaryHits(rays, meshes, gaussians)
 
     def _loaded_rays(self, scene: DeviceScene, origins: FloatArray, directions: FloatArray) -> RayData:
-        """Rays of a caller."""
+        """Uploads rays of a caller."""
         rays = self._rays.allocate(len(origins))
         inputs = self._rays.upload([origins, directions, np.full(len(origins), np.inf, np.float32)])
         self._rays.load(scene, 0, len(origins), inputs, rays)
@@ -467,7 +471,7 @@ class RayProfiles:
     def _pixel_rays(
         self, scene: DeviceScene, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> RayData:
-        """Rays of a camera's pixels, as of `query_pixels`."""
+        """Starts rays through camera pixels, as described at `query_pixels`."""
         count = whole_packets(grown_capacity(len(ray_indices)))
         listed = self._buffers.struct("profile.listed", ListedRays, count)
         padded = np.full(count, -1, np.int32)
@@ -480,7 +484,7 @@ class RayProfiles:
     def _profile_of(
         self, scene: DeviceScene, user_scene: Scene, counts: IntArray, start: Callable[[slice], RayData]
     ) -> RayProfile:
-        """The profile of rays that have so many hits; ``start`` starts some of them once more."""
+        """Returns the profile of rays with known hit counts; ``start`` starts a slice of them again."""
         first = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
         parts = [
             self._rows(scene, start(slice(begin, end)), first[begin : end + 1] - first[begin])
@@ -499,7 +503,7 @@ class RayProfiles:
         )
 
     def _rows(self, scene: DeviceScene, rays: RayData, first: Rows) -> dict[str, npt.NDArray[Any]]:
-        """The hits of rays whose first rows are known, and how many there are, by the names of `HitProfiles`."""
+        """Returns the hits of rays whose first rows are known, by the field names of `HitProfiles`."""
         count = int(first[-1])
         held = self._buffers.struct("profile.rows", HitProfiles, grown_capacity(count), ("first",))
         held.first = self._buffers.get("profile.first", wp.int32, len(rays.t_max) + 1)
@@ -511,7 +515,7 @@ class RayProfiles:
 
 
 def profile_ranges(counts: IntArray) -> Generator[tuple[int, int]]:
-    """Ranges of consecutive rays that together have no more hits than the device is to hold; at least an empty one.
+    """Yields ranges of consecutive rays whose hits fit the device together; at least one range, which may be empty.
 
     Args:
         counts: Hits of each ray.

@@ -1,4 +1,4 @@
-"""From a scene and a camera to a frame, as a list of passes."""
+"""The renderer: computes a frame of a scene and a camera by a list of passes."""
 
 from __future__ import annotations
 
@@ -68,18 +68,18 @@ from lumisplat.scene.ops.views import focused_camera, pixel_ray
 from lumisplat.scene.scene import Scene
 
 _ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-"""Of rays that are not a camera's."""
+"""Camera for syncing the scene when rays come from a caller."""
 
 
 class Renderer:
-    """Keeps assets, buffers and compiled kernels warm between frames. Not safe to share between threads.
+    """Renders frames, and keeps assets, buffers and compiled kernels between them. Not thread-safe.
 
     Args:
         config: Settings; the defaults draw a capture as it was trained.
-        launcher: The device to run on.
+        launcher: Launches kernels on the device.
         progress: As for ``create_renderer``.
-        compiles: Likewise.
-        buffers: Hold its arrays; None: new ones.
+        compiles: As for ``create_renderer``.
+        buffers: Holds the renderer's arrays; None: new buffers.
     """
 
     def __init__(
@@ -112,13 +112,13 @@ class Renderer:
         self._light_warnings = LightWarnings()
         self._captured_light = CapturedLightCache()
         self._developed: FrameStats | None = None
-        """Of the last frame, as long as the film has its samples."""
+        """Statistics of the last frame while the film still holds its samples; else None."""
         self._loaded: tuple[FramePlan, bool] | None = None
-        """Plan of the last frame, and whether it was encoded."""
+        """Plan of the last frame, and whether its bytes were encoded on the device."""
         self._frame_number = 0
-        """Of the next frame, where each adds to what those before it have found."""
+        """Index of the next frame in a real-time sequence."""
         self._catchers: Renderer | None = None
-        """Finds what meshes that are shadow catchers catch."""
+        """Renders the frames that measure shadows on catcher meshes; None until a scene has such meshes."""
         if compiles:
             self._load(self._modules(FramePlan.of(config, Scene())))
 
@@ -128,16 +128,16 @@ class Renderer:
         return self._launcher.device
 
     def prepare(self, scene: Scene, *, encode: bool = False, progress: Progress | None = None) -> None:
-        """Compiles and loads the kernels that frames of a scene need, so that its first frame compiles nothing.
+        """Compiles and loads the kernels that frames of a scene need, so that the first frame compiles nothing.
 
         Args:
-            scene: What will be drawn; nothing of it is uploaded.
-            encode: As of `render`.
+            scene: The scene that will be rendered; nothing is uploaded.
+            encode: As for `render`.
             progress: Called with a label and the fraction done, 0..1.
 
         Raises:
-            ConfigError: Such frames are refused, whatever the camera.
-            SceneError: The scene is none.
+            ConfigError: Frames of the scene are refused, whatever the camera.
+            SceneError: ``scene`` is no Scene.
         """
         check_scene(scene)
         modules: list[KernelModule] = []
@@ -152,16 +152,16 @@ class Renderer:
         self._load([*modules, *self._modules_of(scene, encode=encode)], progress)
 
     def _modules_of(self, scene: Scene, *, encode: bool = False) -> list[KernelModule]:
-        """The kernel modules of frames of a scene; those that take long to compile first."""
+        """Returns the kernel modules of a scene's frames, the slowest to compile first."""
         modules: list[KernelModule] = []
-        if uses_captured_light(self.config, scene):  # or a headlight, if captures do not surround its meshes
+        if uses_captured_light(self.config, scene):  # the plan has a headlight if captures do not surround the meshes
             light = CapturedLight(visible=False, casts_shadow=False)
             modules += self._modules(FramePlan.of(self.config, replace(scene, lights=(light,))), encodes=encode)
             modules += self._unlit_raster.modules(has_meshes=False)
         return [*modules, *self._modules(FramePlan.of(self.config, scene), encodes=encode)]
 
     def _modules(self, plan: FramePlan, *, bounced: bool = False, encodes: bool = False) -> list[KernelModule]:
-        """The kernel modules of frames of a plan, or of given rays, which surfaces have scattered if ``bounced``."""
+        """Returns the kernel modules of frames, or of rays from a caller; ``bounced`` rays start at surfaces."""
         others = [*self._scene.modules(plan), *self._film.modules(plan, encodes=encodes)]
         if not plan.is_sampled:
             return [*self._unlit_raster.modules(has_meshes=plan.has_meshes), *others]
@@ -186,26 +186,26 @@ class Renderer:
         """Renders one frame.
 
         Args:
-            scene: What to draw. Assets of the last frame are not uploaded again. If a capture replaces another one with
-                as many Gaussians, the ray tracer refits the hierarchy instead of building a new one.
-            camera: From where. A frame of ``Pipeline.REALTIME`` is the next one of a sequence: it keeps what earlier
-                ones have found of the light, whatever has moved since; ``reset`` forgets it.
-            resume: A frame of samples of the same scene, view and settings, but for ``samples`` and ``time_limit``:
-                more are added to it, as if all had been rendered at once.
-            encode: Whether the device tone-maps the picture and encodes its bytes, so that ``numpy.asarray(frame,
-                numpy.uint8)`` and saving a PNG need not; CUDA always does.
-            progress: Called after each sample with a label and the fraction done, 0..1. The label has the number of
-                samples and, once they are enough to tell, their noise, after commas.
-            stop: Asked often while samples are made on a CPU, by any thread; once it says True, the frame is given up,
-                and the renderer is as before. Frames in real time follow from each other, and are always finished.
+            scene: The scene to render. Assets of the last frame are not uploaded again. If a capture replaces one with
+                as many Gaussians, the ray tracer refits its BVH instead of building a new one.
+            camera: The camera. A frame of ``Pipeline.REALTIME`` continues a sequence: it reuses the lighting of earlier
+                frames, whatever has moved since; ``reset`` drops it.
+            resume: A sampled frame of the same scene, camera and settings, except for ``samples`` and ``time_limit``.
+                The new samples are added to it, with the same result as rendering all at once.
+            encode: Whether the device tone-maps the frame and encodes its bytes, which speeds up ``numpy.asarray(frame,
+                numpy.uint8)`` and saving a PNG; CUDA always does.
+            progress: Called after each sample with a label and the fraction done, 0..1. The label contains the number
+                of samples and, once there are enough to estimate it, their noise, separated by commas.
+            stop: Polled often while a CPU samples the frame, from any thread. When it returns True, the frame is
+                abandoned and the renderer is unchanged. Real-time frames depend on each other and are always finished.
 
         Raises:
-            StoppedError: ``stop`` said so.
+            StoppedError: ``stop`` returned True.
             ConfigError: ``resume`` is no frame, has another camera, other settings or another number of Gaussians or
                 triangles, is not ray traced, or has too many samples.
             DeviceError: The device is out of memory.
-            SceneError: The scene or the camera is none, it or the image is larger than 32-bit indices reach, or the
-                rasteriser is to draw a camera that is not a pinhole, or whose lens distorts too much.
+            SceneError: ``scene`` or ``camera`` has the wrong type, the scene or the image exceeds 32-bit indices, or
+                the camera is not a pinhole or too distorted for the rasteriser.
         """
         check_scene(scene)
         check_camera(camera)
@@ -242,7 +242,7 @@ class Renderer:
     def _with_caught_shadows(
         self, scene: Scene, camera: Camera, progress: Progress | None, stop: Callable[[], bool] | None
     ) -> Frame:
-        """A frame of a scene whose meshes catch shadows, which frames of another renderer find."""
+        """Renders a scene with catcher meshes: the visible scene, plus shadows measured by a second renderer."""
         shown, returns_ratio = without_catcher_meshes(scene), "shadow_ratio" in self.config.aovs
         frame = self.render(shown, camera, progress=progress, stop=stop)
         self._developed = None
@@ -255,13 +255,13 @@ class Renderer:
         return with_scene_indices(caught, scene)
 
     def _catcher_renderer(self) -> Renderer:
-        """Finds what meshes that are shadow catchers catch."""
+        """Returns the renderer of the frames that measure shadows on catcher meshes."""
         if self._catchers is None:
             self._catchers = Renderer(catcher_config(self.config), self._launcher, compiles=False)
         return self._catchers
 
     def render_part(self, scene: Scene, camera: Camera, part: SamplePart, *, progress: Progress | None = None) -> Frame:
-        """A frame of a part of all samples: of those that it holds, else they are drawn. See ``render_samples``."""
+        """Renders a block of a frame's samples, or develops the samples that ``part`` holds. See ``render_samples``."""
         check_scene(scene)
         check_camera(camera)
         if has_catcher_meshes(scene):
@@ -283,18 +283,18 @@ class Renderer:
         return self._frame(scene, camera, images, counts, samples=part.count)
 
     def reconfigure(self, config: RenderConfig) -> None:
-        """Changes the settings: the next frames are those of a new renderer, to the bit.
+        """Changes the settings. The next frames equal those of a new renderer to the bit.
 
-        The assets and their hierarchies stay on the device, which a new renderer would upload and build again. A
-        sequence of ``Pipeline.REALTIME`` starts anew, as after ``reset``, and buffers of another pipeline are freed. If
-        nothing but ``tone_map`` changes, sequences and samples stay as they are: `develop` shows frames with it.
+        Assets and their BVHs stay on the device; a new renderer would upload and build them again. A sequence of
+        ``Pipeline.REALTIME`` restarts, as after ``reset``, and buffers of another pipeline are freed. If only
+        ``tone_map`` changes, sequences and samples are kept: `develop` applies it to frames.
 
         Args:
             config: The new settings.
 
         Raises:
-            ConfigError: ``config`` is no RenderConfig, or no frame can have it; the renderer is as before.
-            DeviceError: The device is out of memory; the renderer is as before.
+            ConfigError: ``config`` is no RenderConfig, or its settings exclude each other; the renderer is unchanged.
+            DeviceError: The device is out of memory; the renderer is unchanged.
         """
         before, config = self.config, checked_config(config)
         if replace(config, tone_map=before.tone_map) == before:
@@ -304,17 +304,17 @@ class Renderer:
         buffers = self._buffers if has_same_buffers else None
         other = Renderer(config, self._launcher, self._progress, compiles=False, buffers=buffers)
         other._scene.take_assets(self._scene)
-        other._warnings, other._light_warnings = self._warnings, self._light_warnings  # each warns once
+        other._warnings, other._light_warnings = self._warnings, self._light_warnings  # each warning is logged once
         self._launcher.drop_graphs()
         vars(self).update(vars(other))
 
     def develop(self, frame: Frame, exposure: float | None = None, *, encode: bool = False) -> Frame:
-        """Returns a frame of this renderer with its present tone map, and another exposure, without new samples.
+        """Returns a frame with this renderer's current tone map and another exposure, without new samples.
 
         Args:
-            frame: The frame; of the last one, the device has all that it takes.
-            exposure: Stops; None: as it is.
-            encode: As of `render`.
+            frame: A frame of this renderer. The last one is developed from the samples on the device.
+            exposure: Stops; None: unchanged.
+            encode: As for `render`.
         """
         camera = frame.camera if exposure is None else replace(frame.camera, exposure=exposure)
         config = None if frame.config is None else replace(frame.config, tone_map=self.config.tone_map)
@@ -323,13 +323,13 @@ class Renderer:
         return frame.developed(camera, config, self._film.picture(camera.exposure, self.config) if encodes else None)
 
     def reset(self) -> None:
-        """Forgets what frames of ``Pipeline.REALTIME`` have found: the next one is as the first of a new renderer."""
+        """Drops the history of ``Pipeline.REALTIME``: the next frame equals the first frame of a new renderer."""
         self._frame_number, self._developed = 0, None
         self._integrators.forget()
         self._scene.motion.forget()
 
     def release(self) -> None:
-        """As ``reset``, and lets go of the scene of the last frame, which it else holds until the next frame."""
+        """Drops the history, as ``reset``, and the assets of the last frame, which the next frame would replace."""
         self.reset()
         self._scene.release()
         self._captured_light = CapturedLightCache()
@@ -342,7 +342,7 @@ class Renderer:
         progress: Progress | None,
         part: SamplePart | None = None,
     ) -> tuple[BinningCounts, SampleBudget]:
-        """Samples the synced scene on the film: what was counted, and how many samples of what noise there are."""
+        """Samples the synced scene; returns counters, and the budget with the samples and noise reached."""
         self._film.begin(self._scene, plan, resume, part)
         first = part.first if part is not None else 0 if resume is None else resume.samples
         self._light_warnings.warn_of_noise(plan, first + plan.samples)
@@ -364,7 +364,7 @@ class Renderer:
     def _begin(
         self, plan: FramePlan, scene: Scene, camera: Camera, progress: Progress | None, *, encodes: bool = False
     ) -> None:
-        """Loads the kernels of a frame, and syncs the scene."""
+        """Loads the kernels of a frame and syncs the scene."""
         if self._loaded != (plan, encodes):
             self._load(self._modules(plan, encodes=encodes), progress)
             self._loaded = plan, encodes
@@ -374,7 +374,7 @@ class Renderer:
             self._unscented.begin_frame(camera)
 
     def _images(self, plan: FramePlan, camera: Camera, *, encodes: bool = False) -> dict[str, Any]:
-        """The images on the film."""
+        """Returns the images on the film."""
         with self._launcher.stage("download"):
             images = self._film.images(camera.exposure, self.config, encodes=encodes)
             if "lights" in plan.aovs:
@@ -382,7 +382,7 @@ class Renderer:
             return images
 
     def _draw_sample(self, plan: FramePlan, exposure: float, sample: int) -> None:
-        """Adds a sample of each pixel to the film."""
+        """Adds one sample of each pixel to the film."""
         self._scene.begin_sample(sample)
         rays = self._film.rays_of(sample, exposure)
         with self._launcher.frame_pass("surfaces") if plan.has_history else nullcontext():
@@ -396,7 +396,7 @@ class Renderer:
     def trace_rays(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, *, profile: bool = False
     ) -> RayHits:
-        """As the function ``trace_rays``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
+        """Traces rays like the function ``trace_rays``, and reuses BVHs; needs ``Pipeline.TRACE`` or ``PATH``."""
         start, along = checked_rays(origins, directions)
         plan = self._sync_rays(scene)
         self._load(self._modules(plan))
@@ -409,13 +409,13 @@ class Renderer:
     def profile_pixels(
         self, scene: Scene, camera: Camera, ray_indices: IntArray, sample: int, offset: tuple[float, float]
     ) -> PixelProfile:
-        """What rays of a camera's pixels meet, as of `RayProfiles.query_pixels`, for ``Pipeline.TRACE``."""
+        """Lists the hits of rays through camera pixels, as `RayProfiles.query_pixels`; needs ``Pipeline.TRACE``."""
         plan = self._sync_rays(scene, camera)
         self._load(self._modules(plan))
         return self._profiles.query_pixels(self._scene, scene, ray_indices, sample, offset)
 
     def focused(self, scene: Scene, camera: Camera, x: int, y: int) -> Camera:
-        """As the function ``focused``, if the renderer has ``Pipeline.TRACE`` or ``PATH``; it keeps the hierarchies."""
+        """Focuses a camera like the function ``focused``, and reuses BVHs; needs ``Pipeline.TRACE`` or ``PATH``."""
         start, along = checked_rays(*pixel_ray(camera, x, y))
         plan = self._sync_rays(scene)
         self._load(self._modules(plan))
@@ -425,7 +425,7 @@ class Renderer:
     def transmittance(
         self, scene: Scene, origins: npt.ArrayLike, directions: npt.ArrayLike, max_distance: npt.ArrayLike = math.inf
     ) -> FloatArray:
-        """As the function ``transmittance``, if the renderer has ``Pipeline.TRACE``; it keeps the hierarchies."""
+        """Returns transmittances like the function ``transmittance``, and reuses BVHs; needs ``Pipeline.TRACE``."""
         start, along = checked_rays(origins, directions)
         distances = checked_distances(max_distance, len(start))
         plan = self._sync_rays(scene)
@@ -433,7 +433,7 @@ class Renderer:
         return self._queries.transmittance(self._scene, self._local(start), along, distances)
 
     def leaving_hits(self, scene: Scene, origins: FloatArray, directions: FloatArray, offsets: FloatArray) -> RayHits:
-        """What rays see that leave Gaussians, as `trace_rays`; offsets as `RayQueries.query`."""
+        """Traces rays that leave Gaussians, like `trace_rays`; ``offsets`` are as for `RayQueries.query`."""
         plan = self._sync_rays(scene)
         self._load(self._modules(plan, bounced=True))
         return self._queries.query(self._scene, plan, self._local(origins), directions, offsets)
@@ -441,13 +441,13 @@ class Renderer:
     def leaving_transmittance(
         self, scene: Scene, origins: FloatArray, directions: FloatArray, distances: FloatArray, offsets: FloatArray
     ) -> FloatArray:
-        """How much light arrives at Gaussians from points so far away, as `transmittance`."""
+        """Returns the transmittance from Gaussians to points at the given distances, like `transmittance`."""
         plan = self._sync_rays(scene)
         self._load([*self._scene.modules(plan), *self._queries.transmittance_modules()])
         return self._queries.transmittance(self._scene, self._local(origins), directions, distances, offsets)
 
     def _sync_rays(self, scene: Scene, camera: Camera | None = None) -> FramePlan:
-        """Syncs the scene for rays that a caller gives, or for some of a camera's."""
+        """Syncs the scene for rays of a caller, or for some rays of a camera."""
         if self.config.pipeline.rasterises:
             raise ConfigError("rays are traced by a renderer with Pipeline.TRACE or Pipeline.PATH: this one rasterises")
         check_scene(scene)
@@ -459,31 +459,31 @@ class Renderer:
         return plan
 
     def _sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
-        """Syncs the scene; what was found of light is forgotten if its places are about another origin now."""
+        """Syncs the scene, and drops cached lighting if its local origin has changed."""
         before, self._developed = self._scene.frame, None
         self._scene.sync(scene, camera, plan)
         if not np.array_equal(before.origin, self._scene.frame.origin):
             self._integrators.forget()
 
     def _local(self, points: npt.NDArray[np.floating]) -> FloatArray:
-        """Returns world positions as the device has them, once the scene is synced, shape (N, 3)."""
+        """Converts world positions to the synced scene's local frame, shape (N, 3)."""
         return self._scene.frame.points(points).astype(np.float32)
 
     def _with_captured_light(self, scene: Scene) -> Scene:
-        """The scene with the light of its captures on its meshes, if it has no lights and nobody has decided."""
+        """Returns the scene, lit by its captures if `uses_captured_light` is true."""
         if not uses_captured_light(self.config, scene):
             return scene
         return self._captured_light.lit(scene, self.config.capture_gain, self._captured_light_renderer)
 
     def _captured_light_renderer(self) -> Callable[[Scene, Camera], Frame]:
-        """What renders captures as they are, for a short while: it has a copy of them on the device."""
+        """Returns a function that renders captures unlit, with its own copy of them on the device."""
         launcher = Launcher(self.device, self._launcher.threads, parallel=self._launcher.is_parallel)
         raster = replace(self.config.raster, strategy=RasterStrategy.SORTED, projection=Projection.EWA)
         config = RenderConfig(background=None, lighting=False, raster=raster, response=self.config.response)
         return Renderer(config, launcher, compiles=False).render
 
     def _check(self, plan: FramePlan, scene: Scene, camera: Camera, resume: Frame | None) -> None:
-        """Refuses what cannot be drawn, and logs what is drawn differently."""
+        """Raises an error if the frame cannot be rendered, and logs approximations."""
         check_samples(self.config, plan, resume)
         check_window(self.config, plan, camera)
         if resume is not None:
@@ -500,7 +500,7 @@ class Renderer:
             self._warnings.warn_of_mirrors(scene)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
-        """The hits of the camera's rays of the current sample, rasterised or traced; on CUDA by a captured graph."""
+        """Returns the primary hits of the current sample, rasterised or traced; on CUDA from a captured graph."""
         count = 0 if listed is None else len(listed.ray)
 
         def find() -> PrimaryHits:
@@ -563,22 +563,22 @@ def create_renderer(
     encode: bool = False,
     compiles: bool = True,
 ) -> Renderer:
-    """Returns a renderer whose kernels are compiled and loaded.
+    """Returns a renderer with compiled and loaded kernels.
 
     Args:
         config: Settings; None: the defaults.
         device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
         threads: CPU threads; None: as many as this process may use.
-        profile: Time every stage on CUDA too.
-        progress: Called with a label and a fraction 0..1 while kernels compile, which takes seconds once a machine,
-            also where a later frame needs further ones.
-        scene: What will be rendered: all kernels of its frames are compiled at once, and none by the first frame. None:
-            those of an empty scene; the first frame compiles the others.
-        encode: Whether frames of the scene will be encoded, as of `Renderer.render`.
-        compiles: False: nothing is compiled before the first frame, which compiles all that it needs at once.
+        profile: Whether to time every stage on CUDA, too.
+        progress: Called with a label and a fraction 0..1 while kernels compile, also when a later frame needs more
+            kernels. Compiling takes seconds, once per machine.
+        scene: The scene to render: all kernels of its frames are compiled now, and none by the first frame. None:
+            kernels of an empty scene are compiled now, and the others by the first frame.
+        encode: Whether frames of the scene will be encoded, as for `Renderer.render`.
+        compiles: False: the first frame compiles all kernels that it needs, and nothing is compiled now.
 
     Raises:
-        ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or no frame of the scene can have it.
+        ConfigError: ``threads`` is not positive, ``config`` is no RenderConfig, or does not allow frames of the scene.
         DeviceError: There is no such device.
         SceneError: ``scene`` is no Scene.
     """

@@ -1,4 +1,4 @@
-"""How many samples a frame takes: by their number, the time and the noise, whichever is reached first."""
+"""Decides how many samples a frame takes: up to a number, a time limit or a noise level, whichever comes first."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from lumisplat.config import RenderConfig
 from lumisplat.constants import NOISE_SAMPLES_MIN
 
 NOISE_CHECKS = 8
-"""How often noise is estimated while samples double: a frame has at most an eighth more of them than it needs."""
+"""Noise estimates while the number of samples doubles: a frame takes at most an eighth more samples than it needs."""
 
 _log = logging.getLogger("lumisplat")
 
 ALMOST = 0.999
-"""Largest fraction of what is not done."""
+"""Largest fraction reported for unfinished work."""
 
 
 class SampleBudget:
-    """Counts the samples of a frame, and says when it has enough.
+    """Counts the samples of a frame, and decides when it has enough.
 
-    When noise is estimated depends on the number of samples alone, those of resumed frames included: a frame that is
-    interrupted ends with as many as one that is not.
+    The number of samples alone, including those of a resumed frame, determines when noise is estimated. An interrupted
+    and resumed frame therefore ends with as many samples as an uninterrupted one.
 
     Args:
-        config: Says which noise is low enough, and how long samples may take.
-        samples: How many are added at most.
-        first: How many the frame has already.
-        estimate: Estimates the noise of the samples so far; None: nobody asks.
+        config: Settings with the noise level and the time limit.
+        samples: Largest number of samples to add.
+        first: Number of samples that the frame already has.
+        estimate: Estimates the noise of the samples so far; None: noise is not needed.
     """
 
     def __init__(self, config: RenderConfig, samples: int, first: int, estimate: Callable[[], float] | None) -> None:
         self._config, self._samples, self._first, self._estimate = config, samples, first, estimate
         self._started = time.monotonic()
         self.done = first
-        """Samples so far."""
+        """Number of samples so far."""
         self.noise: float | None = None
-        """The last estimate."""
+        """Last noise estimate; None: not estimated yet."""
         self.fraction = 0.0
-        """About the share of the work that is done, 0..1; 1: the frame has enough samples."""
+        """Estimated fraction of the work that is done, 0..1; at 1 the frame has enough samples."""
         self._update()
 
     def add(self) -> None:
@@ -49,44 +49,44 @@ class SampleBudget:
 
     @property
     def is_spent(self) -> bool:
-        """Whether the frame has enough samples."""
+        """True if the frame has enough samples."""
         return self.fraction >= 1.0
 
     @property
     def label(self) -> str:
-        """What is being done, how many samples there are, and how noisy they are."""
+        """Progress label with the number of samples and their noise."""
         parts = ["tracing", f"{self.done:,} {'sample' if self.done == 1 else 'samples'}"]
         return ", ".join(parts if self.noise is None else [*parts, f"noise {self.noise:.3f}"])
 
     def close(self) -> None:
-        """Estimates the noise of a frame of few samples, roughly, and logs that it is not as low as it should be."""
+        """Roughly estimates the noise of a frame with few samples, and warns if the noise level was not reached."""
         is_rough = self.done < NOISE_SAMPLES_MIN
         if self._estimate is not None and is_rough and self.done > 1:
             self.noise = self._estimate()
         wanted = self._config.noise
         if wanted is not None and (is_rough or self.noise is None or self.noise > wanted):
-            found = "too few to tell the noise" if is_rough else f"the noise is {self.noise:.3f}"
+            found = "too few samples to estimate the noise" if is_rough else f"the noise is {self.noise:.3f}"
             _log.warning("%s after %s samples a pixel, where RenderConfig.noise is %g", found, f"{self.done:,}", wanted)
 
     def _update(self) -> None:
-        """Estimates the noise, if its turn has come, and what is left to do."""
+        """Estimates the noise if it is due, and updates the fraction done."""
         config, added = self._config, self.done - self._first
-        shares = [added / self._samples]
+        fractions = [added / self._samples]
         if self._estimate is not None and is_noise_checked(self.done):
             self.noise = self._estimate()
         if config.noise is not None and self.noise is not None:
-            # Errors fall with the root of the number of samples.
+            # The error falls with the square root of the number of samples.
             is_low = self.noise <= config.noise
-            shares += [1.0 if is_low else min((config.noise / self.noise) ** 2, ALMOST)]
+            fractions += [1.0 if is_low else min((config.noise / self.noise) ** 2, ALMOST)]
         if config.time_limit is not None and added > 0:
             seconds = time.monotonic() - self._started
             would_be_late = seconds * (added + 1) / added > config.time_limit
-            shares += [1.0 if would_be_late else seconds / config.time_limit]
-        self.fraction = max(shares)
+            fractions += [1.0 if would_be_late else seconds / config.time_limit]
+        self.fraction = max(fractions)
 
 
 def is_noise_checked(samples: int) -> bool:
-    """Whether noise is estimated after so many samples: `NOISE_CHECKS` times while they double."""
+    """Returns whether noise is estimated after this many samples: `NOISE_CHECKS` times per doubling."""
     if samples < NOISE_SAMPLES_MIN:
         return False
     return samples % max(1, 2 ** (samples.bit_length() - 1) // NOISE_CHECKS) == 0

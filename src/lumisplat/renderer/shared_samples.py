@@ -1,4 +1,4 @@
-"""The samples of one frame, shared by several processes (docs/adr/0072-parts-of-pictures.md#samples)."""
+"""Splits the samples of one frame over several processes (docs/adr/0072-parts-of-pictures.md#samples)."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 SAMPLES_PER_BLOCK = 32
-"""Samples of a frame that one process adds up where several share it; frames that are shared depend on it by rounding.
-A power of two, as points of Sobol sequences are well spread in such numbers."""
+"""Samples that one process adds up when several share a frame; it affects rounding in shared frames. A power of two,
+since Sobol points are well distributed in powers of two."""
 
 
 def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:
-    """The numbers of a frame's samples in blocks of 32, which several processes may share.
+    """Returns the indices of a frame's samples in blocks of 32, which several processes may share.
 
     Raises:
-        ConfigError: Frames of the scene have no samples, or their number is not known before.
-        SceneError: The scene is none.
+        ConfigError: Frames of the scene have no samples, or their number is not fixed.
+        SceneError: ``scene`` is no Scene.
     """
     check_scene(scene)
     plan = FramePlan.of(renderer.config, scene)
@@ -39,22 +39,22 @@ def sample_blocks(renderer: Renderer, scene: Scene) -> list[range]:
 def render_samples(
     renderer: Renderer, scene: Scene, camera: Camera, samples: range, *, progress: Progress | None = None
 ) -> SamplePart:
-    """Some of the samples of a frame, added up.
+    """Renders some samples of a frame, and returns their sums.
 
     Args:
-        renderer: Renders them.
-        scene: As of `lumisplat.Renderer.render`.
-        camera: Likewise.
-        samples: Their numbers, one of `lumisplat.farm.sample_blocks`.
-        progress: As of `lumisplat.Renderer.render`.
+        renderer: The renderer.
+        scene: As for `lumisplat.Renderer.render`.
+        camera: As for `lumisplat.Renderer.render`.
+        samples: Indices of the samples, one block of `lumisplat.farm.sample_blocks`.
+        progress: As for `lumisplat.Renderer.render`.
 
     Raises:
-        ConfigError: As of `lumisplat.farm.sample_blocks`, or the samples are no block of them.
-        DeviceError: As of `lumisplat.Renderer.render`.
-        SceneError: Likewise.
+        ConfigError: As for `lumisplat.farm.sample_blocks`, or the samples are not one of its blocks.
+        DeviceError: As for `lumisplat.Renderer.render`.
+        SceneError: As for `lumisplat.Renderer.render`.
     """
     if len(samples) < 1 or samples.start < 0 or samples.step != 1:
-        raise ConfigError(f"samples is {samples}, expected a block of them, such as range(0, 32)")
+        raise ConfigError(f"samples is {samples}, expected a block of sample_blocks, such as range(0, 32)")
     part = SamplePart(samples.start, len(samples), camera.image_size, {}, {})
     frame = renderer.render_part(scene, camera, part, progress=progress)
     held = {name: np.array(words) for name, words in (frame.accumulated or {}).items()}
@@ -68,21 +68,21 @@ def render_samples(
 
 
 def merge_samples(renderer: Renderer, scene: Scene, camera: Camera, parts: Iterable[SamplePart]) -> Frame:
-    """The frame of all its samples: the same to the bit, whichever processes have made its parts.
+    """Merges all samples of a frame: the result is the same to the bit, whichever processes rendered the parts.
 
-    It is nearly that of `lumisplat.Renderer.render`, which adds the same samples up without blocks: some pixels differ
-    by rounding.
+    The frame nearly equals that of `lumisplat.Renderer.render`, which adds up the same samples without blocks: some
+    pixels differ by rounding.
 
     Args:
-        renderer: Of the same settings as those that have made the parts.
-        scene: As of `lumisplat.farm.render_samples`.
-        camera: Likewise.
-        parts: In their order, from sample 0 on; they may be loaded one by one.
+        renderer: A renderer with the settings of those that rendered the parts.
+        scene: As for `lumisplat.farm.render_samples`.
+        camera: As for `lumisplat.farm.render_samples`.
+        parts: All parts in order, from sample 0 on; an iterator may load them one by one.
 
     Raises:
-        ConfigError: They do not follow each other, or are of another frame.
-        DeviceError: As of `lumisplat.Renderer.render`.
-        SceneError: Likewise.
+        ConfigError: Parts are missing or out of order, or belong to another frame.
+        DeviceError: As for `lumisplat.Renderer.render`.
+        SceneError: As for `lumisplat.Renderer.render`.
     """
     whole = merged(parts)
     wanted = sample_blocks(renderer, scene)[-1].stop

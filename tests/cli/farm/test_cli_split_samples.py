@@ -115,7 +115,7 @@ def test_a_killed_process(work, tmp_path: Path) -> None:
     [
         (("--tiles", "2x2,samples", "--denoise"), "--denoise and --tiles do not go together"),
         (("--tiles", "2x1,samples", "--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
-        (("--set=noise=0.1",), "to share them, set samples"),
+        (("--set=noise=0.1",), "to split them, set samples"),
         (("--pipeline", "realtime"), "drawn in one go"),
         (("--pipeline", "raster", "--lighting", "off"), "drawn in one go"),
     ],

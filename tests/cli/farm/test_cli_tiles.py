@@ -118,8 +118,8 @@ def test_a_killed_command_goes_on(work, tmp_path: Path) -> None:
             ("--tiles", "2x2", "--aov", "cryptomatte", "--format", "exr"),
             "--aov cryptomatte and --tiles do not go together",
         ),
-        (("--tiles", "2x2", "--pipeline", "realtime"), "needs the whole picture"),
-        (("--tiles", "2x2", "--pipeline", "path", "--set=noise=0.1"), "choose samples by the whole picture"),
+        (("--tiles", "2x2", "--pipeline", "realtime"), "needs the whole image"),
+        (("--tiles", "2x2", "--pipeline", "path", "--set=noise=0.1"), "choose samples by the whole image"),
     ],
 )
 def test_mistakes(work, options: tuple[str, ...], message: str) -> None:

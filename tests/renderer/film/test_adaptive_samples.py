@@ -205,14 +205,14 @@ def test_unsupported_adaptive_sampling_is_refused() -> None:
     gaussian, camera, settings = veil()
     shared = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
     for changes, message in (
-        ({"pipeline": ls.Pipeline.HYBRID, "lighting": True}, r"needs rays from the camera: Pipeline\.PATH"),
-        ({"shadow_rays": shared}, "draws of their own"),
+        ({"pipeline": ls.Pipeline.HYBRID, "lighting": True}, r"needs traced camera rays: use Pipeline\.PATH"),
+        ({"shadow_rays": shared}, "independent random numbers per pixel"),
     ):
         with pytest.raises(ls.ConfigError, match=message):
             ls.render(gaussian, camera, replace(settings, **changes, adaptive=True), device="cpu")
         frame = ls.render(gaussian, camera, replace(settings, **changes, noise=0.9, samples=18), device="cpu")
         assert np.ptp(image(frame, "sample_count")) == 0
-    with pytest.raises(ls.ConfigError, match="aovs has variance, which takes two samples or more"):
+    with pytest.raises(ls.ConfigError, match="aovs has variance, which needs two samples or more"):
         ls.render(gaussian, camera, replace(settings, aovs="variance"), device="cpu")
 
 

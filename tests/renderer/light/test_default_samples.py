@@ -93,9 +93,9 @@ def test_too_few_samples_are_warned_of_once(caplog: pytest.LogCaptureFixture) ->
         return [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
 
     end = f": {MANY} or more make it smooth, and are the default"
-    assert lines(scene(SKY), samples=1) == [f"light from the environment is grainy with 1 sample a pixel{end}"]
+    assert lines(scene(SKY), samples=1) == [f"light from the environment is noisy with 1 sample a pixel{end}"]
     (line,) = lines(soft, samples=4, shadows=ls.Shadows.SOFT)
-    assert line == f"light from the environment and lights that have a size is grainy with 4 samples a pixel{end}"
+    assert line == f"light from the environment and lights with a size is noisy with 4 samples a pixel{end}"
     assert not lines(scene(SKY))
     assert not lines(scene(SUN), samples=1)
     assert not lines(scene(SKY, material=ls.MaterialPbr()), samples=SOME)

@@ -246,7 +246,7 @@ def test_what_it_cannot_draw_is_refused() -> None:
     with pytest.raises(ls.SceneError, match=r"^camera has an aperture of 0\.1, .* use Pipeline\.TRACE$"):
         ls.render(scene, lens(40.0, aperture=0.1), unscented(), device="cpu")
     for change in ({"strategy": ls.config.RasterStrategy.STOCHASTIC}, {"surface": ls.config.GaussianSurface.MEAN}):
-        with pytest.raises(ls.ConfigError, match=r"^\w+\.(STOCHASTIC|MEAN) does not go with Projection\.UNSCENTED"):
+        with pytest.raises(ls.ConfigError, match=r"^\w+\.(STOCHASTIC|MEAN) does not work with Projection\.UNSCENTED"):
             ls.render(scene, lens(40.0), unscented(**change), device="cpu")
     with pytest.raises(ls.ConfigError, match=r"^Projection\.UNSCENTED does not go with Pipeline\.REALTIME"):
         ls.render(scene, lens(40.0), replace(unscented(), pipeline=ls.Pipeline.REALTIME), device="cpu")

@@ -1,6 +1,6 @@
-"""Integrators compute the radiance of rays: one of three, by the plan of the frame.
+"""Selects one of three integrators, which compute the radiance of rays, by the plan of the frame.
 
-Each is imported and made by the first frame that needs it: the kernels of all of them take half a second to import.
+Each is imported and created by the first frame that needs it: importing the kernels of all takes half a second.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Integrators:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        tracer: Finds the hits of the rays that they spawn.
+        tracer: Finds the hits of secondary rays.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
@@ -38,7 +38,7 @@ class Integrators:
         self._realtime: RealtimeIntegrator | None = None
 
     def of(self, plan: FramePlan) -> Integrator:
-        """The one that a frame needs."""
+        """Returns the integrator that a frame needs."""
         if plan.has_history:
             from lumisplat.renderer.realtime.realtime import RealtimeIntegrator
 
@@ -55,6 +55,6 @@ class Integrators:
         return self._whitted
 
     def forget(self) -> None:
-        """Drops all that frames have found for later ones."""
+        """Drops the real-time history."""
         if self._realtime is not None:
             self._realtime.forget()

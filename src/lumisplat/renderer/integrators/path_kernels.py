@@ -1,8 +1,8 @@
-"""Paths, wave by wave. One item is one ray of a wave; at most one path is on each.
+"""Path tracing, wave by wave. One item is one ray of a wave, which belongs to at most one path.
 
-``add_seen_light`` adds what the rays of a wave see, and ``continue_paths`` says where the paths go on, and which light
-is sampled there; ``add_sampled_light`` follows the shadow rays, and ``spawn_paths`` starts the rays of the next wave.
-The equations are in docs/method/paths.md.
+``add_hit_radiance`` adds the emitted and environment radiance that the rays of a wave see. ``continue_paths`` samples a
+light and the next direction. ``add_sampled_light`` runs after the shadow rays, and ``spawn_paths`` starts the rays of
+the next wave. The equations are in docs/method/paths.md.
 """
 
 import warp as wp
@@ -49,20 +49,20 @@ from lumisplat.device.structs.shading import SEES_ENVIRONMENT, PathVertex, Shadi
 
 wp.set_module_options(SHADE_OPTIONS)
 
-# Branches of a ray's key: 0 is the ray that goes on; device/light/direct_light.py and device/path/contributions.py
-# have others.
+# Branches of a ray's random key. 0 is the next ray; device/light/direct_light.py and device/path/contributions.py have
+# others.
 DIRECTION_BRANCH = wp.constant(6)
-"""In which direction a path goes on."""
+"""Random key for the direction in which a path continues."""
 SURFACE_BRANCH = wp.constant(7)
-"""By which surface, and by which part of its BSDF."""
+"""Random key for the surface and the part of its BSDF by which a path continues."""
 ROULETTE_BRANCH = wp.constant(8)
 AMBIENT_BRANCH = wp.constant(9)
-"""How Gaussians hide ambient light from a shadow catcher."""
+"""Random key for the stochastic shadow of Gaussians in ambient light on a shadow catcher."""
 
 
 @wp.kernel
 def begin_paths(start: int, paths_out: wp.array[PathData]):
-    """Item = ray of the first wave: a path begins with it."""
+    """Item = ray of the first wave: starts a path with it."""
     i = start + wp.tid()
     paths_out[0].root[i] = i
     paths_out[0].throughput[i] = wp.vec3(1.0)
@@ -78,7 +78,7 @@ def begin_paths(start: int, paths_out: wp.array[PathData]):
 
 @wp.kernel
 def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathData], ends_out: wp.array[float]):
-    """Item = ray: where it ends, if it leaves a shadow-only surface and is traced without what was added, too."""
+    """Item = ray: writes the end of a second ray through captures only, if the ray leaves a shadow catcher; else -1."""
     i = start + wp.tid()
     ends_out[i] = -1.0
     if wave[0].rays.is_active[i] and leaves_catcher(i, paths):
@@ -87,7 +87,7 @@ def leave_receivers(start: int, wave: wp.array[WaveData], paths: wp.array[PathDa
 
 @wp.func
 def catcher_ambient(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Ambient irradiance of the shadow catcher that ray ``i`` of the first wave sees."""
+    """Returns the ambient irradiance of the shadow catcher that ray ``i`` of the first wave hits."""
     surface = splat_surface(i, is_over_light(i, scene, wave), scene, wave)
     return PI * scene[0].materials[surface.instance].ambient
 
@@ -101,7 +101,7 @@ def start_ambient_rays(
     rays_out: RayData,
     skips_out: wp.array[wp.bool],
 ):
-    """Item = ray: a shadow ray along it, if it leaves a shadow catcher on which ambient light is given."""
+    """Item = ray: starts a shadow ray along it, if it leaves a shadow catcher with ambient light."""
     i = start + wp.tid()
     skips_out[i] = True
     rays_out.is_active[i] = False
@@ -118,7 +118,7 @@ def add_ambient_visibility(
     paths: wp.array[PathData],
     images_inout: wp.array[PathImages],
 ):
-    """Item = ray: adds the ambient irradiance that nothing added blocks."""
+    """Item = ray: adds the ambient irradiance that no added object blocks."""
     i = start + wp.tid()
     if rays.is_active[i]:
         root = paths[0].root[i]
@@ -135,16 +135,16 @@ def add_captured_light(
     captured: GaussianHits,
     images_inout: wp.array[PathImages],
 ):
-    """Adds what shadow-only surfaces received as they were captured: light of such sets, and of the sky beyond.
+    """Adds the irradiance of shadow catchers as captured: from shadow catchers, and from the environment behind them.
 
     Args:
         start: First item: a ray.
-        no_shadows: Light passes through everything.
+        no_shadows: Whether light passes through everything.
         scene: The scene.
-        wave: With the rays.
-        paths: Theirs.
-        captured: What shadow-only sets alone give those that leave such surfaces.
-        images_inout: Where it is added.
+        wave: The wave of the rays.
+        paths: The paths of the rays.
+        captured: Radiance of shadow catchers only, on rays that leave such surfaces.
+        images_inout: Images that receive the light.
     """
     i = start + wp.tid()
     if not (wave[0].rays.is_active[i] and leaves_catcher(i, paths)):
@@ -152,7 +152,7 @@ def add_captured_light(
     throughput = paths[0].throughput[i]
     emitted = scene[0].settings[0].capture_gain * captured_color(captured.color[i], 1.0 - captured.transmittance[i])
     escaped = captured.transmittance[i] * escaped_radiance(i, wave[0].rays.direction[i], no_shadows, paths, scene)
-    # As ``add_seen_light`` does: where both are the same light, they are the same number.
+    # Computed as in ``add_hit_radiance``, so that equal light gives equal numbers.
     add_emitted_light(paths[0].root[i], wp.cw_mul(throughput, emitted), images_inout)
     add_unshadowed_light(paths[0].root[i], wp.cw_mul(throughput, escaped), images_inout)
 
@@ -166,7 +166,7 @@ def ray_escaped_radiance(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec3:
-    """Linear radiance that ray ``i`` of wave ``number`` sees infinitely far away; none behind meshes."""
+    """Returns the linear environment radiance behind ray ``i`` of wave ``number``; none behind meshes."""
     if wave[0].meshes.face[i] >= 0:
         return wp.vec3(0.0)
     direction = wave[0].rays.direction[i]
@@ -188,17 +188,17 @@ def add_hit_radiance(
     shadows_out: wp.array[PathShadowRays],
     images_inout: wp.array[PathImages],
 ):
-    """Adds what the rays of a wave see of what shines.
+    """Adds the emitted and environment radiance that the rays of a wave see.
 
     Args:
         start: First item: a ray.
-        number: Of the wave.
-        no_shadows: Light passes through everything.
+        number: Index of the wave.
+        no_shadows: Whether light passes through everything.
         scene: The scene.
-        wave_inout: The wave; what shows a lamp becomes opaque in the first one.
-        paths: Its paths.
-        shadows_out: Shadow rays of lights that are shown behind captures.
-        images_inout: Where it is added.
+        wave_inout: The wave; in the first one, pixels of visible lights become opaque.
+        paths: The paths of the wave.
+        shadows_out: Shadow rays of lights that are visible behind captures.
+        images_inout: Images that receive the radiance.
     """
     i = start + wp.tid()
     count = wave_inout[0].rays.is_active.shape[0]
@@ -216,7 +216,7 @@ def add_hit_radiance(
     )
     emitted = wp.vec3(0.0)
     if number == 0:
-        # The first wave's light is that of its surfaces and of the sky: all of it is added below.
+        # The first wave's light includes emission and the environment, which are added separately below.
         emitted = wave_inout[0].radiance.light[i] - escaped
         wave_inout[0].radiance.light[i] = wp.vec3(0.0)
     else:
@@ -233,7 +233,7 @@ def add_hit_radiance(
 
 @wp.func
 def store_step(i: int, step: PathStep, vertex: PathVertex, wave: wp.array[WaveData], steps: wp.array[PathSteps]):
-    """Writes where path ``i`` goes on, but for what its past decides as well."""
+    """Writes how path ``i`` continues, except for values that also depend on its past."""
     steps[0].goes_on[i] = 1
     steps[0].rays.origin[i] = step.origin
     steps[0].rays.direction[i] = step.direction
@@ -263,18 +263,18 @@ def continue_paths(
     images_inout: wp.array[PathImages],
     steps_out: wp.array[PathSteps],
 ):
-    """Chooses the surface by which each path goes on, samples a light there, and says where it goes.
+    """Chooses the surface by which each path continues, samples a light there, and samples the next direction.
 
     Args:
         start: First item: a ray.
-        number: Of the wave.
-        no_shadows: Light passes through everything.
+        number: Index of the wave.
+        no_shadows: Whether light passes through everything.
         scene: The scene.
         wave: The wave.
-        paths: Its paths.
+        paths: The paths of the wave.
         shadows_inout: Receives shadow rays to the lights.
-        images_inout: Those that frames ask for; notes which paths find what shadow-only surfaces receive.
-        steps_out: Where paths go on.
+        images_inout: Images of the frame; marks paths that measure the irradiance of shadow catchers.
+        steps_out: Receives the next rays of the paths.
     """
     i = start + wp.tid()
     steps_out[0].goes_on[i] = 0
@@ -282,7 +282,7 @@ def continue_paths(
         return
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
-    may_find_catcher = bool(False)  # only where the camera sees it
+    may_find_catcher = bool(False)  # only at primary hits
     if images_inout[0].unshadowed:
         may_find_catcher = number == 0
     bounce = bounce_at(i, scene, wave)
@@ -334,7 +334,7 @@ def add_sampled_light(
     visibility: wp.array[wp.vec3],
     images_inout: wp.array[PathImages],
 ):
-    """Adds what arrives of the lights that paths have sampled, and of those that rays show behind captures."""
+    """Adds the shadowed contributions of sampled lights, and of lights that are visible behind captures."""
     i = start + wp.tid()
     count = wave[0].rays.is_active.shape[0]
     if not wave[0].rays.is_active[i]:

@@ -1,4 +1,4 @@
-"""Host pass: radiance of primary hits by paths of light, wave by wave (Kajiya 1986; Veach 1997)."""
+"""Host pass: radiance of primary hits by path tracing, wave by wave (Kajiya 1986; Veach 1997)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import prefix_sum
 
 SPAWNED_FIELDS = frozenset({"is_active", "t_max", "sample_key", "pixel_key", "sample"})
-"""Fields of rays that follow from those before them, so that steps do not hold them."""
+"""Ray fields that follow from the previous ray, so that steps do not store them."""
 
 
 class PathIntegrator:
@@ -33,7 +33,7 @@ class PathIntegrator:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
         config: Settings.
-        tracer: Finds the hits of the rays on which paths go on.
+        tracer: Finds the hits of the paths' rays.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, tracer: RayTracer) -> None:
@@ -43,20 +43,20 @@ class PathIntegrator:
         self._layers = PathLayers(buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame, but for primary hits."""
+        """Returns the kernel modules of a frame, without those of primary hits."""
         modules = [*self._surfaces.modules(), kernels, *self._tracer.modules(plan, bounced=True)]
         if plan.casts_shadows:
             modules += self._shadows.modules(plan.splat_shadows, has_meshes=plan.has_meshes, incoherent=True)
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """The first wave, with the radiance of its rays; on CUDA by a captured graph.
+        """Returns the first wave with the radiance of its rays over all bounces; on CUDA from a captured graph.
 
         Args:
-            scene: The scene on the device, synced.
+            scene: The device scene, synced.
             plan: Plan of the frame.
-            hits: The rays, and what they hit.
-            sample: Number of the sample.
+            hits: The rays and their hits.
+            sample: Index of the sample.
         """
         self._shadows.begin_sample(sample)
         with self._launcher.stage("light"):
@@ -65,7 +65,7 @@ class PathIntegrator:
             )
 
     def _follow(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """Follows the paths of these hits from wave to wave; returns the first one."""
+        """Traces the paths of these hits wave by wave; returns the first wave."""
         paths = self._begin(plan, hits)
         first = wave = self._wave(scene, plan, hits, paths, 0)
         if first.count == 0:
@@ -88,18 +88,18 @@ class PathIntegrator:
         return first
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """The layers of these hits that the frame asks for."""
+        """Returns the layers of these hits that the frame asks for."""
         return self._layers.images(plan)
 
     def _begin(self, plan: FramePlan, hits: PrimaryHits) -> PathData:
-        """One path a ray."""
+        """Starts one path per ray."""
         paths = self._paths(plan, 0, hits.count)
         self._launcher.run_banded(kernels.begin_paths, hits.count, self._row("paths0", PathData, paths))
         return paths
 
     def _wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, paths: PathData, number: int) -> RayWave:
-        """A wave, with what its rays see but for lights, and its interactions."""
-        # Two sets of buffers are enough: the first wave's stay, and a later one is done before the next begins.
+        """Returns a wave with its radiance before lights, and its interactions."""
+        # Two sets of buffers are enough: the first wave's are kept, and a later wave ends before the next begins.
         carried = CarriedState(media=device_array(paths.media) if plan.has_media and number > 0 else None)
         return self._surfaces.shade(
             scene,
@@ -114,7 +114,7 @@ class PathIntegrator:
     def _add_captured(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, paths: PathData, images: PathImages
     ) -> None:
-        """Adds what shadow-only surfaces received as they were captured, along the rays that leave them."""
+        """Adds the irradiance of shadow catchers as captured, along the rays that leave them."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         rows = self._row("paths1", PathData, paths), self._row("images", PathImages, images)
         ends = self._buffers.get("path.receiver_ends", wp.float32, count)
@@ -135,10 +135,7 @@ class PathIntegrator:
     def _extend(
         self, scene: DeviceScene, plan: FramePlan, number: int, *, wave: RayWave, paths: PathData, images: PathImages
     ) -> PathSteps:
-        """Adds what the paths of a wave see, and what lights send there.
-
-        Returns where the paths go on.
-        """
+        """Adds the radiance that a wave's paths see and the lights that they sample; returns their next rays."""
         count, run, no_shadows = wave.count, self._launcher.run_banded, not plan.casts_shadows
         bands = SHADE_BANDS_PER_THREAD * self._launcher.threads
         shadows, steps = self._shadow_rays(plan, count), self._steps(plan, count)
@@ -185,9 +182,9 @@ class PathIntegrator:
         self._launcher.run_banded(kernels.spawn_paths, wave.count, wave.data, *rows)
 
     def _row(self, name: str, struct: type[Struct], arrays: Struct) -> DeviceArray:
-        """Arrays of paths for kernels, as `WaveData`: by value, each item would copy their descriptors.
+        """Returns a 1-element table of path arrays; by value, each item would copy their descriptors.
 
-        Waves take turns in two sets of arrays, with names of their own: a captured graph writes no row.
+        Waves alternate between two sets of arrays with their own names, so that a captured graph writes no row.
         """
         return self._buffers.table(f"path.{name}.row", struct, [arrays])
 
@@ -201,7 +198,7 @@ class PathIntegrator:
         return steps
 
     def _shadow_rays(self, plan: FramePlan, count: int) -> PathShadowRays:
-        """To sampled lights and, where captures may hide lights that rays show, to these."""
+        """Returns shadow rays to sampled lights and, where captures may hide visible lights, to these."""
         total = 2 * count if plan.shows_lights_in_haze else count
         without = {"rays", *unused_fields(plan)}
         if "lights" not in plan.aovs:
@@ -214,17 +211,17 @@ class PathIntegrator:
 
 
 def _buffer_index(number: int) -> int:
-    """Which of the sets of arrays a wave has: the first wave's stay."""
+    """Returns the index of a wave's set of arrays. The first wave has its own; later waves alternate between two."""
     return 0 if number == 0 else 1 + number % 2
 
 
 def unused_fields(plan: FramePlan) -> list[str]:
-    """Fields of paths that a frame does not need."""
+    """Returns the path fields that a frame does not need."""
     return ["diffuse"] * (not plan.has_path_layers) + ["media"] * (not plan.has_media)
 
 
 class PathLayers:
-    """What the paths of a sample bring, by layer.
+    """Radiance of a sample's paths, by layer.
 
     Args:
         buffers: Holds the arrays.
@@ -235,12 +232,12 @@ class PathLayers:
         self._images = PathImages()
 
     def begin(self, plan: FramePlan, first: RayWave, lights: int) -> PathImages:
-        """Images without light, but for what the first wave has.
+        """Returns zeroed images; ``light`` and the shadow catchers' images are the first wave's.
 
         Args:
-            plan: Says which layers the frame asks for.
+            plan: Plan of the frame, with its layers.
             first: The first wave.
-            lights: Of the frame.
+            lights: Number of lights of the frame.
         """
         count = first.count
         self._images = images = PathImages()
@@ -267,7 +264,7 @@ class PathLayers:
         return images
 
     def images(self, plan: FramePlan) -> LightImages:
-        """The layers that the frame asks for, one array an image."""
+        """Returns the layers that the frame asks for, one array per image."""
         images, layers = self._images, dict[str, DeviceArray]()
         if plan.has_path_layers:
             parts = dict(zip(PATH_PARTS, self._images_of(images.parts), strict=True))
@@ -280,12 +277,12 @@ class PathLayers:
         return LightImages(self._images_of(images.lights_unshadowed), self._images_of(images.lights_shadowed), layers)
 
     def _rows(self, name: str, rows: int, count: int) -> DeviceArray:
-        """Rows of zeros, end to end."""
+        """Returns rows of zeros, end to end."""
         array = self._buffers.get(f"path.{name}", wp.vec3, rows * count)
         array.zero_()
         return array
 
     def _images_of(self, rows: wp.array[wp.vec3]) -> list[DeviceArray]:
-        """Each row by itself."""
+        """Splits an array into its rows."""
         count = len(self._images.light)
         return [device_array(rows)[first : first + count] for first in range(0, len(rows), count)]

@@ -34,7 +34,7 @@ class WhittedIntegrator:
         self._specular = SpecularWaves(launcher, buffers)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame, but for primary hits."""
+        """Returns the kernel modules of a frame, without those of primary hits."""
         modules = self._surfaces.modules()
         if plan.is_lit:
             modules += self._direct_light.modules(plan)
@@ -43,15 +43,15 @@ class WhittedIntegrator:
         return modules
 
     def shade(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, sample: int) -> RayWave:
-        """The first wave, with the radiance of its rays over all bounces.
+        """Returns the first wave with the radiance of its rays over all bounces.
 
-        On CUDA, each wave is a captured graph; the host waits for the number of its rays, for which it needs room.
+        On CUDA, each wave is a captured graph. The host waits for the number of its rays, to allocate them.
 
         Args:
-            scene: The scene on the device, synced.
+            scene: The device scene, synced.
             plan: Plan of the frame.
-            hits: The rays, and what they hit.
-            sample: Number of the sample.
+            hits: The rays and their hits.
+            sample: Index of the sample.
         """
         self._direct_light.begin_sample(sample)
         with self._launcher.stage("light" if plan.is_lit else "bounce"):
@@ -64,23 +64,23 @@ class WhittedIntegrator:
         return waves[0]
 
     def light_images(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> LightImages:
-        """The light of each light that the rays of these hits see, if the frame asks for it."""
+        """Returns the direct light of each light at these hits, if the frame asks for it."""
         return self._direct_light.images(scene, plan, hits.count)
 
     def _first_wave(self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits) -> RayWave:
-        """The wave of the rays of these hits."""
+        """Returns the wave of these hits."""
         return self._launcher.replay(
             "wave 0", (scene.graph_key, hits.count), lambda: self._shade_wave(scene, plan, hits, 0)
         )
 
     def _next_wave(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, sizes: list[int]) -> RayWave:
-        """The wave of the rays that branch off another one.
+        """Returns the wave of rays that branch off another one.
 
         Args:
-            scene: The scene on the device.
+            scene: The device scene.
             plan: Plan of the frame.
             wave: The last wave.
-            sizes: Rays of each wave, for which there is room, up to the new one.
+            sizes: Allocated rays of each wave, up to the new one.
         """
         number = len(sizes) - 1
 
@@ -94,7 +94,7 @@ class WhittedIntegrator:
     def _shade_wave(
         self, scene: DeviceScene, plan: FramePlan, hits: PrimaryHits, number: int, carried: CarriedState | None = None
     ) -> RayWave:
-        """A wave with emission and direct light, and its branches numbered."""
+        """Returns a wave with emission and direct light, and with numbered branches."""
         may_branch = number < plan.max_bounces and hits.count > 0
         wave = self._surfaces.shade(scene, plan, hits, number, carried=carried, may_branch=may_branch)
         if plan.is_lit:
@@ -104,7 +104,7 @@ class WhittedIntegrator:
         return wave
 
     def _branch_capacity(self, wave: RayWave) -> int:
-        """Room for the rays of the next wave; 0 if there are none, or they would exceed ``max_bounces``."""
+        """Returns the array size for the next wave's rays; 0 if there are none, or ``max_bounces`` is reached."""
         return self._specular.capacity(wave) if wave.row.may_branch else 0
 
     def _gather(self, scene: DeviceScene, waves: list[RayWave]) -> None:

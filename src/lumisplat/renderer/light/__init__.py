@@ -1,1 +1,1 @@
-"""The interactions of a wave of rays with surfaces, and direct light at them."""
+"""Interactions of a wave of rays with surfaces, and their direct light."""

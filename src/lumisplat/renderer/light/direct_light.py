@@ -1,4 +1,4 @@
-"""Host pass: direct light at the interactions of a wave, with shadow rays to every light that is shadowed."""
+"""Host pass: direct light at the interactions of a wave, with shadow rays to every light that casts shadows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class DirectLight:
         self._shadows = ShadowRays(launcher, buffers, config)
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         modules: list[KernelModule] = [unshadowed_light_kernels] if plan.has_unshadowed else []
         if plan.casts_shadows or "lights" in plan.aovs:
             modules += [kernels]
@@ -39,8 +39,8 @@ class DirectLight:
         self._shadows.begin_sample(sample)
 
     def add(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> None:
-        """Adds the light that a wave's interactions reflect of all lights."""
-        # Shadow catchers are darkened by the blocked share of all light, so they need unshadowed lights, too.
+        """Adds the radiance that a wave's interactions reflect of all lights."""
+        # Shadow catchers darken by the blocked fraction of all light, so they need unshadowed lights, too.
         one_by_one = self._wants_images(plan, wave) or (plan.casts_shadows and plan.has_shadow_catchers)
         if plan.has_unshadowed and not one_by_one:
             with self._launcher.stage("shade"):
@@ -49,7 +49,7 @@ class DirectLight:
             self._add_one_by_one(scene, plan, wave, also_unshadowed=one_by_one)
 
     def images(self, scene: DeviceScene, plan: FramePlan, count: int) -> LightImages:
-        """Images of each light in the primary wave, of ``count`` rays; none unless the frame asks for ``lights``."""
+        """Returns images of each light for the ``count`` primary rays; empty unless ``aovs`` has ``lights``."""
         if "lights" not in plan.aovs:
             return LightImages()
         numbers = range(len(scene.lights.names))
@@ -124,11 +124,11 @@ class DirectLight:
                 self._launcher.run_banded(kernels.add_catcher_light, wave.count, *inputs)
 
     def _catcher_light(self, number: int, wave: RayWave) -> DeviceArray:
-        """Light of one light at the shadow catchers of a wave, first unshadowed, then shadowed."""
+        """Returns the buffer of one light at a wave's shadow catchers, first without, then with shadows."""
         return self._buffers.get(f"light.caught{number}", wp.vec3, 2 * wave.count)
 
     def _add_ambient(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, arrivals: CatcherIrradiance) -> None:
-        """Finds the share of ambient light that reaches shadow catchers."""
+        """Estimates the visibility of ambient light from shadow catchers."""
         rays, media = self._shadow_rays(wave), self._media(plan, wave)
         for number in range(plan.ambient_rays):
             inputs = number, scene.shading, wave.data, rays, media
@@ -139,7 +139,7 @@ class DirectLight:
     def _contributions(
         self, scene: DeviceScene, plan: FramePlan, wave: RayWave, number: int, samples_bsdf: bool
     ) -> DeviceArray:
-        """A light's unshadowed contributions at the interactions; also writes the shadow rays of each."""
+        """Returns a light's contributions at the interactions without shadows; also writes their shadow rays."""
         contributions = self._buffers.get("light.contributions", wp.vec3, 2 * wave.count)
         with self._launcher.stage("shade"):
             self._launcher.run_banded(
@@ -152,7 +152,7 @@ class DirectLight:
         return contributions
 
     def _visibility(self, scene: DeviceScene, plan: FramePlan, wave: RayWave) -> DeviceArray:
-        """Visibility of the contributions, by the shadow rays."""
+        """Returns the visibility of the contributions by tracing the shadow rays."""
         skips = wave.row.interactions.shadow_only
         with self._launcher.stage("shadow"):
             return self._shadows.trace(
@@ -168,5 +168,5 @@ class DirectLight:
         return self._buffers.struct("light.shadow_rays", RayData, 2 * wave.count)
 
     def _media(self, plan: FramePlan, wave: RayWave) -> DeviceArray | None:
-        """The media at the origins of the shadow rays; None if no medium absorbs."""
+        """Returns the media at the origins of the shadow rays; None if no medium absorbs."""
         return self._buffers.get("light.shadow_media", wp.vec4i, 2 * wave.count) if plan.absorbs else None

@@ -1,7 +1,7 @@
 """Direct light with shadow rays, light by light. One item is one ray of a wave, with its two interactions.
 
-``spawn_shadow_rays`` and ``add_light`` run before and after the shadow rays of each light; ``darken_captured`` follows
-the last light, for shadow catchers.
+``spawn_shadow_rays`` and ``add_light`` run before and after the shadow rays of each light are traced.
+``darken_captured`` runs after the last light, for shadow catchers.
 """
 
 import warp as wp
@@ -27,7 +27,7 @@ from lumisplat.device.structs.shading import CatcherIrradiance, CatcherLight, Co
 wp.set_module_options(SHADE_OPTIONS)
 
 AMBIENT_BRANCH = wp.constant(1 << 21)
-"""First branch of a ray's key for its ambient rays: beyond those of lights and highlights."""
+"""First branch of a ray's random key for ambient rays, after those for lights and specular lobes."""
 
 
 @wp.kernel
@@ -41,9 +41,9 @@ def spawn_shadow_rays(
     media_out: wp.array[wp.vec4i],
     contributions_out: wp.array[wp.vec3],
 ):
-    """Unshadowed contributions of light ``number``, shadow rays towards it, and the media at their origins.
+    """Writes the contributions of light ``number`` without shadows, its shadow rays, and the media at their origins.
 
-    ``media_out`` is without elements where no medium absorbs.
+    ``media_out`` has no elements where no medium absorbs.
     """
     i = start + wp.tid()
     stride = contributions_out.shape[0] // 2
@@ -81,8 +81,8 @@ def add_light(
 ):
     """Adds a light to the radiance of rays, times ``visibility`` if it is ``shadowed``.
 
-    The last three arrays are the images of this light alone, unshadowed and shadowed, and its light at shadow catchers;
-    without elements if the frame does not ask for them.
+    The last three arrays are images of this light, without and with shadows, and its light at shadow catchers. They
+    have no elements if the frame does not need them.
     """
     i = start + wp.tid()
     stride = contributions.shape[0] // 2
@@ -115,9 +115,9 @@ def spawn_ambient_rays(
     rays_out: RayData,
     media_out: wp.array[wp.vec4i],
 ):
-    """Item = ray: shadow ray ``number`` of its sample in a random direction, by cosine, if it hits a shadow catcher.
+    """Item = ray: starts a cosine-weighted shadow ray if the ray hits a shadow catcher; ``number`` counts per sample.
 
-    ``media_out`` is without elements where no medium absorbs.
+    ``media_out`` has no elements where no medium absorbs.
     """
     i = start + wp.tid()
     stride = wave[0].interactions.exists.shape[0] // 2
@@ -140,7 +140,7 @@ def spawn_ambient_rays(
 
 @wp.kernel
 def add_ambient_visibility(start: int, rays: RayData, visibility: wp.array[wp.vec3], arrivals_inout: CatcherIrradiance):
-    """Item = ray: adds the visibility of ambient light along an ambient ray."""
+    """Item = ray: adds the visibility of ambient light along an ambient shadow ray."""
     i = start + wp.tid()
     if rays.is_active[i]:
         arrivals_inout.open[i] += visibility[i]
@@ -156,13 +156,13 @@ def darken_captured(
 ):
     """Item = ray: factor of captured colours in shadow (differential rendering, Debevec 1998).
 
-    The part of a captured colour that is light of the scene's lights moves from the emission to the lights' own images.
+    The part of a captured colour that comes from the scene's lights moves from the emission to the lights' own images.
 
     Args:
         start: First item.
-        ambient_rays: Ambient rays of each; 0: ambient light is not blocked.
+        ambient_rays: Ambient shadow rays per item; 0: ambient light is not blocked.
         scene: The scene.
-        arrivals_inout: Light unshadowed and shadowed; receives the reflectance.
+        arrivals_inout: Light at the catchers without and with shadows; receives the reflectance.
         wave_inout: The wave.
     """
     i = start + wp.tid()
@@ -204,7 +204,7 @@ def add_catcher_light(
     direct_inout: wp.array[wp.vec3],
     arrived_inout: wp.array[wp.vec3],
 ):
-    """Item = ray: adds to a light's own images that part of a catcher's captured colour which is its light."""
+    """Item = ray: adds to a light's own images the part of a catcher's captured colour that comes from that light."""
     i = start + wp.tid()
     direct_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[i])
     arrived_inout[i] += wp.cw_mul(arrivals.reflectance[i], catcher_light[catcher_light.shape[0] // 2 + i])

@@ -1,4 +1,4 @@
-"""Warnings about light, each logged once a renderer."""
+"""Warnings about lighting, each logged once per renderer."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from lumisplat.runtime.buffers import Buffers
 from lumisplat.scene.scene import Scene
 
 _log = logging.getLogger("lumisplat")
-_noise_log = logging.getLogger("lumisplat.noise")  # of its own, so that it can be silenced alone
+_noise_log = logging.getLogger("lumisplat.noise")  # a separate logger, so that it can be silenced on its own
 
 
 class LightWarnings:
-    """Says which light is noisy for lack of samples, and which meshes let light in but do not close around it."""
+    """Logs lights that are noisy for lack of samples, and refractive meshes that are not closed."""
 
     def __init__(self) -> None:
         self._has_warned_of_noise = self._has_warned_of_media = False
 
     def warn_of_noise(self, plan: FramePlan, samples: int) -> None:
-        """Logs that so many samples, given by the user, are few for the light of the frame."""
+        """Logs that the user's number of samples is too small for the random light of the frame."""
         if plan.noise_sources and samples < plan.samples_wanted and not self._has_warned_of_noise:
             self._has_warned_of_noise = True
             _noise_log.warning(
-                "light from %s is grainy with %d %s a pixel: %d or more make it smooth, and are the default",
+                "light from %s is noisy with %d %s a pixel: %d or more make it smooth, and are the default",
                 " and ".join(plan.noise_sources),
                 samples,
                 "sample" if samples == 1 else "samples",
@@ -34,7 +34,7 @@ class LightWarnings:
             )
 
     def warn_of_media(self, plan: FramePlan, scene: Scene, buffers: Buffers) -> None:
-        """Logs which mesh the rays of the last sample have left without having entered it."""
+        """Logs a mesh whose inside rays of the last sample left without having entered it."""
         if not plan.has_media or self._has_warned_of_media:
             return
         is_left = buffers.get("wave.unentered", wp.int32, len(scene.meshes)).numpy()
@@ -43,7 +43,7 @@ class LightWarnings:
             number = int(np.argmax(is_left))
             name = scene.meshes[number].name or scene.meshes[number].mesh.name
             _log.warning(
-                "the inside of %s is left without being entered: unless the camera is within it, a mesh that transmits "
+                "rays leave the inside of %s without entering it: unless the camera is inside, a transmissive mesh "
                 "must be closed and face outwards, or be thin_walled",
                 f"mesh '{name}'" if name else f"meshes[{number}]",
             )

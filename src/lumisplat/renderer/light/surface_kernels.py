@@ -1,4 +1,4 @@
-"""Radiance of rays before direct light is added, and their interactions with surfaces. One item is one ray."""
+"""Radiance of rays before direct light, and their interactions with surfaces. One item is one ray."""
 
 import warp as wp
 
@@ -37,11 +37,11 @@ from lumisplat.device.structs.shading import (
 )
 
 BOUNCE_WEIGHT_MIN = 1.0 / 512.0
-"""Share of a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
+"""Weight in a pixel below which a reflected or refracted ray is not traced: half a step of an 8-bit image."""
 
 LIT_WEIGHT_MIN = 1.0 / 512.0
-"""Transmittance of the Gaussians before a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque
-captures transmit up to 1 %."""
+"""Transmittance in front of a mesh below which the mesh is not lit: half a step of an 8-bit image. Opaque captures
+transmit up to 1 %."""
 
 wp.set_module_options(SHADE_OPTIONS)
 
@@ -51,7 +51,7 @@ LIT_MIN = wp.constant(wp.float32(LIT_WEIGHT_MIN))
 
 @wp.func
 def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Linear radiance of a ray that is not traced further: the environment's, else the background's."""
+    """Returns the linear radiance of a ray that is not traced: the environment's, else the background's."""
     if scene[0].environment.exists != 0:
         return environment_radiance(scene[0].environment, direction)
     return decode_srgb_color(scene[0].settings[0].background)
@@ -59,7 +59,7 @@ def untraced_radiance(direction: wp.vec3, scene: wp.array[ShadingScene]) -> wp.v
 
 @wp.func
 def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Whether the environment is visible to ray ``i``; paths add it when they continue."""
+    """Returns whether ray ``i`` adds environment radiance; paths add it when they continue."""
     if wave[0].from_camera != 0:
         return scene[0].settings[0].camera_sees != SEES_NOTHING
     return wave[0].traces_paths == 0 and sees_environment(i, wave)
@@ -67,7 +67,7 @@ def shows_environment(i: int, scene: wp.array[ShadingScene], wave: wp.array[Wave
 
 @wp.func
 def followed_branches(i: int, bounce: Bounce, transmittance: float, wave: wp.array[WaveData]) -> wp.vec2i:
-    """Whether the reflected and the refracted ray are worth tracing, 0 or 1 each."""
+    """Returns whether the reflected and the refracted ray are worth tracing, 0 or 1 each."""
     if wave[0].may_branch == 0:
         return wp.vec2i(0, 0)
     weight = transmittance * wave[0].path_weights[i]
@@ -86,7 +86,7 @@ def store_branches(i: int, branches: wp.vec2i, wave: wp.array[WaveData]):
 
 @wp.func
 def store_no_lobe(i: int, wave: wp.array[WaveData]):
-    """Writes that a ray has no branch within a highlight, if the frame has such rays."""
+    """Marks a ray as having no specular-lobe branch, if the frame has such rays."""
     slot = 2 * wave[0].path_weights.shape[0] + i
     if wave[0].may_branch != 0 and slot < wave[0].branches.shape[0]:
         wave[0].branches[slot] = 0
@@ -94,7 +94,7 @@ def store_no_lobe(i: int, wave: wp.array[WaveData]):
 
 @wp.func
 def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the radiance of an inactive ray: the background if it is a camera's, else black."""
+    """Writes the radiance of an inactive ray: the background for a camera ray, else black."""
     from_camera = wave[0].from_camera != 0
     shows = from_camera and scene[0].settings[0].camera_sees != SEES_NOTHING
     wave[0].radiance.captured[i] = wp.where(from_camera, scene[0].settings[0].background, wp.vec3(0.0))
@@ -109,7 +109,7 @@ def store_no_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 def shade_unlit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the display-referred colour of an unlit ray.
 
-    Surfaces emit their own colour, and branches that are not traced see the background.
+    Surfaces emit their own colour, and untraced branches see the background.
     """
     background = scene[0].settings[0].background
     transmittance = wave[0].gaussians.transmittance[i]
@@ -139,7 +139,7 @@ def store_layers(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ):
-    """Writes the albedo and the emission of the surfaces on a ray."""
+    """Writes the albedo and emission images of the surfaces on a ray."""
     albedo = surface.share * surface.albedo
     emission = wp.vec3(0.0)
     shows_captured = surface.captured_share > 0.0
@@ -169,7 +169,7 @@ def store_layers(
 
 @wp.func
 def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Writes the interactions of a ray with the surface of its Gaussians and with the mesh behind it."""
+    """Writes a ray's interactions with the surface of its Gaussians and with the mesh behind it."""
     j = wave[0].interactions.exists.shape[0] // 2 + i
     splats = Interaction()
     if reflects_light(surface):
@@ -198,7 +198,7 @@ def store_interactions(i: int, surface: SplatSurface, scene: wp.array[ShadingSce
 def shade_lit(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
     """Writes the radiance of a lit ray before direct light, and its interactions.
 
-    It is the sum of unlit captured colours, emission, and far radiance in branches that are not traced.
+    The radiance is the sum of captured colours, emission, and the radiance of untraced branches.
     """
     over_light = is_over_light(i, scene, wave)
     surface = splat_surface(i, over_light, scene, wave)
@@ -265,7 +265,7 @@ def store_media(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData])
 
 @wp.kernel
 def shade_surfaces(start: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]):
-    """Radiance of rays before direct light and branches are added, and, in a lit wave, their interactions."""
+    """Writes the radiance of rays before direct light and branches and, in a lit wave, their interactions."""
     i = start + wp.tid()
     store_branches(i, wp.vec2i(0, 0), wave)
     store_no_lobe(i, wave)

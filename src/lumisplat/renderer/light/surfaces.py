@@ -1,4 +1,4 @@
-"""Host pass: radiance of a wave before direct light, and its interactions, written once and read by all lights."""
+"""Host pass: radiance of a wave before direct light, and its interactions, which all lights read."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ RECEIVED_FIELDS = frozenset(
         "open",
     }
 )
-"""Fields of the radiance of rays for light on shadow catchers, which paths find."""
+"""Radiance fields for the irradiance of shadow catchers, which paths measure."""
 
 
 class Surfaces:
-    """Makes a wave of rays from their hits."""
+    """Creates a wave of rays from their hits."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         self._launcher, self._buffers = launcher, buffers
         self._unentered: DeviceArray
-        """Mesh instances that rays have left without having entered them; written where there are media."""
+        """Flags of mesh instances that rays left without having entered; written where there are media."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def shade(
@@ -64,17 +64,18 @@ class Surfaces:
         on_paths: bool = True,
         table: str | None = None,
     ) -> RayWave:
-        """A wave of rays, with its radiance before direct light and branches are added.
+        """Returns a wave of rays with its radiance before direct light and branches.
 
         Args:
-            scene: The scene on the device.
+            scene: The device scene.
             plan: The plan of the frame.
             hits: The rays and their hits.
             number: Specular bounces of the rays so far.
             carried: State of the rays from earlier waves; None in the primary wave.
             may_branch: Whether smooth meshes may reflect and refract rays.
-            on_paths: Whether the rays are those of paths, in frames that trace paths.
-            table: Of the buffer with the row that kernels read, where waves with the same number have different ones.
+            on_paths: Whether the rays are those of paths, in path traced frames.
+            table: Name of the buffer with the row that kernels read, where waves of the same number need different
+                ones.
         """
         with self._launcher.stage("shade"):
             if plan.has_media and number == 0:
@@ -135,7 +136,7 @@ class Surfaces:
         return self._buffers.struct("interactions", Interactions, 2 * count, without)
 
     def _radiance(self, plan: FramePlan, count: int, number: int) -> RayRadiance:
-        """The arrays that the frame needs: layers in the primary wave only."""
+        """Returns the radiance arrays that the frame needs; layers in the primary wave only."""
         without: set[str] = set() if plan.has_shadow_catchers else {"capture_factor"}
         if number > 0 or not plan.has_receivers:
             without |= RECEIVED_FIELDS

@@ -16,13 +16,13 @@ wp.set_module_options(SHADE_OPTIONS)
 
 @wp.func
 def is_unshadowed(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
-    """Whether light ``number`` casts no shadow."""
+    """Returns whether light ``number`` casts no shadow."""
     return no_shadows or scene[0].lights[number].casts_shadow == 0
 
 
 @wp.func
 def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Contribution of all unshadowed lights except the environment, each sampled at its centre."""
+    """Returns the contribution of all unshadowed lights except the environment, each sampled at its centre."""
     total = wp.vec3(0.0)
     for number in range(scene[0].settings[0].light_count):
         if is_unshadowed(number, no_shadows, scene) and scene[0].lights[number].kind != LIGHT_ENVIRONMENT:
@@ -34,7 +34,7 @@ def hard_light(interaction: Interaction, no_shadows: bool, scene: wp.array[Shadi
 def sampled_light(
     interaction: Interaction, pixel_key: wp.uint32, sample: int, no_shadows: bool, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Contribution of the unshadowed lights that are sampled: the environment, and soft lights."""
+    """Returns the contribution of the unshadowed lights that are sampled: the environment, and soft lights."""
     total = wp.vec3(0.0)
     draws = 1 + scene[0].settings[0].more_draws
     share = 1.0 / float(draws)
@@ -59,7 +59,7 @@ def add_hard_lights(
 ):
     """Adds unshadowed lights, each sampled at its centre.
 
-    A kernel of its own: merged with ``add_sampled_lights``, it makes a deferred frame an eighth slower.
+    Merging this kernel with ``add_sampled_lights`` makes a deferred frame an eighth slower.
     """
     i = start + wp.tid()
     stride = wave_inout[0].interactions.exists.shape[0] // 2
@@ -76,7 +76,7 @@ def add_sampled_lights(
     scene: wp.array[ShadingScene],
     wave_inout: wp.array[WaveData],
 ):
-    """Adds unshadowed lights that are sampled."""
+    """Adds the unshadowed lights that are sampled."""
     i = start + wp.tid()
     stride = wave_inout[0].interactions.exists.shape[0] // 2
     for slot in range(2):

@@ -1,4 +1,4 @@
-"""Host passes that sort items by depth and list them per tile; two schedules with the same result."""
+"""Host passes that sort items by depth and list them per tile, in two schedules with the same result."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 from lumisplat.runtime.primitives import copy_elements, prefix_sum, sort_pairs
 
 SORT_DIGIT_BITS_MAX = 12
-"""Largest radix digit of the CPU's depth sort: 4096 counters a chunk stay in the L1 cache, and two passes cover the
-usual 24 bits of key."""
+"""Largest radix digit of the CPU's depth sort, bits: 4096 counters per chunk stay in the L1 cache, and two passes
+cover the usual 24 bits of key."""
 
 
 @dataclass(frozen=True, slots=True)
 class DepthOrder:
-    """Items front to back; ties keep their order."""
+    """Items sorted front to back by a stable sort."""
 
     order: DeviceArray
     """Item indices; those after ``count`` are not visible."""
     count: int
-    """Number of items to list; in the parallel schedule all of them, as the visible count stays on the device."""
+    """Number of items to list. In the parallel schedule it is all of them, as the visible count stays on the device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class BinningCounts:
 
 @dataclass(frozen=True, slots=True)
 class TileLists:
-    """Which items touch each tile, in depth order."""
+    """Items that touch each tile, in depth order."""
 
     starts: DeviceArray
     """First entry of each tile; the last element is the total."""
@@ -54,7 +54,7 @@ class TileLists:
 
 
 class Binning(ABC):
-    """Orders items by depth and lists them per tile.
+    """Sorts items by depth and lists them per tile.
 
     Args:
         launcher: Runs the kernels.
@@ -66,11 +66,11 @@ class Binning(ABC):
         self.counts = BinningCounts()
         """Counts of the last finished frame."""
         self.growth = 0
-        """How often a truncated list was enlarged: captured graphs are stale after a change."""
+        """Number of times a truncated list was enlarged: captured graphs are stale after a change."""
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     @abstractmethod
@@ -79,23 +79,23 @@ class Binning(ABC):
 
     @abstractmethod
     def finish(self) -> bool:
-        """Ends a frame; False if a list was truncated: it is enlarged now, and the frame has to be drawn again."""
+        """Ends a frame. Returns False if a list was truncated: it is enlarged, and the frame must be drawn again."""
 
     @abstractmethod
     def sort(self, keys: DeviceArray) -> DepthOrder:
-        """Sorts items by key; culled ones come last or are dropped."""
+        """Sorts items by key; culled items come last or are dropped."""
 
     @abstractmethod
     def unsorted(self, count: int) -> DepthOrder:
-        """All items, in their own order."""
+        """Returns all items in their original order."""
 
     @abstractmethod
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the ordered items of each tile; ``name`` is ``raster`` or ``mesh``."""
+        """Lists the sorted items of each tile; ``name`` is ``raster`` or ``mesh``."""
 
 
 class BinningChunked(Binning):
-    """CPU schedule: counting sorts over one chunk a thread."""
+    """CPU schedule: counting sorts over one chunk per thread."""
 
     def begin(self) -> None:
         """Starts a frame."""
@@ -103,7 +103,7 @@ class BinningChunked(Binning):
         self._pairs: dict[str, int] = {}
 
     def finish(self) -> bool:
-        """Ends a frame; its lists are complete, as counts are known before lists are written."""
+        """Ends a frame; its lists are complete, since counts are known before lists are written."""
         self.counts = BinningCounts(self._visible, self._nonfinite, self._pairs.get("raster", 0))
         return True
 
@@ -141,13 +141,13 @@ class BinningChunked(Binning):
         return DepthOrder(order_in, visible)
 
     def unsorted(self, count: int) -> DepthOrder:
-        """All items, in their own order."""
+        """Returns all items in their original order."""
         order = self._buffers.get("order.identity", wp.int32, count)
         self._launcher.run_banded(kernels.fill_identity, count, order)
         return DepthOrder(order, count)
 
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the ordered items of each tile: a counting sort by tile."""
+        """Lists the sorted items of each tile by a counting sort."""
         run, buffers, chunks = self._launcher.run_banded, self._buffers, self._launcher.threads
         count = depth_order.count
         counts = buffers.get("order.tiles", wp.int32, (chunks, tile_count))
@@ -166,7 +166,7 @@ class BinningParallel(Binning):
     """CUDA schedule: library radix sorts over capacities; nothing is read back while the frame runs."""
 
     _SLOTS: ClassVar[dict[str, int]] = {"raster": 2, "mesh": 3}
-    """Index of a list's total, after the visible and non-finite counts."""
+    """Index of each list's total, after the visible and non-finite counts."""
 
     def __init__(self, launcher: Launcher, buffers: Buffers) -> None:
         super().__init__(launcher, buffers)
@@ -178,7 +178,7 @@ class BinningParallel(Binning):
         self._totals.zero_()
 
     def finish(self) -> bool:
-        """Waits for the frame; False if a list was truncated: it is enlarged now, and the frame has to be drawn again.
+        """Waits for the frame. Returns False if a list was truncated; it is then enlarged, to draw the frame again.
 
         Raises:
             DeviceError: A list is longer than 32-bit indices reach.
@@ -205,13 +205,13 @@ class BinningParallel(Binning):
         return DepthOrder(order, count)
 
     def unsorted(self, count: int) -> DepthOrder:
-        """All items, in their own order."""
+        """Returns all items in their original order."""
         order = self._buffers.get("order.identity", wp.int32, count)
         self._launcher.run(kernels.fill_identity, count, 0, order)
         return DepthOrder(order, count)
 
     def bin(self, name: str, depth_order: DepthOrder, rects: DeviceArray, tiles_x: int, tile_count: int) -> TileLists:
-        """Lists the ordered items of each tile: (tile, item) pairs in depth order, sorted stably by tile."""
+        """Lists the sorted items of each tile: (tile, item) pairs in depth order, stably sorted by tile."""
         run, buffers, count = self._launcher.run, self._buffers, depth_order.count
         capacity = self._capacity.setdefault(name, grown_capacity(2 * count))
         counts = buffers.get(f"{name}.counts", wp.int32, count + 1)
@@ -231,12 +231,12 @@ class BinningParallel(Binning):
 
 
 def binning_of(launcher: Launcher, buffers: Buffers) -> Binning:
-    """The schedule of a device."""
+    """Returns the schedule of a device."""
     return (BinningParallel if launcher.is_parallel else BinningChunked)(launcher, buffers)
 
 
 def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> DeviceArray:
-    """Where the (tile, item) pairs of each item begin, item after item; the last element is their number.
+    """Returns the index of each item's first (tile, item) pair; the last element is the number of pairs.
 
     Args:
         launcher: Runs the kernel.
@@ -251,10 +251,10 @@ def pair_starts(launcher: Launcher, buffers: Buffers, rects: DeviceArray) -> Dev
 
 
 def check_pairs(count: int) -> int:
-    """The number of (tile, item) pairs, if 32-bit indices reach that far.
+    """Returns the number of (tile, item) pairs, if it fits 32-bit indices.
 
     Raises:
-        DeviceError: They do not.
+        DeviceError: The number is too large.
     """
     if count > ITEMS_MAX:
         raise DeviceError(f"the frame needs {count:,} (tile, item) pairs, more than {ITEMS_MAX:,}: use fewer pixels")

@@ -1,10 +1,10 @@
 """Depth order and tile lists, in two schedules.
 
-Chunked (CPU): one item is one contiguous chunk of the input, walked by one thread. A counting sort counts digits (or
-tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to positions that are its
-own: stable, write-once, no atomics.
+Chunked (CPU): one item is one contiguous chunk of the input, processed by one thread. A counting sort counts digits (or
+tiles) per chunk, a single scan turns counts into write positions, and each chunk scatters to its own positions. The
+sort is stable, writes each position once, and needs no atomics.
 
-Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair; the library's radix sort and scan do the rest, over
+Parallel (CUDA): one item is one Gaussian or one (tile, splat) pair. The library's radix sort and scan do the rest, over
 capacities rather than counts, so that nothing is read back.
 """
 
@@ -25,13 +25,13 @@ SUM_THREADS = wp.constant(COUNT_SUM_THREADS)
 
 @wp.func
 def chunk_edge(chunk: int, chunks: int, count: int) -> int:
-    """First item of a chunk."""
+    """Returns the first item of a chunk."""
     return int(wp.int64(count) * wp.int64(chunk) / wp.int64(chunks))
 
 
 @wp.kernel
 def measure_keys(start: int, chunks: int, keys: wp.array[wp.uint32], chunk_out: wp.array[ChunkData]):
-    """Range of the visible keys of a chunk, and how many there are."""
+    """Writes the number and range of a chunk's visible keys."""
     chunk = start + wp.tid()
     data = ChunkData()
     data.key_min = KEY_CULLED
@@ -57,7 +57,7 @@ def count_digits(
     keys: wp.array[wp.uint32],
     counts_out: wp.array2d[int],
 ):
-    """Histogram of one digit over a chunk; culled keys are not counted."""
+    """Writes the histogram of one digit over a chunk, without culled keys."""
     chunk = start + wp.tid()
     for digit in range(counts_out.shape[1]):
         counts_out[chunk, digit] = 0
@@ -100,7 +100,10 @@ def scatter_digits(
 
 @wp.kernel
 def scan_counts(chunks: int, counts: wp.array2d[int], starts_out: wp.array[int]):
-    """Exclusive scan over (column, chunk), in place; ``starts_out`` gets the columns' starts and, last, the total."""
+    """Scans counts exclusively over (column, chunk), in place.
+
+    ``starts_out`` gets the start of each column and, last, the total.
+    """
     total = int(0)
     for column in range(counts.shape[1]):
         starts_out[column] = total
@@ -123,7 +126,7 @@ def count_tiles(
     ordered_rects_out: wp.array[TileRect],
     pairs_out: wp.array[wp.int64],
 ):
-    """How many of a chunk's items touch each tile, and their sum, which may exceed 32 bits.
+    """Counts a chunk's items that touch each tile, and their sum, which may exceed 32 bits.
 
     Also writes the rectangles in order, for ``scatter_tiles``.
     """
@@ -153,7 +156,7 @@ def scatter_tiles(
     positions: wp.array2d[int],
     items_out: wp.array[int],
 ):
-    """Appends a chunk's items to the lists of their tiles, keeping the order."""
+    """Appends a chunk's items to the lists of their tiles, in order."""
     chunk = start + wp.tid()
     for i in range(chunk_edge(chunk, chunks, count), chunk_edge(chunk + 1, chunks, count)):
         item = order[i]
@@ -168,14 +171,14 @@ def scatter_tiles(
 
 @wp.kernel
 def fill_identity(start: int, order_out: wp.array[int]):
-    """The order 0, 1, 2, ..."""
+    """Writes the order 0, 1, 2, ..."""
     i = start + wp.tid()
     order_out[i] = i
 
 
 @wp.kernel
 def count_sorted_keys(count: int, sorted_keys: wp.array[wp.uint32], totals_out: wp.array[wp.int64]):
-    """Visible and non-finite items among sorted keys."""
+    """Counts visible and non-finite items among sorted keys."""
     visible = first_not_below(sorted_keys, count, KEY_NONFINITE)
     totals_out[0] = wp.int64(visible)
     totals_out[1] = wp.int64(first_not_below(sorted_keys, count, KEY_CULLED) - visible)
@@ -194,9 +197,9 @@ def sum_pairs(start: int, counts: wp.array[int], slot: int, totals_inout: wp.arr
 
 @wp.kernel
 def count_pairs(start: int, order: wp.array[int], rects: wp.array[TileRect], counts_out: wp.array[int]):
-    """Tiles that the i-th item touches, in order if there is one.
+    """Counts the tiles that the i-th item touches, in ``order`` if it is given.
 
-    Counts have one more element than items, so that their scan ends on the total.
+    There is one more count than items, so that their scan ends with the total.
     """
     i = start + wp.tid()
     counts_out[i] = 0
@@ -224,7 +227,7 @@ def emit_pairs(
     tiles_out: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Writes the i-th item's (tile, item) pairs; those beyond the capacity are dropped, which the total shows.
+    """Writes the i-th item's (tile, item) pairs. Pairs beyond the capacity are dropped; the total reveals that.
 
     If the offsets overflow, positions may be negative.
     """
@@ -242,6 +245,6 @@ def emit_pairs(
 
 @wp.kernel
 def find_tile_starts(start: int, capacity: int, sorted_tiles: wp.array[int], starts_out: wp.array[int]):
-    """First pair of each tile by binary search; one more element than tiles."""
+    """Finds the first pair of each tile by binary search; there is one more element than tiles."""
     tile = start + wp.tid()
     starts_out[tile] = first_not_below(sorted_tiles, capacity, tile)

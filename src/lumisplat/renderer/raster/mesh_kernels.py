@@ -1,4 +1,4 @@
-"""Triangles of the raster: projected, the nearest one at each pixel's centre, and what it shows to pixels and rays."""
+"""Rasterises triangles: projects them, finds the nearest one at each pixel's centre, and shades pixels or rays."""
 
 import warp as wp
 
@@ -34,7 +34,7 @@ OPTIONS = {"enable_backward": False, "fuse_fp": False}
 wp.set_module_options(OPTIONS)
 
 NOTHING = wp.constant(wp.int64(2**63 - 1))
-"""Of a pixel without a triangle."""
+"""Key of a pixel without a triangle."""
 INDEX_BITS = wp.constant(wp.int64(32))
 
 
@@ -48,7 +48,7 @@ def project_triangles(
     triangles_out: wp.array[Triangle],
     rects_out: wp.array[TileRect],
 ):
-    """Item = triangle of an instance: sets it up; mesh instances are numbered after the splat instances."""
+    """Item = triangle of an instance: sets it up. Mesh instances are numbered after the splat instances."""
     i = start + wp.tid()
     view = camera[0]
     number = instance_of(instances, i)
@@ -103,7 +103,7 @@ def raster_tiles(
     depth_out: wp.array[float],
     triangle_out: wp.array[int],
 ):
-    """Depth test of a tile's triangles, in order: of equally near ones, the first is kept."""
+    """Depth-tests a tile's triangles in order; of equally near ones, the first wins."""
     tile = start + wp.tid()
     view = camera[0]
     corner = tile_corner(view, tile)
@@ -154,9 +154,9 @@ def raster_tiles(
             triangle_out[pixel] = winner[y * TILE + x]
 
 
-# The nearest triangles on CUDA: one item is one pair of a tile and a triangle that may touch it. Pairs write to the
-# pixels that they share by an atomic minimum of depth and number together: whichever comes first, the nearest triangle
-# remains, and of equally near ones the first.
+# The nearest triangles on CUDA: one item is one pair of a tile and a triangle that may touch it. Pairs write to shared
+# pixels by an atomic minimum of depth and index in one key. The nearest triangle wins in any order, and the first of
+# equally near ones.
 
 PAIRS = wp.get_module(f"{__name__}.pairs")
 wp.set_module_options(OPTIONS, PAIRS)
@@ -164,7 +164,7 @@ wp.set_module_options(OPTIONS, PAIRS)
 
 @wp.func
 def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
-    """The last tile whose list begins at or before a pair."""
+    """Returns the last tile whose list begins at or before a pair."""
     low = int(0)
     high = int(tile_starts.shape[0] - 1)
     while high - low > 1:
@@ -178,7 +178,7 @@ def tile_of_pair(tile_starts: wp.array[int], pair: int) -> int:
 
 @wp.kernel(module=PAIRS)
 def clear_nearest(start: int, nearest_out: wp.array[wp.int64]):
-    """Item = pixel: without a triangle yet."""
+    """Item = pixel: clears its nearest triangle."""
     nearest_out[start + wp.tid()] = NOTHING
 
 
@@ -192,7 +192,7 @@ def raster_pairs(
     tile_triangles: wp.array[int],
     nearest_inout: wp.array[wp.int64],
 ):
-    """Item = pair; those behind the last one are of nothing. The arithmetic of ``raster_tiles``."""
+    """Item = pair of a tile and a triangle; unused pairs return at once. It computes the same as ``raster_tiles``."""
     pair = start + wp.tid()
     if pair >= tile_starts[tile_starts.shape[0] - 1]:
         return
@@ -219,7 +219,7 @@ def raster_pairs(
 
 @wp.kernel(module=PAIRS)
 def store_nearest(start: int, nearest: wp.array[wp.int64], depth_out: wp.array[float], triangle_out: wp.array[int]):
-    """Item = pixel: depth and number of its triangle."""
+    """Item = pixel: stores depth and index of its nearest triangle."""
     pixel = start + wp.tid()
     key = nearest[pixel]
     if key == NOTHING:
@@ -230,7 +230,7 @@ def store_nearest(start: int, nearest: wp.array[wp.int64], depth_out: wp.array[f
         triangle_out[pixel] = wp.int32(key)
 
 
-# What pixels and rays see of them.
+# Hits of rays, and colours of pixels.
 
 
 @wp.kernel
@@ -244,7 +244,7 @@ def find_ray_hits(
     rays: RayData,
     hits_out: MeshHits,
 ):
-    """Item = ray: its hit on the nearest triangle of its pixel."""
+    """Item = ray: finds its hit on the nearest triangle of its pixel."""
     i = start + wp.tid()
     view = camera[0]
     hits_out.t[i] = rays.t_max[i]
@@ -278,7 +278,7 @@ def shade_pixels(
     triangle_of_pixel: wp.array[int],
     pixels_out: MeshPixels,
 ):
-    """Item = pixel: unlit base colour, encoded for display, and the shading normal towards the viewer."""
+    """Item = pixel: writes the unlit base colour, encoded for display, and the shading normal towards the viewer."""
     i = start + wp.tid()
     pixels_out.instance[i] = -1
     pixels_out.color[i] = wp.vec3(0.0)

@@ -26,7 +26,7 @@ class _NearestTriangles:
     triangles: DeviceArray | None = None
     """``Triangle`` of all mesh instances."""
     winners: DeviceArray | None = None
-    """Number of the triangle; -1: none."""
+    """Index of the triangle; -1: none."""
 
 
 class MeshRaster:
@@ -42,11 +42,11 @@ class MeshRaster:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
 
     def modules(self, *, has_meshes: bool) -> list[KernelModule]:
-        """The kernel modules of scenes with or without meshes."""
+        """Returns the kernel modules of scenes with or without meshes."""
         return [kernels.PAIRS if self._launcher.is_parallel else kernels.TILES, kernels] if has_meshes else []
 
     def draw(self, scene: DeviceScene) -> MeshPixels:
-        """Depth, colour and normal of the meshes at each pixel."""
+        """Returns depth, colour and normal of the meshes at each pixel."""
         nearest = self._find(scene)
         pixels = MeshPixels()
         pixels.depth_z = nearest.depth
@@ -64,7 +64,7 @@ class MeshRaster:
         return pixels
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> tuple[MeshPixels, MeshHits]:
-        """Only the depth of the meshes at each pixel, and their hits on the rays of the pixels."""
+        """Returns the depth of the meshes at each pixel, and their hits on the pixels' rays, without colours."""
         nearest = self._find(scene)
         count = len(rays.t_max)
         pixels = MeshPixels()
@@ -105,7 +105,7 @@ class MeshRaster:
         return _NearestTriangles(depth, triangles, winners)
 
     def _project(self, scene: DeviceScene) -> tuple[DeviceArray, DeviceArray]:
-        """The triangles of all mesh instances, and the tiles that each may touch."""
+        """Returns the triangles of all mesh instances, and the tiles that each may touch."""
         triangles = self._buffers.get("mesh.triangles", Triangle, scene.triangle_count)
         rects = self._buffers.get("mesh.rects", TileRect, scene.triangle_count)
         self._launcher.run_banded(
@@ -117,7 +117,7 @@ class MeshRaster:
 
 
 def raster_meshes(scene: DeviceScene) -> RasterMeshes:
-    """What the kernels read where a triangle has alpha."""
+    """Returns the struct that kernels read where a triangle has alpha."""
     row = RasterMeshes()
     row.instances, row.splat_instance_count = scene.mesh_instances, scene.splat_instances.shape[0]
     row.meshes, row.sample = scene.mesh_data, scene.sample

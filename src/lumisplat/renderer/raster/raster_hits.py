@@ -1,4 +1,4 @@
-"""Host pass: primary hits by rasterisation, as the ray tracer finds them."""
+"""Host pass: primary hits by rasterisation, in the form in which the ray tracer returns them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RasterHits:
         self._binning, self._meshes, self._splats = binning, meshes, splats
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         counts = self._is_sorted and "hits" in self._config.aovs
         modules = self._splats.modules(is_sorted=self._is_sorted, counts=counts)
         modules += [relit_kernels] if self._is_sorted and plan.mixes_sets else []
@@ -50,10 +50,10 @@ class RasterHits:
         return [*modules, *self._meshes.modules(has_meshes=plan.has_meshes)]
 
     def find_hits(self, scene: DeviceScene, rays: RayData) -> PrimaryHits:
-        """What the rays of the scene's current sample hit; they count once ``Binning.finish`` says that they are all.
+        """Returns the hits of the current sample's rays; they are complete only if ``Binning.finish`` returns True.
 
         Args:
-            scene: The scene on the device, at this sample, with a pinhole camera without aperture.
+            scene: The device scene at this sample, with a pinhole camera without aperture.
             rays: The rays of its pixels.
         """
         stage = self._launcher.stage

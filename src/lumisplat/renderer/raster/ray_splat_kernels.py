@@ -1,6 +1,6 @@
-"""The compositor of Gaussians along the rays of pixels: projected to tiles, blended, moved to their surfaces' depth.
+"""Composites Gaussians along pixel rays: projects them to tiles, blends them, and finds the depth of their surface.
 
-Each schedule is a Warp module of its own, as those of ``splat_kernels``. The equations are in docs/method/unscented.md.
+Each schedule is a separate Warp module, as in ``splat_kernels``. The equations are in docs/method/unscented.md.
 """
 
 import warp as wp
@@ -23,7 +23,7 @@ wp.set_module_options(OPTIONS)
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
 
-# Before and after compositing.
+# Kernels that run before and after compositing.
 
 
 @wp.kernel
@@ -38,7 +38,10 @@ def project_gaussians(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Item = a Gaussian of an instance of one asset; the bits of a positive float sort as the float does."""
+    """Item = a Gaussian of an instance of one asset: projects it.
+
+    Its depth key is the bits of a positive float, which sort as the float does.
+    """
     i = start + wp.tid()
     count = gaussians.means.shape[0]
     splat = ray_splat(camera[0], settings[0], instances[instance_ids[i // count]], gaussians, i % count)
@@ -64,7 +67,7 @@ def set_depth(
     limits: wp.array[float],
     hits_inout: GaussianHits,
 ):
-    """Item = pixel: where the Gaussian of its surface, whatever footprint widens it, responds most on its ray."""
+    """Item = pixel: sets the surface depth to the peak response of its undilated Gaussian on the ray."""
     width = camera[0].width
     pixel = start + wp.tid()
     i = ray_of_pixel(width, pixel % width, pixel // width)
@@ -110,7 +113,7 @@ def composite_tiles(
     blend_tile(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, around, hits_out)
 
 
-# CUDA, and CPUs where blended Gaussians are counted or relit sets are added up apart: one item is one pixel.
+# CUDA, and CPUs where blended Gaussians are counted or relit sets are accumulated separately: one item is one pixel.
 
 PIXELS = wp.get_module(f"{__name__}.pixels")
 wp.set_module_options(OPTIONS, PIXELS)
@@ -131,7 +134,7 @@ def composite_pixels(
     limits: wp.array[float],
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile; the depth of a surface is 0 until ``set_depth`` finds it."""
+    """Item = tile * 256 + pixel of the tile: blends its Gaussians. ``set_depth`` later replaces the surface depth 0."""
     i = start + wp.tid()
     view = camera[0]
     at = tile_pixel(view, i)
@@ -148,7 +151,7 @@ def composite_pixels(
     pixel = empty_pixel()
     seen = pixel_at(view, around, at[0], at[1])
     if seen.limit_z == 0.0:
-        pixel.transmittance = -1.0  # there is no ray, and nothing on it
+        pixel.transmittance = -1.0  # there is no ray
     blend_pixel(i // TILE_PIXELS, seen, settings[0], splats, tile_starts, tile_splats, pixel, relit)
     hits_out.color[relit.ray] = pixel.color
     hits_out.normal[relit.ray] = pixel.normal

@@ -1,7 +1,7 @@
-"""Splats of relit sets: composited apart from others that they are mixed with, and their weighted-mean surface.
+"""Splats of relit sets: composited separately where mixed with others, and their weighted-mean surface.
 
-Splats are composited a second time, with what is to be summed in place of their colours and normals. The equations are
-in docs/adr/0021-captured-and-relit.md and docs/method/rasterisation.md#weighted-mean-surface.
+Splats are composited a second time, with other values in place of their colours and normals. The equations are in
+docs/adr/0021-captured-and-relit.md and docs/method/rasterisation.md#weighted-mean-surface.
 """
 
 import warp as wp
@@ -27,12 +27,12 @@ from lumisplat.device.structs.shading import ShadingScene
 OPTIONS = {"enable_backward": False}
 wp.set_module_options(OPTIONS)
 
-# Relit sets beside others. Only tiles that hold splats of both kinds are composited a second time.
+# Relit sets mixed with others. Only tiles with splats of both kinds are composited a second time.
 
 
 @wp.func
 def is_relit(instances: wp.array[SplatInstanceData], splat: int) -> bool:
-    """Whether a splat's set is relit."""
+    """Returns whether a splat's set is relit."""
     return instances[instance_of(instances, splat)].relit != 0
 
 
@@ -44,7 +44,7 @@ def count_mixed(
     tile_splats: wp.array[int],
     counts_out: wp.array[int],
 ):
-    """Item = tile: the number of its splats if they are of both kinds, else 0."""
+    """Item = tile: counts its splats if they come from both relit and other sets, else 0."""
     tile = start + wp.tid()
     begin = tile_starts[tile]
     end = tile_starts[tile + 1]
@@ -70,10 +70,10 @@ def list_mixed(
     mixed_splats_out: wp.array[int],
     splats_out: wp.array[Splat],
 ):
-    """Item = tile: lists its splats if it is a mixed one, and writes these as relit sets show them.
+    """Item = tile: lists the splats of a mixed tile, and writes copies of them for compositing relit sets.
 
-    A splat is black unless its set is relit; the first component of its normal becomes 1 if it is, else 0. Tiles that
-    share a splat write the same.
+    A copy is black unless its set is relit. The first component of its normal is 1 if it is relit, else 0. Tiles that
+    share a splat write equal values.
     """
     tile = start + wp.tid()
     shift = tile_starts[tile] - mixed_starts[tile]
@@ -101,19 +101,19 @@ def find_relit(
     relit: GaussianHits,
     hits_inout: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: what relit sets show, their share, and which of their Gaussians is lit.
+    """Item = tile * 256 + pixel of the tile: writes colour, weight and lit Gaussian of relit sets.
 
     Args:
         start: First item.
         camera: The view.
-        instances: Of the splats.
-        splats: As ``list_mixed`` has written them.
+        instances: Instances of the splats.
+        splats: Splats as written by ``list_mixed``.
         tile_starts: First entry of each tile.
-        tile_splats: Numbers of splats, tile after tile.
-        mixed_starts: As ``tile_starts``, of the mixed tiles only.
-        meshes: Nothing beyond them counts.
-        relit: These splats, composited in the mixed tiles.
-        hits_inout: Of all splats; receives the result.
+        tile_splats: Indices of splats, tile after tile.
+        mixed_starts: First entry of each tile among the lists of mixed tiles.
+        meshes: Meshes, behind which nothing counts.
+        relit: Those splats, composited in the mixed tiles.
+        hits_inout: Hits of all splats; receives the result.
     """
     i = start + wp.tid()
     view = camera[0]
@@ -165,9 +165,9 @@ def write_surface_attributes(
     rects: wp.array[TileRect],
     splats_inout: wp.array[Splat],
 ):
-    """Item = Gaussian of the scene: its depth becomes its colour, and its finish, with a one, its normal.
+    """Item = Gaussian: replaces its colour by its depth plane, and its normal by (roughness, metallic, 1).
 
-    Those of sets that are not relit become black: they do not count.
+    Gaussians of sets that are not relit become black and do not count.
     """
     i = start + wp.tid()
     if not is_listed(rects[i]):
@@ -193,14 +193,14 @@ def store_means(
     sums: GaussianHits,
     hits_inout: GaussianHits,
 ):
-    """Item = pixel: the mean of what ``show_surfaces`` has written, of the splats of its ray.
+    """Item = pixel: stores the weighted means of the values that ``write_surface_attributes`` wrote.
 
     Args:
         start: First item.
         camera: The view.
-        meshes: The surface is before them.
-        sums: These splats, composited.
-        hits_inout: Of the rays; receives the means.
+        meshes: Meshes, which bound the surface depth.
+        sums: Those splats, composited.
+        hits_inout: Hits of the rays; receives the means.
     """
     i = start + wp.tid()
     at = full_pixel_of_index(camera[0], i)

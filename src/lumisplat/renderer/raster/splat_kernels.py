@@ -1,7 +1,7 @@
-"""The compositor of ellipses: splats are projected, blended or sampled per tile, and get the depth of their surface.
+"""Composites projected ellipses: projects splats, blends or samples them per tile, and sets surface depths.
 
-Each schedule is a Warp module of its own, as a module is compiled whole: a frame compiles the one that it runs. The
-equations are in docs/method/rasterisation.md.
+Each schedule is a separate Warp module, since a module is compiled as a whole: a frame compiles only the one that it
+runs. The equations are in docs/method/rasterisation.md.
 """
 
 import warp as wp
@@ -60,7 +60,7 @@ wp.set_module_options(OPTIONS)
 KEY_CULLED = wp.constant(wp.uint32(DEPTH_KEY_CULLED))
 KEY_NONFINITE = wp.constant(wp.uint32(DEPTH_KEY_NONFINITE))
 
-# Before and after compositing.
+# Kernels that run before and after compositing.
 
 
 @wp.kernel
@@ -75,7 +75,10 @@ def project_splats(
     keys_out: wp.array[wp.uint32],
     rects_out: wp.array[TileRect],
 ):
-    """Item = a Gaussian of an instance of one asset; the bits of a positive float sort as the float does."""
+    """Item = a Gaussian of an instance of one asset: projects it.
+
+    Its depth key is the bits of a positive float, which sort as the float does.
+    """
     i = start + wp.tid()
     view = camera[0]
     count = gaussians.means.shape[0]
@@ -104,7 +107,7 @@ def set_pixel_depth(
     meshes: MeshPixels,
     pixels_inout: PixelData,
 ):
-    """Item = pixel: moves the surface of its Gaussians from the mean of the picked one to the peak on the ray."""
+    """Item = pixel: moves the surface depth from the mean of its Gaussian to the Gaussian's peak on the ray."""
     i = start + wp.tid()
     gaussian = pixels_inout.gaussian[i]
     if gaussian >= 0:
@@ -125,7 +128,7 @@ def set_hit_depth(
     meshes: MeshPixels,
     hits_inout: GaussianHits,
 ):
-    """``set_pixel_depth`` for the hits of the pixels' rays."""
+    """Item = pixel: moves the surface depth of its ray's hit, like ``set_pixel_depth``."""
     i = start + wp.tid()
     at = full_pixel_of_index(camera[0], i)
     hit = ray_index(camera[0], at[0], at[1])
@@ -163,7 +166,7 @@ def composite_tiles(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Blends the splats of a tile; the result goes to its pixels or, ``for_rays``, to the hits of their rays."""
+    """Blends the splats of a tile into its pixels or, if ``for_rays``, into the hits of their rays."""
     arrays = EllipseColors()
     arrays.instances = instances
     arrays.splats = splats
@@ -188,7 +191,7 @@ def sample_tiles(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Chooses, for each pixel, the nearest splat that a random number below its alpha selects."""
+    """Samples a splat for each pixel: the nearest whose alpha exceeds its random number."""
     arrays = SampleArrays()
     arrays.splats = splats
     arrays.sample = samples[0]
@@ -196,7 +199,7 @@ def sample_tiles(
     sample_tile(start + wp.tid(), camera[0], settings[0], splats, tile_starts, tile_splats, meshes, arrays)
 
 
-# CUDA, blended: one block is one tile, one thread one of its pixels.
+# Blending on CUDA: one thread block is one tile, one thread is one of its pixels.
 
 BLOCKS = wp.get_module(f"{__name__}.blocks")
 wp.set_module_options(OPTIONS, BLOCKS)
@@ -215,10 +218,10 @@ def composite_blocks(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Blends as ``composite_tiles``; all threads of a block run through all batches, as they wait for each other.
+    """Blends as ``composite_tiles``; all threads of a block run through all batches, since they synchronise.
 
-    They fetch a batch of the tile's splats together, one each, into memory that they share, and then each walks the
-    batch for its pixel: a splat is fetched once a tile instead of once a pixel
+    The threads load a batch of the tile's splats into shared memory, one each. Each thread then blends the batch into
+    its pixel, so that a splat is loaded once per tile instead of once per pixel
     (docs/adr/0025-compositing-on-shared-tiles.md).
     """
     tile, lane = wp.tid()
@@ -286,7 +289,7 @@ def composite_pixels(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile. The result goes to the pixel or, ``for_rays``, to the hits of its ray."""
+    """Item = tile * 256 + pixel of the tile: blends into the pixel or, if ``for_rays``, into the hits of its ray."""
     i = start + wp.tid()
     view = camera[0]
     raster = settings[0]
@@ -311,7 +314,7 @@ def sample_pixels(
     meshes: MeshPixels,
     hits_out: GaussianHits,
 ):
-    """Item = tile * 256 + pixel of the tile: the nearest splat that a random number below its alpha selects."""
+    """Item = tile * 256 + pixel of the tile: samples the nearest splat whose alpha exceeds its random number."""
     i = start + wp.tid()
     view = camera[0]
     at = tile_pixel(view, i)

@@ -1,4 +1,4 @@
-"""Host pass: composites splats before meshes into pixels, or into hits of their rays (Kerbl et al. 2023, section 6)."""
+"""Host pass: composites splats in front of meshes into pixels or ray hits (Kerbl et al. 2023, section 6)."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ from lumisplat.runtime.struct_tables import table_dtype
 
 @dataclass(frozen=True, slots=True)
 class ProjectedSplats:
-    """All Gaussians of a scene, projected to the image, one element each."""
+    """Gaussians of a scene, projected to the image, one element each."""
 
     data: DeviceArray
     """``Splat``; undefined if culled."""
     keys: DeviceArray
-    """Depth keys, by which they are sorted."""
+    """Depth keys by which splats are sorted."""
     rects: DeviceArray
-    """Tiles that each may touch."""
+    """Tiles that each splat may touch."""
 
     @property
     def count(self) -> int:
-        """Gaussians, culled or not."""
+        """Number of Gaussians, culled or not."""
         return self.keys.shape[0]
 
 
 @dataclass(frozen=True, slots=True)
 class SplatTiles:
-    """The splats of each tile, in the order in which they are blended."""
+    """Splats of each tile, in blending order."""
 
     splats: DeviceArray
     """``Splat`` of all Gaussians of the scene."""
     starts: DeviceArray
     """First entry of each tile; the last element is the total."""
     items: DeviceArray
-    """Numbers of splats, tile after tile."""
+    """Indices of splats, tile after tile."""
 
 
 class SplatRaster:
@@ -67,10 +67,10 @@ class SplatRaster:
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, binning: Binning) -> None:
         self._launcher, self._buffers, self._binning = launcher, buffers, binning
         self.settings = buffers.upload("raster.settings", RasterData, raster_table(config))
-        """A 1-element ``RasterData`` array."""
+        """1-element ``RasterData`` array."""
 
     def modules(self, *, is_sorted: bool = True, counts: bool = False) -> list[KernelModule]:
-        """The kernel modules of splats that are blended or sampled, and ``counts`` as of `find_hits`."""
+        """Returns the kernel modules of blended or sampled splats; ``counts`` is as for `find_hits`."""
         by_pixel = splat_kernels.BLOCKS if is_sorted else splat_kernels.PIXELS
         by_tile = splat_kernels.TILES if is_sorted else splat_kernels.SAMPLE_TILES
         modules: list[KernelModule] = [by_pixel if self._launcher.is_parallel else by_tile]
@@ -78,7 +78,7 @@ class SplatRaster:
         return [*modules, splat_kernels, *self._binning.modules()]
 
     def project(self, scene: DeviceScene) -> ProjectedSplats:
-        """The splats of all Gaussians of the scene."""
+        """Projects all Gaussians of the scene."""
         count = scene.gaussian_count
         splats = ProjectedSplats(
             self._buffers.get("raster.splats", Splat, count),
@@ -95,7 +95,7 @@ class SplatRaster:
         return splats
 
     def bin(self, scene: DeviceScene, order: DepthOrder, splats: ProjectedSplats) -> SplatTiles:
-        """The splats of each tile, in this order."""
+        """Lists the splats of each tile in the given order."""
         tiles_x, tiles_y = scene.tile_grid
         lists = self._binning.bin("raster", order, splats.rects, tiles_x, tiles_x * tiles_y)
         return SplatTiles(splats.data, lists.starts, lists.items)
@@ -111,7 +111,7 @@ class SplatRaster:
     ) -> None:
         """Blends each pixel's splats front to back over the mesh or the background.
 
-        Without ``finds_depth``, depths are those of the means of Gaussians.
+        Without ``finds_depth``, depths are those of the Gaussians' means.
         """
         nothing = self._buffers.struct("raster.no_rays", GaussianHits, 0, EXTRA_FIELDS)
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, False, pixels, nothing))
@@ -127,9 +127,10 @@ class SplatRaster:
         *,
         counts: bool,
     ) -> None:
-        """Writes the blended splats before the mesh as the Gaussian hits of the pixels' rays.
+        """Blends the splats in front of meshes into the Gaussian hits of the pixels' rays.
 
-        The kernel of tiles does not count blended splats: if ``counts``, the one that does, of pixels, runs as well.
+        The kernel of tiles does not count blended splats: with ``counts``, the kernel of pixels, which does, runs as
+        well.
         """
         arguments = (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData())
         self._composite(scene, (*arguments, hits))
@@ -140,9 +141,9 @@ class SplatRaster:
         self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def find_relit(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits) -> None:
-        """Adds to sorted hits what Gaussians of relit sets show.
+        """Adds the contribution of relit sets to sorted hits.
 
-        Tiles that hold others, too, are composited once more, with all others black.
+        Tiles that contain other sets, too, are composited a second time, with all other sets black.
         """
         count, get = len(hits.hits), self._buffers.get
         relit = self._buffers.struct("raster.relit", GaussianHits, count, EXTRA_FIELDS)
@@ -159,7 +160,7 @@ class SplatRaster:
         )
 
     def _mixed_tiles(self, scene: DeviceScene, tiles: SplatTiles) -> SplatTiles:
-        """The lists of the tiles that hold both kinds of splats, as relit sets show them; the others are empty."""
+        """Lists the splats of tiles that contain relit and other sets."""
         run, get, count = self._launcher.run_banded, self._buffers.get, math.prod(scene.tile_grid)
         counts, starts = (get(f"raster.mixed_{name}", wp.int32, count + 1) for name in ("counts", "starts"))
         items = get("raster.mixed_items", wp.int32, tiles.items.shape[0])
@@ -174,9 +175,9 @@ class SplatRaster:
     def find_means(
         self, scene: DeviceScene, splats: ProjectedSplats, tiles: SplatTiles, meshes: MeshPixels, hits: GaussianHits
     ) -> None:
-        """Adds to sorted hits the weighted-mean surface of relit sets; the splats have shown all else before.
+        """Adds the weighted-mean surface of relit sets to sorted hits; overwrites the splats, so it must run last.
 
-        They are composited once more, with what is averaged in place of colours and normals.
+        Splats are composited again, with the values to average in place of colours and normals.
         """
         count, run = len(hits.hits), self._launcher.run_banded
         inputs = (scene.splat_camera, self.settings, scene.shading, scene.gaussians, splats.rects, splats.data)
@@ -188,7 +189,7 @@ class SplatRaster:
         run(relit_kernels.store_means, math.prod(scene.image_size), scene.splat_camera, meshes, sums, hits)
 
     def sum_splats(self, scene: DeviceScene, tiles: SplatTiles, meshes: MeshPixels, sums: GaussianHits) -> None:
-        """Sums colours and normals of the splats before the mesh, as they are blended, for the rays of all pixels."""
+        """Sums colours and normals of splats in front of meshes, with their blending weights, for all pixels' rays."""
         self._composite(scene, (tiles.splats, tiles.starts, tiles.items, meshes, True, PixelData(), sums))
 
     def sample_hits(
@@ -198,7 +199,7 @@ class SplatRaster:
         meshes: MeshPixels,
         hits: GaussianHits,
     ) -> None:
-        """Samples one splat a pixel, with its weight as probability; the lists need no order."""
+        """Samples one splat per pixel with its blending weight as probability; the lists need no order."""
         lists = (tiles.splats, tiles.starts, tiles.items)
         inputs = (scene.splat_camera, self.settings, scene.sample, *lists, meshes, hits)
         if self._launcher.is_parallel:
@@ -208,7 +209,7 @@ class SplatRaster:
         self._set_depth(scene, splat_kernels.set_hit_depth, meshes, hits)
 
     def _set_depth(self, scene: DeviceScene, kernel: Kernel, meshes: MeshPixels, surfaces: object) -> None:
-        """Moves surfaces from the means of the picked Gaussians to where these respond most on the pixels' rays."""
+        """Moves surfaces from the means of their Gaussians to the peak responses on the pixels' rays."""
         inputs = (scene.splat_camera, scene.splat_instances, scene.gaussians, meshes, surfaces)
         self._launcher.run_banded(kernel, math.prod(scene.image_size), *inputs)
 
@@ -223,17 +224,17 @@ class SplatRaster:
             self._run_tiles(scene, splat_kernels.composite_tiles, inputs)
 
     def _run_pixels(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
-        """An item a pixel, tile after tile."""
+        """Runs a kernel with one item per pixel, tile after tile."""
         self._launcher.run_banded(kernel, math.prod(scene.tile_grid) * TILE_PX * TILE_PX, *inputs)
 
     def _run_tiles(self, scene: DeviceScene, kernel: Kernel, inputs: tuple[object, ...]) -> None:
-        """An item a tile."""
+        """Runs a kernel with one item per tile."""
         bands = TILE_BANDS_PER_THREAD * self._launcher.threads
         self._launcher.run_banded(kernel, math.prod(scene.tile_grid), *inputs, bands=bands)
 
 
 def raster_table(config: RenderConfig) -> np.ndarray:
-    """The 1-element table that kernels read the rasteriser's settings from."""
+    """Returns the 1-element table from which kernels read the rasteriser's settings."""
     row = table = np.zeros(1, dtype=table_dtype(RasterData))
     row["dilation"] = config.raster.dilation
     row["sh_degree"] = config.raster.sh_degree

@@ -1,7 +1,7 @@
-"""Host pass: the one fast path. An unlit, sorted raster frame is composited straight into its pixels.
+"""Host pass: a fast path that composites an unlit, sorted raster frame directly into its pixels.
 
-Through primary hits, such a frame takes 19 to 43 % longer (docs/benchmarks.md): each pixel would start a ray, store
-its hits and shade them, only to show what the compositor has in its registers.
+Through primary hits, such a frame takes 19 to 43 % longer (docs/benchmarks.md): each pixel would start a ray, store its
+hits and shade them, while the compositor already has the result in registers.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 @dataclass(frozen=True, slots=True)
 class DrawnSplats:
-    """What the pixels of a frame were composited from."""
+    """Splats and meshes that a frame was composited from."""
 
     splats: ProjectedSplats
     tiles: SplatTiles
     meshes: MeshPixels
     settings: DeviceArray
-    """A 1-element ``RasterData`` array."""
+    """1-element ``RasterData`` array."""
 
 
 class UnlitRaster:
@@ -40,7 +40,7 @@ class UnlitRaster:
         binning: Sorts and bins.
         meshes: Rasterises meshes.
         splats: Rasterises splats.
-        finds_depth: Whether depths of pixels are wanted; else they are of no meaning.
+        finds_depth: Whether pixel depths are needed; otherwise they are meaningless.
     """
 
     def __init__(
@@ -57,17 +57,17 @@ class UnlitRaster:
         self._binning, self._meshes, self._splats = binning, meshes, splats
         self._finds_depth = finds_depth
         self.drawn: DrawnSplats | None = None
-        """What the last frame was composited from."""
+        """Splats and meshes of the last frame."""
 
     def modules(self, *, has_meshes: bool) -> list[KernelModule]:
-        """The kernel modules of scenes with or without meshes."""
+        """Returns the kernel modules of scenes with or without meshes."""
         return [*self._splats.modules(), *self._meshes.modules(has_meshes=has_meshes)]
 
     def draw(self, scene: DeviceScene) -> PixelBuffers[PixelData]:
-        """The pixels of a frame.
+        """Draws the pixels of a frame.
 
         Args:
-            scene: The scene on the device, synced, with a pinhole camera without aperture.
+            scene: The device scene, synced, with a pinhole camera without aperture.
         """
         pixels = PixelBuffers.of(self._buffers, scene.image_size)
         self._replay(scene, pixels)
@@ -76,7 +76,7 @@ class UnlitRaster:
         return pixels
 
     def sum_splats(self, scene: DeviceScene, drawn: DrawnSplats, sums: GaussianHits) -> None:
-        """As `SplatRaster.sum_splats`, of what was drawn."""
+        """Sums the drawn splats, as `SplatRaster.sum_splats`."""
         self._splats.sum_splats(scene, drawn.tiles, drawn.meshes, sums)
 
     def _replay(self, scene: DeviceScene, pixels: PixelBuffers[PixelData]) -> None:

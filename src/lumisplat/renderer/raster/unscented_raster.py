@@ -1,4 +1,4 @@
-"""Host pass: primary hits of any lens, Gaussians by tiles and along rays, meshes by rays (Wu et al. 2025, 3DGUT)."""
+"""Host pass: primary hits for any lens: Gaussians by tiles and along rays, meshes by rays (Wu et al. 2025, 3DGUT)."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from lumisplat.scene.camera import Camera
 
 @dataclass(frozen=True, slots=True)
 class DrawnRaySplats:
-    """What the rays of a frame's pixels have met."""
+    """Rays of a frame's pixels, and the Gaussians composited along them."""
 
     splats: ProjectedSplats
-    """Of ``RaySplat``."""
+    """Projected Gaussians, as ``RaySplat``."""
     tiles: SplatTiles
     rays: RayData
     limits: wp.array[float]
-    """Distances up to which they count."""
+    """Distances at which the rays end."""
     hits: GaussianHits
     settings: DeviceArray
-    """A 1-element ``RayRasterData`` array."""
+    """1-element ``RayRasterData`` array."""
 
 
 class UnscentedRaster:
-    """Finds the hits of camera rays: those of Gaussians by the lists of tiles, those of meshes by rays.
+    """Finds the hits of camera rays: those on Gaussians by tile lists, those on meshes by tracing.
 
     Args:
         launcher: Runs the kernels.
@@ -57,26 +57,26 @@ class UnscentedRaster:
         self._table = settings_table(config)
         self._settings = buffers.get("unscented.settings", RayRasterData, 1)
         self.drawn: DrawnRaySplats | None = None
-        """What the last frame's rays have met."""
+        """Rays and Gaussians of the last frame."""
 
     def modules(self, plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules of a frame."""
+        """Returns the kernel modules of a frame."""
         blended = kernels.PIXELS if self._is_by_pixel(mixes_sets=plan.mixes_sets) else kernels.TILES
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
         return [kernels, blended, *self._binning.modules(), *meshes]
 
     def begin_frame(self, camera: Camera) -> None:
-        """Takes note of a frame's camera."""
+        """Writes the settings that depend on a frame's camera."""
         self._table["field"] = image_field(camera)
         assign_table(self._settings, self._table)
 
     def find_hits(self, scene: DeviceScene, rays: RayData, centers: RayData | None = None) -> PrimaryHits:
-        """What the rays of the scene's current sample hit; they count once ``Binning.finish`` says that they are all.
+        """Returns the hits of the current sample's rays; they are complete only if ``Binning.finish`` returns True.
 
         Args:
-            scene: The scene on the device, at this sample.
+            scene: The device scene, at this sample.
             rays: The rays of its pixels.
-            centers: Those along which Gaussians are seen; None: the same.
+            centers: Rays along which Gaussians are evaluated; None: the same rays.
         """
         stage = self._launcher.stage
         self._binning.begin()
@@ -96,7 +96,7 @@ class UnscentedRaster:
         return PrimaryHits(rays, meshes, hits)
 
     def _is_by_pixel(self, *, mixes_sets: bool) -> bool:
-        """Whether an item composites a pixel; the kernel of tiles neither counts nor tells sets apart."""
+        """Returns whether an item is one pixel: the kernel of tiles neither counts hits nor separates relit sets."""
         return self._launcher.is_parallel or mixes_sets or "hits" in self._config.aovs
 
     def _project(self, scene: DeviceScene) -> ProjectedSplats:
@@ -133,7 +133,7 @@ class UnscentedRaster:
 
 
 def settings_table(config: RenderConfig) -> np.ndarray:
-    """The 1-element table that kernels read the rasteriser's settings from, but for the camera's field."""
+    """Returns the 1-element table of the rasteriser's settings, except for the camera's field."""
     row = table = np.zeros(1, dtype=table_dtype(RayRasterData))
     for name in ("dilation", "sh_degree", "transmittance_min", "depth_iso_transmittance"):
         row[name] = getattr(config.raster, name)

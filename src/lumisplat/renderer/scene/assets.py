@@ -1,4 +1,4 @@
-"""The Gaussian sets and meshes of a scene on the device: uploaded once, and kept while scenes hold the same objects."""
+"""Gaussian sets and meshes on the device: uploaded once, and reused while scenes contain the same objects."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SplatAsset:
     instances: tuple[int, ...]
     """Indices of its splat instances."""
     instance_ids: DeviceArray
-    """The same on the device."""
+    """Indices of its splat instances, on the device."""
 
     @property
     def instanced_count(self) -> int:
@@ -43,18 +43,19 @@ class SplatAsset:
 
     @property
     def bytes(self) -> int:
-        """Memory of its arrays, bytes."""
+        """Device memory of its arrays, bytes."""
         d = self.data
         return bytes_of(d.means, d.rotations, d.scales, d.opacities, d.sh)
 
 
 def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> list[SplatAsset]:
-    """The assets of a scene, in the order of their first instances.
+    """Returns the assets of a scene, in the order of their first instances.
 
-    A set that replaces one like it, as in animations, is copied to where that was, if the device has copies at all.
+    A set that replaces one with the same array sizes, as in animations, is copied into its memory; not on the CPU,
+    which shares the host's arrays.
 
     Args:
-        scene: The scene whose instances place them.
+        scene: The scene with the instances.
         cached: Assets on the device. Assets without an instance are removed from the list, and their memory is freed or
             written again, before others are uploaded: the peak is one scene, not both.
         device: Warp device name.
@@ -85,7 +86,7 @@ def sync_splat_assets(scene: Scene, cached: list[SplatAsset], device: str) -> li
 
 
 def _on_device(gaussians: Gaussians, asset: SplatAsset | None, device: str) -> tuple[GaussianData, SplatAttributes]:
-    """A set on the device: there already, copied to where the asset is that it replaces, or in new memory."""
+    """Returns a set's device arrays: the cached ones, those of the replaced asset overwritten, or new ones."""
     if asset is None:
         data = upload_gaussians(gaussians, device)
         return data, upload_attributes(gaussians, data, device)
@@ -95,7 +96,7 @@ def _on_device(gaussians: Gaussians, asset: SplatAsset | None, device: str) -> t
 
 
 def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
-    """Copies an asset to the device; on the CPU its arrays are shared where their layout allows."""
+    """Copies a Gaussian set to the device; on the CPU its arrays are shared where their layout allows."""
     data = GaussianData()
     data.sh_count = gaussians.sh.shape[1]
     for name, dtype, values in _arrays_of(gaussians):
@@ -104,7 +105,7 @@ def upload_gaussians(gaussians: Gaussians, device: str) -> GaussianData:
 
 
 def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> SplatAttributes:
-    """The attributes of an asset's Gaussians that shading reads, some of which are in ``data``."""
+    """Returns the Gaussian attributes that shading reads; some of them share the arrays of ``data``."""
     row = SplatAttributes()
     row.means, row.scales, row.normals = data.means, data.scales, data.normals
     for name, dtype, values in _materials_of(gaussians):
@@ -113,26 +114,26 @@ def upload_attributes(gaussians: Gaussians, data: GaussianData, device: str) -> 
 
 
 def are_alike(one: Gaussians, other: Gaussians) -> bool:
-    """Whether two sets have the same arrays, of the same sizes: as many Gaussians, harmonics and further attributes."""
+    """Returns whether two sets have the same attributes with the same numbers of Gaussians and SH coefficients."""
     names = ("normals", "albedo", "roughness", "metallic")
     absent = [[getattr(gaussians, name) is None for name in names] for gaussians in (one, other)]
     return one.sh.shape == other.sh.shape and absent[0] == absent[1]
 
 
 def overwrite_gaussians(data: GaussianData, attributes: SplatAttributes, gaussians: Gaussians) -> None:
-    """Copies a set to where one like it has been; kernels find it at the same addresses."""
+    """Copies a set into the arrays of one with the same sizes; kernels find it at the same addresses."""
     for owner, arrays in ((data, _arrays_of(gaussians)), (attributes, _materials_of(gaussians))):
         for name, _, values in arrays:
             device_array(getattr(owner, name)).assign(values)
 
 
 def shares_memory(device: str) -> bool:
-    """Whether kernels read the arrays of assets where the host has them: they may not be written to."""
+    """Returns whether kernels read the host's arrays directly; the arrays must then not be overwritten."""
     return device == "cpu"
 
 
 def _arrays_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndarray]]:
-    """Names, elements and values of the arrays of `GaussianData`."""
+    """Returns names, element types and values of the arrays in `GaussianData`."""
     arrays: list[tuple[str, type[object], np.ndarray]] = [
         ("means", wp.vec3, gaussians.means),
         ("rotations", wp.quat, np.ascontiguousarray(gaussians.rotations_wxyz[:, [1, 2, 3, 0]])),
@@ -148,7 +149,7 @@ def _arrays_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndarray
 
 
 def _materials_of(gaussians: Gaussians) -> list[tuple[str, type[object], np.ndarray]]:
-    """The same of those of `SplatAttributes` that are not in `GaussianData`."""
+    """Returns names, element types and values of the arrays that only `SplatAttributes` has."""
     values = (("roughness", gaussians.roughness), ("metallic", gaussians.metallic))
     return [(name, wp.float32, array) for name, array in values if array is not None]
 
@@ -180,7 +181,7 @@ class MeshAssets:
         self._meshes = meshes
 
     def _upload_varied(self, meshes: dict[int, Mesh]) -> None:
-        """Uploads transmission and layers of the meshes where textures vary them."""
+        """Uploads the transmission and layers of meshes that textures vary."""
         materials = {key: mesh.material for key, mesh in meshes.items() if varies(mesh)}
         self._varied = {key: 1 + number for number, key in enumerate(materials)}
         found = [material for material in materials.values() if isinstance(material, MaterialPbr)]
@@ -189,26 +190,26 @@ class MeshAssets:
             self.data.sheen_curves = DeviceArray(albedo_curves().astype(np.float32), dtype=wp.vec4, device=self._device)
 
     def face_first(self, mesh: Mesh) -> int:
-        """First face of a mesh in the data."""
+        """Returns the index of a mesh's first face in the data."""
         return self._face_first[id(mesh)]
 
     def varied(self, mesh: Mesh) -> int:
-        """The element of ``data.varied`` that is of a mesh; 0: no textures vary its transmission or layers."""
+        """Returns a mesh's index in ``data.varied``; 0: no texture varies its transmission or layers."""
         return self._varied.get(id(mesh), 0)
 
     def texture_first(self, texture: np.ndarray) -> int:
-        """First texel of a texture in the data."""
+        """Returns the index of a texture's first texel in the data."""
         return self._texture_first[texture_key(texture)]
 
     @property
     def bytes(self) -> int:
-        """Memory of meshes and textures, bytes."""
+        """Device memory of meshes and textures, bytes."""
         m = self.data
         return bytes_of(m.positions, m.normals, m.uvs, m.colors, m.indices, m.texels) if self._meshes else 0
 
 
 def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict[TextureKey, int]]:
-    """Uploads meshes and their textures end to end; also returns the first texel of each texture."""
+    """Uploads meshes and their textures end to end; also returns the index of each texture's first texel."""
     data = MeshData()
     if not meshes:
         return data, {}
@@ -234,12 +235,12 @@ def upload_meshes(meshes: tuple[Mesh, ...], device: str) -> tuple[MeshData, dict
 
 
 def textures_of(material: Material) -> list[Any]:
-    """All textures that a material may have; None: it has no such texture."""
+    """Returns the material's textures, None for each that it does not have."""
     return [getattr(material, name) for name in texture_names(material)]
 
 
 def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int]]:
-    """RGBA8 texels of all textures end to end, None skipped, and the first texel of each."""
+    """Returns RGBA8 texels of all textures end to end, without None, and the index of each texture's first texel."""
     distinct = {texture_key(texture): texture for texture in textures if texture is not None}
     texels = [np.zeros(1, np.uint32)]  # an array without elements has no address
     for texture in distinct.values():
@@ -251,17 +252,17 @@ def pack_textures(textures: list[Any]) -> tuple[np.ndarray, dict[TextureKey, int
 
 
 def texture_key(texture: np.ndarray) -> TextureKey:
-    """Identity of a texture: two views of one image are the same texture."""
+    """Returns an identity for a texture that is equal for two views of one image."""
     return texture.ctypes.data, texture.shape
 
 
 def first_of(counts: dict[Key, int]) -> dict[Key, int]:
-    """Where each entry starts if all are stored end to end."""
+    """Returns the start index of each entry if all are stored end to end."""
     return dict(zip(counts, np.cumsum([0, *counts.values()]).tolist(), strict=False))
 
 
 def as_device_array(values: np.ndarray, dtype: type[object], device: str) -> DeviceArray:
-    """An asset's array on the device; on the CPU the same memory."""
+    """Returns an asset's array on the device; on the CPU it shares memory with the host array."""
     # Warp refuses read-only arrays; kernels never write to assets, so a writable view of the same memory is safe.
     if not shares_memory(device):
         return DeviceArray(values, dtype=dtype, device=device)

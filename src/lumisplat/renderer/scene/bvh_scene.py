@@ -1,4 +1,4 @@
-"""The scene's Gaussians as rays hit them: a bounding volume hierarchy (BVH) an asset, and one over the instances."""
+"""BVHs of the scene's Gaussians: one for each asset, and top levels over the instances."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
 COHERENT_RADIUS = 0.03
-"""Rays of a packet are not traced with its first one if their origins differ from that one's by more than this share of
-the scene's largest capture."""
+"""Largest distance between ray origins of a packet, as a fraction of the scene's largest capture. Rays that start
+farther from the packet's first ray are traced separately."""
 
 
 class SplatSets(Enum):
-    """Which splat sets of a scene rays meet."""
+    """Subsets of a scene's splat sets that rays can be restricted to."""
 
     ALL = "all"
     CAPTURED = "captured"
-    """Those that keep their captured colours."""
+    """Sets that emit their captured colours."""
     RELIT = "relit"
-    """The others."""
+    """Sets that are relit: all that do not emit their captured colours."""
     SHADOW_CATCHERS = "shadow_catchers"
-    """A part of the kept ones."""
+    """Shadow catchers, a subset of the captured sets."""
 
     def has(self, instance: SplatInstance) -> bool:
-        """Whether an instance is one of them."""
+        """Returns whether an instance is in the subset."""
         if self is SplatSets.SHADOW_CATCHERS:
             return instance.shadow_catcher
         return self is SplatSets.ALL or is_relit(instance) == (self is SplatSets.RELIT)
@@ -52,13 +52,13 @@ class CachedBvh:
 
     gaussians: Gaussians
     data: GaussianData
-    """Its arrays on the device, which may be others when it is uploaded again."""
+    """Device arrays of the asset, which differ after it is uploaded again."""
     kernel: KernelData
     bvh: GaussianBvh
 
 
 class BvhScene:
-    """BVHs of a scene's Gaussians, built when rays first need them, and refitted when their Gaussians move.
+    """BVHs of a scene's Gaussians, built when rays first need them and refitted when their Gaussians move.
 
     Args:
         launcher: Runs the kernels.
@@ -69,32 +69,32 @@ class BvhScene:
         self._buffers = Buffers(launcher.device)
         self._cached: list[CachedBvh] = []
         self.assets: DeviceArray | None = None
-        """What the instances place, as AssetBvh."""
+        """AssetBvh of each asset."""
         self._tlas_nodes: dict[SplatSets, DeviceArray] = {}
-        """Top levels: trees of the instances' world boxes; their leaves are ~instance."""
+        """Top levels: trees over the instances' world boxes, whose leaves are ~instance."""
         self._synced: tuple[list[int], list[bytes], dict[SplatSets, list[bool]]] | None = None
         self.footprint = 0.0
-        """The widest footprint of the instances, in widths of a pixel."""
+        """Widest footprint of the instances, in pixel widths."""
         self.hit_distance = HIT_PEAK
-        """That of the instances; HIT_MEAN if it is that of any."""
+        """Hit distance of the instances: HIT_MEAN if any has it, else the one that all have."""
         self.stack = TRAVERSE_STACK_SMALL
-        """Entries of the stack with which CUDA's kernels traverse the trees: enough, and one of two numbers."""
+        """Stack entries that CUDA kernels need to traverse the trees, rounded up to one of two sizes."""
         self.extent = 0.0
         """Size of the largest instance, world space."""
         self.packet_radius = 0.0
-        """Rays of a packet that start farther apart than this are not traced together, world space."""
+        """Largest distance between ray origins of a packet, world space; rays farther apart are traced separately."""
 
     @property
     def bytes(self) -> int:
-        """Memory of the BVHs, bytes."""
+        """Device memory of the BVHs, bytes."""
         return self._buffers.bytes + sum(cached.bvh.bytes for cached in self._cached)
 
     def data(self, instances: DeviceArray, sets: SplatSets = SplatSets.ALL) -> SceneBvh:
-        """What kernels traverse.
+        """Returns the struct that kernels traverse.
 
         Args:
-            instances: The scene's, an array of SplatInstanceData.
-            sets: Those that rays meet; some only of frames of paths.
+            instances: The scene's splat instances, an array of SplatInstanceData.
+            sets: Splat sets that rays can hit; only path traced frames have subsets.
         """
         row = SceneBvh()
         row.tlas_nodes, row.instances = self._tlas_nodes[sets], instances
@@ -105,44 +105,47 @@ class BvhScene:
 
     @property
     def graph_key(self) -> object:
-        """What kernels get of it by value: captured graphs are stale after a change."""
+        """Values that captured graphs freeze: a graph is stale after any of them changes."""
         if self.assets is None:
             return None
-        # `stack` follows from the builds and from the tree over the instances, which may keep its memory.
+        # `stack` depends on the builds and on the top level, whose array may keep its address.
         arrays = [(array.ptr, array.shape) for array in (self.assets, *self._tlas_nodes.values())]
         rays = self.packet_radius, self.footprint, self.hit_distance
         return arrays, [cached.bvh.build for cached in self._cached], self.stack, rays
 
     @property
     def cached(self) -> list[CachedBvh]:
-        """The assets' BVHs, in their order."""
+        """BVHs of the assets, in their order."""
         return self._cached
 
     def sync(
         self, scene: Scene, assets: list[SplatAsset], config: RenderConfig, *, is_lit: bool, has_subsets: bool
     ) -> None:
-        """Builds or refits what changed, and the top levels if an instance has moved.
+        """Builds or refits BVHs that changed, and the top levels if an instance has moved.
 
         Args:
-            scene: What places the assets.
-            assets: Its Gaussians on the device.
-            config: Its kernel settings are those that the bounds follow.
+            scene: The scene with the instances.
+            assets: The scene's Gaussian sets on the device.
+            config: Settings; its kernel response determines the bounds.
             is_lit: Whether the frame is lit.
-            has_subsets: Whether rays may meet some of `SplatSets` alone.
+            has_subsets: Whether rays may be restricted to subsets of the splat sets.
 
         Raises:
             DeviceError: The device is out of memory.
         """
         wanted = [(id(asset.gaussians), id(asset.data)) for asset in assets]
         if wanted != [(id(cached.gaussians), id(cached.data)) for cached in self._cached]:
-            before, self._cached = self._cached, []  # until all are there: one may be refitted when the next one fails
+            before, self._cached = (
+                self._cached,
+                [],
+            )  # cleared until all are built: some may be refitted when the next one fails
             self._synced = None
             try:
                 self._cached = [self._bvh_of(index, assets, before, config) for index in range(len(assets))]
                 self.assets = self._buffers.table("assets", AssetBvh, self._asset_rows() or [AssetBvh()])
             except DeviceError:
                 raise
-            except RuntimeError as error:  # Warp's own, of what its sorts and sums allocate
+            except RuntimeError as error:  # Warp raises it when its sorts and scans cannot allocate
                 raise DeviceError(f"{self._launcher.device} has no room for the scene's trees: {error}") from None
         index_of = {id(cached.gaussians): index for index, cached in enumerate(self._cached)}
         asset_indices = [index_of[id(instance.gaussians)] for instance in scene.splats]
@@ -153,15 +156,15 @@ class BvhScene:
         hit_distances = {hit_distance_of(instance, config, is_lit=is_lit) for instance in scene.splats}
         self.hit_distance = HIT_MEAN if HIT_MEAN in hit_distances else next(iter(hit_distances), HIT_PEAK)
         if synced != self._synced:
-            self._synced = None  # until all of it is there
+            self._synced = None  # cleared until all is built
             self._build_top_levels(scene, asset_indices, members)
             self._synced = synced
 
     def refit(self, scene: Scene) -> None:
-        """Follows Gaussians that were written where they lie, or whose arrays are others, since the last ``sync``.
+        """Refits the BVHs to Gaussians that were overwritten in place, or whose arrays were replaced.
 
         Args:
-            scene: The one that was synced.
+            scene: The scene of the last ``sync``.
         """
         assert self._synced is not None
         asset_indices, _, members = self._synced
@@ -174,9 +177,9 @@ class BvhScene:
         """Builds the top levels.
 
         Args:
-            scene: With the instances.
-            asset_indices: The asset of each.
-            members: Which of them each top level is of.
+            scene: The scene with the instances.
+            asset_indices: Asset of each instance.
+            members: Whether each instance is in each subset.
         """
         extents = (self._cached[p].bvh.extent * i.scale for i, p in zip(scene.splats, asset_indices, strict=True))
         self.extent = max(extents, default=0.0)
@@ -193,7 +196,7 @@ class BvhScene:
             assign_table(self._tlas_nodes[kind], nodes)
 
     def _bvh_of(self, index: int, assets: list[SplatAsset], before: list[CachedBvh], config: RenderConfig) -> CachedBvh:
-        """The BVH that is held; that of the asset whose place this one took, refitted; or a new one."""
+        """Returns the cached BVH, the refitted BVH of the asset that this one replaces, or a new one."""
         gaussians, data = assets[index].gaussians, assets[index].data
         cached = next((cached for cached in before if cached.gaussians is gaussians), None)
         if cached is not None:
@@ -233,20 +236,20 @@ class BvhScene:
 
 
 def boxes_of_members(boxes: tuple[np.ndarray, np.ndarray], members: list[bool]) -> tuple[np.ndarray, np.ndarray]:
-    """The boxes, as ``tree_of_boxes`` takes them, those left out inverted."""
+    """Returns the boxes for ``tree_of_boxes``, inverted where an instance is not a member."""
     chosen = np.array(members, bool)[:, None]
     return np.where(chosen, boxes[0], FAR), np.where(chosen, boxes[1], -FAR)
 
 
 def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
-    """A small tree, built on the host: groups of boxes are halved along their longest side, as often as there is room.
+    """Builds a small tree on the host by halving groups of boxes along their longest axis until nodes are full.
 
     Args:
         lows: Lower corners, shape (M, 3).
-        highs: Upper corners, shape (M, 3); boxes that are inverted are left out.
+        highs: Upper corners, shape (M, 3); inverted boxes are left out.
 
     Returns:
-        Nodes, the root first; leaves are ~number of the box.
+        Nodes, the root first; leaves are ~index of the box.
     """
     rows: list[np.ndarray] = []
 
@@ -266,7 +269,7 @@ def tree_of_boxes(lows: np.ndarray, highs: np.ndarray) -> np.ndarray:
 
 
 def waiting_in_tree(nodes: np.ndarray) -> int:
-    """How many nodes of a small tree may wait at a time, its leaves among them, whatever the order of visits."""
+    """Returns the largest number of nodes and leaves on the traversal stack of a small tree, in any order of visits."""
     waiting = np.ones(len(nodes), dtype=np.int64)
     for number in reversed(range(len(nodes))):  # children come after their parents
         links: list[int] = nodes["link"][number].tolist()
@@ -276,7 +279,7 @@ def waiting_in_tree(nodes: np.ndarray) -> int:
 
 
 def empty_node() -> np.ndarray:
-    """A 1-element table of a node without children."""
+    """Returns a 1-element table of a node without children."""
     row = np.zeros(1, dtype=table_dtype(Node))
     for axis in "xyz":
         row[f"low_{axis}"], row[f"high_{axis}"] = FAR, -FAR
@@ -285,7 +288,7 @@ def empty_node() -> np.ndarray:
 
 
 def _split(items: np.ndarray, centers: np.ndarray) -> list[np.ndarray]:
-    """Items in at most as many groups as a node has children."""
+    """Splits items into at most as many groups as a node has children."""
     groups = [items] if len(items) else []
     while len(groups) < NODE_WIDTH:
         largest = max(range(len(groups)), key=lambda g: len(groups[g]), default=0)

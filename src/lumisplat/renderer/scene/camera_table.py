@@ -1,4 +1,4 @@
-"""A camera, checked, and its table on the device, rewritten for each sample."""
+"""The camera's checks, and its table on the device, which is rewritten for each sample."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from lumisplat.runtime.struct_tables import table_dtype
 from lumisplat.scene.camera import Camera, CameraModel
 
 IMAGE_PIXELS_MAX = 200_000_000
-"""Pixels of a frame: its buffers take ten words a pixel and are indexed by signed 32-bit numbers."""
+"""Largest number of pixels of a frame: its buffers take ten words per pixel and use signed 32-bit indices."""
 
 FULL_IMAGE_PIXELS_MAX = 2**31 - 1
-"""Pixels of a picture that frames show windows of: signed 32-bit numbers count them."""
+"""Largest number of pixels of a full image that is rendered in windows: signed 32-bit integers count them."""
 
 FIELD_MARGIN = 0.1
-"""Radians beyond the last ray of a pinhole's image up to which points are projected as they are. From there on they
-move outwards with their angle, where tangents would leave all bounds."""
+"""Angle beyond a pinhole's widest ray, radians, up to which points are projected by their tangent. Beyond it,
+projected points move outwards with their angle, since tangents would diverge."""
 
 FIELD_MAX = 1.56
-"""Largest angle of that kind, radians."""
+"""Largest angle from the axis that is projected by its tangent, radians."""
 
 CENTER = (0.5, 0.5)
-"""The centre of a pixel."""
+"""Centre of a pixel."""
 
 _MODELS = {
     CameraModel.PINHOLE: PINHOLE,
@@ -37,31 +37,32 @@ _MODELS = {
 
 
 def check_camera(camera: object) -> None:
-    """Raises SceneError unless this is a camera whose pixels 32-bit indices can count."""
+    """Raises SceneError unless the argument is a Camera whose pixels fit 32-bit indices."""
     if not isinstance(camera, Camera):
         raise SceneError(f"expected a Camera, got {type(camera).__name__}: ls.Camera.look_at(eye, target) makes one")
     width, height = camera.image_size
     if width * height > IMAGE_PIXELS_MAX:
         raise SceneError(
-            f"an image of {width} x {height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels; larger pictures are "
-            "made of windows (Camera.window, lumisplat render --tiles)"
+            f"an image of {width} x {height} is too large: at most {IMAGE_PIXELS_MAX:,} pixels; render larger "
+            "images in windows (Camera.window, lumisplat render --tiles)"
         )
     if camera.width * camera.height > FULL_IMAGE_PIXELS_MAX:
         raise SceneError(
-            f"a picture of {camera.width} x {camera.height} is too large: at most {FULL_IMAGE_PIXELS_MAX:,} pixels"
+            f"a full image of {camera.width} x {camera.height} is too large: at most {FULL_IMAGE_PIXELS_MAX:,} pixels"
         )
 
 
 def refuse_window(camera: Camera, what: str) -> None:
-    """Raises SceneError for a camera with a window where all of its picture is needed."""
+    """Raises SceneError for a camera with a window where the full image is needed."""
     if camera.window is not None:
-        raise SceneError(f"{what} are of whole pictures: give a camera without a window")
+        raise SceneError(f"{what} need the whole image: use a camera without a window")
 
 
 def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Projection.EWA) -> None:
-    """Raises a `SceneError` for a camera that only rays can draw.
+    """Raises SceneError for a camera that the rasteriser cannot draw.
 
-    It is not a sharp pinhole or has a rolling shutter; with sigma points, it is orthographic or not sharp.
+    The rasteriser needs a pinhole without aperture or rolling shutter; with sigma points, any perspective or fisheye
+    lens without aperture.
     """
     problem, remedy = None, ""
     if not pipeline.is_sequence:
@@ -84,7 +85,7 @@ def refuse_lens(camera: Camera, pipeline: Pipeline, projection: Projection = Pro
 
 
 def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.ndarray:
-    """The 1-element table from which kernels read the camera.
+    """Returns the 1-element table from which kernels read the camera.
 
     Args:
         camera: The camera.
@@ -95,8 +96,8 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     center = np.array([camera.cx, camera.cy])
     raster_center = center + 0.5 - np.array(offset)
     margin = (JACOBIAN_CLAMP - 1.0) * 0.5 * size / focal
-    turn = camera.shutter_turn
-    angle = np.linalg.norm(turn)
+    rotation = camera.shutter_turn
+    angle = np.linalg.norm(rotation)
     row["world_from_camera"] = camera.world_from_camera[:3, :3]
     row["eye"] = camera.eye
     row["model"] = _MODELS[camera.model]
@@ -114,16 +115,16 @@ def camera_table(camera: Camera, offset: tuple[float, float] = CENTER) -> np.nda
     row["radial"], row["tangential"] = camera.distortion[:4], camera.distortion[4:]
     row["distortion_reach"] = distortion_reach(camera.distortion)
     row["shutter"] = camera.camera_from_world_end is not None
-    row["rotation_axis"] = turn / angle if angle > 0.0 else turn
+    row["rotation_axis"] = rotation / angle if angle > 0.0 else rotation
     row["rotation_angle"] = angle
     row["motion"] = camera.shutter_motion
     return table
 
 
 def image_field(camera: Camera) -> float:
-    """Up to which tangent of the angle from a pinhole's axis sigma points are projected as they are.
+    """Returns the tangent of the largest angle from the axis at which sigma points are projected by their tangent.
 
-    That is ``FIELD_MARGIN`` beyond the rays of all pixels. Other cameras show all points as they are.
+    The angle is ``FIELD_MARGIN`` beyond the rays of all pixels. The limit applies to pinholes only.
     """
     x, y = np.meshgrid(np.linspace(0.0, camera.width, 33), np.linspace(0.0, camera.height, 33))
     shown = np.stack([(x - camera.cx) / camera.fx, (y - camera.cy) / camera.fy], axis=-1)
@@ -133,11 +134,11 @@ def image_field(camera: Camera) -> float:
 
 
 def tile_grid(width: int, height: int) -> tuple[int, int]:
-    """Tiles of an image across and down."""
+    """Returns the number of tiles across and down an image."""
     return -(-width // TILE_PX), -(-height // TILE_PX)
 
 
 def subpixel(sample: int) -> tuple[float, float]:
-    """Position of a sample in its pixel, 0..1: the centre, then the R2 sequence from there (Roberts 2018)."""
+    """Returns a sample's position in its pixel, 0..1: the centre, then the R2 sequence from there (Roberts 2018)."""
     x, y = SUBPIXEL_STEPS
     return (0.5 + sample * x) % 1.0, (0.5 + sample * y) % 1.0

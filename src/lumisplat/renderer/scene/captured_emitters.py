@@ -1,4 +1,4 @@
-"""The captures that are sampled as lights in real time (docs/adr/0097-captures-as-lights.md)."""
+"""Captures that real-time frames sample as lights (docs/adr/0097-captures-as-lights.md)."""
 
 from __future__ import annotations
 
@@ -25,19 +25,21 @@ EMITTER_BOXES = 16
 """Boxes around parts of a capture that is sampled as a light."""
 
 EMITTER_REACH = 3.0
-"""Standard deviations of Gaussians that are within the boxes."""
+"""Extent of Gaussians inside the boxes, standard deviations."""
 
 EMITTER_FLAT = 1e-3
-"""Least edge of a box as a share of its longest: volumes of flat boxes are more than rounding errors."""
+"""Shortest edge of a box as a fraction of its longest, so that the volume of a flat box exceeds rounding errors."""
 
 EMITTER_FLOOR = 0.05
-"""Of the power, for a box around the whole capture; and of the mean luminance, for Gaussians that are dark."""
+"""Fraction of the total power that the box around the whole capture gets, and lowest luminance of a Gaussian as a
+fraction of the mean."""
 
 EMITTER_GAUSSIANS = 16_384
-"""Gaussians of a capture by which boxes are found, at most."""
+"""Largest number of a capture's Gaussians that are used to find boxes."""
 
 EMITTER_RECEIVERS = 1024
-"""Triangles or Gaussians of an instance that stand for all it has, when captures are told from surroundings."""
+"""Triangles or Gaussians that represent an instance when captures are classified as lights or as surrounding scenery.
+"""
 
 Result = TypeVar("Result")
 
@@ -46,31 +48,31 @@ class Boxes(NamedTuple):
     """Boxes around parts of a capture, object space."""
 
     centers: Doubles
-    """Shape (K, 3)."""
+    """Centres, shape (K, 3)."""
     axes: Doubles
-    """Unit, one a row, shape (K, 3, 3)."""
+    """Unit axes in rows, shape (K, 3, 3)."""
     halves: Doubles
-    """Half their edges, shape (K, 3)."""
+    """Half edge lengths, shape (K, 3)."""
     powers: Doubles
-    """About luminance times area, shape (K,)."""
+    """Approximate luminance times area, shape (K,)."""
 
 
 class CapturedEmitters:
-    """Finds the captures that are lights, and writes their tables when they change."""
+    """Finds the captures that are sampled as lights, and writes their tables when they change."""
 
     def __init__(self) -> None:
         self.boxes: DeviceArray | None = None
-        """Their boxes, as EmitterBox; None: no capture is sampled as a light."""
+        """EmitterBox table of these captures; None: no capture is sampled as a light."""
         self.marked: DeviceArray | None = None
-        """The scene's splat instances, of which those that are lights, alone, count as relit."""
+        """Copy of the scene's splat instances in which only these captures are marked as relit."""
         self.instances: tuple[int, ...] = ()
-        """Which splat instances they are."""
+        """Indices of their splat instances."""
         self._boxes: _AssetCache[Boxes] = _AssetCache(boxes_of)
         self._bounds: _AssetCache[Doubles] = _AssetCache(_bounds_of)
         self._points: _AssetCache[Doubles] = _AssetCache(_sample_points)
 
     def sync(self, scene: Scene, splats: np.ndarray, buffers: Buffers) -> None:
-        """Writes the tables of a scene; ``splats``: its splat instances, as SplatInstanceData."""
+        """Writes the tables of a scene; ``splats`` are its splat instances, as SplatInstanceData."""
         emissive = [number for number, instance in enumerate(scene.splats) if not is_relit(instance)]
         receivers = self._receivers(scene) if emissive else np.zeros((0, 4))
         bounds = self._bounds.of([scene.splats[number].gaussians for number in emissive])
@@ -89,7 +91,7 @@ class CapturedEmitters:
         self.marked = buffers.upload("captured_emitters.marked", SplatInstanceData, marked)
 
     def _receivers(self, scene: Scene) -> Doubles:
-        """Returns points that light falls on, and the areas that they stand for, shape (N, 4)."""
+        """Returns sample points on lit surfaces in world space, and the area that each represents, shape (N, 4)."""
         placed = [(instance.mesh, instance.transform) for instance in scene.meshes]
         placed += [(instance.gaussians, instance.transform) for instance in scene.splats if is_relit(instance)]
         points = self._points.of([asset for asset, _ in placed])
@@ -102,14 +104,14 @@ class CapturedEmitters:
 
 
 class _AssetCache(Generic[Result]):
-    """What was found of assets, as long as these are asked for."""
+    """Caches a function's results for assets as long as they are requested in every call."""
 
     def __init__(self, find: Callable[[Any], Result]) -> None:
         self._find = find
         self._cached: list[tuple[object, Result]] = []
 
     def of(self, assets: Sequence[Mesh | Gaussians]) -> list[Result]:
-        """Returns what is found of each."""
+        """Returns the result for each asset."""
         known = {id(asset): found for asset, found in self._cached}
         for asset in assets:
             if id(asset) not in known:
@@ -119,12 +121,12 @@ class _AssetCache(Generic[Result]):
 
 
 def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Doubles) -> bool:
-    """Returns whether most of what a capture lights is outside of it: then it is a light, else it is surroundings.
+    """Returns whether most lit surface area is outside of a capture: it is then a light, else surrounding scenery.
 
     Args:
         instance: The capture.
         bounds: Two corners of a box around it, object space, shape (2, 3).
-        receivers: Points that light falls on, world space, and the areas that they stand for, shape (N, 4).
+        receivers: Sample points on lit surfaces, world space, and the area that each represents, shape (N, 4).
     """
     if not len(receivers):
         return False
@@ -135,9 +137,9 @@ def is_separate_emitter(instance: SplatInstance, bounds: Doubles, receivers: Dou
 
 
 def boxes_of(gaussians: Gaussians) -> Boxes:
-    """Returns boxes around parts of a capture, after one around all of it, so that no direction to it is left out.
+    """Returns boxes around parts of a capture, the first around all of it so that no direction to it is left out.
 
-    Parts are halved where half of their power is, those of most luminance times area first.
+    The part with the largest luminance times area is split first, at the median of its power.
     """
     step = max(1, -(-gaussians.count // EMITTER_GAUSSIANS))
     means = gaussians.means[::step].astype(np.float64)
@@ -174,16 +176,16 @@ class _Box(NamedTuple):
 
 
 class _GaussianBoxes(NamedTuple):
-    """Gaussians that boxes are put around."""
+    """Gaussians of a capture, and methods that bound subsets of them by oriented boxes."""
 
     means: Doubles
     spread: Doubles
-    """Their axes as columns, as long as standard deviations, shape (N, 3, 3)."""
+    """Principal axes as columns, as long as the standard deviations, shape (N, 3, 3)."""
     luminance: Doubles
     areas: Doubles
 
     def box(self, members: npt.NDArray[np.integer]) -> _Box:
-        """Returns the box along the principal axes of some of them."""
+        """Returns the box along the principal axes of some Gaussians."""
         means, weights = self.means[members], self.areas[members]
         offsets = means - np.average(means, axis=0, weights=weights)
         axes = np.linalg.eigh(np.einsum("n,nx,ny->xy", weights / weights.sum(), offsets, offsets))[1].T
@@ -198,7 +200,7 @@ class _GaussianBoxes(NamedTuple):
         return _Box(0.5 * (low + high) @ axes, axes, half, power, members)
 
     def halves(self, box: _Box) -> list[_Box]:
-        """Returns the boxes of its halves, across its longest axis."""
+        """Splits a box across its longest axis, and returns the boxes of both halves."""
         along = self.means[box.members] @ box.axes[int(box.half.argmax())]
         order = np.argsort(along, kind="stable")
         power: Doubles = np.cumsum((self.luminance * self.areas)[box.members][order])
@@ -216,14 +218,14 @@ def _bounds_of(gaussians: Gaussians) -> Doubles:
 
 
 def _bounds(gaussians: Gaussians, step: int) -> Doubles:
-    """Returns two corners of a box around one of ``step`` Gaussians each, shape (2, 3)."""
+    """Returns two corners of a box around every ``step``-th Gaussian, shape (2, 3)."""
     means = gaussians.means[::step]
     reach = EMITTER_REACH * gaussians.scales[::step].max(axis=1, keepdims=True)
     return np.stack([(means - reach).min(axis=0), (means + reach).max(axis=0)]).astype(np.float64)
 
 
 def _world_rows(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
-    """Returns the rows of a capture's boxes, world space."""
+    """Returns the table rows of a capture's boxes, world space."""
     rows = np.zeros(len(boxes.powers), table_dtype(EmitterBox))
     linear = instance.transform[:3, :3]
     rows["center"] = boxes.centers @ linear.T + instance.transform[:3, 3]
@@ -234,17 +236,17 @@ def _world_rows(instance: SplatInstance, boxes: Boxes) -> np.ndarray:
 
 
 _TRIANGLE_POINTS = np.array([[1.0, 1.0, 1.0], [2.0, 0.5, 0.5], [0.5, 2.0, 0.5], [0.5, 0.5, 2.0]]) / 3.0
-"""Barycentric weights of places in a triangle, of equal areas."""
+"""Barycentric weights of four sample points in a triangle, which represent equal areas."""
 
 
 def _sample_points(asset: Mesh | Gaussians) -> Doubles:
-    """Returns points of a mesh or of Gaussians, object space, and the areas that they stand for, shape (N, 4)."""
+    """Returns sample points on a mesh or Gaussians, object space, and the area that each represents, (N, 4)."""
     if isinstance(asset, Mesh):
         step = max(1, -(-asset.face_count // EMITTER_RECEIVERS))
         corners = asset.positions.astype(np.float64)[asset.indices[::step]]
         sides = corners[:, 1:] - corners[:, :1]
         areas = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
-        # Large triangles reach far: each stands for four places in it.
+        # Large triangles extend far: four points represent each.
         points = np.einsum("pc,fcx->pfx", _TRIANGLE_POINTS, corners).reshape(-1, 3)
         return np.column_stack([points, step * np.tile(0.25 * areas, len(_TRIANGLE_POINTS))])
     step = max(1, -(-asset.count // EMITTER_RECEIVERS))

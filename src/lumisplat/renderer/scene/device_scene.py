@@ -1,4 +1,4 @@
-"""The scene on the device: all that kernels read of it, synced once a frame."""
+"""The scene on the device: all tables that kernels read, synced once per frame."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ _ANY_CAMERA = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 
 
 class DeviceScene:
-    """Device copies of a scene's assets, and the tables of its camera, instances, materials and lights.
+    """Device copies of a scene's assets, and tables of its camera, instances, materials and lights.
 
     Args:
-        launcher: Runs the kernels that build hierarchies.
+        launcher: Runs the kernels that build BVHs.
         buffers: Holds the tables.
         config: Settings; they do not change.
     """
@@ -49,7 +49,7 @@ class DeviceScene:
         self._launcher, self._buffers, self._config = launcher, buffers, config
         self._structure: tuple[list[int], list[int]] | None = None
         self._layout: list[object] | None = None
-        """What says where the assets are, compared by identity."""
+        """Objects that hold the assets' arrays, compared by identity."""
         self._meshes = MeshAssets(launcher.device)
         self._sample = np.zeros(1, dtype=table_dtype(SampleData))
         self._sample["seed"] = config.seed
@@ -57,22 +57,23 @@ class DeviceScene:
         self._shading = ShadingTables(buffers, config, launcher.device)
         self._mesh_bvh = MeshBvhScene(launcher)
         self.bvh = BvhScene(launcher)
-        """The hierarchies of Gaussians; synced if the plan of the frame follows rays."""
+        """BVHs of the Gaussians; synced if rays of the frame traverse them."""
         self.motion = Motion(buffers, launcher.device)
-        """Where all was in the frame before; synced if the plan of the frame asks for it."""
+        """Transforms of the previous frame; synced for real-time frames."""
         self.assets: list[SplatAsset] = []
         """The distinct Gaussian sets."""
         self.gaussians: DeviceArray
-        """One GaussianData for each of them; written by ``sync``."""
+        """GaussianData of each distinct set; written by ``sync``."""
         self.camera, self.splat_camera = (buffers.get(f"camera{name}", CameraData, 1) for name in ("", ".splats"))
-        """The camera, and as Gaussians are seen: in the middles of pixels where samples spread for meshes alone."""
+        """Camera table for meshes, and camera table for Gaussians, which stays at pixel centres if only meshes are
+        jittered."""
         self.sample = self._buffers.get("sample", SampleData, 1)
         self.splat_instances: DeviceArray
-        """One SplatInstanceData an instance; written by ``sync``."""
+        """SplatInstanceData of each instance; written by ``sync``."""
         self.mesh_instances: DeviceArray
-        """One MeshInstanceData an instance; written by ``sync``."""
+        """MeshInstanceData of each instance; written by ``sync``."""
         self.captured_emitters = CapturedEmitters()
-        """The captures that are sampled as lights; synced if the plan of the frame has a history."""
+        """Captures that are sampled as lights; synced for real-time frames."""
         self.image_size = (0, 0)
         """Width and height, pixels."""
         self.gaussian_count = 0
@@ -80,72 +81,72 @@ class DeviceScene:
         self.triangle_count = 0
         """Triangles over all instances."""
         self.plan: FramePlan
-        """That of the frame; written by ``sync``."""
+        """Plan of the frame; written by ``sync``."""
         self.version = 0
-        """Changes with the arrays of assets."""
+        """Counter that changes with the arrays of assets."""
         self.frame = LocalFrame(np.zeros(3))
-        """The frame in which all that is on the device lies, world and camera alike."""
+        """Local coordinate frame of all device data, geometry and camera alike."""
         self._synced: object = None
         """`graph_key` of the last frame."""
 
     @staticmethod
     def modules(plan: FramePlan) -> list[KernelModule]:
-        """The kernel modules that build hierarchies."""
+        """Returns the kernel modules that build BVHs."""
         if plan.follows_rays:
             return [*GaussianBvh.MODULES]
         return [*HostBoxTree.MODULES] if plan.is_sampled and plan.has_meshes else []
 
     @property
     def mesh_data(self) -> MeshData:
-        """All meshes, end to end."""
+        """Data of all meshes, end to end."""
         return self._meshes.data
 
     @property
     def mesh_bvh(self) -> MeshBvh:
-        """What rays traverse to find meshes; synced if the frame is sampled."""
+        """BVH of the meshes for kernels; synced if the frame is sampled."""
         row = self._mesh_bvh.data
         row.instances, row.meshes = self.mesh_instances, self.mesh_data
         return row
 
     @property
     def shading(self) -> DeviceArray:
-        """All that shading reads: a 1-element ShadingScene array; synced if the frame is sampled."""
+        """1-element ShadingScene array with all shading data; synced if the frame is sampled."""
         return self._shading.data
 
     @property
     def has_emitters(self) -> bool:
-        """Whether some triangles shine, and are sampled as lights."""
+        """True if emissive triangles exist and are sampled as lights."""
         return self._shading.has_emitters
 
     @property
     def lights(self) -> ShadingTables:
-        """The lights of the scene, and their names."""
+        """Lights of the scene, and their names."""
         return self._shading
 
     @property
     def graph_key(self) -> object:
-        """Changes with everything that a captured graph of the passes of a frame has frozen: it is then stale.
+        """Values that captured graphs of the frame's passes freeze: a graph is stale after any of them changes.
 
-        What changes from frame to frame and sample to sample is in arrays, whose addresses stay.
+        Data that changes with frames and samples is in arrays, whose addresses stay.
         """
         tables = self.bvh.graph_key, self._mesh_bvh.graph_key, self._shading.graph_key
         return self.image_size, self.plan, self.version, tables, self._buffers.allocations
 
     @property
     def bytes(self) -> int:
-        """Device memory of assets and hierarchies, bytes."""
+        """Device memory of assets and BVHs, bytes."""
         splats = sum(asset.bytes for asset in self.assets) + self.bvh.bytes
         return splats + self._meshes.bytes + self._mesh_bvh.bytes
 
     def sync(self, scene: Scene, camera: Camera, plan: FramePlan) -> None:
-        """Uploads the assets that are new, drops those no longer used, and writes all tables that the plan needs.
+        """Uploads new assets, drops unused ones, and writes all tables that the plan needs.
 
         Raises:
             DeviceError: The device is out of memory.
         """
         self._jitters, self._jitters_meshes = plan.jitters, plan.jitters or plan.jitters_meshes
         scene, camera = self._localised(scene, camera)
-        if plan.has_history:  # its random choices among lights are the same whatever their order
+        if plan.has_history:  # so that random choices among lights do not depend on their order
             scene = replace(scene, lights=in_order(scene.lights))
         with self._launcher.stage("sync"):
             self._sync_assets(scene, plan)
@@ -180,20 +181,20 @@ class DeviceScene:
             self._synced = self.graph_key
 
     def take_assets(self, other: DeviceScene) -> None:
-        """Takes over the assets that another one has on the device, and their hierarchies where its settings fit.
+        """Takes over the assets of another device scene, and its BVHs if they fit this one's settings.
 
         Args:
-            other: One of the same launcher, which is not used any more.
+            other: A device scene of the same launcher, which is not used any more.
         """
         self._structure, self._layout, self.version = other._structure, other._layout, other.version
         self._meshes, self._mesh_bvh, self.assets = other._meshes, other._mesh_bvh, other.assets
         if other._layout is not None:
             self.gaussians = other.gaussians
-        if other._config.response == self._config.response:  # else Gaussians have other bounds
+        if other._config.response == self._config.response:  # with another response, Gaussians have other bounds
             self.bvh = other.bvh
 
     def _localised(self, scene: Scene, camera: Camera) -> tuple[Scene, Camera]:
-        """Returns what is synced: about an origin that float32 can hold, with a near plane that fits the scene."""
+        """Returns the scene and camera about a nearby origin, for float32, with a near plane that fits the scene."""
         frame, near = rendered_frame(scene)
         if not np.array_equal(frame.origin, self.frame.origin):
             self.motion.forget()
@@ -205,13 +206,13 @@ class DeviceScene:
     def release(self) -> None:
         """Drops all assets; the next ``sync`` uploads its own."""
         self.sync(Scene(), _ANY_CAMERA, FramePlan.of(self._config, Scene()))
-        # Such a frame may need neither light nor rays, whose tables and hierarchies hold assets, too.
+        # That frame may need no lights or rays, whose tables and BVHs also hold assets.
         self._shading = ShadingTables(self._buffers, self._config, self._launcher.device)
         self._mesh_bvh, self.bvh = MeshBvhScene(self._launcher), BvhScene(self._launcher)
         self.captured_emitters = CapturedEmitters()
 
     def begin_sample(self, index: int) -> None:
-        """Starts sample ``index`` of each pixel: moves the camera's rays to its position in the pixel."""
+        """Starts sample ``index`` of each pixel: moves the camera's rays to the sample's position in the pixel."""
         self._sample["index"] = index
         assign_table(self.sample, self._sample)
         for table, jitters in ((self.camera, self._jitters_meshes), (self.splat_camera, self._jitters)):
@@ -219,11 +220,11 @@ class DeviceScene:
 
     @property
     def tile_grid(self) -> tuple[int, int]:
-        """Tiles of the image across and down."""
+        """Tiles across and down the image."""
         return tile_grid(*self.image_size)
 
     def _shading_row(self) -> ShadingScene:
-        """What shading reads of the camera and of all instances."""
+        """Returns the shading struct with the sample and all instances filled in."""
         row = ShadingScene()
         row.sample = self.sample
         row.splats, row.mesh_instances, row.meshes = self.splat_instances, self.mesh_instances, self.mesh_data
@@ -248,7 +249,7 @@ class DeviceScene:
         self.gaussian_count, self.triangle_count = scene.gaussian_count, scene.face_count
 
     def _note_layout(self, *, same_meshes: bool) -> None:
-        """After uploads: sets that were copied to where others had been leave all addresses as they are."""
+        """Updates the version after uploads. A set copied into the memory of another leaves all addresses unchanged."""
         layout: list[object] = [part for asset in self.assets for part in (asset.data, asset.instance_ids)]
         before = self._layout
         same_splats = before is not None and len(layout) == len(before) and all(map(operator.is_, layout, before))

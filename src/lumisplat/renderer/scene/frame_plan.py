@@ -1,4 +1,4 @@
-"""The plan of a frame, decided once: which passes run is read from it, how they work from the settings."""
+"""The plan of a frame: which passes run. It is computed once; how the passes work is in the settings."""
 
 from __future__ import annotations
 
@@ -34,71 +34,71 @@ from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import Scene
 
 SAMPLES_UNLIMITED = 1_000_000
-"""Most samples of a frame that ends by its time or its noise: no scene needs as many."""
+"""Largest number of samples of a frame that ends by time or noise; no scene needs as many."""
 
 SAMPLES_OF_RANDOM_LIGHT = 16
-"""Samples of a pixel where light comes from random directions, or alpha is drawn, unless they are given: what noise is
-left is fine grain."""
+"""Default samples per pixel where light directions or alpha are random: the remaining noise is fine."""
 
 SAMPLES_OF_ENVIRONMENT_ON_SPLATS = 8
-"""The same where an environment shines on splat sets alone: captures are rough, and 8 samples of them are as near to
-many (41 dB on the biker) as 16 of meshes (42 dB on a duck), but cost more, as each ray crosses Gaussians."""
+"""Default samples per pixel where an environment lights splat sets only. Captures are rough: 8 samples of them are as
+close to many (41 dB on the biker) as 16 of meshes are (42 dB on a duck), but cost more, as each ray crosses Gaussians.
+"""
 
 METAL_MIN = 0.5
-"""Factor ``metallic`` from which on a rough material counts as a metal, which is black without what is around it."""
+"""Factor ``metallic`` from which a rough material counts as a metal. A metal is black without reflections."""
 
 AMBIENT_RAYS_OF_FRAMES = 2
-"""Shadow rays a frame in real time from each pixel that shows a shadow catcher: frames are averaged."""
+"""Ambient shadow rays per frame and pixel on shadow catchers in real time; frames are averaged."""
 
 SPECULAR_BOUNCES = 3
-"""Reflections and refractions that a ray follows, unless told."""
+"""Default number of reflections and refractions of a ray."""
 
 PATH_BOUNCES = 8
-"""Bounces of a path, unless told."""
+"""Default number of bounces of a path."""
 
 SAMPLES_OF_PATHS = 64
-"""Paths a pixel, unless told."""
+"""Default number of paths per pixel."""
 
 CAPTURED_LIGHT_DRAWS = 32
-"""Directions in which each pixel of a mesh looks for the light of a capture, over all samples of a frame: without
-shadow rays they cost little, and a frame needs one sample only. docs/adr/0093-meshes-put-into-captures.md."""
+"""Directions in which each mesh pixel samples the light of a capture, over all samples of a frame. They cost little,
+since they need no shadow rays, and one sample per pixel is then enough. docs/adr/0093-meshes-put-into-captures.md."""
 
 UNLIT_AOVS = frozenset({"hits", "variance", "sample_count"})
-"""Further images that unlit frames have, too."""
+"""Images in ``aovs`` that unlit frames support, too."""
 
 ENVIRONMENT = "the environment"
-SOFT_LIGHTS = "lights that have a size"
-REFLECTIONS = "what is around rough surfaces"
+SOFT_LIGHTS = "lights with a size"
+REFLECTIONS = "reflections in rough surfaces"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturedLight(LightEnvironment):
-    """The light of captures around meshes, in place of the lights that a scene does not have."""
+    """Environment light rendered from captures around meshes, for scenes without lights."""
 
 
 @dataclass(frozen=True, slots=True)
 class SplatShadows:
-    """On what splat sets may cast shadows."""
+    """Surfaces on which splat sets may cast shadows."""
 
     on_reflecting: bool
-    """On surfaces that reflect light: all sets do."""
+    """True if splat sets cast shadows on surfaces that reflect light; all sets do."""
     on_shadow_catchers: bool
-    """On shadow catchers: sets that are none themselves do."""
+    """True if splat sets cast shadows on shadow catchers; only sets that are no catchers do."""
 
     @classmethod
     def of(cls, scene: Scene) -> SplatShadows:
-        """Of the splat sets of a scene, on what there is in it."""
+        """Returns on which surfaces of a scene its splat sets may cast shadows."""
         casting = [not instance.shadow_catcher for instance in scene.splats]
         return cls(reflects_light(scene) and bool(casting), any(casting) and not all(casting))
 
     @property
     def exist(self) -> bool:
-        """Whether there are any."""
+        """True if splat sets may cast shadows at all."""
         return self.on_reflecting or self.on_shadow_catchers
 
 
 ON_ALL = SplatShadows(on_reflecting=True, on_shadow_catchers=True)
-"""Of rays whose receivers are not known."""
+"""Splat shadows for rays whose receivers are unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,114 +106,116 @@ class FramePlan:
     """The passes of a frame."""
 
     is_lit: bool
-    """Lights light the surfaces that reflect."""
+    """True if lights illuminate reflecting surfaces."""
     visibility: Visibility
-    """How primary hits are found."""
+    """Method that finds primary hits."""
     is_unscented: bool
-    """They are rasterised along the rays of any lens, by sigma points; those of meshes are traced."""
+    """True if Gaussians are rasterised along the rays of any lens, by sigma points; primary hits on meshes are then
+    traced."""
     integrator: Integrator
-    """How light is carried from there; that of an unlit frame is none by paths."""
+    """Integrator of the frame; never a path integrator for unlit frames."""
     has_unshadowed: bool
-    """Some surface reflects a light without a shadow: it casts none, the frame has none, or it is the headlight."""
+    """True if some light reaches a reflecting surface without a shadow test: the light or the frame has no shadows, or
+    the light is the headlight."""
     casts_shadows: bool
-    """Shadow rays are followed: some light casts shadows, on some surface that something can shadow."""
+    """True if shadow rays are traced: some light casts shadows, and something can block it."""
     splat_shadows: SplatShadows
-    """Which of these rays splat sets may block."""
+    """Shadow rays that splat sets may block, by the surface they start from."""
     is_sampled: bool
-    """Images are means of samples, computed from primary hits; otherwise `UnlitRaster` draws them in one go."""
+    """True if images are means of samples of primary hits; otherwise `UnlitRaster` draws them without samples."""
     samples: int
-    """Samples a pixel, at most; of no meaning unless the frame is sampled."""
+    """Largest number of samples per pixel; meaningless unless the frame is sampled."""
     adapts: bool
-    """Noisy pixels have more samples than others."""
+    """True if noisy pixels get more samples than others."""
     jitters: bool
-    """Samples spread over their pixel. Those that nobody asked for do not where captures are kept: what shows only
-    such a capture stays as captured."""
+    """True if samples are jittered in their pixel. Default samples are not if the scene has emissive captures: pixels
+    that show only such a capture stay as captured."""
     jitters_meshes: bool
-    """Those that nobody asked for spread over their pixel for meshes alone, where captures are kept."""
+    """True if samples are jittered for meshes only: default samples are if the scene has emissive captures."""
     samples_wanted: int
-    """How many its light needs, so that none of it is grainy."""
+    """Samples per pixel at which the light of the frame is not noisy."""
     noise_sources: tuple[str, ...]
-    """Light that comes from random directions, in words: too few samples show it as grain."""
+    """Descriptions of light from random directions, which is noisy with too few samples."""
     has_lobes: bool
-    """Rough surfaces reflect what is around them, by a ray within their highlights."""
+    """True if rough surfaces reflect their environment by one ray sampled from their specular lobe."""
     max_bounces: int
-    """How many times a ray is reflected or refracted by meshes, or passes those that blend, at most, 0 in scenes
-    without any; or how many times a path is by any surface."""
+    """Largest number of bounces. For rays: reflections, refractions and passes through blended meshes, 0 without any.
+    For paths: scattering events at any surface."""
     has_headlight: bool
-    """A light at the camera replaces those that the scene does not have."""
+    """True if a headlight at the camera replaces missing lights."""
     has_meshes: bool
-    """The scene has mesh instances."""
+    """True if the scene has mesh instances."""
     has_media: bool
-    """Rays are refracted into meshes, and know which they are in."""
+    """True if rays are refracted into meshes and track the media that they are in."""
     absorbs: bool
-    """Some medium inside a mesh absorbs light."""
+    """True if the medium inside some mesh absorbs light."""
     has_coatings: bool
-    """Interactions have clearcoat, sheen, or light that is scattered more than once."""
+    """True if interactions may have clearcoat, sheen, or multiple-scattering compensation."""
     has_rough_glass: bool
-    """Paths are scattered through rough surfaces."""
+    """True if paths scatter through rough transmissive surfaces."""
     has_shadow_catchers: bool
-    """Some splat set is a shadow catcher, and not seen by paths: lights darken it."""
+    """True if some splat set is a shadow catcher that lights darken without path tracing."""
     ambient_rays: int
-    """Shadow rays a sample, in random directions, from what shows a shadow catcher on which ambient light is given."""
+    """Ambient shadow rays per sample from shadow catchers with ambient light, in random directions."""
     has_emissive_captures: bool
-    """Some splat sets keep their captured colours."""
+    """True if some splat set emits its captured colours."""
     relights: bool
-    """Some splat sets are relit."""
+    """True if some splat set is relit."""
     mixes_sets: bool
-    """Both are there, and what they show is added up apart."""
+    """True if the scene has both emissive captures and relit sets, whose radiance is accumulated separately."""
     has_mean_surface: bool
-    """Surfaces of relit Gaussians that are rasterised are weighted means."""
+    """True if the rasterised surface of relit Gaussians is their weighted mean."""
     has_receivers: bool
-    """Paths find what shadow catchers receive, as there is something that takes or adds light."""
+    """True if paths measure the irradiance of shadow catchers, since added objects may block or add light."""
     shows_lights_in_haze: bool
-    """Rays of paths may show lights behind Gaussians that are blended, such as captures that are kept."""
+    """True if paths may see lights through blended Gaussians, such as emissive captures."""
     aovs: frozenset[str]
-    """Further images of the frame."""
+    """Additional images of the frame."""
     for_camera: bool
-    """Rays are those of a camera's pixels, which see a background."""
+    """True if the rays are those of a camera's pixels, which see a background."""
 
     @property
     def rasterises(self) -> bool:
-        """Primary hits are rasterised; otherwise traced."""
+        """True if primary hits are rasterised; otherwise they are traced."""
         return self.visibility is Visibility.RASTERISED
 
     @property
     def traces_paths(self) -> bool:
-        """Light bounces in all directions, by paths."""
+        """True if light bounces in all directions, by path tracing, offline or in real time."""
         return self.integrator in (Integrator.PATH, Integrator.REALTIME)
 
     @property
     def has_history(self) -> bool:
-        """Each frame adds to what those before it have found."""
+        """True if frames reuse the lighting of earlier frames."""
         return self.integrator is Integrator.REALTIME
 
     @property
     def follows_rays(self) -> bool:
-        """Some rays traverse the hierarchies of Gaussians: from the camera, from mirrors, or to lights."""
+        """True if camera, secondary or shadow rays traverse the BVHs of Gaussians."""
         return self.integrator is not Integrator.DIRECT or (self.casts_shadows and self.splat_shadows.exist)
 
     @property
     def spawns_shadow_rays(self) -> bool:
-        """Rays start at interactions: for shadows, for images of each light, or within highlights."""
+        """True if rays start at interactions: for shadows, for images of each light, or in specular lobes."""
         return self.casts_shadows or self.traces_paths or self.has_lobes or "lights" in self.aovs
 
     @property
     def draws_alpha(self) -> bool:
-        """Rays meet surfaces of some alpha by chance, as in paths and where meshes are rasterised only.
+        """True if surfaces with alpha are hit at random with probability alpha: in paths and in raster-only frames.
 
-        Else they go on behind such surfaces by the share that these leave. Media are met either way: who enters one
-        leaves it, too.
+        Otherwise rays continue behind such surfaces with weight 1 - alpha. Media are always hit, so that a ray that
+        enters one also leaves it.
         """
         return self.traces_paths or self.integrator is Integrator.DIRECT
 
     @property
     def has_path_layers(self) -> bool:
-        """Paths say of their light whether the first surface has scattered it diffusely."""
+        """True if paths record if their first surface scattered the light diffusely."""
         return self.traces_paths and bool(self.aovs & set(PATH_PARTS))
 
     @classmethod
     def of(cls, config: RenderConfig, scene: Scene) -> FramePlan:
-        """The plan of a frame of a scene."""
+        """Returns the plan of a frame of a scene."""
         pipeline = config.pipeline
         bounces, is_path, is_realtime = pipeline.bounces_light, pipeline.traces_paths, pipeline.is_sequence
         is_lit = config.is_lit(by_default=scene.is_lit_by_default)
@@ -284,38 +286,41 @@ class FramePlan:
 
     @classmethod
     def of_rays(cls, config: RenderConfig, scene: Scene) -> FramePlan:
-        """The plan of rays that a caller gives: without a camera, its headlight, a background, and further images."""
+        """Returns the plan of rays from a caller: no camera, headlight, background or additional images."""
         is_path = config.pipeline.traces_paths
         pipeline = Pipeline.PATH if is_path else Pipeline.TRACE
         lighting = config.lighting
         if lighting is None:
             lighting = bool(scene.lights) or (is_path and has_emitters(scene))
-        limits = {"time_limit": None, "noise": None, "adaptive": False}  # samples alone end a ray
+        limits = {"time_limit": None, "noise": None, "adaptive": False}  # only the number of samples ends a query
         plan = cls.of(with_checked(config, pipeline=pipeline, aovs=(), lighting=lighting, **limits), scene)
         has_headlight = plan.has_headlight and not (is_path and config.lighting is None)
         return replace(plan, for_camera=False, has_headlight=has_headlight, has_receivers=False)
 
 
 def may_jitter(config: RenderConfig, *, is_lit: bool) -> bool:
-    """Whether samples may be anywhere in their pixels; in real time, if frames are averaged."""
+    """Returns whether samples may be jittered in their pixels; in real time, if antialiasing averages frames."""
     if config.pipeline.is_sequence:
         return config.jitter and is_lit and config.realtime.of_quality.antialiasing
     return config.jitter
 
 
 def blends_first(config: RenderConfig) -> bool:
-    """Whether Gaussians on rays from the camera are blended, not met one at a time."""
+    """Returns whether Gaussians on camera rays are blended; otherwise one of them is hit at random."""
     return not config.pipeline.traces_paths or config.path.primary is PathPrimary.ISO
 
 
 def may_adapt(config: RenderConfig) -> bool:
-    """Whether pixels may have different numbers of samples: rays find what they see, and each has its own chance."""
+    """Returns whether pixels may have different numbers of samples.
+
+    They may if camera rays are traced and have independent random numbers.
+    """
     shadows = config.shadow_rays
     return not config.pipeline.rasterises and not (shadows.method is ShadowMethod.STOCHASTIC and shadows.shared_draws)
 
 
 def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
-    """Whether anything casts shadows: a light, or in paths what shines by itself."""
+    """Returns whether some light, or in path tracing some emissive surface, casts shadows."""
     if config.shadows is Shadows.OFF:
         return False
     casts = any(light.enabled and light.casts_shadow for light in scene.lights)
@@ -323,22 +328,22 @@ def lights_cast_shadows(config: RenderConfig, scene: Scene) -> bool:
 
 
 def shows_lights_in_haze(config: RenderConfig, scene: Scene) -> bool:
-    """Whether rays of paths may show lights behind Gaussians that are blended, so that shadow rays say how much."""
+    """Returns whether paths may see lights through blended Gaussians, which then need shadow rays."""
     if not config.pipeline.bounces_light or config.shadows is Shadows.OFF:
         return False
     return (has_emissive_captures(scene) or blends_first(config)) and any(map(is_visible, scene.lights))
 
 
 def adds_to_captures(scene: Scene) -> bool:
-    """Whether there are shadow catchers, and something else that may take light from them or add some."""
+    """Returns whether there are shadow catchers, and other objects that may block or add light on them."""
     captured = [instance.shadow_catcher for instance in scene.splats]
     return any(captured) and (bool(scene.meshes) or not all(captured))
 
 
 def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> int:
-    """Shadow rays a sample that find how much of the ambient light around shadow catchers is open.
+    """Returns the number of ambient shadow rays per sample from shadow catchers, 0 without ambient light on them.
 
-    Frames of one sample that nobody asked for have as many as their ambient light needs.
+    A default frame of one sample gets as many rays as its ambient light needs.
     """
     catchers = [instance for instance in scene.splats if instance.shadow_catcher]
     if not (adds_to_captures(scene) and any(any(catcher_ambient(one, scene)) for one in catchers)):
@@ -349,12 +354,12 @@ def ambient_rays_of(config: RenderConfig, scene: Scene, samples_wanted: int) -> 
 
 
 def is_visible(light: Light) -> bool:
-    """Whether paths show a light as a body."""
+    """Returns whether paths can hit a light as a body."""
     return isinstance(light, AreaLight) and light.enabled and light.visible
 
 
 def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lobes: bool) -> int:
-    """How often light bounces at most; in real time, by smooth surfaces."""
+    """Returns the largest number of bounces; in real time, of bounces off smooth surfaces."""
     if config.pipeline.traces_paths and is_lit:
         return PATH_BOUNCES if config.max_bounces is None else config.max_bounces
     if not has_mirrors or not config.pipeline.spawns_rays:
@@ -363,33 +368,33 @@ def bounces_of(config: RenderConfig, *, is_lit: bool, has_mirrors: bool, has_lob
 
 
 def has_emitters(scene: Scene) -> bool:
-    """Whether something in a scene shines by itself, so that paths find light without any lamp."""
+    """Returns whether captures or meshes of a scene emit light, so that paths find light without any light source."""
     return has_emissive_captures(scene) or any(material.is_emissive for material in materials_of(scene))
 
 
 def materials_of(scene: Scene) -> list[Material]:
-    """The materials of a scene that are given."""
+    """Returns the materials of meshes, and those that splat sets have."""
     materials: list[Material] = [instance.mesh.material for instance in scene.meshes]
     return materials + [instance.material for instance in scene.splats if instance.material is not None]
 
 
 def reflects_light(scene: Scene) -> bool:
-    """Whether lights brighten anything: a mesh, or a splat set with a material that reflects."""
+    """Returns whether some surface reflects light: a mesh, or a splat set whose material does."""
     return bool(scene.meshes) or not all(i.shadow_catcher or emits_capture_only(i) for i in scene.splats)
 
 
 def finds_mean_surface(raster: RasterConfig) -> bool:
-    """Whether the rasteriser finds weighted-mean surfaces: a sample of its stochastic strategy has one Gaussian."""
+    """Returns whether the rasteriser finds weighted-mean surfaces; its stochastic samples have one Gaussian each."""
     return raster.surface is GaussianSurface.MEAN and raster.strategy is RasterStrategy.SORTED
 
 
 def has_emissive_captures(scene: Scene) -> bool:
-    """Whether some splat set keeps its captured colours in lit frames."""
+    """Returns whether some splat set emits its captured colours in lit frames."""
     return not all(is_relit(instance) for instance in scene.splats)
 
 
 def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
-    """The lights whose direction differs from sample to sample, in words."""
+    """Returns descriptions of the lights whose sampled direction differs between samples."""
     lights = [light for light in scene.lights if light.enabled]
     environment = any(isinstance(light, LightEnvironment) for light in lights)
     environment = environment and not draws_captured_light(config.aovs, scene)
@@ -398,27 +403,27 @@ def random_light(config: RenderConfig, scene: Scene) -> tuple[str, ...]:
 
 
 def draws_captured_light(aovs: Collection[str], scene: Scene) -> bool:
-    """Whether each sample looks for the light of captures in many directions, so that one sample is smooth.
+    """Returns whether each sample looks in many directions for the light of captures, so that one sample is smooth.
 
-    Images of single lights are added up by passes that look in one.
+    Images of single lights (``lights``) are added up by passes that look in one direction.
     """
     return "lights" not in aovs and any(isinstance(light, CapturedLight) for light in scene.lights)
 
 
 def environment_draws(plan: FramePlan, scene: Scene) -> int:
-    """Directions in which each interaction and sample looks for an environment that casts no shadow."""
+    """Returns the number of directions per interaction and sample that sample an unshadowed environment."""
     return math.ceil(CAPTURED_LIGHT_DRAWS / plan.samples) if draws_captured_light(plan.aovs, scene) else 1
 
 
 def samples_of(noise_sources: tuple[str, ...], scene: Scene) -> int:
-    """Samples a pixel that random light needs; one if there is none."""
+    """Returns the samples per pixel that these noise sources need; one if there are none."""
     if not noise_sources:
         return 1
     return SAMPLES_OF_RANDOM_LIGHT if scene.meshes or SOFT_LIGHTS in noise_sources else SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
 def has_rough_metal(scene: Scene) -> bool:
-    """Whether a scene has a rough metal, which shows nothing but what it reflects, and something to be reflected."""
+    """Returns whether a scene has a rough metal, whose look is all reflections, and something for it to reflect."""
     rough = (
         isinstance(one, MaterialPbr) and one.metallic >= METAL_MIN and not one.is_smooth for one in materials_of(scene)
     )
@@ -426,7 +431,7 @@ def has_rough_metal(scene: Scene) -> bool:
 
 
 def has_size(light: Light) -> bool:
-    """Whether soft shadows sample a light over its extent; an environment has none."""
+    """Returns whether soft shadows sample a light over its extent; environments have none."""
     if isinstance(light, LightEnvironment):
         return False
     return isinstance(light, AreaLight) or (light.angle if isinstance(light, LightDirectional) else light.radius) > 0.0

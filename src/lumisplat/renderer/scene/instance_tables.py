@@ -1,4 +1,4 @@
-"""The tables of a scene's instances: one row a splat instance, one a mesh instance, written every frame."""
+"""Tables of a scene's instances: one row per splat instance and one per mesh instance, written every frame."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from lumisplat.scene.materials import AlphaMode, MaterialPbr, wraps_of
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 KERNEL_LINEAR_SLOPE = 0.329630334487
-"""Degree 0 is max(1 - slope * d, 0), which is exp(-4.5) at d = 3. NVIDIA's figure."""
+"""Slope of the degree-0 kernel max(1 - slope * d, 0), which equals exp(-4.5) at d = 3. NVIDIA's value."""
 
 _ALPHA_MODES = {AlphaMode.OPAQUE: ALPHA_OPAQUE, AlphaMode.MASK: ALPHA_MASK, AlphaMode.BLEND: ALPHA_BLEND}
 _HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDistance.HULL: HIT_HULL}
@@ -36,14 +36,14 @@ _HIT_DISTANCES = {HitDistance.MEAN: HIT_MEAN, HitDistance.PEAK: HIT_PEAK, HitDis
 def splat_instance_table(
     scene: Scene, assets: Sequence[Gaussians], camera: Camera, config: RenderConfig, *, is_lit: bool
 ) -> np.ndarray:
-    """The rows of a scene's splat instances.
+    """Returns the table of a scene's splat instances.
 
     Args:
         scene: The scene with the instances.
         assets: The distinct Gaussian sets, in the order of those on the device.
         camera: The camera of the frame.
         config: Settings of the frame.
-        is_lit: Whether the frame is lit; then sets that reflect light show their own albedo and normals.
+        is_lit: Whether the frame is lit; then sets that reflect light use the albedo and normals stored with them.
     """
     table = np.zeros(len(scene.splats), dtype=table_dtype(SplatInstanceData))
     if not scene.splats:
@@ -79,9 +79,9 @@ def splat_instance_table(
 
 
 def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bool) -> int:
-    """Where rays hit the Gaussians of an instance, one of HIT_PEAK, HIT_HULL, HIT_MEAN.
+    """Returns where rays hit the Gaussians of an instance: HIT_PEAK, HIT_HULL or HIT_MEAN.
 
-    Unless the settings say so: what is as captured is ordered as in training, what is relit as it is seen.
+    Unless the settings choose one, captures are ordered as in training, by mean, and relit sets by peak response.
     """
     if config.trace.hit_distance is not None:
         return _HIT_DISTANCES[config.trace.hit_distance]
@@ -89,19 +89,19 @@ def hit_distance_of(instance: SplatInstance, config: RenderConfig, *, is_lit: bo
 
 
 def is_antialiased(gaussians: Gaussians, antialiasing: Antialiasing) -> bool:
-    """Whether the Gaussians of a set are antialiased, by a setting."""
+    """Returns whether the Gaussians of a set are antialiased under a setting."""
     return antialiasing is Antialiasing.ON or (antialiasing is Antialiasing.AUTO and gaussians.antialiased)
 
 
 def footprint_of(gaussians: Gaussians, config: RenderConfig) -> float:
-    """Standard deviation by which rays find Gaussians of a set widened, in widths of a pixel."""
+    """Returns the standard deviation by which rays widen the Gaussians of a set, in pixel widths."""
     return 0.0 if is_antialiased(gaussians, config.trace.antialiasing) else float(np.sqrt(config.trace.dilation))
 
 
 def mesh_instance_table(
     scene: Scene, assets: MeshAssets, boxes: InstanceBoxes, camera: Camera, plan: FramePlan
 ) -> np.ndarray:
-    """The rows of a scene's mesh instances; ``boxes`` has those that rays may hit, or none."""
+    """Returns the table of a scene's mesh instances; ``boxes`` has their BVH roots and bounds if rays may hit them."""
     table = np.zeros(len(scene.meshes), dtype=table_dtype(MeshInstanceData))
     if not scene.meshes:
         return table
@@ -129,7 +129,7 @@ def mesh_instance_table(
 
 
 def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, plan: FramePlan) -> None:
-    """Writes what the instances of a mesh have in common."""
+    """Writes the fields that are equal for all instances of a mesh."""
     mesh, material = instance.mesh, instance.mesh.material
     row["face_first"] = assets.face_first(mesh)
     row["has_normals"] = mesh.normals is not None
@@ -154,13 +154,13 @@ def _write_mesh(row: np.ndarray, instance: MeshInstance, assets: MeshAssets, pla
 
 
 def absorption_of(material: MaterialPbr) -> np.ndarray:
-    """Of the inside of a mesh, per scene unit, shape (3,)."""
+    """Returns the absorption coefficient inside a mesh, per scene unit, shape (3,)."""
     left = np.maximum(material.attenuation_color, np.finfo(np.float32).tiny)
     return -np.log(left) / material.attenuation_distance
 
 
 def kernel_data(gaussians: Gaussians, config: RenderConfig) -> KernelData:
-    """The response of a capture's Gaussians: of the degree in the settings, else of the capture's own."""
+    """Returns the kernel response of a capture's Gaussians; the settings may replace the capture's own degree."""
     response = config.response
     kernel = KernelData()
     kernel.degree = gaussians.kernel_degree if response.kernel_degree is None else response.kernel_degree

@@ -1,4 +1,4 @@
-"""The lights of a scene on the device: written every frame, except for the environment's image, which is kept."""
+"""Light tables on the device: written every frame, except for the environment map, which is cached."""
 
 from __future__ import annotations
 
@@ -52,10 +52,11 @@ from lumisplat.scene.ops.surface_points import wrapped
 from lumisplat.scene.scene import MeshInstance, Scene
 
 ENVIRONMENT_SHARE_MIN = 4
-"""Least share of a texel or row that is not black, of `ENVIRONMENT_SHARE_STEPS`: each can be sampled."""
+"""Smallest probability of a row or texel that is not black, in units of 1 / `ENVIRONMENT_SHARE_STEPS`, so that every
+one can be sampled."""
 
 WHITE = np.ones((1, 1, 3), dtype=np.float32)
-"""The image of an environment of one colour."""
+"""Image of an environment of constant colour."""
 _KINDS: dict[type, int] = {
     LightPoint: LIGHT_POINT,
     LightSphere: LIGHT_POINT,
@@ -64,7 +65,7 @@ _KINDS: dict[type, int] = {
     LightRect: LIGHT_RECT,
     LightDisk: LIGHT_DISK,
 }
-"""What kernels take lights for; all others for the environment."""
+"""Light kinds in kernels by class; all other classes are environments."""
 
 
 class LightTable:
@@ -72,12 +73,12 @@ class LightTable:
 
     def __init__(self) -> None:
         self.lights: DeviceArray
-        """`LightData` of the enabled lights, in the scene's order; at least one element. Written by ``sync``."""
+        """`LightData` of the enabled lights in the scene's order, at least one element; written by ``sync``."""
         self.count = 0
         """Number of these lights."""
         self.environment = EnvironmentData()
         self.names: tuple[str, ...] = ()
-        """Distinct names of the lights: their own, else ``light`` and their number in the scene."""
+        """Distinct names of the lights: their own, else ``light`` and their index in the scene."""
         self._image: FloatArray | None = None
         self._brightest = 1.0
         self._mean = np.ones(3)
@@ -90,9 +91,10 @@ class LightTable:
         Args:
             scene: The scene with the lights.
             camera: The camera, at whose eye the headlight is.
-            buffers: Hold the arrays; the same ones in every call.
+            buffers: Holds the arrays; the same object in every call.
             is_lit: Whether the frame is lit; if not, no lights are written.
-            has_headlight: Whether there is one in place of lights; None: if it is lit and has no lights.
+            has_headlight: Whether a headlight replaces the lights; None: if the frame is lit and the scene has no
+                lights.
         """
         lights = [(number, light) for number, light in enumerate(scene.lights) if light.enabled and is_lit]
         self.names = _distinct([(light.name or f"light{number}", number) for number, light in lights])
@@ -136,12 +138,12 @@ class LightTable:
 
 
 def power_of(light: Light) -> Doubles:
-    """Colour times intensity, in the light's own unit, shape (3,)."""
+    """Returns colour times intensity, in the light's own unit, shape (3,)."""
     return np.minimum(np.array(light.color) * light.intensity, LIGHT_POWER_MAX)
 
 
 def light_table(lights: list[Light]) -> np.ndarray:
-    """One row of LightData a light."""
+    """Returns one row of LightData per light."""
     table = np.zeros(len(lights), dtype=table_dtype(LightData))
     for row, light in zip(np.split(table, len(lights)) if lights else [], lights, strict=True):
         row["kind"] = _KINDS.get(type(light), LIGHT_ENVIRONMENT)
@@ -179,7 +181,7 @@ def light_table(lights: list[Light]) -> np.ndarray:
 
 
 def headlight_table(camera: Camera) -> np.ndarray:
-    """The row of a light at the camera's eye, under which a white surface that faces it looks white."""
+    """Returns the row of a light at the camera's eye under which a white surface that faces it looks white."""
     table = np.zeros(1, dtype=table_dtype(LightData))
     table["kind"] = LIGHT_HEADLIGHT
     table["position"] = camera.eye
@@ -189,17 +191,17 @@ def headlight_table(camera: Camera) -> np.ndarray:
 
 
 def mean_radiance(image: npt.NDArray[np.floating]) -> Doubles:
-    """Radiance of an environment's image, mean over all directions, shape (3,)."""
+    """Returns the mean radiance of an environment map over all directions, shape (3,)."""
     edges = np.cos(np.linspace(0.0, np.pi, len(image) + 1))
     means: Doubles = 0.5 * ((edges[:-1] - edges[1:]) @ image.mean(axis=1, dtype=np.float64))
     return means
 
 
 def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Cumulative shares of an environment's rows, shape (H,), and of each row's texels, shape (H, W).
+    """Returns the CDF of an environment map's rows, shape (H,), and of the texels in each row, shape (H, W).
 
-    A texel's share is the mean luminance of the interpolated image in its cell, times the cell's solid angle. Black
-    rows have no share; in a black image, no row has one.
+    A texel's probability is the mean luminance of the interpolated image in its cell, times the cell's solid angle.
+    Black rows have probability 0; in a black image, all rows do.
     """
     luminance = image @ np.array(LUMINANCE, dtype=np.float32)
     across = _cell_means(np.pad(luminance, ((0, 0), (1, 1)), mode="wrap").T).T
@@ -210,16 +212,17 @@ def environment_cdfs(image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.fl
 
 
 def _cell_means(padded: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """Half the means of cells, interpolated along the first axis: 3/4 of a cell's own value, 1/8 of each neighbour's.
+    """Returns half the means of cells, interpolated along the first axis.
 
-    Half, so that no sum of float32 numbers overflows.
+    A mean has weight 3/4 of the cell's value and 1/8 of each neighbour's. It is halved so that no float32 sum
+    overflows.
     """
     parts = padded * np.float32(1.0 / 16.0)
     return parts[:-2] + parts[2:] + 6.0 * parts[1:-1]
 
 
 def cumulative_distribution(weights: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
-    """Cumulative shares, exact in float32, so that every weight above 0 gets a share."""
+    """Returns a CDF whose steps are exact in float32; every weight above 0 gets a positive probability."""
     total = float(weights.sum(dtype=np.float64))
     if total == 0.0:
         return np.zeros(len(weights), dtype=np.float32)
@@ -241,13 +244,13 @@ def _distinct(names: list[tuple[str, int]]) -> tuple[str, ...]:
 
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / np.array([[3], [6], [6], [6]])
-"""Barycentric weights of the points at which textures are looked up."""
+"""Barycentric weights of the points at which emissive textures are averaged."""
 _DARK_SHARE = 0.05
-"""Of the brightest texel: no triangle of a texture is taken for darker."""
+"""Lowest luminance of a textured triangle, as a fraction of the brightest triangle of the texture."""
 
 
 class Emitters:
-    """The triangles that shine, uploaded when they change."""
+    """The emissive triangles, uploaded when they change."""
 
     def __init__(self) -> None:
         self.data = EmitterData()
@@ -280,17 +283,17 @@ class Emitters:
             data.center = wp.vec3(*center)
             spread = np.average(((centers - center) ** 2).sum(axis=1), weights=power)
             data.radius = float(np.sqrt(spread + _mean_area(emitters)))
-        self._held = [instance for _, instance in emitters]  # so that no other mesh gets its id
+        self._held = [instance for _, instance in emitters]  # kept alive, so that no other mesh gets one of their ids
         self._key = key
 
 
 def is_emitter(instance: MeshInstance) -> bool:
-    """Whether a mesh instance emits light."""
+    """Returns whether a mesh instance emits light."""
     return instance.mesh.material.is_emissive
 
 
 def powers_of(instance: MeshInstance) -> Doubles:
-    """Luminance times area of an instance's triangles, about, shape (F,)."""
+    """Returns the approximate luminance times area of an instance's triangles, shape (F,)."""
     mesh, material = instance.mesh, instance.mesh.material
     emitted = np.array(material.emissive, np.float64)
     if not isinstance(material, MaterialPbr):
@@ -303,14 +306,14 @@ def powers_of(instance: MeshInstance) -> Doubles:
 
 
 def triangles_of(instance: MeshInstance) -> npt.NDArray[np.void]:
-    """An instance's triangles as paths sample them, shape (F,); of rounding errors, each has its largest."""
+    """Returns an instance's triangles for light sampling, with bounds of their rounding errors, shape (F,)."""
     corners = _corners(instance)
     edges = corners[:, 1:] - corners[:, :1]
     across = np.cross(edges[:, 0], edges[:, 1])
     area = np.linalg.norm(across, axis=1)
-    area[area < np.finfo(np.float32).tiny] = np.inf  # without a place above: it has no power either
+    area[area < np.finfo(np.float32).tiny] = np.inf  # a point of it cannot be offset; it has no power either
     error = _rounding_error(instance, across / area[:, None])
-    # Opposite the corners.
+    # Lengths of the sides opposite the corners.
     sides = np.linalg.norm(np.stack([edges[:, 1] - edges[:, 0], edges[:, 1], edges[:, 0]], axis=1), axis=2)
     longest = sides.max(axis=1)
     error += SPAWN_ERROR / 16.0 * longest * np.minimum(longest**2 / area, SPAWN_SLENDER)
@@ -323,11 +326,11 @@ def triangles_of(instance: MeshInstance) -> npt.NDArray[np.void]:
 
 
 def _rounding_error(instance: MeshInstance, normals: Doubles) -> Doubles:
-    """How far off their planes hits on an instance's triangles may be, shape (F,); see ``spawn_point``."""
+    """Returns the largest distance of hits from their triangle's plane by rounding, (F,); see ``spawn_point``."""
     world_from_object = instance.transform[:3, :3]
     local = instance.mesh.positions.astype(np.float64)[instance.mesh.indices]
     offsets = local @ world_from_object.T
-    # Of each triangle, the largest coordinates: those of corners.
+    # The largest coordinates of a triangle are those of its corners.
     sizes = 2.0 * np.abs(instance.transform[:3, 3]) + np.abs(offsets).max(axis=1)
     sizes += np.abs(local).max(axis=1) @ np.abs(world_from_object).T
     local_sizes = np.abs(local[:, 0]) + np.abs(local[:, 1:] - local[:, :1]).sum(axis=1)
@@ -339,7 +342,7 @@ def _rounding_error(instance: MeshInstance, normals: Doubles) -> Doubles:
 
 
 def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) -> Doubles:
-    """Luminance of a texture, mean over some points of each triangle, shape (F,)."""
+    """Returns the luminance of a texture, averaged over some points of each triangle, shape (F,)."""
     assert mesh.uvs is not None
     points = np.einsum("pc,fcx->fpx", _INSIDE, mesh.uvs[mesh.indices])
     height, width = texture.shape[:2]
@@ -353,7 +356,7 @@ def _texture_means(mesh: Mesh, texture: npt.NDArray[np.uint8], wraps: WrapPair) 
 
 
 def _corners(instance: MeshInstance) -> Doubles:
-    """World-space corners of the triangles, shape (F, 3, 3)."""
+    """Returns the world-space corners of the triangles, shape (F, 3, 3)."""
     world = instance.mesh.positions.astype(np.float64) @ instance.transform[:3, :3].T + instance.transform[:3, 3]
     corners: Doubles = world[instance.mesh.indices]
     return corners
@@ -370,5 +373,5 @@ def _centers(instance: MeshInstance) -> Doubles:
 
 
 def _mean_area(emitters: list[tuple[int, MeshInstance]]) -> float:
-    """Of their triangles."""
+    """Returns the mean area of the emitters' triangles."""
     return float(np.concatenate([_areas(instance) for _, instance in emitters]).mean())

@@ -1,4 +1,4 @@
-"""The tables of materials that kernels read."""
+"""Tables of materials that kernels read."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _VARIED = {
     "sheen_color_texture": "sheen_texture",
     "sheen_roughness_texture": "sheen_roughness_texture",
 }
-"""Textures in VariedData, by the names of materials."""
+"""Texture fields of VariedData by their name in materials."""
 _TEXTURES = ("metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
 
 
@@ -36,7 +36,7 @@ _GUESSED = (CATCHER_AMBIENT, CATCHER_AMBIENT, CATCHER_AMBIENT)
 
 
 def emits_capture_only(instance: SplatInstance) -> bool:
-    """Whether a splat set only emits its captured colours, whatever the lights."""
+    """Returns whether a splat set only emits its captured colours and reflects no light."""
     material = material_of(instance)
     if instance.shadow_catcher or isinstance(material, MaterialPbr):
         return False
@@ -44,10 +44,10 @@ def emits_capture_only(instance: SplatInstance) -> bool:
 
 
 def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
-    """Ambient light on a shadow catcher, as radiance over albedo: what its material says.
+    """Returns the ambient light on a shadow catcher, as radiance over albedo, from its material.
 
-    Without a material it is guessed for scenes with lights, unless an environment is among them: that is the light
-    from all around then. Nothing is guessed for scenes without lights, which paths light by captures alone.
+    Without a material, a default is used if the scene has lights but no environment, which would itself be the ambient
+    light. Scenes without lights get none: paths light them by captures alone.
     """
     if instance.material is not None:
         return instance.material.ambient if isinstance(instance.material, MaterialSimple) else _GUESSED
@@ -58,43 +58,43 @@ def catcher_ambient(instance: SplatInstance, scene: Scene) -> Color:
 
 
 def is_relit(instance: SplatInstance) -> bool:
-    """Whether light alone determines what a splat set shows in lit frames: nothing of it is kept as captured."""
+    """Returns whether a splat set's look in lit frames comes from lights only, without its captured colours."""
     material = material_of(instance)
     ambient = material.ambient if isinstance(material, MaterialSimple) else (0.0, 0.0, 0.0)
     return not instance.shadow_catcher and min(np.add(material.emissive, ambient)) < 1.0
 
 
 def is_medium(instance: MeshInstance, *, traces_paths: bool) -> bool:
-    """Whether rays are refracted into a mesh: only paths, if it is rough."""
+    """Returns whether rays refract into a mesh; into a rough one, only paths do."""
     material = instance.mesh.material
     return (material.is_smooth or traces_paths) and isinstance(material, MaterialPbr) and material.is_solid
 
 
 def is_rough_glass(instance: MeshInstance) -> bool:
-    """Whether paths are scattered through the surface of a mesh."""
+    """Returns whether paths scatter through the surface of a mesh."""
     material = instance.mesh.material
     return isinstance(material, MaterialPbr) and material.transmission > 0.0 and not material.is_smooth
 
 
 def absorbs(instance: MeshInstance) -> bool:
-    """Whether light that enters a mesh grows dimmer on its way through it."""
+    """Returns whether the inside of a mesh absorbs light."""
     material = instance.mesh.material
     return isinstance(material, MaterialPbr) and math.isfinite(material.attenuation_distance)
 
 
 _AS_CAPTURED = MaterialSimple()
-"""The material of a splat set that has none."""
+"""Material of a splat set without one."""
 
 
 def material_of(instance: SplatInstance) -> Material:
-    """The material of a splat set, or the default one."""
+    """Returns the material of a splat set, or the default one."""
     return instance.material or _AS_CAPTURED
 
 
 def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
-    """Which splat instances show the normals, and which the albedo, that is stored with their Gaussians.
+    """Returns which splat instances use the normals, and which the albedo, that are stored with their Gaussians.
 
-    Normals: instances that reflect light. Albedo: those of them that do not emit their captured colours as well.
+    Instances that reflect light use the normals. Those that also emit no captured colours use the albedo.
     """
     reflects = [lit and not emits_capture_only(instance) for instance in scene.splats]
     return {
@@ -107,13 +107,13 @@ def shading_overrides(scene: Scene, lit: bool) -> dict[str, list[bool]]:
 
 
 def material_table(scene: Scene, texture_first: TextureFirst, *, is_lit: bool, compensates: bool = False) -> np.ndarray:
-    """One row of MaterialData an instance: splats first, then meshes.
+    """Returns one row of MaterialData per instance: splats first, then meshes.
 
     Args:
         scene: The scene with the instances.
-        texture_first: Returns the first texel of a texture.
+        texture_first: Returns the index of a texture's first texel.
         is_lit: Whether the frame is lit; if not, all splats only emit their captured colours.
-        compensates: Whether what single scattering loses in rough metals is added.
+        compensates: Whether to compensate the energy that single scattering loses in rough metals.
     """
     table = np.zeros(len(scene.splats) + len(scene.meshes), dtype=table_dtype(MaterialData))
     table["compensates"] = compensates
@@ -139,7 +139,7 @@ def _fill(row: Any, material: Material) -> None:
         row["model"], row["double_sided"] = BSDF_SIMPLE, 1
         for name in ("ambient", "diffuse", "specular", "shininess"):
             row[name] = getattr(material, name)
-        row["roughness"] = 1.0  # never smooth
+        row["roughness"] = 1.0  # so that it never counts as smooth
         return
     row["model"] = BSDF_PBR
     row["specular_strength"] = material.specular
@@ -162,13 +162,13 @@ def _fill_textures(row: Any, mesh: Mesh, texture_first: TextureFirst) -> None:
 
 
 def varies(mesh: Mesh) -> bool:
-    """Whether textures vary transmission or layers over a mesh."""
+    """Returns whether textures vary transmission or layers over a mesh."""
     has_any = any(getattr(mesh.material, name, None) is not None for name in _VARIED)
     return has_any and mesh.uvs is not None
 
 
 def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) -> np.ndarray:
-    """The rows of VariedData: an empty one, then one a material."""
+    """Returns the rows of VariedData: an empty one, then one per material."""
     table = np.zeros(1 + len(materials), dtype=table_dtype(VariedData))
     for row, material in zip(list[Any](table)[1:], materials, strict=True):
         row["transmission"], row["coat"], row["sheen"] = material.transmission, material.clearcoat, material.sheen_color
@@ -183,7 +183,7 @@ def varied_table(materials: Sequence[MaterialPbr], texture_first: TextureFirst) 
 
 
 def fill_layers(row: Any, material: MaterialPbr) -> None:
-    """Fills what all rows of materials have of their layers."""
+    """Fills the clearcoat and sheen fields that all material structs share."""
     row["coat"] = material.clearcoat
     row["coat_alpha"] = max(material.clearcoat_roughness, COAT_ROUGHNESS_MIN) ** 2
     if any(material.sheen_color):
@@ -191,7 +191,7 @@ def fill_layers(row: Any, material: MaterialPbr) -> None:
 
 
 def has_layers(material: Material | None) -> bool:
-    """Whether a material has clearcoat or sheen."""
+    """Returns whether a material has clearcoat or sheen."""
     return isinstance(material, MaterialPbr) and (material.clearcoat > 0.0 or any(material.sheen_color))
 
 

@@ -1,6 +1,6 @@
-"""Compares a frame with the one before: where instances and the camera were, and how far what is known of light holds.
+"""Compares each frame with the previous one: motion of instances and camera, and how far cached lighting stays valid.
 
-The latter is in docs/method/realtime.md#light-that-changes.
+The latter is described in docs/method/realtime.md#light-that-changes.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from lumisplat.scene.materials import Material, MaterialSimple
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 OUTDATED_HISTORY_WEIGHT = 1e-4
-"""Share of its weight that a mean keeps when a light comes or goes: what is found next takes its place, and is until
-then better than nothing. Many old cells of a tile together weigh less than one new sample."""
+"""Weight that history keeps when a light appears or disappears. New samples replace it at once; until then it is
+better than nothing. Many outdated cells of a tile together weigh less than one new sample."""
 
 CHANGED_HISTORY_WEIGHT = 0.7
-"""The same when lights move or change a little, in each of the frames that follow: means are over some three frames."""
+"""Weight that history keeps per frame after lights move or change a little: means then cover about three frames."""
 
 CHANGED_FRAMES = 8
-"""Frames for which means fade after a change."""
+"""Frames in which history fades after lights change."""
 
 MOVED_HISTORY_WEIGHT = 0.8
-"""Share of its weight that a mean keeps in a frame when things move that light falls on."""
+"""Weight that history keeps per frame after lit objects move."""
 
 MOVED_FRAMES = 16
-"""Frames for which means fade after such a move."""
+"""Frames in which history fades after objects move."""
 
 CHANGED_STRENGTH = 2.0
-"""A light that is suddenly more than so many times as strong as before counts as another."""
+"""Ratio of strengths between two frames above which a light counts as another light."""
 
 SMALL = 16
-"""Numbers that an array has at most whose values are compared."""
+"""Largest number of elements of an array that is compared by value."""
 
 Instance = TypeVar("Instance", SplatInstance, MeshInstance)
 
 
 class Motion:
-    """Compares each frame's scene and camera with those of the frame before.
+    """Compares each frame's scene and camera with those of the previous frame.
 
     Args:
         buffers: Holds the tables.
@@ -64,14 +64,14 @@ class Motion:
         self._positions: wp.array[wp.vec3] | None = None
         self._changes = LightChanges()
         self.history_weight = 1.0
-        """Share of its weight that what is known of light keeps; 1 unless light has changed."""
+        """Weight that cached lighting keeps in this frame, 0..1; 1 unless lighting has changed."""
         self.camera = buffers.get("motion.camera", CameraData, 1)
-        """That of the frame before; written by ``sync``."""
+        """Camera of the previous frame; written by ``sync``."""
         self.splats: DeviceArray
-        """One ``InstanceMotion`` a splat instance; like ``meshes`` written by ``sync``."""
+        """``InstanceMotion`` of each splat instance; like ``meshes``, written by ``sync``."""
         self.meshes: DeviceArray
         self.moved_to: wp.array[int]
-        """One number an instance of the frame before, splats first, as ``has_left``."""
+        """New index of each instance of the previous frame, splats first, as in ``has_left``."""
 
     def sync(
         self,
@@ -82,14 +82,14 @@ class Motion:
         has_headlight: bool,
         captures: Sequence[int] = (),
     ) -> None:
-        """Writes the tables of a frame, and keeps what the next one is compared with.
+        """Writes the tables of a frame, and stores its scene and camera for the next one.
 
         Args:
-            scene: Of the frame.
-            camera: Of the frame.
-            positions: Vertices of all its meshes on the device, which later frames leave as they are.
-            has_headlight: Whether one replaces the lights that the scene does not have.
-            captures: The splat instances that are sampled as lights.
+            scene: Scene of the frame.
+            camera: Camera of the frame.
+            positions: Vertices of all its meshes on the device; later frames do not overwrite them.
+            has_headlight: Whether a headlight replaces missing lights.
+            captures: Indices of the splat instances that are sampled as lights.
         """
         before = self._scene or Scene()
         assign_table(self.camera, camera_table(self._camera or camera))
@@ -105,7 +105,7 @@ class Motion:
         self._positions = positions
 
     def forget(self) -> None:
-        """No instance was anywhere before."""
+        """Drops the previous frame: nothing has moved, nothing has a history."""
         self._scene = self._camera = self._positions = None
         self._changes.forget()
 
@@ -146,15 +146,16 @@ def previous_indices(
     asset_of: Callable[[Instance], object],
     is_same: Callable[[Instance, Instance], bool],
 ) -> list[int | None]:
-    """Which instance of the frame before each instance of this one was; None: it was not there.
+    """Returns the index of each instance in the previous frame; None: it is new.
 
-    Instances of one asset are the same in their order; one of a new asset is the one at its place, if ``is_same``.
+    Instances of one asset correspond in order. An instance of a new asset corresponds to the one at the same index, if
+    ``is_same`` accepts it.
     """
-    places: dict[int, list[int]] = {}
+    candidates: dict[int, list[int]] = {}
     for number, instance in enumerate(before):
-        places.setdefault(id(asset_of(instance)), []).append(number)
-    numbers = [places[key].pop(0) if places.get(key := id(asset_of(instance))) else None for instance in now]
-    left = {number for unmatched in places.values() for number in unmatched}
+        candidates.setdefault(id(asset_of(instance)), []).append(number)
+    numbers = [candidates[key].pop(0) if candidates.get(key := id(asset_of(instance))) else None for instance in now]
+    left = {number for unmatched in candidates.values() for number in unmatched}
     for number, instance in enumerate(now):
         if numbers[number] is None and number in left and is_same(instance, before[number]):
             numbers[number] = number
@@ -162,40 +163,40 @@ def previous_indices(
 
 
 def moved_to(now: list[tuple[int, bytes]], before: list[tuple[int, bytes]], numbers: list[int | None]) -> list[int]:
-    """By instance of the frame before, its number in this one, ``STANDS`` or ``GONE``.
+    """Returns the new index of each instance of the previous frame, ``UNMOVED`` if it has not moved, or ``GONE``.
 
     Args:
-        now: The instances, and where they are.
-        before: Those of the frame before.
-        numbers: By instance of now, its number then; None: it was not there.
+        now: Asset and transform of the instances.
+        before: Asset and transform of the previous frame's instances.
+        numbers: Index of each instance in the previous frame; None: it is new.
     """
-    places = [GONE] * len(before)
+    moved = [GONE] * len(before)
     for number, old in enumerate(numbers):
         if old is not None:
-            places[old] = UNMOVED if now[number] == before[old] else number
-    return places
+            moved[old] = UNMOVED if now[number] == before[old] else number
+    return moved
 
 
 def is_same_capture(now: SplatInstance, before: SplatInstance) -> bool:
-    """Whether one set may be the other, its Gaussians having moved."""
+    """Returns whether two Gaussian sets may be one capture whose Gaussians have moved."""
     return now.gaussians.count == before.gaussians.count
 
 
 def is_same_mesh(now: MeshInstance, before: MeshInstance) -> bool:
-    """Whether one mesh may be the other, its vertices having moved."""
+    """Returns whether two meshes may be one mesh whose vertices have moved."""
     return now.mesh.vertex_count == before.mesh.vertex_count and now.mesh.face_count == before.mesh.face_count
 
 
 def first_vertices(scene: Scene) -> dict[int, int]:
-    """Where the vertices of each mesh of a scene begin, by its id, as the device has them."""
+    """Returns the index of each mesh's first vertex on the device, by the mesh's id."""
     counts = {id(instance.mesh): instance.mesh.vertex_count for instance in scene.meshes}
     return first_of(counts)
 
 
 def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> None:
-    """Writes where an instance was, by its transforms, shape (4, 4) each."""
+    """Writes an instance's motion from its transforms, shape (4, 4) each."""
     row.existed = 1
-    # What has not moved is where it was, to the last bit.
+    # An unmoved instance gets the exact identity.
     from_now = np.eye(4) if np.array_equal(now, before) else before @ np.linalg.inv(now)
     row.before_from_now = wp.mat33(*from_now[:3, :3].ravel())
     row.before_from_now_offset = wp.vec3(*from_now[:3, 3])
@@ -205,43 +206,43 @@ def write_motion(row: InstanceMotion, now: np.ndarray, before: np.ndarray) -> No
 
 @dataclass(frozen=True, slots=True)
 class LightState:
-    """What the light of a scene comes from, and what reflects it.
+    """A scene's light sources and reflecting objects, in a form that can be compared.
 
-    Arrays and materials are compared by identity: both scenes have to live.
+    Arrays and materials are compared by identity, so both scenes must be alive.
     """
 
     sources: Sequence[object]
-    """Which lights there are, and which meshes that shine, and how much."""
+    """Types of the lights, and the emissive meshes with their emission."""
     strengths: list[npt.NDArray[np.float64]]
-    """Of each light, by channel."""
+    """Strength of each light, by channel."""
     rest: Sequence[object]
-    """The lights, meshes that shine and their places, and materials."""
+    """Other values of lights, emissive objects with their transforms, and materials."""
     objects: Sequence[object]
-    """What reflects light and casts shadows: which sets and meshes, and where."""
+    """Sets and meshes with their transforms: the objects that reflect light and cast shadows."""
 
 
 class LightChanges:
-    """Compares the light of each frame with that of the frame before."""
+    """Compares the lighting of each frame with that of the previous frame."""
 
     def __init__(self) -> None:
         self._before: LightState | None = None
         self._changed_ago, self._moved_ago = CHANGED_FRAMES, MOVED_FRAMES
 
     def forget(self) -> None:
-        """There was no frame before."""
+        """Drops the previous frame."""
         self._before, self._changed_ago, self._moved_ago = None, CHANGED_FRAMES, MOVED_FRAMES
 
     def history_weight(self, scene: Scene, has_headlight: bool, captures: Sequence[int] = ()) -> float:
-        """The share of its weight that what is known of light keeps in the frame that shows a scene.
+        """Returns the weight that cached lighting keeps in this frame, 0..1.
 
-        Next to nothing if a light came, went, or is suddenly of another strength: what was known is of another scene.
-        If anything else about light changes, what is known is a little old: for so many frames, it fades. It fades more
-        slowly if things move, whose shadows and reflections are but a part of the light.
+        It is nearly 0 if a light appears, disappears or abruptly changes its strength. After any other change of
+        lights, cached lighting fades over several frames. It fades more slowly after objects move, whose shadows and
+        reflections are only a part of the light.
 
         Args:
-            scene: Of the frame.
-            has_headlight: Whether one replaces the lights that the scene does not have.
-            captures: The splat instances that are sampled as lights.
+            scene: Scene of the frame.
+            has_headlight: Whether a headlight replaces missing lights.
+            captures: Indices of the splat instances that are sampled as lights.
         """
         now = light_state(scene, has_headlight, captures)
         before, self._before = self._before or now, now
@@ -257,41 +258,41 @@ class LightChanges:
 
 
 def light_state(scene: Scene, has_headlight: bool, captures: Sequence[int]) -> LightState:
-    """The light of a scene, to be compared; arguments as for `LightChanges.history_weight`."""
+    """Returns the light state of a scene; arguments as for `LightChanges.history_weight`."""
     shining = [instance for instance in scene.meshes if instance.mesh.material.is_emissive]
-    # A mesh that deforms is another one with as many vertices and faces.
+    # A deforming mesh is a new object with equal numbers of vertices and faces.
     meshes = [(i.mesh.vertex_count, i.mesh.face_count, emission_of(i.mesh.material)) for i in shining]
     emitters = [scene.splats[number] for number in captures]
     sources = [has_headlight, *((type(light), light.enabled) for light in scene.lights), *meshes, len(emitters)]
     strengths = [strength_of(light) for light in scene.lights]
     lights = [values_of(light) for light in scene.lights]
-    places = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
-    places += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
+    transforms = [(id(instance.mesh), instance.transform.tobytes()) for instance in shining]
+    transforms += [(id(instance.gaussians), instance.transform.tobytes()) for instance in emitters]
     materials = [id(instance.material) for instance in scene.splats]
-    rest = [lights, places, materials, [id(instance.mesh.material) for instance in scene.meshes]]
+    rest = [lights, transforms, materials, [id(instance.mesh.material) for instance in scene.meshes]]
     return LightState(sources, strengths, rest, asset_transforms(scene))
 
 
 def asset_transforms(scene: Scene) -> list[tuple[int, bytes]]:
-    """What stands where in a scene, to be compared; splats first."""
+    """Returns asset and transform of each instance for comparison, splats first."""
     splats = [(id(instance.gaussians), instance.transform.tobytes()) for instance in scene.splats]
     return splats + [(id(instance.mesh), instance.transform.tobytes()) for instance in scene.meshes]
 
 
 def strength_of(light: Light) -> npt.NDArray[np.float64]:
-    """Of a light, by channel; shape (3,)."""
+    """Returns the strength of a light by channel, shape (3,)."""
     return np.asarray(light.color, np.float64) * light.intensity
 
 
 def emission_of(material: Material) -> tuple[object, ...]:
-    """By what a material shines by itself, or by ambient light."""
+    """Returns the values of a material that determine its emission."""
     if isinstance(material, MaterialSimple):
         return material.emissive, material.ambient
     return material.emissive, material.double_sided
 
 
 def has_changed_suddenly(before: LightState, now: LightState) -> bool:
-    """Whether a light came or went, or one is more than ``CHANGED_STRENGTH`` times as strong, or weaker by as much."""
+    """Returns whether a light appeared or disappeared, or its strength changed by more than ``CHANGED_STRENGTH``."""
     if before.sources != now.sources:
         return True
     both = zip(before.strengths, now.strengths, strict=True)
@@ -299,18 +300,18 @@ def has_changed_suddenly(before: LightState, now: LightState) -> bool:
 
 
 def in_order(lights: Sequence[Light]) -> list[Light]:
-    """The enabled ones of some lights, in an order that is not that of their list but follows from what they are."""
+    """Returns the enabled lights, sorted by type and values so that their order in the scene does not matter."""
     enabled = [light for light in lights if light.enabled]
     return sorted(enabled, key=lambda light: (type(light).__name__, repr(values_of(light))))
 
 
 def values_of(light: Light) -> list[object]:
-    """The values of a light's fields, to be compared."""
+    """Returns the values of a light's fields for comparison."""
     return [comparable(getattr(light, field.name)) for field in fields(light)]
 
 
 def comparable(value: object) -> object:
-    """The value; of a large array its identity, of a small one its numbers."""
+    """Returns a comparable value: the identity of a large array, the bytes of a small one, else the value."""
     if not isinstance(value, np.ndarray):
         return value
     numbers = cast(npt.NDArray[Any], value)

@@ -1,4 +1,4 @@
-"""Tables that shading reads of a scene: materials, attributes of Gaussians, lights and settings."""
+"""Tables that shading reads: materials, attributes of Gaussians, lights and settings."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class ShadingTables:
         self._attributes: DeviceArray
         self._version: int | None = None
         self.data: Any = None
-        """A 1-element ShadingScene array, for kernels; written by ``sync``."""
+        """1-element ShadingScene array for kernels; written by ``sync``."""
         self.lights: tuple[Light, ...] = ()
-        """The enabled lights; without the headlight."""
+        """Enabled lights, without the headlight."""
         self.has_headlight = False
-        """Whether a headlight replaces the lights that the scene does not have."""
+        """True if a headlight replaces missing lights."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -56,17 +56,17 @@ class ShadingTables:
 
     @property
     def has_emitters(self) -> bool:
-        """Whether some triangles shine; in frames that trace paths."""
+        """True if there are emissive triangles to sample; only in path traced frames."""
         return len(self._emitters.data.ends) > 0
 
     @property
     def choice_count(self) -> int:
-        """Lights among which paths choose: all, and the triangles that shine."""
+        """Number of lights that paths choose from; all emissive triangles together count as one."""
         return self._table.count + self.has_emitters
 
     @property
     def graph_key(self) -> object:
-        """What the passes of a frame depend on among its lights: which kernels run, and for which light."""
+        """Values of lights that decide which kernels run, and for which light."""
         return self.has_headlight, [(isinstance(light, LightEnvironment), light.casts_shadow) for light in self.lights]
 
     def sync(
@@ -86,10 +86,10 @@ class ShadingTables:
             scene: The scene with materials and lights.
             camera: The camera of the frame.
             plan: The plan of the frame.
-            row: With the camera's sample, the instances and the meshes; the rest is filled in.
+            row: Struct with the camera's sample, the instances and the meshes; the other fields are filled in.
             assets: The distinct Gaussian sets.
-            texture_first: First texel of a texture among those of all meshes.
-            version: Changes with the arrays of assets.
+            texture_first: Returns the index of a texture's first texel among those of all meshes.
+            version: Counter that changes with the arrays of assets.
         """
         self._table.sync(scene, camera, self._buffers, is_lit=plan.is_lit, has_headlight=plan.has_headlight)
         self.lights = tuple(light for light in scene.lights if light.enabled) if plan.is_lit else ()

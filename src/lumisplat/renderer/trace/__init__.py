@@ -1,1 +1,1 @@
-"""Rays and what they hit: primary hits, their tracing through Gaussians and to meshes, waves of rays."""
+"""Rays and their hits: primary hits, tracing through Gaussians and to meshes, and waves of rays."""

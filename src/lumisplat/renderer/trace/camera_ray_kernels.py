@@ -1,4 +1,4 @@
-"""The rays of a sample. One item is one ray; those of a camera come in square blocks of pixels."""
+"""Starts the rays of a sample. One item is one ray; camera rays are stored in square blocks of pixels."""
 
 import warp as wp
 
@@ -19,9 +19,9 @@ def start_rays(
     listed: ListedRays,
     rays_out: RayData,
 ):
-    """The rays of a camera's pixels, or of those that are listed.
+    """Starts the rays of a camera's pixels, or of listed pixels only.
 
-    There are none beyond the window and the list, and where a fisheye sees nothing.
+    Rays are inactive outside of the window, after the end of the list, and outside of a fisheye's image circle.
     """
     i = start + wp.tid()
     camera = cameras[0]
@@ -66,7 +66,10 @@ def load_rays(
     starts: wp.array[float],
     rays_out: RayData,
 ):
-    """``count`` given rays; further elements are inactive. ``first`` is the number of the first one in its query."""
+    """Starts ``count`` rays of a caller; other elements are inactive.
+
+    ``first`` is the index of the first ray in its query.
+    """
     i = start + wp.tid()
     rays_out.is_active[i] = False
     if i >= count:

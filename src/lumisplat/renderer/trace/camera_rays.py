@@ -1,4 +1,4 @@
-"""Host pass: the rays of a camera's pixels."""
+"""Host pass: starts the rays of a camera's pixels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class CameraRays:
-    """Starts one ray a pixel.
+    """Starts one ray per pixel.
 
     Args:
         launcher: Runs the kernels.
@@ -24,16 +24,17 @@ class CameraRays:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def start(self, scene: DeviceScene, listed: ListedRays | None = None, *, of_splats: bool = False) -> RayData:
-        """The rays of the scene's current sample, in square blocks of pixels.
+        """Returns the rays of the scene's current sample, in square blocks of pixels.
 
         Args:
-            scene: With the camera.
-            listed: Those that are started; None: those of all pixels.
-            of_splats: Whether they are those along which Gaussians are seen.
+            scene: The device scene with the camera.
+            listed: Pixels whose rays are started; None: all pixels.
+            of_splats: Whether the rays are those for Gaussians, which may stay at pixel centres when meshes are
+                jittered.
         """
         count = ray_count(*scene.image_size) if listed is None else len(listed.ray)
         rays = self._buffers.struct("camera.splat_rays" if of_splats else "camera.rays", RayData, count)
@@ -44,5 +45,5 @@ class CameraRays:
 
 
 def ray_count(width: int, height: int) -> int:
-    """Rays of an image: whole blocks."""
+    """Returns the number of rays of an image, rounded up to whole blocks."""
     return PACKET_RAYS * (-(-width // RAY_BLOCK_PX)) * (-(-height // RAY_BLOCK_PX))

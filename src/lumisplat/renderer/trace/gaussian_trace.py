@@ -1,4 +1,4 @@
-"""Host pass: what Gaussians give rays (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)."""
+"""Host pass: traces rays through Gaussians (Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing)."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ _STRATEGIES = {
 
 
 class GaussianTracer:
-    """Follows rays through Gaussians.
+    """Traces rays through Gaussians.
 
     Args:
         launcher: Runs the kernel.
         buffers: Holds the arrays.
         config: Settings; they do not change.
-        name: Of the buffers of these settings.
+        name: Prefix of the buffers that hold these settings.
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, config: RenderConfig, name: str = "trace") -> None:
@@ -61,7 +61,7 @@ class GaussianTracer:
         assign_table(self._settings_bounced, table)
 
     def modules(self, *, bounced: bool) -> list[KernelModule]:
-        """The kernel modules of rays; ``bounced`` as of `find`."""
+        """Returns the kernel modules; ``bounced`` is as for `find`."""
         by_ray = [stochastic_hit_kernels, *RAY_ORDER_MODULES] if bounced and self._is_stochastic_hit else []
         return [self._kernels[TRAVERSE_STACK_SMALL].module, *by_ray]
 
@@ -77,18 +77,18 @@ class GaussianTracer:
         profiles: DeviceArray | None = None,
         marked: DeviceArray | None = None,
     ) -> GaussianHits:
-        """What the Gaussians up to each ray's limit give it, in buffers of that name.
+        """Returns the Gaussian hits of each ray up to its limit, in buffers of the given name.
 
         Args:
-            scene: Up to date for rays.
-            rays: A multiple of ``PACKET_RAYS``.
-            limits: Distances as float, such as those of the nearest meshes.
-            name: Of the buffers that hold the result.
-            bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
-            sets: Those that the rays meet.
-            profiles: Receives the hits one by one, as HitProfiles; None: they are not kept.
-            marked: The scene's splat instances, some of them marked as relit, whose part is added up apart; None: they
-                are as the scene has them.
+            scene: The device scene, synced for rays.
+            rays: Rays, a multiple of ``PACKET_RAYS``.
+            limits: Distances at which rays end, such as those of the nearest meshes.
+            name: Name of the buffers that hold the result.
+            bounced: Whether the rays start at surfaces, whose own Gaussians they skip as shadow rays do.
+            sets: Splat sets that the rays can hit.
+            profiles: Receives every hit, as HitProfiles; None: hits are only blended.
+            marked: Splat instances of the scene with other relit flags, whose radiance is accumulated separately; None:
+                the scene's own flags.
         """
         count = len(rays.t_max)
         settings = self._settings_bounced if bounced else self._settings
@@ -122,7 +122,7 @@ class GaussianTracer:
 
 
 def without_hits(hits: GaussianHits) -> GaussianHits:
-    """The hits of rays through a scene without Gaussians."""
+    """Fills the hits of rays through a scene without Gaussians."""
     for field in (hits.color, hits.normal, hits.hits):
         device_array(field).zero_()
     device_array(hits.transmittance).fill_(1.0)
@@ -132,14 +132,14 @@ def without_hits(hits: GaussianHits) -> GaussianHits:
 
 
 def trace_kernel_of(launcher: Launcher, *, stack: int = TRAVERSE_STACK_SMALL) -> Any:
-    """The kernel that follows rays through Gaussians on a device, with a stack of so many nodes at least."""
+    """Returns the tracing kernel of a device, with a stack of at least this many nodes."""
     if launcher.is_parallel:
         return gaussian_trace_kernels.gaussian_trace_kernel(1, stack)
     return gaussian_trace_kernels.gaussian_trace_kernel(PACKET_RAYS)
 
 
 def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
-    """The 1-element table that kernels read the tracer's settings from."""
+    """Returns the 1-element table from which kernels read the tracer's settings."""
     row = table = np.zeros(1, dtype=table_dtype(TraceData))
     is_hit = config.strategy is TraceStrategy.STOCHASTIC_HIT
     hit_buffer_size = HIT_BUFFER_CUDA if launcher.is_parallel else HIT_BUFFER_CPU
@@ -159,13 +159,13 @@ def trace_table(launcher: Launcher, config: TraceConfig) -> np.ndarray:
 
 
 def packet_ranges(counts: IntArray, most: int) -> Iterator[tuple[int, int, int]]:
-    """Ranges of rays, and how many hits each has: no more than ``most`` unless it is the least range.
+    """Yields ranges of rays with their number of hits, at most ``most`` unless the smallest possible range has more.
 
-    Rays that were followed together are again: ranges are of whole packets of CPUs and of whole warps.
+    Ranges consist of whole packets on CPUs and whole warps on CUDA, so that rays traced together stay together.
 
     Args:
         counts: Hits of each ray.
-        most: How many hits a range is to have at most.
+        most: Largest number of hits of a range.
     """
     edges = np.append(np.arange(0, len(counts), 2 * PACKET_RAYS), len(counts))
     before: Rows = np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])[edges]

@@ -1,10 +1,10 @@
-"""Gaussians along rays: packets of neighbouring rays traverse the trees together.
+"""Traces Gaussians along rays: packets of neighbouring rays traverse the BVHs together.
 
-One item is ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes becomes vector instructions, 1 on
-CUDA, where the threads of a warp go in step. Those that start and point alike are a packet. It visits the nearest child
-first and keeps, for each of its rays, the nearest hits sorted by (t, index). Hits before all nodes that still wait are
-final, and are blended at once. A ray whose list overflows drops its farthest hit, and starts again behind the last one
-blended: that is a pass. So the result is that of sorting all hits.
+One item is ``lanes`` consecutive rays: 16 on the CPU, where a loop over the lanes compiles to vector instructions, and
+1 on CUDA, where the threads of a warp run in step. Rays with similar origins and directions form a packet. The packet
+visits the nearest child first, and each ray keeps its nearest hits sorted by (t, index). Hits nearer than all nodes on
+the stack are final and are blended at once. A ray whose list overflows drops its farthest hit, and starts another
+traversal, a pass, behind the last blended hit. The result therefore equals sorting all hits.
 
 The equations are in docs/method/ray_tracing.md.
 """
@@ -52,13 +52,13 @@ from lumisplat.device.structs.rays import GaussianHits, HitProfiles, RayData
 wp.set_module_options(PACKET_OPTIONS)
 
 TRACE_THREADS = 128
-"""CUDA threads of a block. Four of these at once leave each thread 128 registers, half of what it would take; what they
-save each other in waiting is more (H200, a million Gaussians: 86 ms instead of 103)."""
+"""CUDA threads per block. Four blocks at once leave each thread 128 registers, half of what it would use, but hide
+more latency (H200, a million Gaussians: 86 ms instead of 103)."""
 
 
 @functools.cache
 def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
-    """The kernel for items of ``lanes`` rays; up to ``entries`` nodes wait."""
+    """Returns the kernel for items of ``lanes`` rays, with a stack of ``entries`` nodes."""
     LANES = lanes
     options = {**PACKET_OPTIONS, "block_dim": TRACE_THREADS}
     stacks = node_stack_of(entries)
@@ -79,9 +79,9 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
         radiance_out: GaussianHits,
         profiles_out: wp.array[HitProfiles],
     ):
-        """Blends the Gaussians up to the end of each ray.
+        """Blends the Gaussians on each ray up to its end.
 
-        The last array is without an element unless hits are written one by one.
+        ``profiles_out`` has no element unless every hit is to be written.
         """
         first = (start + wp.tid()) * LANES
         config = settings[0]
@@ -113,7 +113,7 @@ def gaussian_trace_kernel(lanes: int, entries: int = TRAVERSE_STACK) -> Any:
                 own_end = largest(packet.limit)
                 reach = largest_of(packet.group, own_reach)
                 end = largest_of(packet.group, own_end)
-                nearest = float(FAR)  # of the hits in the lists
+                nearest = float(FAR)  # distance of the nearest hit in the lists
                 top = push_root(stack)
                 enter_instance(tree, packet, WORLD, scene, rays, first)
                 while top > 0:

@@ -1,4 +1,4 @@
-"""Host pass: what Gaussians give rays of paths (docs/method/paths.md#surfaces)."""
+"""Host pass: traces rays of paths through Gaussians (docs/method/paths.md#surfaces)."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from lumisplat.runtime.launcher import KernelModule, Launcher
 
 
 class DarkenedCaptures(NamedTuple):
-    """Captures that rays see as black, since surfaces receive their light as that of lights."""
+    """Captures that rays see as black, because surfaces sample them as lights."""
 
     marked: DeviceArray
-    """The scene's splat instances, with these marked as relit."""
+    """Splat instances of the scene, in which these captures are marked as relit."""
     mirrored: wp.array[int] | None
-    """1: a mirror has reflected the ray, which sees them as they are; None: none has."""
+    """1 for each ray that came from a mirror, which sees the captures undarkened; None: no ray did."""
 
 
 class PathGaussians:
-    """Follows rays of paths through Gaussians: relit ones are met one at a time, captures that are kept are blended.
+    """Traces rays of paths through Gaussians: relit Gaussians are hit one at a time, emissive captures are blended.
 
     Args:
         launcher: Runs the kernels.
@@ -49,7 +49,7 @@ class PathGaussians:
         self._emitted = GaussianTracer(launcher, buffers, ended, "trace.emitted")
 
     def modules(self, plan: FramePlan, *, bounced: bool) -> list[KernelModule]:
-        """The kernel modules of a frame; of rays that surfaces have scattered, too, if they are ``bounced``."""
+        """Returns the kernel modules of a frame, with those of secondary rays if ``bounced``."""
         if not plan.traces_paths:
             return self._blended.modules(bounced=bounced)
         modules = self._blended.modules(bounced=bounced)
@@ -67,15 +67,15 @@ class PathGaussians:
         bounced: bool,
         dark: DarkenedCaptures | None = None,
     ) -> GaussianHits:
-        """As `GaussianTracer.find`: a ray that meets a relit Gaussian has a transmittance of 0.
+        """Returns Gaussian hits, as `GaussianTracer.find`; a ray that hits a relit Gaussian has transmittance 0.
 
         Args:
-            scene: Up to date for rays.
-            rays: A multiple of ``PACKET_RAYS``.
-            limits: Distances as float, such as those of the nearest meshes.
-            name: Of the buffers that hold the result.
-            bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
-            dark: Captures that the rays see as black; None: there are none.
+            scene: The device scene, synced for rays.
+            rays: Rays, a multiple of ``PACKET_RAYS``.
+            limits: Distances at which rays end, such as those of the nearest meshes.
+            name: Name of the buffers that hold the result.
+            bounced: Whether the rays start at surfaces, whose own Gaussians they skip as shadow rays do.
+            dark: Captures that the rays see as black; None: none.
         """
         if not scene.plan.traces_paths or (self._is_blended_first and not bounced):
             return self._blended.find(scene, rays, limits, name, bounced=bounced)
@@ -91,16 +91,16 @@ class PathGaussians:
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """What captures that are kept give bounced rays up to what these meet, and apart that of the marked ones.
+        """Returns the radiance of emissive captures on secondary rays, that of marked ones separately.
 
-        Rays end where `EMITTER_OPAQUE` of them is left.
+        Rays end at relit surfaces, and where their transmittance falls to `EMITTER_OPAQUE`.
 
         Args:
-            scene: Up to date for rays.
-            rays: A multiple of ``PACKET_RAYS``.
-            limits: Distances as float, such as those of the nearest meshes.
+            scene: The device scene, synced for rays.
+            rays: Rays, a multiple of ``PACKET_RAYS``.
+            limits: Distances at which rays end, such as those of the nearest meshes.
             marked: The splat instances, as for `GaussianTracer.find`.
-            name: Of the buffers that hold the result.
+            name: Name of the buffers that hold the result.
         """
         if scene.plan.relights:
             limits = self._find_relit(scene, rays, limits, name, bounced=True)[1]
@@ -109,7 +109,7 @@ class PathGaussians:
     def _find_relit(
         self, scene: DeviceScene, rays: RayData, limits: wp.array[float], name: str, *, bounced: bool
     ) -> tuple[GaussianHits, DeviceArray]:
-        """The relit Gaussian that each ray meets, and where the ray ends, by that or at its limit."""
+        """Returns the relit Gaussian that each ray hits, and the distance of that hit or else the ray's limit."""
         relit = self._stochastic.find(scene, rays, limits, f"{name}.relit", bounced=bounced, sets=SplatSets.RELIT)
         ends = self._buffers.get(f"{name}.ends", wp.float32, len(rays.t_max))
         self._launcher.run_banded(kernels.end_at_surfaces, len(rays.t_max), limits, relit, ends)
@@ -125,7 +125,7 @@ class PathGaussians:
         bounced: bool,
         dark: DarkenedCaptures | None,
     ) -> GaussianHits:
-        """What captures that are kept give rays."""
+        """Returns the blended radiance of emissive captures on rays."""
         marked = dark.marked if dark else None
         hits = self._blended.find(scene, rays, limits, name, bounced=bounced, sets=SplatSets.CAPTURED, marked=marked)
         if dark is None:
@@ -134,7 +134,7 @@ class PathGaussians:
         return self._buffers.struct(name, GaussianHits, len(rays.t_max), EXTRA_FIELDS)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
-        """What shadow-only sets alone give bounced rays, as `RayTracer.find_captured`."""
+        """Returns the radiance of shadow catchers only on secondary rays, as `RayTracer.find_captured`."""
         return self._blended.find(scene, rays, ends, name, bounced=True, sets=SplatSets.SHADOW_CATCHERS)
 
 

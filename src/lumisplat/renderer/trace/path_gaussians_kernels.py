@@ -1,4 +1,7 @@
-"""Joins what kept and relit splat sets give a ray of a path: it meets one of them. One item is one ray."""
+"""Joins the hits of emissive captures and relit sets on rays of paths: each ray ends with one of them.
+
+One item is one ray.
+"""
 
 import warp as wp
 
@@ -10,16 +13,16 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def end_at_surfaces(start: int, limits: wp.array[float], surfaces: GaussianHits, ends_out: wp.array[float]):
-    """Where rays end: at the Gaussian that they meet, or at their limit."""
+    """Ends rays at the relit Gaussian that they hit, or at their limit."""
     i = start + wp.tid()
     ends_out[i] = wp.min(limits[i], surfaces.depth[i])
 
 
 @wp.kernel
 def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inout: GaussianHits):
-    """Where a ray meets a relit Gaussian, it shows that one with the probability that what is before lets through.
+    """Selects a relit hit with the transmittance of the capture in front as its probability, else the capture.
 
-    Else it shows what is before, alone. The mean is that of the one over the other.
+    The expected value is that of compositing the capture over the relit Gaussian.
     """
     i = start + wp.tid()
     if not (rays.is_active[i] and surfaces.depth[i] < wp.inf):
@@ -40,7 +43,7 @@ def choose_hits(start: int, rays: RayData, surfaces: GaussianHits, captured_inou
 
 @wp.kernel
 def darken(start: int, rays: RayData, mirrored: wp.array[int], hits_inout: GaussianHits):
-    """Takes away what the ray sees of captures that were added up apart, unless a mirror has reflected it."""
+    """Subtracts the radiance of darkened captures, except on rays that come from a mirror."""
     i = start + wp.tid()
     if not rays.is_active[i]:
         return

@@ -1,7 +1,7 @@
-"""Primary hits: the seam between visibility and light.
+"""Primary hits: the interface between visibility and integrators.
 
-The rasteriser and the ray tracer both end here, and whatever lights begins here: integrators neither know nor ask
-which of them has found the hits.
+The rasteriser and the ray tracer both produce these hits, and every integrator starts from them, whichever produced
+them.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from lumisplat.runtime.buffers import device_array
 
 @dataclass(frozen=True, slots=True)
 class PrimaryHits:
-    """Rays, a multiple of a packet's, and what they hit."""
+    """Rays, a multiple of the packet size, and their hits."""
 
     rays: RayData
     meshes: MeshHits
-    """The nearest triangles."""
+    """Nearest triangle on each ray."""
     gaussians: GaussianHits
-    """What the Gaussians before those give the rays."""
+    """Gaussians in front of that triangle, blended or sampled."""
 
     @property
     def count(self) -> int:
-        """Rays, active or not."""
+        """Number of rays, active or not."""
         return len(self.rays.t_max)
 
     @property
     def graph_key(self) -> object:
-        """Which arrays the hits are in: a graph that has frozen others is stale.
+        """Addresses of the hits' arrays: a captured graph with other addresses is stale.
 
-        Rays that leave surfaces may tell relit sets apart where those from the camera do not.
+        Rays that leave surfaces may have separate arrays for relit sets where camera rays have none.
         """
         arrays = self.rays.is_active, self.meshes.t, self.gaussians.color, self.gaussians.relit_weight
         return self.count, [device_array(array).ptr if array else 0 for array in arrays]

@@ -1,4 +1,4 @@
-"""Host pass: what rays hit, among meshes and Gaussians."""
+"""Host pass: finds the hits of rays on meshes and Gaussians."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class RayTracer:
         self._gaussians = (PathGaussians if traces_paths else GaussianTracer)(launcher, buffers, config)
 
     def modules(self, plan: FramePlan, *, bounced: bool = False) -> list[KernelModule]:
-        """The kernel modules of a frame; of rays that surfaces have scattered, too, if they are ``bounced``."""
+        """Returns the kernel modules of a frame, with those of secondary rays if ``bounced``."""
         meshes = self._meshes.modules(has_meshes=plan.has_meshes)
         if isinstance(self._gaussians, PathGaussians):
             return [*self._gaussians.modules(plan, bounced=bounced), *meshes]
@@ -49,15 +49,15 @@ class RayTracer:
         centers: RayData | None = None,
         dark: DarkenedCaptures | None = None,
     ) -> PrimaryHits:
-        """The nearest mesh on each ray, and what the Gaussians before it give the ray.
+        """Returns the nearest mesh on each ray, and the Gaussians in front of it.
 
         Args:
-            scene: Up to date for rays.
-            rays: A multiple of ``PACKET_RAYS``.
-            name: Of the buffers that hold the result.
-            bounced: Whether the rays were scattered by surfaces, which they leave as shadow rays do.
-            centers: The rays along which Gaussians are seen; None: the same.
-            dark: Captures that rays of paths see as black; None: there are none.
+            scene: The device scene, synced for rays.
+            rays: Rays, a multiple of ``PACKET_RAYS``.
+            name: Prefix of the buffers that hold the result.
+            bounced: Whether the rays start at surfaces, whose own Gaussians they skip as shadow rays do.
+            centers: Rays on which Gaussians are evaluated; None: the same rays.
+            dark: Captures that rays of paths see as black; None: none.
         """
         with self._launcher.stage("mesh"):
             meshes = self._meshes.find(scene, rays, f"{name}.meshes", bounced=bounced)
@@ -71,34 +71,34 @@ class RayTracer:
         return PrimaryHits(rays, meshes, gaussians)
 
     def find_meshes(self, scene: DeviceScene, rays: RayData, name: str) -> MeshHits:
-        """The nearest mesh on each ray that leaves a surface, as `find_hits`."""
+        """Returns the nearest mesh on each ray that leaves a surface, as `find_hits`."""
         with self._launcher.stage("mesh"):
             return self._meshes.find(scene, rays, name, bounced=True)
 
     def find_emitted(
         self, scene: DeviceScene, rays: RayData, ends: wp.array[float], marked: DeviceArray, name: str
     ) -> GaussianHits:
-        """What captures give rays of paths that leave surfaces, and apart what the marked ones do.
+        """Returns the radiance of emissive captures on secondary rays of paths, that of marked ones separately.
 
         Args:
-            scene: Up to date for rays.
-            rays: A multiple of ``PACKET_RAYS``.
-            ends: Where each ends.
-            marked: The scene's splat instances, some of them marked as relit.
-            name: Of the buffers that hold the result.
+            scene: The device scene, synced for rays.
+            rays: Rays, a multiple of ``PACKET_RAYS``.
+            ends: Distance at which each ray ends.
+            marked: Splat instances of the scene, some of them marked as relit.
+            name: Name of the buffers that hold the result.
         """
         assert isinstance(self._gaussians, PathGaussians)
         with self._launcher.stage("gaussians"):
             return self._gaussians.find_emitted(scene, rays, ends, marked, name)
 
     def find_captured(self, scene: DeviceScene, rays: RayData, ends: wp.array[float], name: str) -> GaussianHits:
-        """What shadow-only sets alone give rays of paths that leave them.
+        """Returns the radiance of shadow catchers only on rays of paths that leave them.
 
         Args:
-            scene: Up to date for rays.
-            rays: A multiple of ``PACKET_RAYS``.
-            ends: Where each ends; not above 0: it is not traced.
-            name: Of the buffers that hold the result.
+            scene: The device scene, synced for rays.
+            rays: Rays, a multiple of ``PACKET_RAYS``.
+            ends: Distance at which each ray ends; <= 0: the ray is not traced.
+            name: Name of the buffers that hold the result.
         """
         assert isinstance(self._gaussians, PathGaussians)
         with self._launcher.stage("gaussians"):
@@ -118,17 +118,17 @@ class MeshTracer:
 
     @staticmethod
     def modules(*, has_meshes: bool) -> list[KernelModule]:
-        """The kernel modules of scenes with or without meshes."""
+        """Returns the kernel modules of scenes with or without meshes."""
         return [mesh_trace_kernels] if has_meshes else []
 
     def find(self, scene: DeviceScene, rays: RayData, name: str, *, bounced: bool = False) -> MeshHits:
-        """The nearest triangle between each ray's ``t_min`` and ``t_max``.
+        """Returns the nearest triangle between each ray's ``t_min`` and ``t_max``.
 
         Args:
-            scene: Up to date for rays.
-            rays: What to follow.
-            name: Of the buffers that hold the result.
-            bounced: Whether the rays were scattered by surfaces: meshes count from their origin on.
+            scene: The device scene, synced for rays.
+            rays: Rays to trace.
+            name: Name of the buffers that hold the result.
+            bounced: Whether the rays start at surfaces: meshes then count from the rays' origins on.
         """
         count = len(rays.t_max)
         hits = self._buffers.struct(name, MeshHits, count)

@@ -1,4 +1,4 @@
-"""Waves of rays, which have been reflected or refracted equally often, and images of the light of the first wave."""
+"""Waves: rays after the same number of reflections and refractions, and images of the first wave's light."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ from lumisplat.runtime.buffers import DeviceArray
 
 @dataclass(frozen=True, slots=True)
 class CarriedState:
-    """What the rays of a later wave bring along."""
+    """State that the rays of a later wave inherit."""
 
     weights: DeviceArray | None = None
-    """Share of each in the colour of the ray that it branches off, as `WaveData` has them."""
+    """Weight of each ray in the colour of its parent ray, as in `WaveData`."""
     media: DeviceArray | None = None
-    """Media that each has entered; None: none."""
+    """Media that each ray is in; None: no media in the scene."""
     sees_environment: DeviceArray | None = None
-    """Whether each sees what is infinitely far; None: all do."""
+    """True for each ray that adds environment radiance if it escapes; None: all do."""
 
 
 @dataclass(frozen=True, slots=True)
 class RayWave:
-    """Rays, what they hit, and what they see.
+    """Rays, their hits, and their radiance.
 
     Later waves overwrite its interactions and path weights, and its rays and hits unless they are the primary ones.
     """
 
     number: int
-    """How often its rays have been reflected or refracted; 0: they come from the camera, or were given."""
+    """Number of reflections or refractions so far; 0: rays from the camera or from a caller."""
     hits: PrimaryHits
     row: WaveData
-    """Its arrays, for host code."""
+    """Arrays of the wave, for host code."""
     data: DeviceArray
-    """The same for kernels, 1 element."""
+    """Arrays of the wave for kernels, 1 element."""
 
     @property
     def count(self) -> int:
-        """Rays, active or not."""
+        """Number of rays, active or not."""
         return self.hits.count
 
     @property
     def is_primary(self) -> bool:
-        """Whether its rays are the first ones."""
+        """True if its rays are primary rays."""
         return self.number == 0
 
 
 @dataclass(frozen=True, slots=True)
 class LightImages:
-    """Light of the first wave's rays in parts, linear, one array of vec3 a part."""
+    """Parts of the first wave's light, linear, one vec3 array each."""
 
     direct: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """Of each light alone, unshadowed."""
+    """Direct light of each light, without shadows."""
     arrived: list[DeviceArray] = field(default_factory=list[DeviceArray])
-    """Of each light alone, shadowed."""
+    """Direct light of each light, with shadows."""
     layers: dict[str, DeviceArray] = field(default_factory=dict[str, DeviceArray])
     """Further layers, by name."""

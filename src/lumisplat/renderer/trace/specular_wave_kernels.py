@@ -1,9 +1,9 @@
 """Reflection and refraction, wave by wave. One item is one ray, or one branch of a ray.
 
-A ray has two branches, numbered ``ray`` (reflected) and ``stride + ray`` (refracted), and in frames with glossy
-reflections a third one, ``2 stride + ray`` (within a highlight); most are empty. An inclusive sum over how many there
-are in each, 0 or 1, numbers the rays of the next wave. Reflected rays come first in it, then refracted ones, then
-those within highlights, each in the order of the wave before: neighbours stay neighbours.
+A ray has two branches, with indices ``ray`` (reflected) and ``stride + ray`` (refracted). Frames with glossy
+reflections have a third one, ``2 stride + ray`` (sampled from a specular lobe). Most branches are empty. An inclusive
+prefix sum over the branch counts, 0 or 1, gives the indices of the next wave's rays: reflected rays first, then
+refracted, then lobe rays, each in the order of the previous wave, so that neighbours stay neighbours.
 """
 
 import warp as wp
@@ -23,19 +23,19 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 LOBES = wp.constant(2)
-"""Place of the rays within highlights among those that branch off a ray."""
+"""Index of the specular-lobe branch among a ray's branches."""
 
 
 @wp.func
 def start_ray(child: int, parent: int, branch: int, path_length: float, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts ray ``child``, a branch of ``parent``, but for its origin, direction, least distance and footprint.
+    """Starts ray ``child``, a branch of ``parent``, except for its origin, direction, ``t_min`` and footprint.
 
     Args:
         child: Ray of the next wave.
-        parent: Ray of this one.
-        branch: Of the parent's keys.
-        path_length: Behind its origin, to the unfolded eye.
-        wave: Of the parent.
+        parent: Ray of this wave.
+        branch: Branch of the parent's random keys.
+        path_length: Length of the unfolded path from the eye to the child's origin.
+        wave: Wave of the parent.
         rays_out: Rays of the next wave.
     """
     rays_out.is_active[child] = True
@@ -57,9 +57,9 @@ def spawn_lobe_ray(
     media_out: wp.array[wp.vec4i],
     sees_far_out: wp.array[wp.bool],
 ):
-    """Starts the ray within a highlight on ray ``i``; below the horizon, it is of no weight."""
+    """Starts the ray sampled from the specular lobe at ray ``i``'s hit; below the horizon its weight is 0."""
     lobe = lobe_ray(i, wave)
-    # What a surface scatters does not depend on how far away the eye is.
+    # Scattered rays have no footprint: their length to the eye does not count.
     start_ray(child, i, LOBE_BRANCH, 0.0, wave, rays_out)
     rays_out.is_active[child] = not is_black(lobe.weight)
     rays_out.origin[child] = lobe.origin
@@ -85,9 +85,9 @@ def spawn_rays(
     media_out: wp.array[wp.vec4i],
     sees_far_out: wp.array[wp.bool],
 ):
-    """Item = branch: starts its ray at the surface, on the side to which it leaves.
+    """Item = branch: starts its ray at the surface, on the side that the ray leaves to.
 
-    The last two arrays are without elements in scenes without media, and where all rays see what is infinitely far.
+    The last two arrays have no elements in scenes without media, and where all rays add environment radiance.
     """
     j = start + wp.tid()
     if wave[0].branches[j] == 0:
@@ -126,7 +126,7 @@ def spawn_rays(
     if media_out:
         media_out[child] = media
     if sees_far_out:
-        # What shadow rays pass, such as glass, hides no light of the environment that was counted before.
+        # Surfaces that shadow rays pass, such as glass, do not hide environment light, which was added as direct light.
         sees_far_out[child] = refracted == 0 or sees_environment(i, wave)
 
 

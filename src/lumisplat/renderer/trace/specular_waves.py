@@ -1,7 +1,7 @@
 """Host pass: waves of reflected and refracted rays.
 
-The rays that leave the smooth surfaces of one wave are the next wave. Radiance is gathered from the last wave to the
-first, so that one item writes each element, whatever the number of threads.
+Rays that leave the smooth surfaces of one wave form the next wave. Radiance is gathered from the last wave to the
+first, so that each element is written by one item, and the result does not depend on the number of threads.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -21,7 +21,7 @@ from lumisplat.runtime.primitives import prefix_sum
 
 
 class SpecularWaves:
-    """Spawns the rays of the next wave, and gathers their radiance.
+    """Starts the rays of the next wave, and gathers their radiance.
 
     Args:
         launcher: Runs the kernels.
@@ -33,23 +33,23 @@ class SpecularWaves:
 
     @staticmethod
     def modules() -> list[KernelModule]:
-        """The kernel modules."""
+        """Returns the kernel modules."""
         return [kernels]
 
     def number(self, wave: RayWave) -> None:
-        """Numbers the branches of a wave: they are the rays of the next one."""
+        """Numbers the branches of a wave, which are the rays of the next one."""
         prefix_sum(device_array(wave.row.branches), device_array(wave.row.branch_ends), inclusive=True)
 
     def capacity(self, wave: RayWave) -> int:
-        """Room for the rays of the next wave, 0 if there are none. The host waits for their number.
+        """Returns the array size for the next wave's rays, 0 if there are none; waits for their number.
 
-        There are a few capacities instead of one per frame.
+        Sizes are rounded up to a few capacities, so that buffers are reused.
         """
         count = int(device_array(wave.row.branch_ends)[-1:].numpy()[0])
         return grown_capacity(count)
 
     def spawn(self, scene: DeviceScene, plan: FramePlan, wave: RayWave, capacity: int) -> tuple[RayData, CarriedState]:
-        """The rays of the next wave, and what they bring along; also writes their path weights."""
+        """Returns the rays of the next wave and their inherited state; also writes their path weights."""
         number = wave.number + 1
         rays = self._buffers.struct(f"wave.rays{number % 2}", RayData, capacity)
         rays.is_active.zero_()
@@ -67,5 +67,5 @@ class SpecularWaves:
         return rays, CarriedState(weights, media, sees_environment)
 
     def gather(self, scene: DeviceScene, near: RayWave, far: RayWave) -> None:
-        """Adds the radiance of the ``far`` wave's rays to the rays of the ``near`` wave that they branch off."""
+        """Adds the radiance of the ``far`` wave's rays to their parent rays in the ``near`` wave."""
         self._launcher.run_banded(kernels.gather_branches, near.count, scene.shading, far.data, near.data)

@@ -1,7 +1,7 @@
-"""Stochastic hits of incoherent rays: one item is one ray, which walks the trees alone.
+"""Stochastic hits of incoherent rays. One item is one ray, which traverses the BVHs on its own.
 
-Which Gaussian a ray meets is what ``gaussian_trace_kernels`` finds with ``STRATEGY_HIT``: the nearest of those that are
-accepted with their alpha. The equations are in docs/method/ray_tracing.md.
+The hit is the same as that of ``gaussian_trace_kernels`` with ``STRATEGY_HIT``: the nearest of the Gaussians that are
+accepted with probability alpha. The equations are in docs/method/ray_tracing.md.
 """
 
 import warp as wp
@@ -47,7 +47,7 @@ def find_hit_in_instance(
     rays: RayData,
     nearest: wp.ref[Hit],
 ):
-    """Replaces what ray ``i`` meets by a nearer Gaussian of instance ``number``, on the stack above ``top``."""
+    """Replaces the nearest hit of ray ``i`` by a nearer Gaussian of instance ``number``, on the stack above ``top``."""
     instance = scene.instances[number]
     ray = ray_in_instance(i, instance, instance.hit_distance, rays)
     t_min = rays.t_min[i]
@@ -91,7 +91,7 @@ def find_stochastic_hits(
     limits: wp.array[float],
     hits_out: GaussianHits,
 ):
-    """The Gaussian that a ray meets before its limit; rays are taken in this order."""
+    """Finds the Gaussian that each ray hits before its limit; rays are processed in ``order``."""
     i = order[start + wp.tid()]
     config = settings[0]
     pixel = empty_pixel()
@@ -121,7 +121,7 @@ def find_stochastic_hits(
     if nearest.index >= 0:
         ray = ray_of(rays, i)
         if config.offset < FAR:
-            ray.t_min = 0.0  # small Gaussians count before it
+            ray.t_min = 0.0  # small Gaussians count in front of it, too
         blended = blend_hit(pixel, config, scene.instances, scene.assets, ray, nearest.index, 1.0)
         store_pixel(hits_out, i, blended)
         hits_out.depth[i] = surface_distance(scene, ray, end, nearest.index, nearest.t)
