@@ -1,4 +1,4 @@
-"""What the tests of the renderer share."""
+"""Fixtures that the renderer's tests share."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from support.compare.ways import WAYS, renderer_of
 
 @pytest.fixture(params=WAYS)
 def way(request: pytest.FixtureRequest) -> str:
-    """One way to compute a frame."""
+    """One backend: device, schedule and graph capture with which a frame is computed."""
     return request.param
 
 
 @pytest.fixture
 def renderer(way: str) -> ls.Renderer:
-    """A renderer with the default settings."""
+    """A renderer with default settings on one backend."""
     return renderer_of(way)

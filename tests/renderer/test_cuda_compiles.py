@@ -1,6 +1,6 @@
-"""Every kernel that runs on CUDA compiles for it, on a machine without a GPU: Warp brings NVRTC along.
+"""Every CUDA kernel compiles without a GPU, by the NVRTC that Warp contains.
 
-What it makes is kept in the kernel cache under a hash of the sources, so that a module is compiled when it changes.
+The results are stored in the kernel cache under a hash of the sources, so only changed modules are compiled.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from support.kernels import CUDA_ARCHITECTURE, compile_for_cuda, cuda_modules, g
 
 MODULES = {module.name: module for module in cuda_modules()}
 GENERATED = {module.name: module for module in generated_modules(parallel=True)}
-"""Made with as many rays a packet as CUDA uses, each with a small and a full stack."""
+"""Modules generated for CUDA's packet size, each with a small and a full stack."""
 
 ARCHITECTURES = pytest.mark.parametrize(
     "architecture", [CUDA_ARCHITECTURE, *(pytest.param(n, marks=pytest.mark.deep) for n in (75, 90, 120))]
@@ -22,7 +22,7 @@ ARCHITECTURES = pytest.mark.parametrize(
 
 
 def test_kernel_modules_are_found() -> None:
-    """The lists are not empty by accident."""
+    """The lists of modules contain the expected kernels."""
     raster = {
         "splat_kernels",
         "splat_kernels.blocks",
@@ -38,19 +38,19 @@ def test_kernel_modules_are_found() -> None:
 @ARCHITECTURES
 @pytest.mark.parametrize("name", MODULES)
 def test_module_compiles_for_cuda(name: str, architecture: int) -> None:
-    """NVRTC accepts a module, and every kernel of it is in the result."""
+    """NVRTC compiles the module, and the result contains each of its kernels."""
     check_compiles(MODULES[name], architecture)
 
 
 @ARCHITECTURES
 @pytest.mark.parametrize("name", GENERATED)
 def test_generated_kernel_compiles_for_cuda(name: str, architecture: int) -> None:
-    """So do the kernels that are made for a number of rays."""
+    """NVRTC compiles the kernels that are generated for a packet size."""
     check_compiles(GENERATED[name], architecture)
 
 
 def check_compiles(module: Any, architecture: int) -> None:
-    """Fails unless all kernels of a module are in what NVRTC makes of it."""
+    """Fails unless NVRTC's result contains all kernels of a module."""
     kernels = list(module.kernels.values())
     assert kernels, f"{module} has no kernels"
     code = compile_for_cuda(module, architecture).read_text()
@@ -59,8 +59,8 @@ def check_compiles(module: Any, architecture: int) -> None:
         assert f"{kernel.key}_" in code
 
 
-def test_rays_of_a_warp_agree_by_one_instruction() -> None:
-    """And blocks ask for so few registers that four of them share a multiprocessor."""
+def test_warp_reductions_use_one_instruction() -> None:
+    """Packets reduce over a warp by redux.sync, and launch bounds allow four blocks per multiprocessor."""
     (tracer, *_) = [module for name, module in GENERATED.items() if name.startswith("gaussian_trace_kernel")]
     code = compile_for_cuda(tracer).read_text()
     assert "redux.sync.max.s32" in code

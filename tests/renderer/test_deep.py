@@ -1,4 +1,4 @@
-"""Deep frames: samples that add up to frames, that let things in between, and come back from files."""
+"""Deep frames: samples that composite to the frame, allow insertion in depth, and can be saved."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ def card(depth: float, color: float = 0.3) -> ls.MeshInstance:
 
 @pytest.fixture(scope="module")
 def cloud() -> ls.Gaussians:
-    """Gaussians of all opacities between depths of about 3 and 7."""
+    """Gaussians of all opacities at depths of about 3 to 7."""
     return random_gaussians(3, count=400)
 
 
 def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
-    """Premultiplied linear colour and alpha, as an EXR has them."""
+    """Premultiplied linear colour and alpha, as in an EXR."""
     channels = frame.layers([])
     return np.stack([channels[name] for name in "RGBA"], axis=-1)
 
 
 @pytest.mark.parametrize("wall", [(), (6.0,)])
-def test_samples_add_up_to_the_traced_frame(cloud: ls.Gaussians, wall: tuple[float, ...]) -> None:
-    """With a wall behind or among them, and without."""
+def test_deep_samples_composite_to_the_traced_frame(cloud: ls.Gaussians, wall: tuple[float, ...]) -> None:
+    """Holds without a wall and with a wall among the Gaussians."""
     scene = ls.Scene(splats=[cloud], meshes=[card(depth) for depth in wall])
     deep = ls.layers.render_deep(scene, front_camera(), device="cpu")
     np.testing.assert_allclose(
@@ -48,8 +48,8 @@ def test_samples_add_up_to_the_traced_frame(cloud: ls.Gaussians, wall: tuple[flo
     assert inside[np.setdiff1d(np.arange(len(inside)), deep.first[1:-1] - 1)].all()
 
 
-def test_samples_add_up_to_a_frame_that_is_given(cloud: ls.Gaussians) -> None:
-    """Lit by a lamp: colours are the frame's, depths and alphas those of the rays."""
+def test_deep_samples_composite_to_a_given_lit_frame(cloud: ls.Gaussians) -> None:
+    """Colours add up to the lit frame; depths and alphas are those of the rays."""
     lit = ls.Scene(
         splats=[ls.SplatInstance(cloud, material=ls.MaterialPbr())],
         meshes=[card(8.0)],
@@ -63,11 +63,8 @@ def test_samples_add_up_to_a_frame_that_is_given(cloud: ls.Gaussians) -> None:
         ls.layers.render_deep(lit, front_camera().scaled(20), frame, device="cpu")
 
 
-def test_things_go_in_between(cloud: ls.Gaussians) -> None:
-    """What a wall put among the samples by depth would show of itself is what frames with it show, within a step.
-
-    Of Gaussians as wide as pixels make them, at the depths by which they are in front of a mesh or behind it.
-    """
+def test_objects_can_be_inserted_between_deep_samples(cloud: ls.Gaussians) -> None:
+    """The transmittance in front of an inserted wall equals that of a frame rendered with the wall, within one step."""
     config = replace(TRACED, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.PEAK))
     deep = ls.layers.render_deep(ls.Scene(splats=[cloud]), front_camera(), config=config, device="cpu")
     through = np.ones(len(deep.first) - 1)
@@ -82,7 +79,7 @@ def test_things_go_in_between(cloud: ls.Gaussians) -> None:
 
 
 def test_pixels_without_rays_have_no_samples(cloud: ls.Gaussians) -> None:
-    """Corners of a fisheye beyond its circle."""
+    """Corners outside of a fisheye's image circle have no samples."""
     camera = ls.Camera.look_at(
         (0, 0, 0), (0, 0, 1), (0, -1, 0), width=24, height=24, fov_y=np.pi, model=ls.CameraModel.FISHEYE
     )
@@ -92,8 +89,8 @@ def test_pixels_without_rays_have_no_samples(cloud: ls.Gaussians) -> None:
     assert counts[0, 0] == 0 and counts.max() > 0
 
 
-def test_files_hold_the_samples(tmp_path: Path, cloud: ls.Gaussians) -> None:
-    """As OpenEXR reads them; other extensions are refused."""
+def test_exr_files_store_deep_samples(tmp_path: Path, cloud: ls.Gaussians) -> None:
+    """OpenEXR reads the samples back; other file extensions are refused."""
     deep = ls.layers.render_deep(ls.Scene(splats=[cloud], meshes=[card(6.0)]), front_camera(), device="cpu")
     deep.save(tmp_path / "deep.exr")
     file: Any
@@ -111,7 +108,7 @@ def test_files_hold_the_samples(tmp_path: Path, cloud: ls.Gaussians) -> None:
 
 
 def test_an_empty_view_has_no_samples() -> None:
-    """Nothing to see is no mistake."""
+    """A view without any object has no samples and raises no error."""
     away = random_gaussians(3, count=5)
     camera = ls.Camera.look_at((0, 0, 0), (0, 0, -1), (0, -1, 0), width=8, height=4, fov_y=0.5)
     deep = ls.layers.render_deep(ls.Scene(splats=[away]), camera, device="cpu")

@@ -1,6 +1,6 @@
-"""Deep frames of a capture as real ones are, of large Gaussians and many far smaller than a pixel, with meshes in it.
+"""Deep frames of a realistic capture: large Gaussians, many far smaller than a pixel, and meshes.
 
-Their samples add up to the frame in every pixel, for each pipeline, each kind of camera, and several samples a pixel.
+Their samples composite to the frame in every pixel, for each pipeline, camera model and number of samples.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import lumisplat as ls
 from support.scenes.raster_scenes import front_camera, random_gaussians
 
 TOLERANCE = 1e-6
-"""Of alphas, and of colours relative to the brightest: a few roundings of 32 bits."""
+"""Tolerance of alpha, and of colour relative to the brightest value: a few float32 roundings."""
 
 
 def capture() -> list[ls.Gaussians]:
-    """200 Gaussians as wide as a few pixels, and 3,000 of a few hundredths of one, which only their pixels widen."""
+    """200 Gaussians a few pixels wide, and 3,000 of a few hundredths of a pixel."""
     large, small = random_gaussians(5, count=200), random_gaussians(6, count=3000)
     tiny = replace(small, scales=np.full_like(small.scales, 1e-3))
     return [large, tiny]
 
 
 def triangle(depth: float) -> ls.MeshInstance:
-    """A leaning triangle, whose edges cross pixels."""
+    """A slanted triangle whose edges cross pixels."""
     corners = np.array([(-1.2, -1.0, depth), (1.3, -0.4, depth + 0.7), (0.1, 1.1, depth - 0.5)])
     material = ls.MaterialPbr(base_color=(0.7, 0.2, 0.1))
     return ls.MeshInstance(ls.Mesh(corners, np.array([(0, 1, 2)]), material=material))
@@ -34,19 +34,19 @@ def triangle(depth: float) -> ls.MeshInstance:
 
 @pytest.fixture(scope="module")
 def scene() -> ls.Scene:
-    """A capture that is kept around two triangles, with a lamp."""
+    """An emissive capture around two triangles, with a point light."""
     lamp = ls.LightPoint((1.0, -2.0, 0.0), intensity=30.0)
     return ls.Scene(splats=capture(), meshes=[triangle(4.0), triangle(4.6)], lights=[lamp])
 
 
 def linear(frame: ls.Frame) -> np.ndarray[Any, Any]:
-    """Premultiplied linear colour and alpha, as an EXR has them."""
+    """Premultiplied linear colour and alpha, as in an EXR."""
     channels = frame.layers([])
     return np.stack([channels[name] for name in "RGBA"], axis=-1)
 
 
 def check(deep: ls.layers.DeepFrame, frame: ls.Frame) -> None:
-    """Samples add up to the frame, wherever it shows anything, and follow each other without overlapping."""
+    """Asserts that samples composite to the frame and do not overlap in depth."""
     wanted = linear(frame)
     error = np.abs(deep.flattened() - wanted)
     assert 0.1 < wanted[..., 3].mean() < 0.9
@@ -73,16 +73,16 @@ CONFIGS = {
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_samples_add_up_to_frames_of_every_pipeline(scene: ls.Scene, name: str) -> None:
-    """Lit and unlit, with one sample a pixel and with several."""
+def test_deep_samples_composite_to_frames_of_every_pipeline(scene: ls.Scene, name: str) -> None:
+    """Covers lit and unlit frames with one and several samples per pixel."""
     config, camera = CONFIGS[name], front_camera()
     frame = ls.render(scene, camera, config, device="cpu")
     check(ls.layers.render_deep(scene, camera, frame, config, device="cpu"), frame)
 
 
 @pytest.mark.parametrize("model", ["lens", "wide lens", "fisheye", "orthographic", "window"])
-def test_samples_add_up_to_frames_of_every_camera(scene: ls.Scene, model: str) -> None:
-    """A lens out of focus among them, whose blur the samples have as well."""
+def test_deep_samples_composite_to_frames_of_every_camera_model(scene: ls.Scene, model: str) -> None:
+    """Covers a thin lens, too, whose blur the samples reproduce."""
     front = front_camera()
     around: Any = {"width": front.width, "height": front.height}
     cameras = {
@@ -101,8 +101,8 @@ def test_samples_add_up_to_frames_of_every_camera(scene: ls.Scene, model: str) -
     check(ls.layers.render_deep(scene, cameras[model], frame, config, device="cpu"), frame)
 
 
-def test_edges_of_meshes_cover_part_of_a_pixel(scene: ls.Scene) -> None:
-    """By as many of a pixel's rays as meet them; what stands behind has the rest."""
+def test_mesh_edges_cover_a_fraction_of_a_pixel(scene: ls.Scene) -> None:
+    """The fraction is that of the pixel's rays that hit the mesh; surfaces behind get the rest."""
     meshes = ls.Scene(meshes=scene.meshes)
     config = ls.RenderConfig(lighting=True, samples=4)
     frame = ls.render(meshes, front_camera(), config, device="cpu")
@@ -114,11 +114,8 @@ def test_edges_of_meshes_cover_part_of_a_pixel(scene: ls.Scene) -> None:
     assert {0.25, 0.5, 0.75, 1.0} <= set(shares.tolist())
 
 
-def test_silhouettes_are_as_deep_as_their_gaussians() -> None:
-    """Gaussians far smaller than a pixel at one depth: where the frame shows them, whoever draws it, that is theirs.
-
-    But for the width that pixels give them: 3 standard deviations of the root of 0.3 pixels, less than 2.
-    """
+def test_silhouette_samples_have_the_depth_of_their_gaussians() -> None:
+    """Sub-pixel Gaussians at one depth: samples lie there, within their footprint, wherever the frame shows them."""
     tiny = random_gaussians(6, count=300)
     flat = replace(tiny, means=tiny.means * (1, 1, 0) + (0, 0, 4), scales=np.full_like(tiny.scales, 1e-3))
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE):
@@ -128,8 +125,8 @@ def test_silhouettes_are_as_deep_as_their_gaussians() -> None:
         assert (np.abs(deep.near - 4.0) < 2 * 4.0 / front_camera().fx).all()
 
 
-def test_a_sky_is_behind_everything(scene: ls.Scene) -> None:
-    """It has what the capture leaves, at a depth that nothing else has, and its own colour where nothing is before."""
+def test_environment_sample_is_behind_everything(scene: ls.Scene) -> None:
+    """The environment's sample gets the remaining transmittance, and its own colour where nothing is in front."""
     sky = ls.LightEnvironment(np.full((4, 8, 3), 0.5, np.float32))
     lit = ls.Scene(splats=scene.splats, meshes=scene.meshes, lights=[sky])
     for pipeline in (ls.Pipeline.TRACE, ls.Pipeline.PATH):
@@ -147,8 +144,8 @@ def test_a_sky_is_behind_everything(scene: ls.Scene) -> None:
         assert np.abs(through - (1.0 - without.alpha.ravel())).max() < 1e-3
 
 
-def test_what_is_before_a_sky_keeps_its_light() -> None:
-    """Under a sun that is far brighter than the sky behind the pixels: nearer samples are the frame without a sky."""
+def test_environment_takes_no_light_from_nearer_samples() -> None:
+    """Under a sun far brighter than the background, nearer samples equal those of the frame without an environment."""
     image = np.full((16, 32, 3), 0.2, np.float32)
     image[2, 3] = 5000.0
     scene = ls.Scene(splats=capture(), lights=[ls.LightEnvironment(image)])
@@ -177,8 +174,8 @@ LAMPS = {
 
 
 @pytest.mark.parametrize("name", LAMPS)
-def test_lamps_that_are_seen_are_samples_of_light(name: str) -> None:
-    """As deep as they are, without alpha, as they block nothing: what is put behind them does not take their light."""
+def test_visible_lights_are_samples_with_alpha_zero(name: str) -> None:
+    """They lie at the light's depth and block nothing: an object inserted behind them does not remove their light."""
     lamp, camera = LAMPS[name], front_camera()
     wall = ls.MeshInstance(ls.Mesh([(-9, -9, 6), (9, -9, 6), (0, 9, 6)], [(0, 1, 2)]))
     scene = ls.Scene(meshes=[wall], lights=[lamp])
@@ -206,8 +203,10 @@ def test_lamps_that_are_seen_are_samples_of_light(name: str) -> None:
         *(pytest.param(ls.Pipeline.REALTIME, name, marks=pytest.mark.deep) for name in ("sphere", "disk")),
     ],
 )
-def test_samples_add_up_to_frames_with_lamps(scene: ls.Scene, name: str, pipeline: ls.Pipeline) -> None:
-    """That stand among Gaussians and meshes, and before nothing, without a background, too."""
+def test_deep_samples_composite_to_frames_with_visible_lights(
+    scene: ls.Scene, name: str, pipeline: ls.Pipeline
+) -> None:
+    """Lights stand among Gaussians and meshes, and in front of an empty background."""
     lit = replace(scene, lights=[LAMPS[name], replace(LAMPS["sphere"], position=(-1.0, -0.8, 2.5), radius=0.2)])
     for background in ((0.0, 0.0, 0.0), None):
         config = ls.RenderConfig(
@@ -217,8 +216,8 @@ def test_samples_add_up_to_frames_with_lamps(scene: ls.Scene, name: str, pipelin
         check(ls.layers.render_deep(lit, front_camera(), frame, config, device="cpu"), frame)
 
 
-def test_rays_of_a_given_frame_go_through_the_lens_as_its_own_did(scene: ls.Scene) -> None:
-    """By the seed of the frame, whatever settings are given besides."""
+def test_deep_rays_use_the_seed_of_the_given_frame(scene: ls.Scene) -> None:
+    """Lens samples follow the frame's seed, whatever other settings are given."""
     camera = replace(front_camera(), aperture=0.2, focus_distance=4.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False, samples=2, seed=7)
     frame = ls.render(scene, camera, config, device="cpu")
@@ -228,8 +227,8 @@ def test_rays_of_a_given_frame_go_through_the_lens_as_its_own_did(scene: ls.Scen
         np.testing.assert_array_equal(getattr(by_its_own, name), getattr(other, name))
 
 
-def test_samples_have_their_own_colours() -> None:
-    """A red Gaussian before a green one."""
+def test_deep_samples_have_the_colours_of_their_gaussians() -> None:
+    """A red Gaussian in front of a green one gives a red sample in front of a green one."""
     both = random_gaussians(1, count=2)
     colors = np.array([(0.5, -0.5, -0.5), (-0.5, 0.5, -0.5)], np.float32) / 0.28209479
     means = np.array([(0.0, 0.0, 4.0), (0.0, 0.0, 9.0)], np.float32)

@@ -1,4 +1,4 @@
-"""Pictures do not depend on where zero is, nor on the unit: all pipelines, shadows, rays and deep shadow maps."""
+"""Frames do not depend on the distance from the origin or on the unit, in all pipelines, shadows and ray queries."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def ball(unit: float = 1.0) -> ls.Gaussians:
 
 
 def lit(place: Any = (0.0, 0.0, 0.0), unit: float = 1.0, *, in_mesh: bool = False) -> tuple[ls.Scene, ls.Camera]:
-    """A lit ball above a floor that it shadows, at a place, in a unit; the floor's own corners may be far away."""
+    """A lit ball and its shadow on a floor, at a position and in a unit; the floor's own corners may be far away."""
     at = np.asarray(place, float)
     floor = ls.Mesh(unit * FLOOR + (at if in_mesh else 0.0), TRIANGLES)
     scene = ls.Scene(
@@ -45,21 +45,21 @@ def lit(place: Any = (0.0, 0.0, 0.0), unit: float = 1.0, *, in_mesh: bool = Fals
 
 
 def shown(pipeline: ls.Pipeline, scene: ls.Scene, camera: ls.Camera) -> np.ndarray:
-    """A frame's colours."""
+    """Colours of a frame."""
     config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=2)
     return ls.render(scene, camera, config, device="cpu").color
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_a_lit_scene_far_away_looks_as_at_zero(pipeline: ls.Pipeline) -> None:
-    """Shadows included; 0.8 off before. A penumbra's rounding is all that is left."""
+def test_lit_scene_far_from_the_origin_looks_the_same(pipeline: ls.Pipeline) -> None:
+    """Includes shadows; only rounding in penumbrae may differ."""
     expected = shown(pipeline, *lit())
     for place in FAR:
         np.testing.assert_allclose(shown(pipeline, *lit(place)), expected, atol=2e-3)
 
 
-def test_a_mesh_that_is_itself_far_away_looks_as_at_zero() -> None:
-    """Its corners are far in the mesh's own space: whole numbers, which float32 holds there."""
+def test_mesh_with_far_object_coordinates_looks_the_same() -> None:
+    """The corners are far away in object space, at integers that float32 represents."""
     place = (2.0**20, -(2.0**20), 2.0**19)
     scene, camera = lit()
     low = np.round(8.0 * FLOOR) / 8.0  # eighths stay exact at 2^20
@@ -70,8 +70,8 @@ def test_a_mesh_that_is_itself_far_away_looks_as_at_zero() -> None:
     np.testing.assert_allclose(shown(ls.Pipeline.TRACE, far, far_camera), expected, atol=2e-3)
 
 
-def test_real_time_far_away_is_as_bright_as_at_zero() -> None:
-    """Cells and noise fall elsewhere: means agree, and a scene that stays keeps its history."""
+def test_real_time_frame_far_from_the_origin_is_as_bright() -> None:
+    """Cells and noise differ, but means agree, and an unmoved scene keeps its history."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, shadows=ls.Shadows.SOFT)
     means = []
     for place in ((0.0, 0.0, 0.0), *FAR):
@@ -83,19 +83,19 @@ def test_real_time_far_away_is_as_bright_as_at_zero() -> None:
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("unit", [1e-3, 1e-5, 1e3])
-def test_the_unit_of_a_scene_does_not_show(pipeline: ls.Pipeline, unit: float) -> None:
-    """A scene of millimetres, or a thousandth of these, was black behind the near plane of 0.01 units."""
+def test_frames_do_not_depend_on_the_scene_unit(pipeline: ls.Pipeline, unit: float) -> None:
+    """Scenes in millimetres or micrometres are not clipped by a near plane of 0.01 units."""
     np.testing.assert_allclose(shown(pipeline, *lit(unit=unit)), shown(pipeline, *lit()), atol=1e-3)
 
 
-def test_a_scene_in_powers_of_two_is_the_same_to_the_bit() -> None:
-    """Everything is a share of the scene's own size: only exponents change."""
+def test_scaling_by_a_power_of_two_changes_no_bit() -> None:
+    """All thresholds are relative to the scene's size, so only exponents change."""
     for pipeline in PIPELINES:
         np.testing.assert_array_equal(shown(pipeline, *lit(unit=2.0**10)), shown(pipeline, *lit(unit=2.0**5)))
 
 
-def test_rays_are_traced_from_where_they_start_in_float64() -> None:
-    """Hits, transmittances, profiles and depths of rays at map coordinates are those at zero."""
+def test_ray_queries_keep_float64_origins() -> None:
+    """Hits, transmittances, profiles and depths of rays at map coordinates equal those at the origin."""
     near, far = (lit(place)[0] for place in ((0.0, 0.0, 0.0), FAR[1]))
     starts = np.random.default_rng(3).uniform(-0.4, 0.4, (40, 3)) + np.array([0.0, 0.0, 3.0])
     ways = np.tile([0.0, 0.0, -1.0], (40, 1))
@@ -112,16 +112,16 @@ def test_rays_are_traced_from_where_they_start_in_float64() -> None:
     np.testing.assert_allclose(passed[1], passed[0], atol=1e-4)
 
 
-def test_the_camera_is_focused_far_away_as_at_zero() -> None:
-    """The distance of what a pixel shows."""
+def test_focus_distance_does_not_depend_on_the_origin() -> None:
+    """The focus distance at a pixel equals that of the scene at the origin."""
     near, far = (
         ls.rays.focused(*lit(place), 16, 12, device="cpu").focus_distance for place in ((0.0, 0.0, 0.0), FAR[0])
     )
     assert far == pytest.approx(near, rel=1e-4)
 
 
-def test_deep_images_far_away_have_the_depths_of_those_at_zero() -> None:
-    """Samples in depth are distances from the camera, wherever that is."""
+def test_deep_depths_do_not_depend_on_the_origin() -> None:
+    """Depths are distances from the camera, wherever it is."""
     frames = [ls.layers.render_deep(*lit(place), device="cpu") for place in ((0.0, 0.0, 0.0), FAR[0])]
     np.testing.assert_array_equal(frames[0].first, frames[1].first)
     np.testing.assert_allclose(frames[1].near, frames[0].near, atol=1e-3)
@@ -129,8 +129,8 @@ def test_deep_images_far_away_have_the_depths_of_those_at_zero() -> None:
 
 @pytest.mark.parametrize("light", ["point", "parallel"])
 @pytest.mark.parametrize("receives", [False, True])
-def test_deep_shadow_maps_far_away_are_those_at_zero(light: str, receives: bool, tmp_path: Any) -> None:
-    """Of points and of Gaussians, of meshes as well, and after saving and loading."""
+def test_deep_shadow_maps_do_not_depend_on_the_origin(light: str, receives: bool, tmp_path: Any) -> None:
+    """Holds for points, Gaussians and meshes, also after saving and loading."""
     points = np.random.default_rng(4).uniform(-1.0, 1.0, (60, 3)) + np.array([0.0, -1.2, 0.0])
     found = []
     for place in ((0.0, 0.0, 0.0), *FAR):
@@ -157,8 +157,8 @@ def test_deep_shadow_maps_far_away_are_those_at_zero(light: str, receives: bool,
         np.testing.assert_allclose(one, found[0], atol=2e-3)
 
 
-def test_a_near_plane_that_is_given_stays() -> None:
-    """Only the default follows the scene: a small scene behind a plane of its own choice is cut away."""
+def test_explicit_near_plane_is_not_changed() -> None:
+    """Only the default near plane adapts to the scene."""
     scene, camera = lit(unit=1e-3)
     assert shown(ls.Pipeline.RASTER, scene, camera).any()
     assert not shown(ls.Pipeline.RASTER, scene, replace(camera, near=0.02)).any()

@@ -1,4 +1,4 @@
-"""Nothing moved: the demo scene looks as it did when someone last looked at it."""
+"""The demo scene looks as in the stored frames that somebody approved."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from support.compare.images import assert_images_alike
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.view)
 def test_demo_looks_as_stored(case: Golden, demo: ls.Scene) -> None:
-    """Colour, normal and depth of a view agree with the stored ones, channel by channel."""
+    """Colour, normal and depth of a view agree with the stored images."""
     now = case.render(demo)
     with np.load(case.path) as stored:
         for layer in LAYERS:
@@ -27,7 +27,7 @@ def test_demo_looks_as_stored(case: Golden, demo: ls.Scene) -> None:
 
 
 def test_goldens_notice_a_change(demo: ls.Scene) -> None:
-    """A frame of another setting is not taken for the stored one."""
+    """A frame with another setting does not pass the comparison."""
     case = CASES[0]
     blurred = Golden(case.view, "", ls.RenderConfig(raster=ls.RasterConfig(dilation=3.0))).render(demo)
     with np.load(case.path) as stored, pytest.raises(AssertionError):

@@ -1,4 +1,4 @@
-"""What only a CUDA device can show; skipped where there is none."""
+"""Tests that need a CUDA device; skipped without one."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ NAMES = ("color", "alpha", "normal")
 
 
 @pytest.mark.parametrize("case", scenes.cases(), ids=lambda case: case.name)
-def test_cuda_draws_what_the_cpu_draws(case: scenes.Case) -> None:
-    """A CUDA frame equals the CPU's, but for pixels where an alpha lies within rounding of 1/255."""
+def test_cuda_raster_frame_equals_the_cpu_frame(case: scenes.Case) -> None:
+    """Pixels may differ where an alpha is within rounding of 1/255."""
     cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
     cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
     for name in NAMES:
@@ -32,8 +32,8 @@ def test_cuda_draws_what_the_cpu_draws(case: scenes.Case) -> None:
 
 
 @pytest.mark.parametrize("case", trace_scenes.cases(), ids=lambda case: case.name)
-def test_cuda_traces_what_the_cpu_traces(case: scenes.Case) -> None:
-    """A traced CUDA frame equals the CPU's, but where a decision lies within rounding."""
+def test_cuda_traced_frame_equals_the_cpu_frame(case: scenes.Case) -> None:
+    """Pixels may differ where a decision is within rounding."""
     cpu = ls.render(case.scene, case.camera, case.config, device="cpu")
     cuda = ls.render(case.scene, case.camera, case.config, device="cuda")
     for name in NAMES:
@@ -43,8 +43,8 @@ def test_cuda_traces_what_the_cpu_traces(case: scenes.Case) -> None:
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_cuda_lights_what_the_cpu_lights(pipeline: ls.Pipeline) -> None:
-    """A lit CUDA frame, with soft shadows, mirrors and glass, equals the CPU's but where a decision is rounding's."""
+def test_cuda_lit_frame_equals_the_cpu_frame(pipeline: ls.Pipeline) -> None:
+    """Covers soft shadows, mirrors and glass; pixels may differ where a decision is within rounding."""
     samples = 1 if pipeline is ls.Pipeline.REALTIME else 2
     config = lit_scene.config(pipeline, shadows=ls.Shadows.SOFT, samples=samples)
     scene, camera = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY), lit_scene.camera()
@@ -56,8 +56,8 @@ def test_cuda_lights_what_the_cpu_lights(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID])
-def test_captures_come_out_of_cuda_as_they_went_in(pipeline: ls.Pipeline) -> None:
-    """Where nothing reflects, a lit frame is the unlit one: to the rounding of kernels that are compiled apart."""
+def test_cuda_lighting_leaves_captures_unchanged(pipeline: ls.Pipeline) -> None:
+    """Without reflecting surfaces, a lit frame equals the unlit one up to rounding of separately compiled kernels."""
     scene, camera = ls.Scene([scenes.random_gaussians(71, 300, degree=2)], (), lit_scene.LAMPS), lit_scene.camera()
     config = ls.RenderConfig(pipeline=pipeline, background=(0.2, 0.3, 0.4), lighting=True)
     frame = ls.render(scene, camera, config, device="cuda")
@@ -68,8 +68,8 @@ def test_captures_come_out_of_cuda_as_they_went_in(pipeline: ls.Pipeline) -> Non
 
 
 @pytest.mark.parametrize("degree", [2, 4])
-def test_cuda_differentiates_rays_as_the_cpu_does(degree: int) -> None:
-    """Frames of rays, by all parameters and by the pose; the same bits again."""
+def test_cuda_ray_gradients_equal_the_cpu_gradients(degree: int) -> None:
+    """Covers all parameters and the pose; repeated gradients are equal to the bit."""
     scene, camera = ls.Scene([replace(gradient_scenes.cloud(count=60), kernel_degree=degree)]), gradient_scenes.view()
     found: list[ls.gradients.SplatGradients] = []
     for device in ("cpu", "cuda", "cuda"):
@@ -87,8 +87,8 @@ def test_cuda_differentiates_rays_as_the_cpu_does(degree: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_cuda_rasterises_along_rays_as_the_cpu_does(name: str) -> None:
-    """Frames of lenses, and their derivatives, but for the order of sums."""
+def test_cuda_unscented_frames_equal_the_cpu_frames(name: str) -> None:
+    """Covers frames of all lenses and their gradients, up to the order of sums."""
     camera = lenses.LENSES[name]
     scene = ls.Scene([scenes.random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     found: list[ls.gradients.SplatGradients] = []
@@ -109,8 +109,8 @@ def test_cuda_rasterises_along_rays_as_the_cpu_does(name: str) -> None:
     assert np.abs(poses[0] - poses[1]).max() < 5e-3 * np.abs(poses[0]).max()  # pixels at a threshold pull on all of it
 
 
-def test_graph_repeats_the_direct_frame() -> None:
-    """The third frame, replayed as a graph, is bit-equal to the first; a moved camera moves the replay too."""
+def test_graph_replay_equals_the_direct_frame() -> None:
+    """The third frame, replayed as a graph, equals the first to the bit, and follows a moved camera."""
     case = scenes.cases()[3]
     renderer = ls.create_renderer(case.config, "cuda")
     first = renderer.render(case.scene, case.camera)
@@ -122,8 +122,8 @@ def test_graph_repeats_the_direct_frame() -> None:
     np.testing.assert_array_equal(renderer.render(case.scene, moved).color, expected.color)
 
 
-def test_profiled_frame_times_its_stages() -> None:
-    """Profiling reports every stage and changes nothing."""
+def test_profiling_times_every_stage() -> None:
+    """Profiling reports every stage and changes no pixel."""
     case = scenes.cases()[3]
     plain = ls.create_renderer(case.config, "cuda").render(case.scene, case.camera)
     profiled = ls.create_renderer(case.config, "cuda", profile=True).render(case.scene, case.camera)
@@ -133,8 +133,8 @@ def test_profiled_frame_times_its_stages() -> None:
 
 
 @pytest.mark.parametrize("light", [(0.5, -3.0, 1.0), ls.LightDirectional((0.2, 1.0, 0.1))], ids=["point", "parallel"])
-def test_cuda_shadows_what_the_cpu_shadows(light: object) -> None:
-    """A deep shadow map on CUDA is the CPU's, to float32's rounding."""
+def test_cuda_deep_shadow_map_equals_the_cpu_map(light: object) -> None:
+    """A deep shadow map on CUDA equals the CPU's up to float32 rounding."""
     casters, receivers = scenes.random_gaussians(1, 200), scenes.random_gaussians(2, 2000, extent=(4.0, 4.0, 4.0))
     seen = [
         ls.DeepShadowMap.build(casters, light, receivers, device=device).transmittance_of(receivers)
@@ -144,8 +144,8 @@ def test_cuda_shadows_what_the_cpu_shadows(light: object) -> None:
     np.testing.assert_allclose(seen[1], seen[0], atol=1e-4)
 
 
-def test_derivatives_are_taken_from_arrays_on_the_gpu() -> None:
-    """By DLPack, as tensors of other packages are."""
+def test_gradients_accept_gpu_arrays() -> None:
+    """Arrays on the GPU are read by DLPack, like tensors of other packages."""
     scene, camera = ls.Scene([scenes.random_gaussians(3, 60)]), scenes.front_camera()
     pull = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
     there: Any = wp.array(pull, dtype=wp.float32, device="cuda:0")  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""Frames from captured graphs, with CUDA's schedule on the CPU: what stays captured, and what makes a graph stale."""
+"""Frames from captured graphs with CUDA's schedule on the CPU: which graphs are reused, and when they are stale."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ IMAGES = ("color", "alpha", "depth", "normal", "gaussian_index", "captured", "li
 LAYERS = ("albedo", "reflection", "hits", "light_direct", "light_shadow", "light_total", "direct_diffuse", "bounces")
 ALL_AOVS = ("albedo", "emission", "reflection", "lights", "hits")
 WARM_FRAMES = 3
-"""Direct with new buffers, direct, captured."""
+"""Frames until graphs are replayed: direct with new buffers, direct, captured."""
 STOCHASTIC = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
 SHARED = ls.ShadowConfig(method=ls.config.ShadowMethod.STOCHASTIC, shared_draws=True)
 
 
 class Pair:
-    """A renderer that replays graphs and one that launches each kernel, both with CUDA's schedule."""
+    """Two renderers with CUDA's schedule: one replays graphs, the other launches each kernel."""
 
     def __init__(self, settings: ls.RenderConfig) -> None:
         self.launcher = GraphLauncher()
@@ -41,11 +41,11 @@ class Pair:
 
     @property
     def buffers(self) -> Buffers:
-        """Those that graphs use."""
+        """Buffers of the renderer with graphs."""
         return self._graphs._buffers
 
     def launches_of(self, shown: ls.Scene, view: ls.Camera) -> int:
-        """Renders a frame both ways, which must be equal to the bit; how many kernels were launched for it."""
+        """Renders a frame with both, asserts bit-equality, and returns the number of kernel launches with graphs."""
         before = self.launcher.launches
         frame = self._graphs.render(shown, view)
         launches = self.launcher.launches - before
@@ -59,7 +59,7 @@ class Pair:
         return launches
 
     def warm_up(self, shown: ls.Scene, view: ls.Camera) -> None:
-        """Renders until all is captured."""
+        """Renders until everything is captured."""
         for _ in range(WARM_FRAMES):
             self.launches_of(shown, view)
 
@@ -78,15 +78,15 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("settings", SETTINGS.values(), ids=SETTINGS.keys())
-def test_a_steady_frame_launches_graphs_only(settings: ls.RenderConfig) -> None:
-    """Of several samples, lit, with mirrors and all layers: no kernel is launched by itself, and no bit differs."""
+def test_steady_frame_launches_only_graphs(settings: ls.RenderConfig) -> None:
+    """A frame with samples, lights, mirrors and all layers launches no single kernel, and all bits are equal."""
     pair, shown = Pair(settings), scene(*LAMPS, SKY)
     pair.warm_up(shown, camera())
     assert pair.launches_of(shown, camera()) == 0
 
 
 def moved(shown: ls.Scene) -> ls.Scene:
-    """All of its instances and lights elsewhere, the lights with other colours."""
+    """The scene with all instances and lights moved, and other light colours."""
     shift = similarity(offset=(0.1, 0.05, 0.0))
     return replace(
         shown,
@@ -95,15 +95,15 @@ def moved(shown: ls.Scene) -> ls.Scene:
     )
 
 
-def turned_sky(shown: ls.Scene) -> ls.Scene:
-    """Its environment is visible and turned."""
+def rotated_environment(shown: ls.Scene) -> ls.Scene:
+    """The scene with its environment visible and rotated."""
     turned = replace(SKY, visible=True, rotation_wxyz=(0.6, 0.0, 0.8, 0.0))
     return replace(shown, lights=[turned if light is SKY else light for light in shown.lights])
 
 
-@pytest.mark.parametrize("change", [moved, turned_sky], ids=["instances and lights", "environment"])
-def test_what_moves_is_followed_by_the_same_graphs(change: Callable[[ls.Scene], ls.Scene]) -> None:
-    """Cameras, transforms, lights and samples are read from arrays whose addresses stay."""
+@pytest.mark.parametrize("change", [moved, rotated_environment], ids=["instances and lights", "environment"])
+def test_graphs_are_reused_when_objects_move(change: Callable[[ls.Scene], ls.Scene]) -> None:
+    """Cameras, transforms, lights and samples are read from arrays with constant addresses."""
     settings = config(ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=2, max_bounces=0)
     pair, shown = Pair(settings), scene(*LAMPS, SKY)
     pair.warm_up(shown, camera())
@@ -112,36 +112,36 @@ def test_what_moves_is_followed_by_the_same_graphs(change: Callable[[ls.Scene], 
 
 
 def without_shadow(shown: ls.Scene) -> ls.Scene:
-    """Its first light casts none."""
+    """The scene with shadows of its first light disabled."""
     return replace(shown, lights=[replace(shown.lights[0], casts_shadow=False), *shown.lights[1:]])
 
 
 def of_another_kind(shown: ls.Scene) -> ls.Scene:
-    """Its first and last light are swapped, of which one is an environment."""
+    """The scene with its first and last light swapped, one of which is an environment."""
     return replace(shown, lights=[shown.lights[-1], *shown.lights[1:-1], shown.lights[0]])
 
 
 def with_one_light_less(shown: ls.Scene) -> ls.Scene:
-    """Without its first light."""
+    """The scene without its first light."""
     return replace(shown, lights=shown.lights[1:])
 
 
 def with_more(shown: ls.Scene) -> ls.Scene:
-    """With another mesh and another set."""
+    """The scene with another mesh and another set."""
     place = similarity(offset=(0.4, 0.6, 0.3), scale=0.5)
     more = ls.MeshInstance(shown.meshes[0].mesh, place), ls.SplatInstance(shown.splats[1].gaussians, place)
     return replace(shown, meshes=[*shown.meshes, more[0]], splats=[*shown.splats, more[1]])
 
 
 def larger(shown: ls.Scene) -> ls.Scene:
-    """Its largest set is twice the size, so that packets of rays are wider."""
+    """The scene with its largest set twice the size, so that ray packets are wider."""
     ground = shown.splats[0]
     grown = replace(ground, world_from_object=ground.transform @ similarity(scale=2.0))
     return replace(shown, splats=[grown, *shown.splats[1:]])
 
 
 def partly_relit(shown: ls.Scene) -> ls.Scene:
-    """Its sets are both relit, where one was kept as captured."""
+    """The scene with both sets relit, one of which was an emissive capture."""
     material = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
     return replace(shown, splats=[shown.splats[0], replace(shown.splats[1], material=material)])
 
@@ -151,10 +151,10 @@ FROZEN = [*((change, ls.Pipeline.HYBRID) for change in CHANGES), (partly_relit, 
 
 
 @pytest.mark.parametrize(("change", "pipeline"), FROZEN, ids=[f"{change.__name__} {name}" for change, name in FROZEN])
-def test_what_graphs_have_frozen_makes_them_stale(
+def test_graphs_are_stale_after_frozen_values_change(
     change: Callable[[ls.Scene], ls.Scene], pipeline: ls.Pipeline
 ) -> None:
-    """Other lights or other things in the scene are drawn directly, then captured, and so is the first scene again."""
+    """Other lights or objects are drawn directly, then captured again; so is the first scene afterwards."""
     pair, shown = Pair(config(pipeline, samples=1, max_bounces=2, aovs=("lights",))), scene(*LAMPS, SKY)
     pair.warm_up(shown, camera())
     other = change(shown)
@@ -165,8 +165,8 @@ def test_what_graphs_have_frozen_makes_them_stale(
     assert pair.launches_of(shown, camera()) == 0
 
 
-def test_buffers_that_grow_make_graphs_stale() -> None:
-    """Graphs hold addresses: memory that was given back must not be written."""
+def test_graphs_are_stale_after_buffers_grow() -> None:
+    """Graphs hold addresses, so that memory that was freed must not be written."""
     pair, shown = Pair(config(shadows=ls.Shadows.SOFT, samples=1)), scene(*LAMPS)
     pair.warm_up(shown, camera())
     pair.buffers.get("light.contributions", wp.vec3, 100_000)
@@ -176,8 +176,8 @@ def test_buffers_that_grow_make_graphs_stale() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_queries_between_frames_do_not_mix_with_them(pipeline: ls.Pipeline) -> None:
-    """Rays that a caller gives use the same arrays, with other sizes: no graph of a frame reads what they wrote."""
+def test_ray_queries_do_not_disturb_captured_frames(pipeline: ls.Pipeline) -> None:
+    """Ray queries use the same arrays with other sizes; no graph of a frame reads their results."""
     settings, shown = config(pipeline, shadows=ls.Shadows.SOFT, samples=2, max_bounces=2), scene(*LAMPS, SKY)
     renderer = ls.Renderer(settings, GraphLauncher())
     frames = [renderer.render(shown, camera()) for _ in range(WARM_FRAMES)]
@@ -191,8 +191,8 @@ def test_queries_between_frames_do_not_mix_with_them(pipeline: ls.Pipeline) -> N
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_rays_that_leave_gaussians_are_not_taken_for_others(pipeline: ls.Pipeline) -> None:
-    """As many of one kind as of the other: paths blend what those from elsewhere meet first, and add up relit sets."""
+def test_graphs_distinguish_rays_that_leave_gaussians(pipeline: ls.Pipeline) -> None:
+    """With equal counts, camera rays and rays that leave Gaussians need different graphs."""
     settings = config(pipeline, samples=2, max_bounces=1, path=ls.PathConfig(primary=ls.config.PathPrimary.ISO))
     graphs, direct = (
         ls.Renderer(settings, launcher) for launcher in (GraphLauncher(), Launcher("cpu", threads=1, parallel=True))
@@ -207,8 +207,8 @@ def test_rays_that_leave_gaussians_are_not_taken_for_others(pipeline: ls.Pipelin
         np.testing.assert_array_equal(graphs.leaving_hits(*rays, near).radiance, leaving.radiance)
 
 
-def test_more_rays_behind_mirrors_get_room() -> None:
-    """Glass that fills the view takes more room than the graph of a small ball has, and is drawn whole."""
+def test_graphs_grow_with_the_number_of_refracted_rays() -> None:
+    """Glass that fills the view needs larger arrays than the graph of a small ball, and is rendered completely."""
     pair, shown = Pair(config(ls.Pipeline.HYBRID, samples=2)), scene(*LAMPS)
     far = ls.Camera.look_at((0.1, 1.0, -9.0), (0.8, 0.35, 1.0), width=96, height=64, fov_y=0.8)
     near = ls.Camera.look_at((-0.3, 0.35, -0.8), (-0.3, 0.3, 0.0), width=96, height=64, fov_y=0.8)
@@ -221,7 +221,7 @@ def test_more_rays_behind_mirrors_get_room() -> None:
 
 
 def refusing(work: Callable[..., object], *refused: tuple[object, str]) -> Callable[..., object]:
-    """The function, within which those of objects fail."""
+    """A context in which calls of the given functions fail."""
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("the host waits for the device within a sample")
@@ -240,8 +240,8 @@ NEVER_CAPTURED = (READ_BACK, (Buffers, "_allocate"), (buffers, "assign_table"))
 
 
 @pytest.mark.parametrize("adaptive", [False, True])
-def test_paths_only_launch(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is read back, allocated or uploaded in the waves of a sample, once buffers have grown."""
+def test_path_waves_only_launch_kernels(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once buffers have grown, the waves of a sample read back, allocate and upload nothing."""
     settings = config(ls.Pipeline.PATH, samples=NOISE_SAMPLES_MIN + 2, max_bounces=2, adaptive=adaptive)
     renderer, shown = ls.Renderer(settings, Launcher("cpu", threads=1, parallel=True)), scene(*LAMPS, SKY)
     expected = renderer.render(shown, camera().scaled(24, 16))
@@ -251,7 +251,7 @@ def test_paths_only_launch(adaptive: bool, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_adaptive_samples_replay_the_same_graphs() -> None:
-    """Which pixels take part differs from sample to sample, and is read from arrays whose addresses stay."""
+    """The sampled pixels differ between samples, and are read from arrays with constant addresses."""
     samples = NOISE_SAMPLES_MIN + 6
     settings = config(ls.Pipeline.PATH, samples=samples, max_bounces=2, adaptive=True)
     pair, shown, view = Pair(settings), scene(*LAMPS, SKY), camera().scaled(24, 16)
@@ -259,8 +259,8 @@ def test_adaptive_samples_replay_the_same_graphs() -> None:
     assert pair.launches_of(shown, view) < 3 * samples, "lists of rays are launched, and nothing else"
 
 
-def test_real_time_counts_neither_highlights_nor_cells(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In CUDA's schedule the host knows how many there may be, and does not wait to be told how many there are."""
+def test_real_time_frames_read_back_no_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In CUDA's schedule, the host uses upper bounds and does not wait for counts."""
     lamps = [replace(LAMPS[0], position=(0.1 * n, 2.0, 0.0), intensity=1.0) for n in range(GRID_LIGHTS + 4)]
     renderer = ls.Renderer(config(ls.Pipeline.REALTIME), Launcher("cpu", threads=1, parallel=True))
     used: list[str] = []
@@ -271,8 +271,8 @@ def test_real_time_counts_neither_highlights_nor_cells(monkeypatch: pytest.Monke
     assert {*used} == {"start_lobes", "of_wave"}
 
 
-def test_a_cut_list_is_drawn_again_before_it_is_stored() -> None:
-    """A camera that comes so close that splats cover more tiles than there is room for, in a frame of two samples."""
+def test_truncated_tile_list_is_redrawn_before_storing() -> None:
+    """The camera moves so close that splats exceed the allocated tile list, in a frame of two samples."""
     shown = replace(scene(*LAMPS), meshes=())
     pair = Pair(config(ls.Pipeline.RASTER, shadows=ls.Shadows.OFF, samples=2))
     far, near = (ls.Camera.look_at((0.1, 0.3, z), (-0.7, 0.4, 0.9), width=400, height=300) for z in (-40.0, 0.4))

@@ -1,4 +1,4 @@
-"""The kernels that passes name, against those that their frames launch."""
+"""The kernel modules that passes list are those that their frames launch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MIRROR = ls.MaterialPbr(metallic=1.0, roughness=0.0)
 
 
 class Recorder(Launcher):
-    """Notes the modules that are loaded, and those of the kernels that are launched."""
+    """A launcher that records loaded modules, and the modules of launched kernels."""
 
     def __init__(self, parallel: bool) -> None:
         super().__init__("cpu", threads=1, parallel=parallel)
@@ -28,28 +28,28 @@ class Recorder(Launcher):
         self.launched: set[str] = set()
 
     def load(self, modules: Sequence[KernelModule], progress: Progress | None = None) -> None:
-        """Notes them; launches load what they need."""
+        """Records modules; launches load what they need."""
         self.loaded |= {name_of(module) for module in modules}
 
     def run(self, kernel: Any, count: int, *inputs: object) -> None:
-        """Notes the kernel's module."""
+        """Records the kernel's module."""
         if count:
             self.launched.add(name_of(kernel.module))
         super().run(kernel, count, *inputs)
 
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
-        """Notes the kernel's module."""
+        """Records the kernel's module."""
         self.launched.add(name_of(kernel.module))
         super().run_blocks(kernel, blocks, *inputs)
 
 
 def name_of(module: Any) -> str:
-    """Of a Python module, or of Warp's module of a single kernel."""
+    """Name of a Python module, or of the Warp module of a single kernel."""
     return module.__name__ if hasattr(module, "__name__") else module.name
 
 
 def scene(meshes: Sequence[ls.Mesh], *lights: Any, shadow_catcher: bool = False) -> ls.Scene:
-    """A capture, relit or only darkened, with meshes."""
+    """A capture, relit or only a shadow catcher, with meshes."""
     material = None if shadow_catcher else ls.MaterialPbr()
     capture = ls.SplatInstance(random_gaussians(3, count=60), material=material, shadow_catcher=shadow_catcher)
     return ls.Scene([capture], list(meshes), lights)
@@ -85,12 +85,12 @@ SETTINGS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("parallel", [False, True], ids=["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline), ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.deep)], ids=["some", "all"])
-def test_the_first_frame_of_a_prepared_renderer_compiles_nothing(
+def test_first_frame_of_a_prepared_renderer_compiles_nothing(
     all_of_them: bool, pipeline: ls.Pipeline, parallel: bool
 ) -> None:
-    """A kernel that compiled in the middle of a frame would do so on one thread, without progress.
+    """A kernel that compiles during a frame would block one thread without progress.
 
-    Each scene with the default settings, and each setting with a scene that has everything.
+    Covers each scene with default settings, and each setting with a scene that has all kinds of objects.
     """
     for name, content in SCENES.items():
         for kind, settings in SETTINGS.items():
@@ -107,15 +107,15 @@ def test_the_first_frame_of_a_prepared_renderer_compiles_nothing(
             assert launcher.launched <= loaded, f"{name}, {kind}"
 
 
-def test_captures_alone_load_no_more_than_they_need() -> None:
-    """A first frame does not wait for kernels of meshes, mirrors, lights, or of the other schedule."""
+def test_capture_without_lights_loads_only_raster_kernels() -> None:
+    """The first frame does not wait for kernels of meshes, mirrors, lights, or of the other schedule."""
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(), launcher).render(ls.Scene([random_gaussians(3)]), front_camera(16, 16))
     assert launcher.loaded == launcher.launched
 
 
 def names_of(content: ls.Scene, **settings: Any) -> set[str]:
-    """Kernel modules that a rasterised frame launches: the last part of their names."""
+    """Names of the kernel modules that a rasterised frame launches, without their package."""
     launcher = Recorder(parallel=False)
     Renderer(ls.RenderConfig(**settings), launcher).render(content, front_camera(16, 16))
     assert launcher.launched <= launcher.loaded
@@ -123,8 +123,8 @@ def names_of(content: ls.Scene, **settings: Any) -> set[str]:
 
 
 @pytest.mark.parametrize("soft", [False, True])
-def test_frames_without_blockers_follow_no_shadow_rays(soft: bool) -> None:
-    """Shadow-only sets are shadowed by what was added, captures not at all: alone, they need no rays, no hierarchy."""
+def test_frames_without_blockers_trace_no_shadow_rays(soft: bool) -> None:
+    """Only added objects cast shadows on catchers: a catcher alone needs no shadow rays and no BVH."""
     settings: dict[str, Any] = {"shadows": ls.Shadows.SOFT} if soft else {}
     for lamp in (LAMP, ls.LightEnvironment()):
         kept = ls.Scene([random_gaussians(3, count=60)], (), [lamp])
@@ -136,23 +136,23 @@ def test_frames_without_blockers_follow_no_shadow_rays(soft: bool) -> None:
             assert shadowed >= {"shadow_kernel", "gaussian_bvh_kernels", "direct_light_kernels"}
 
 
-def test_meshes_alone_shadow_without_gaussians() -> None:
-    """Nor do their frames wait for the kernels of Gaussians."""
+def test_mesh_shadows_load_no_gaussian_kernels() -> None:
+    """Frames of meshes do not wait for the kernels of Gaussians."""
     names = names_of(ls.Scene((), [icosphere(0.4)], [LAMP]))
     assert "mesh_shadow_kernels" in names
     assert not names & {"shadow_kernel", "gaussian_bvh_kernels"}
 
 
-def test_settings_that_no_frame_can_have_are_refused_before_kernels_compile() -> None:
-    """Kernels of a frame in real time take half a minute to compile."""
+def test_invalid_settings_are_refused_before_kernels_compile() -> None:
+    """Kernels of a real-time frame take half a minute to compile."""
     launcher = Recorder(parallel=False)
     with pytest.raises(ls.ConfigError, match="one sample a pixel"):
         Renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, samples=8), launcher)
     assert not launcher.loaded
 
 
-def test_kernels_are_loaded_once_a_launcher() -> None:
-    """Renderers of one launcher, such as one whose settings change, share them."""
+def test_kernels_are_loaded_once_per_launcher() -> None:
+    """Renderers with the same launcher share kernels, also after a change of settings."""
     reported: list[str] = []
     launcher = Launcher("cpu", threads=1)
     Renderer(ls.RenderConfig(), launcher, lambda label, done: reported.append(label))

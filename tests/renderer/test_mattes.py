@@ -1,4 +1,4 @@
-"""Mattes: names, coverage of edges, of Gaussians, of what is in front, and what EXR files hold of them."""
+"""Mattes: names, coverage at edges, of Gaussians and of the nearest objects, and their EXR files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lumisplat.io.images.exr import read_exr
 
 
 def card(name: str, left: float, right: float, depth: float = 4.0, material: str = "") -> ls.MeshInstance:
-    """A rectangle across the whole height of the picture, from one x to another."""
+    """A rectangle over the whole height of the image, from one x to another."""
     corners = np.array([(left, -9, depth), (right, -9, depth), (right, 9, depth), (left, 9, depth)], dtype=float)
     mesh = ls.Mesh(corners, np.array([(0, 1, 2), (0, 2, 3)]), material=ls.MaterialPbr(name=material))
     return ls.MeshInstance(mesh, name=name)
@@ -24,13 +24,13 @@ def card(name: str, left: float, right: float, depth: float = 4.0, material: str
 
 @pytest.fixture
 def camera() -> ls.Camera:
-    """8 x 6 pixels, each half a unit wide at depth 4; its axis is between two columns."""
+    """A camera of 8 x 6 pixels, each half a unit wide at depth 4; its axis is between two columns."""
     return ls.Camera.look_at((0, 0, 0), (0, 0, 1), (0, -1, 0), width=8, height=6, fov_y=2 * np.arctan(1.5 / 4))
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.PATH])
-def test_edges_cover_shares_of_pixels(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
-    """A card that ends a quarter into a column, in front of another: a quarter, three quarters."""
+def test_edges_cover_fractions_of_pixels(camera: ls.Camera, pipeline: ls.Pipeline) -> None:
+    """A card that ends a quarter into a column, in front of another, covers a quarter of it."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125), card("back", -9.0, 9.0, depth=8.0)])
     objects = ls.layers.render_mattes(scene, camera, ls.RenderConfig(pipeline=pipeline), device="cpu").objects
     expected = np.array([1, 1, 1, 1, 0.25, 0, 0, 0])
@@ -42,7 +42,7 @@ def test_edges_cover_shares_of_pixels(camera: ls.Camera, pipeline: ls.Pipeline) 
 
 
 def test_gaussians_cover_as_much_as_their_alpha(camera: ls.Camera) -> None:
-    """One large half-opaque Gaussian covers half; where it is too thin to be a surface, nothing does."""
+    """A half-opaque Gaussian covers half; one too thin to be a surface covers nothing."""
     ball = ls.Gaussians([(0, 0, 4)], [(1, 0, 0, 0)], [(5.0, 5.0, 5.0)], [0.5], [[(0.0, 0.0, 0.0)]])
     mattes = ls.layers.render_mattes(ls.Scene(splats=[ls.SplatInstance(ball, name="fog")]), camera, device="cpu")
     frame = ls.render(ls.Scene(splats=[ball]), camera, device="cpu")
@@ -53,8 +53,8 @@ def test_gaussians_cover_as_much_as_their_alpha(camera: ls.Camera) -> None:
     assert not ls.layers.render_mattes(ls.Scene(splats=[thin]), camera, device="cpu").objects.shares.any()
 
 
-def test_names(camera: ls.Camera) -> None:
-    """One name is one object; what has none is called by its place, and its material by the object."""
+def test_instances_of_one_name_are_one_object(camera: ls.Camera) -> None:
+    """Unnamed instances are named by their index, and their material by the object."""
     scene = ls.Scene(
         meshes=[
             card("door", -9, -1, material="oak"),
@@ -69,8 +69,8 @@ def test_names(camera: ls.Camera) -> None:
     assert (mattes.objects.coverage("door").sum(axis=1) == 4.0).all()
 
 
-def test_exr_files_hold_them_in_parts(tmp_path: Path, camera: ls.Camera) -> None:
-    """The picture is the first part, as without them; ids and shares come back, with the manifest in each header."""
+def test_exr_files_store_mattes_in_parts(tmp_path: Path, camera: ls.Camera) -> None:
+    """The image is the first part, unchanged; ids and coverage are read back, with the manifest in each header."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125, material="oak"), card("back", -9.0, 9.0, depth=8.0)])
     frame, mattes = ls.render(scene, camera, device="cpu"), ls.layers.render_mattes(scene, camera, device="cpu")
     frame.save(tmp_path / "with.exr", ["depth"], mattes)
@@ -90,7 +90,7 @@ def test_exr_files_hold_them_in_parts(tmp_path: Path, camera: ls.Camera) -> None
 
 
 def test_mattes_of_other_frames_are_refused(tmp_path: Path, camera: ls.Camera) -> None:
-    """Of another size, or into a format without them; nothing is written."""
+    """Mattes of another size, or for a format without them, raise an error and write nothing."""
     scene = ls.Scene(meshes=[card("front", -9.0, 0.125)])
     mattes = ls.layers.render_mattes(scene, camera, device="cpu")
     frame = ls.render(scene, camera.scaled(16), device="cpu")

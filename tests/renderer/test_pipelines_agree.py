@@ -1,4 +1,4 @@
-"""One scene in all pipelines, region by region: a capture as it was captured, things on it, and a sun."""
+"""One scene in all pipelines, region by region: objects and a sun on a captured floor."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CAMERA = ls.Camera.look_at((0, 1.6, 4.2), (0, 0.2, 0), (0, 1, 0), width=192, hei
 
 
 def floor(level: float, *, catches: bool) -> ls.SplatInstance:
-    """A level sheet at y = 0, 8 units wide, that shows a grey as captured."""
+    """A level sheet at y = 0, 8 units wide, that emits a captured grey."""
     plane = ls.Mesh([[-4, 0, 4], [4, 0, 4], [4, 0, -4], [-4, 0, -4]], [[0, 1, 2], [0, 2, 3]])
     sheet = ls.gaussians_from_mesh(plane, 6000)
     sh = np.full((6000, 1, 3), (level - 0.5) / 0.28209479177387814, np.float32)
@@ -33,7 +33,7 @@ def floor(level: float, *, catches: bool) -> ls.SplatInstance:
 
 @cache
 def scene(level: float, *, catches: bool) -> ls.Scene:
-    """Four balls on the sheet in a sun from the upper left."""
+    """Four balls on the floor, in sunlight from the upper left."""
     balls = [
         ls.MeshInstance(replace(sphere(0.35, rows=48, columns=96), material=material), position=(x, 0.35, 0.0))
         for x, material in zip((-1.7, -0.45, 0.45, 1.35), MATERIALS.values(), strict=True)
@@ -42,14 +42,14 @@ def scene(level: float, *, catches: bool) -> ls.Scene:
 
 
 def within(mask: npt.NDArray[np.bool_], reach: int = 2) -> npt.NDArray[np.bool_]:
-    """Pixels of a mask that are farther than ``reach`` from all others."""
+    """Pixels of a mask that are farther than ``reach`` from all other pixels."""
     around = np.lib.stride_tricks.sliding_window_view(np.pad(~mask, reach), (2 * reach + 1, 2 * reach + 1))
     return np.logical_not(around.any(axis=(2, 3)))
 
 
 @cache
 def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool, lights_only: bool = False) -> ls.Frame:
-    """Renders with the pipeline's defaults, or without bounces and light of captures; in real time, a late frame."""
+    """Renders with the pipeline's defaults, or without bounces and captured light; in real time, a late frame."""
     config = ls.RenderConfig(pipeline=pipeline, aovs=("shadow_ratio",))
     if lights_only:
         config = replace(config, max_bounces=0, capture_gain=-16.0)
@@ -61,12 +61,12 @@ def rendered(pipeline: ls.Pipeline, level: float, *, catches: bool, lights_only:
 
 @pytest.fixture(scope="module")
 def dark() -> dict[ls.Pipeline, ls.Frame]:
-    """Of things so dark that light that bounces off them, which paths and real time alone follow, is little."""
+    """Frames of objects so dark that bounced light, which only paths and real time follow, is small."""
     return {pipeline: rendered(pipeline, 0.2, catches=True) for pipeline in ls.Pipeline}
 
 
 def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline, ls.Frame]) -> None:
-    """Within 5 %: the lit side of the ball, and the floor where it is in full shadow, in half shadow, and free."""
+    """Within 5 %: the lit side of the ball, and the floor in full shadow, half shadow and light."""
     truth = dark[ls.Pipeline.PATH]
     assert truth.shadow_ratio is not None
     on_floor = within(truth.instance_index == 0)
@@ -86,7 +86,7 @@ def test_matte_balls_and_shadows_agree_in_five_pipelines(dark: dict[ls.Pipeline,
 
 @pytest.mark.deep
 def test_direct_light_agrees_in_five_pipelines_on_a_bright_floor() -> None:
-    """Within 5 %, without bounces and light of captures: the lit side of the matte ball, its shadow, and free floor."""
+    """Within 5 %, without bounces and captured light: the lit side of the matte ball, its shadow, and the lit floor."""
     frames = {pipeline: rendered(pipeline, 0.75, catches=True, lights_only=True) for pipeline in ls.Pipeline}
     truth = frames[ls.Pipeline.HYBRID]
     assert truth.shadow_ratio is not None
@@ -103,8 +103,8 @@ def test_direct_light_agrees_in_five_pipelines_on_a_bright_floor() -> None:
         assert max(means.values()) / min(means.values()) < 1.05, (name, means)
 
 
-def test_light_that_bounces_agrees_in_the_pipelines_that_follow_it() -> None:
-    """Within 5 %: all of the matte ball, which a bright floor lights from below; in other pipelines it does not."""
+def test_bounced_light_agrees_in_the_pipelines_that_trace_it() -> None:
+    """Within 5 %: the matte ball, which a bright floor lights from below."""
     with_bounces = [rendered(pipeline, 0.75, catches=True) for pipeline in (ls.Pipeline.PATH, ls.Pipeline.REALTIME)]
     without = rendered(ls.Pipeline.HYBRID, 0.75, catches=True)
     ball = within(without.instance_index == 1)
@@ -115,10 +115,10 @@ def test_light_that_bounces_agrees_in_the_pipelines_that_follow_it() -> None:
 
 
 @pytest.mark.parametrize("number", [2, 3, 4], ids=["rough metal", "mirror", "glass"])
-def test_what_is_reflected_agrees_in_the_pipelines_that_follow_rays(number: int) -> None:
-    """Within 5 %, with the defaults, on a capture that catches no shadows; rough metal was black in hybrid and trace.
+def test_reflections_agree_in_the_traced_pipelines(number: int) -> None:
+    """Within 5 %, with default settings, on a capture that catches no shadows.
 
-    Mirrors of real time are left out: they show rough metals without what these reflect.
+    Real-time mirrors are left out: they show rough metals without their reflections.
     """
     left_out = {ls.Pipeline.RASTER} | ({ls.Pipeline.REALTIME} if number == 3 else set())
     followed = [one for one in ls.Pipeline if one not in left_out]
@@ -132,8 +132,8 @@ def test_what_is_reflected_agrees_in_the_pipelines_that_follow_rays(number: int)
 @pytest.mark.parametrize(
     "pipeline", [ls.Pipeline.TRACE, ls.Pipeline.HYBRID, ls.Pipeline.PATH], ids=lambda one: one.value
 )
-def test_samples_that_nobody_asked_for_smooth_meshes_and_leave_captures(pipeline: ls.Pipeline) -> None:
-    """Edges of a ball have values in between; what shows the capture alone is the unlit frame's, to the bit."""
+def test_default_samples_antialias_meshes_and_keep_captures(pipeline: ls.Pipeline) -> None:
+    """The ball's edges have intermediate values; pixels of the capture only equal the unlit frame's to the bit."""
     sky = ls.LightEnvironment(color=(0.3, 0.3, 0.3), visible=False)
     lit = ls.Scene([floor(0.8, catches=False)], [replace(sphere(0.5, rows=32), material=diffuse(0.02))], [sky])
     camera = CAMERA.scaled(240)

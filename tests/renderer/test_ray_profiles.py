@@ -1,4 +1,4 @@
-"""The Gaussians on a ray one by one, against the float64 twin; and cameras focused on what a pixel shows."""
+"""Lists of the Gaussians on rays, compared with the float64 twin, and cameras focused on a pixel's surface."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def profiled(scene: ls.Scene, origins: np.ndarray, directions: np.ndarray, **tra
 
 
 @pytest.mark.parametrize("order", ["peak", "mean", "hull"])
-def test_profiles_are_those_of_the_twin(order: str) -> None:
-    """Gaussian by Gaussian: which, where, how opaque, and what is left behind; wherever float32 cannot differ."""
+def test_profiles_equal_the_float64_twin(order: str) -> None:
+    """Index, distance, alpha and transmittance of each Gaussian are equal, except within float32 rounding."""
     origins, directions = some_rays(150)
     profile = profiled(MIXED, origins, directions, hit_distance=order)
     world = world_of(MIXED, ls.RenderConfig(trace=ls.TraceConfig(hit_distance=ls.config.HitDistance(order))))
@@ -59,8 +59,8 @@ def test_profiles_are_those_of_the_twin(order: str) -> None:
     assert compared > 50
 
 
-def test_profiles_add_up() -> None:
-    """Distances ascend, transmittances are products, and the last one is what the ray leaves without a mesh."""
+def test_profile_transmittances_are_products_of_alphas() -> None:
+    """Distances ascend, and the last transmittance is that of the ray without a mesh."""
     scene = ls.Scene([random_gaussians(4, count=500)])
     origins, directions = some_rays(400)
     hits = ls.trace_rays(scene, origins, directions, profile=True, device="cpu")
@@ -75,8 +75,8 @@ def test_profiles_add_up() -> None:
         assert hits.transmittance[ray] == pytest.approx(product[-1] if len(product) else 1.0, rel=1e-4, abs=1e-7)
 
 
-def test_profiles_are_exact_whatever_the_strategy() -> None:
-    """Stochastic rays and paths have the same."""
+def test_profiles_do_not_depend_on_the_strategy() -> None:
+    """Stochastic strategies and path tracing give the same profiles."""
     origins, directions = some_rays(50)
     exact = profiled(MIXED, origins, directions)
     for strategy in ("stochastic-hit", "stochastic-pass"):
@@ -88,8 +88,8 @@ def test_profiles_are_exact_whatever_the_strategy() -> None:
     np.testing.assert_array_equal(of_paths.gaussian_index, exact.gaussian_index)
 
 
-def test_profiles_do_not_depend_on_how_many_hits_are_held(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Even if one ray has more of them than that."""
+def test_profiles_do_not_depend_on_the_hit_buffer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Holds even if one ray has more hits than the buffer."""
     origins, directions = some_rays(60)
     whole = profiled(MIXED, origins, directions)
     monkeypatch.setattr(rays_module, "PROFILE_ROWS", 5)
@@ -99,8 +99,8 @@ def test_profiles_do_not_depend_on_how_many_hits_are_held(monkeypatch: pytest.Mo
         np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
-def test_no_more_hits_are_held_than_allowed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ranges cover all rays with hits once, each within the bound or of rays that are followed together."""
+def test_profile_ranges_respect_the_hit_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ranges cover all rays with hits once; a range exceeds the limit only if it cannot be split."""
     monkeypatch.setattr(rays_module, "PROFILE_ROWS", 400)
     monkeypatch.setattr(rays_module, "RAY_BATCH", 96)
     counts = np.random.default_rng(0).integers(0, 14, 1000, np.int32)
@@ -115,8 +115,8 @@ def test_no_more_hits_are_held_than_allowed(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(rays_module.profile_ranges(np.zeros(5, np.int32))) == [(0, 0)]
 
 
-def test_rays_without_hits_and_no_rays_have_empty_profiles() -> None:
-    """In an empty scene, beside a Gaussian, and for no rays at all."""
+def test_rays_without_hits_have_empty_profiles() -> None:
+    """Covers an empty scene, rays beside a Gaussian, and no rays at all."""
     away = np.array([[0.0, 1.0, 0.0]])
     for scene in (ls.Scene(), ls.Scene([one_gaussian()]), ls.Scene([], [quad(3.0)])):
         assert profiled(scene, np.zeros((1, 3)), away).first.tolist() == [0, 0]
@@ -125,8 +125,8 @@ def test_rays_without_hits_and_no_rays_have_empty_profiles() -> None:
     assert repr(none) == "RayProfile(rays=0, hits=0)"
 
 
-def test_profiles_are_given_on_demand_only() -> None:
-    """Otherwise there is none."""
+def test_profiles_are_returned_only_on_request() -> None:
+    """Without ``profile``, the result has no profile."""
     assert ls.trace_rays(ls.Scene([one_gaussian()]), (0, 0, 0), [[0.0, 0.0, 1.0]], device="cpu").profile is None
 
 
@@ -138,8 +138,8 @@ CAMERAS = {
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_cameras_focus_on_what_the_pixel_shows(name: str) -> None:
-    """The view depth of a frame's surface there, of a fisheye the distance; Gaussians and meshes alike."""
+def test_camera_focuses_on_the_surface_at_a_pixel(name: str) -> None:
+    """The focus distance is the frame's view depth, or the distance for a fisheye, on Gaussians and meshes."""
     scene, camera = ls.Scene([one_gaussian((-0.6, 0.0, 3.0), opacity=0.9)], [quad(4.0, tilt=0.2)]), CAMERAS[name]
     frame = ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device="cpu")
     depth = frame.depth if name == "fisheye" else frame.depth_z
@@ -152,8 +152,8 @@ def test_cameras_focus_on_what_the_pixel_shows(name: str) -> None:
     assert seen == {0, 1}
 
 
-def test_what_is_focused_is_sharp() -> None:
-    """With a wide lens, the texture at the pixel is as sharp as without one; what lies nearer is not."""
+def test_focused_surface_is_sharp() -> None:
+    """With a wide aperture, the texture at the pixel is as sharp as with a pinhole, and nearer objects are not."""
     rng = np.random.default_rng(2)
     texture = rng.integers(0, 2, (16, 16, 3), np.uint8) * 255
     uvs = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
@@ -181,12 +181,12 @@ def test_what_is_focused_is_sharp() -> None:
     ],
 )
 def test_pixels_without_a_surface_are_refused(pixel: tuple[Any, Any], message: str) -> None:
-    """In one line."""
+    """Focusing on such a pixel raises an error."""
     with pytest.raises(ls.SceneError, match=message):
         ls.rays.focused(ls.Scene([one_gaussian()]), front_camera(), *pixel, device="cpu")
 
 
-def test_a_rasteriser_does_not_focus() -> None:
-    """It has no lens."""
+def test_rasteriser_refuses_to_focus() -> None:
+    """A rasterised pipeline has no lens to focus."""
     with pytest.raises(ls.ConfigError, match="this one rasterises"):
         ls.create_renderer(device="cpu").focused(ls.Scene([one_gaussian()]), front_camera(), 32, 24)

@@ -1,4 +1,4 @@
-"""Any rays: what they see, how much light comes through, and what is refused."""
+"""Ray queries: radiance, transmittance, and refused input."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def stack(*opacities: float) -> ls.Gaussians:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_no_rays(pipeline: ls.Pipeline) -> None:
-    """No rays see nothing: arrays without rows, in a scene with anything in it."""
+def test_zero_rays_give_empty_arrays(pipeline: ls.Pipeline) -> None:
+    """Zero rays in any scene give arrays without rows."""
     scene = ls.Scene([stack(0.5)], [quad(4.0)], [ls.LightPoint((0.0, 0.0, 0.0))])
     none = np.zeros((0, 3))
     hits = ls.trace_rays(scene, none, none, ls.RenderConfig(pipeline=pipeline), device="cpu")
     assert hits.radiance.shape == (0, 3) and len(hits) == 0
 
 
-def test_transmittance_is_the_product() -> None:
-    """Of what the Gaussians before the distance let through, mean by mean; one distance a ray."""
+def test_transmittance_is_the_product_of_gaussians() -> None:
+    """The product is over the Gaussians whose mean is in front of the ray's end."""
     scene = ls.Scene([stack(0.5, 0.8, 0.3)])
     distances = np.array([2.5, 3.5, 4.5, 5.5, math.inf])
     through = ls.transmittance(scene, np.zeros((5, 3)), np.repeat(AHEAD, 5, axis=0), distances, device="cpu")
@@ -49,7 +49,7 @@ def test_transmittance_is_the_product() -> None:
 
 
 def test_transmittance_equals_sorted_rays() -> None:
-    """The product in any order is what sorted rays leave, for rays every which way, but for what counts as nothing."""
+    """In any order, the product equals the transmittance of sorted rays, except below the threshold."""
     rng = np.random.default_rng(5)
     scene = ls.Scene([random_gaussians(70, count=400)])
     origins, directions = rng.normal((0.0, 0.0, 4.0), 2.0, (500, 3)), rng.normal(size=(500, 3))
@@ -59,8 +59,8 @@ def test_transmittance_equals_sorted_rays() -> None:
     np.testing.assert_allclose(through, hits.transmittance, atol=2e-4)
 
 
-def test_nothing_comes_through_walls() -> None:
-    """A mesh lets nothing through, whatever it is made of; what is nearer than it does."""
+def test_meshes_block_all_transmittance() -> None:
+    """A mesh of any material blocks; a segment that ends in front of it is not blocked."""
     glass = ls.MaterialPbr(transmission=1.0, roughness=0.0)
     scene = ls.Scene([stack(0.5)], [quad(4.0, material=glass)])
     aside = np.array([0.3, 0.2, 0.0])
@@ -70,8 +70,8 @@ def test_nothing_comes_through_walls() -> None:
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_what_peaks_behind_a_wall_is_hidden(hit_distance: ls.config.HitDistance) -> None:
-    """Also where its hull reaches through the wall: it neither shines nor shades there."""
+def test_gaussian_with_peak_behind_a_wall_is_hidden(hit_distance: ls.config.HitDistance) -> None:
+    """Even if its hull reaches through the wall, the Gaussian adds no colour and no shadow in front."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 5.0), 0.5, opacity=0.95)], [quad(4.0, material=ls.MaterialPbr())])
     renderer = tracer(hit_distance=hit_distance)
     hits = renderer.trace_rays(behind, [[0.1, 0.05, 0.0]], AHEAD)
@@ -82,8 +82,8 @@ def test_what_peaks_behind_a_wall_is_hidden(hit_distance: ls.config.HitDistance)
     assert renderer.transmittance(alone, ORIGIN, AHEAD, 5.5) < 0.1
 
 
-def test_rays_are_those_of_a_frame() -> None:
-    """The rays of a camera see what its frame shows without a footprint, whatever their lengths and order."""
+def test_queried_rays_equal_the_pixels_of_a_frame() -> None:
+    """Rays through pixels give the colours of a frame without footprint, whatever their lengths and order."""
     scene, camera = ls.Scene([random_gaussians(71)], [quad(4.0, 0.6, tilt=0.3)]), front_camera()
     frame = tracer(dilation=0.0).render(scene, camera)
     directions = camera.ray_directions().reshape(-1, 3) @ camera.camera_from_world[:3, :3]
@@ -95,8 +95,8 @@ def test_rays_are_those_of_a_frame() -> None:
     np.testing.assert_allclose(1.0 - hits.transmittance, frame.alpha.reshape(-1)[order], atol=2e-3)
 
 
-def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Batches of 64 see what one of all does, random numbers included; memory stays that of a batch."""
+def test_batch_size_changes_no_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Batches of 64 rays give the results of one batch, including random numbers, with the memory of a batch."""
     scene = ls.Scene([random_gaussians(72)])
     rng = np.random.default_rng(8)
     origins, directions = rng.normal(size=(1000, 3)), rng.normal((0.0, 0.0, 3.0), 1.0, (1000, 3))
@@ -109,8 +109,8 @@ def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_array_equal(parts.depth, whole.depth)
 
 
-def test_many_sizes_take_no_more_memory() -> None:
-    """Queries of ever other numbers of rays share a few buffers."""
+def test_queries_of_many_sizes_share_buffers() -> None:
+    """Queries with ever other numbers of rays use a few buffers."""
     renderer, scene = tracer(), ls.Scene([stack(0.5)])
     renderer.trace_rays(scene, np.zeros((900, 3)), np.repeat(AHEAD, 900, axis=0))
     allocations, views = renderer._buffers.allocations, len(renderer._buffers._views)
@@ -120,21 +120,21 @@ def test_many_sizes_take_no_more_memory() -> None:
     assert len(renderer._buffers._views) == views
 
 
-def test_one_origin_is_that_of_all_rays() -> None:
-    """As if it had been repeated."""
+def test_one_origin_is_used_for_all_rays() -> None:
+    """The result equals that of a repeated origin."""
     scene, directions = ls.Scene([random_gaussians(73)]), np.random.default_rng(9).normal((0, 0, 3), 1.0, (50, 3))
     one, many = (ls.trace_rays(scene, o, directions, device="cpu") for o in ((0, 0, 1), np.tile((0, 0, 1), (50, 1))))
     np.testing.assert_array_equal(one.radiance, many.radiance)
 
 
-def test_no_rays_are_fine() -> None:
-    """Zero rays give arrays of none."""
+def test_zero_rays_raise_no_error() -> None:
+    """Zero rays give empty arrays."""
     hits = ls.trace_rays(ls.Scene([stack(0.5)]), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu")
     assert len(hits) == 0 and hits.radiance.shape == (0, 3)
     assert ls.transmittance(ls.Scene(), np.zeros((0, 3)), np.zeros((0, 3)), device="cpu").shape == (0,)
 
 
-def test_colors_beyond_numbers_are_black_and_said(caplog: pytest.LogCaptureFixture) -> None:
+def test_overflowing_colours_are_black_and_logged(caplog: pytest.LogCaptureFixture) -> None:
     """A ray whose colour overflows is black; a log line counts such rays."""
     wild = ls.Gaussians([[0.0, 0.0, 3.0]], [[1, 0, 0, 0]], [[0.2] * 3], [0.9], np.full((1, 16, 3), 3e38))
     hits = ls.trace_rays(ls.Scene([wild]), np.zeros((2, 3)), [[0, 0, 1], [0, 0, -1]], device="cpu")
@@ -156,8 +156,8 @@ def test_colors_beyond_numbers_are_black_and_said(caplog: pytest.LogCaptureFixtu
         (ORIGIN, [[1j, 0, 0]], "directions are not numbers"),
     ],
 )
-def test_bad_rays_are_refused(origins: Any, directions: Any, message: str) -> None:
-    """With one line that counts them, and no warning of NumPy's."""
+def test_invalid_rays_are_refused(origins: Any, directions: Any, message: str) -> None:
+    """One message counts them, without NumPy warnings."""
     with warnings.catch_warnings(), pytest.raises(ls.SceneError, match=message):
         warnings.simplefilter("error")
         ls.trace_rays(ls.Scene([stack(0.5)]), origins, directions, device="cpu")
@@ -172,21 +172,21 @@ def test_bad_rays_are_refused(origins: Any, directions: Any, message: str) -> No
         ("far", "max_distance are not numbers"),
     ],
 )
-def test_bad_distances_are_refused(distance: Any, message: str) -> None:
-    """Likewise."""
+def test_invalid_distances_are_refused(distance: Any, message: str) -> None:
+    """One message counts them, without NumPy warnings."""
     with pytest.raises(ls.SceneError, match=message):
         ls.transmittance(ls.Scene([stack(0.5)]), ORIGIN, AHEAD, distance, device="cpu")
 
 
-def test_a_renderer_that_rasterises_traces_nothing() -> None:
-    """It says which one does."""
+def test_rasterising_renderer_refuses_ray_queries() -> None:
+    """The message names the pipelines that trace rays."""
     with pytest.raises(ls.ConfigError, match=r"a renderer with Pipeline\.TRACE"):
         ls.create_renderer(device="cpu").trace_rays(ls.Scene([stack(0.5)]), ORIGIN, AHEAD)
 
 
 @pytest.mark.data
-def test_parallel_rays_from_everywhere(data_dir: Path) -> None:
-    """They see what each of them sees alone, in whatever company they are asked for."""
+def test_rays_do_not_depend_on_other_rays_of_the_query(data_dir: Path) -> None:
+    """Parallel rays from all directions have the same result alone and in any company."""
     capture = ls.load(data_dir / "splats" / "biker.compressed.ply")
     assert isinstance(capture, ls.Gaussians)
     rng = np.random.default_rng(9)
@@ -198,8 +198,8 @@ def test_parallel_rays_from_everywhere(data_dir: Path) -> None:
     np.testing.assert_allclose(together.radiance[:40], alone, atol=2e-6)
 
 
-def test_hits_are_shown_in_a_line() -> None:
-    """How many rays, how many hit something, between which distances; nothing where none does."""
+def test_repr_of_ray_hits_is_one_line() -> None:
+    """The line has the numbers of rays and hits, and the range of depths if there are hits."""
     scene = ls.Scene([], [quad(4.0)])
     origins, away = np.zeros((3, 3)), np.array([[0.0, 0.0, 1.0], [0.0, 0.1, 1.0], [0.0, 0.0, -1.0]])
     hits = tracer().trace_rays(scene, origins, away)

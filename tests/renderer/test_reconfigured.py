@@ -1,4 +1,4 @@
-"""Renderers whose settings change: frames as from a new renderer, on assets that stay where they are."""
+"""Renderers whose settings change: frames equal those of a new renderer, on assets that stay on the device."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 
 def images_of(renderer: ls.Renderer) -> list[np.ndarray]:
-    """All images of the second frame, which in real time follows from the first one."""
+    """All images of the second frame, which depends on the first in real time."""
     renderer.render(LIT, CAMERA)
     frame = renderer.render(LIT, CAMERA)
     return [np.array(getattr(frame, name)) for name in IMAGES]
 
 
-def test_frames_after_a_change_of_settings_are_those_of_a_new_renderer() -> None:
-    """To the bit, there and back through settings of all pipelines."""
+def test_reconfigured_renderer_equals_a_new_one() -> None:
+    """Bit-equal, there and back through settings of all pipelines."""
     renderer = ls.create_renderer(BASE, "cpu")
     expected: dict[str, list[np.ndarray]] = {}
     for name in [*SETTINGS, *reversed(SETTINGS)]:
@@ -65,8 +65,8 @@ def test_frames_after_a_change_of_settings_are_those_of_a_new_renderer() -> None
             np.testing.assert_array_equal(image, of_new, f"{name}: {what}")
 
 
-def test_a_change_of_settings_uploads_and_builds_nothing_again() -> None:
-    """Gaussians, meshes and the hierarchies over both stay, but for hierarchies whose bounds have changed."""
+def test_reconfiguring_uploads_and_builds_nothing() -> None:
+    """Gaussians, meshes and their BVHs are reused, except for BVHs whose bounds change."""
     renderer = ls.create_renderer(replace(BASE, pipeline=ls.Pipeline.HYBRID), "cpu")
     renderer.render(LIT, CAMERA)
     scene = renderer._scene
@@ -82,7 +82,7 @@ def test_a_change_of_settings_uploads_and_builds_nothing_again() -> None:
 
 
 def test_buffers_of_other_settings_are_freed() -> None:
-    """Those of a sequence in real time are many times those of a rasterised frame."""
+    """Buffers of a real-time sequence are many times those of a rasterised frame."""
     renderer = ls.create_renderer(BASE, "cpu")
     renderer.render(LIT, CAMERA)
     small = renderer._buffers.bytes
@@ -94,8 +94,8 @@ def test_buffers_of_other_settings_are_freed() -> None:
     assert renderer._buffers.bytes == small
 
 
-def test_settings_that_are_refused_leave_the_renderer_as_it_is() -> None:
-    """No half of them is taken."""
+def test_refused_settings_leave_the_renderer_unchanged() -> None:
+    """No part of refused settings is applied."""
     renderer = ls.create_renderer(BASE, "cpu")
     before = images_of(renderer)
     with pytest.raises(ls.ConfigError):
@@ -105,8 +105,8 @@ def test_settings_that_are_refused_leave_the_renderer_as_it_is() -> None:
         np.testing.assert_array_equal(image, same)
 
 
-def test_a_differentiable_renderer_changes_its_backward_pass_too() -> None:
-    """Gradients are those of a new renderer; what the class refuses is refused, and leaves it as it is."""
+def test_reconfiguring_updates_the_backward_pass() -> None:
+    """Gradients equal those of a new renderer; settings that the class refuses change nothing."""
     scene = ls.Scene([random_gaussians(1, count=60)])
     raster, trace = (ls.RenderConfig(pipeline=pipeline) for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE))
     given = np.ones((CAMERA.height, CAMERA.width, 3))
@@ -127,8 +127,8 @@ def test_a_differentiable_renderer_changes_its_backward_pass_too() -> None:
 
 
 @pytest.mark.parametrize("pipeline", ["raster", "hybrid", "path"])
-def test_another_tone_map_and_exposure_take_no_samples(pipeline: str) -> None:
-    """The last frame is developed anew, by the device or from its arrays, and samples are added to it."""
+def test_developing_takes_no_new_samples(pipeline: str) -> None:
+    """The last frame gets another tone map and exposure, on the device or from its arrays."""
     config = replace(BASE, pipeline=ls.Pipeline(pipeline))
     shown = replace(config, tone_map=ls.ToneMap.AGX)
     expected = ls.create_renderer(shown, "cpu").render(LIT, replace(CAMERA, exposure=1.0), encode=True)
@@ -145,8 +145,8 @@ def test_another_tone_map_and_exposure_take_no_samples(pipeline: str) -> None:
     np.testing.assert_array_equal(added.color, of_four.color)
 
 
-def test_another_tone_map_does_not_end_a_sequence() -> None:
-    """What frames in real time have found stays, to the bit."""
+def test_another_tone_map_keeps_the_real_time_history() -> None:
+    """The history of a real-time sequence is kept to the bit."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     changed, same = (ls.create_renderer(config, "cpu") for _ in range(2))
     for renderer in (changed, same):
@@ -155,8 +155,8 @@ def test_another_tone_map_does_not_end_a_sequence() -> None:
     np.testing.assert_array_equal(changed.render(LIT, CAMERA).color, same.render(LIT, CAMERA).color)
 
 
-def test_frames_of_other_frames_are_not_taken_for_the_last_one() -> None:
-    """Such as those with what mesh catchers catch, which the film does not have."""
+def test_derived_frames_are_not_developed_from_the_film() -> None:
+    """A frame with shadows on catcher meshes is developed from its arrays, as the film does not contain them."""
     catcher = ls.MeshInstance(ls.box(4.0), position=(0.0, 3.0, 4.0), shadow_catcher=True)
     scene = replace(LIT, meshes=(*LIT.meshes, catcher))
     renderer = ls.create_renderer(BASE, "cpu")

@@ -1,4 +1,4 @@
-"""Frames that are given up: at any time, without a trace in those that follow."""
+"""Frames that are stopped at any time leave no trace in later frames."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ CAMERA = front_camera(width=96, height=64)
 
 
 def after(count: int) -> Callable[[], bool]:
-    """Says True from the given question on."""
+    """A stop function that returns True from the given call on."""
     asked = itertools.count(1)
     return lambda: next(asked) >= count
 
 
 def renderer(pipeline: ls.Pipeline) -> ls.Renderer:
-    """With soft shadows, on two threads: work is cut into bands."""
+    """A renderer with soft shadows on two threads, so that work is split into bands."""
     config = ls.RenderConfig(pipeline=pipeline, shadows=ls.Shadows.SOFT, samples=2)
     return ls.create_renderer(config, "cpu", threads=2)
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID, ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_a_frame_that_is_given_up_leaves_no_trace(pipeline: ls.Pipeline) -> None:
-    """Wherever it was stopped, the next frame is that of a new renderer, to the bit, and so is one that is resumed."""
+def test_stopped_frame_leaves_no_trace(pipeline: ls.Pipeline) -> None:
+    """Wherever it stopped, the next frame and a resumed frame equal those of a new renderer to the bit."""
     expected = renderer(pipeline).render(LIT, CAMERA)
     for count in (1, 2, 7, 30, 90):
         used = renderer(pipeline)
@@ -46,16 +46,16 @@ def test_a_frame_that_is_given_up_leaves_no_trace(pipeline: ls.Pipeline) -> None
     np.testing.assert_array_equal(used.render(LIT, CAMERA, resume=expected).color, again.color)
 
 
-def test_a_frame_that_nobody_stops_is_whole() -> None:
-    """It is asked all the time, and says no."""
+def test_frame_is_complete_if_stop_returns_false() -> None:
+    """The stop function is polled throughout and returns False."""
     asked: list[bool] = []
     frame = renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA, stop=lambda: bool(asked.append(True)))
     assert len(asked) > 20
     np.testing.assert_array_equal(frame.color, renderer(ls.Pipeline.HYBRID).render(LIT, CAMERA).color)
 
 
-def test_frames_in_real_time_are_always_finished() -> None:
-    """They follow from each other."""
+def test_real_time_frames_ignore_stop() -> None:
+    """Real-time frames depend on each other and are always finished."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME)
     frames = [ls.create_renderer(config, "cpu").render(LIT, CAMERA, stop=stop) for stop in (None, lambda: True)]
     np.testing.assert_array_equal(frames[0].color, frames[1].color)

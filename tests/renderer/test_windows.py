@@ -1,4 +1,4 @@
-"""Frames of windows are cut-outs of whole pictures, to the bit: coordinates and random numbers are the picture's."""
+"""Frames of windows equal crops of the full image to the bit, including random numbers."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from support.scenes.pipelines import SAMPLED
 from support.scenes.raster_scenes import checker_quad, front_camera, random_gaussians, similarity
 
 SCHEDULES = [way for way in WAYS if way != "cpu as graph"]
-"""Both schedules on the CPU, and every GPU there is."""
+"""Both schedules on the CPU, and every GPU."""
 DEVICES = [way for way in WAYS if not way.startswith("cpu as")]
 WINDOWS = [(16, 0, 32, 16), (48, 32, 23, 21), (0, 16, 16, 37)]
-"""Within a picture of 71 x 53: at its upper edge, in its lower right corner, at its left and lower edge."""
+"""Windows in an image of 71 x 53: at the upper edge, in the lower right corner, at the left and lower edge."""
 SIZE = 71, 53
 ORTHOGRAPHIC = lens(22.0, SIZE, model=ls.CameraModel.ORTHOGRAPHIC)
 RAY_CAMERAS = {
@@ -30,8 +30,8 @@ RAY_CAMERAS = {
 }
 
 
-def assert_cut_out(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> None:
-    """Every image of every window is that part of the whole picture's."""
+def assert_crop(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> None:
+    """Asserts that every image of every window equals the crop of the full frame."""
     whole = renderer.render(scene, camera).arrays()
     for window in WINDOWS:
         left, top, width, height = window
@@ -48,8 +48,8 @@ def assert_cut_out(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) ->
 
 @pytest.mark.parametrize("way", SCHEDULES)
 @pytest.mark.parametrize("strategy", list(ls.config.RasterStrategy))
-def test_unlit_frames(strategy: ls.config.RasterStrategy, way: str) -> None:
-    """Sorted and stochastic, in both schedules: Gaussians larger than windows, too, and meshes with alpha."""
+def test_unlit_windows_equal_crops(strategy: ls.config.RasterStrategy, way: str) -> None:
+    """Sorted and stochastic, in both schedules, with Gaussians larger than windows and meshes with alpha."""
     sheet = checker_quad(0.0)
     seen_through = replace(sheet.material, alpha=0.5, alpha_mode="blend")
     scene = ls.Scene(
@@ -61,47 +61,47 @@ def test_unlit_frames(strategy: ls.config.RasterStrategy, way: str) -> None:
         ],
     )
     config = ls.RenderConfig(raster=ls.RasterConfig(strategy=strategy), samples=2, background=None)
-    assert_cut_out(renderer_of(way, config), scene, front_camera(*SIZE, cx=30.3, cy=20.1))
+    assert_crop(renderer_of(way, config), scene, front_camera(*SIZE, cx=30.3, cy=20.1))
 
 
 @pytest.mark.parametrize("way", DEVICES)
 @pytest.mark.parametrize("pipeline", SAMPLED)
-def test_lit_frames(pipeline: ls.Pipeline, way: str) -> None:
-    """Soft shadows, mirrors, glass, captures and relit sets, with the layers of light."""
+def test_lit_windows_equal_crops(pipeline: ls.Pipeline, way: str) -> None:
+    """Covers soft shadows, mirrors, glass, captures and relit sets, with light layers."""
     aovs = ("albedo", "lights", "variance", "sample_count")
     if pipeline is ls.Pipeline.PATH:
         aovs += ("direct_diffuse", "indirect_diffuse", "indirect_glossy")
     config = lit_scene.config(pipeline, samples=2, shadows=ls.Shadows.SOFT, aovs=aovs)
     scene = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY)
-    assert_cut_out(renderer_of(way, config), scene, lit_scene.camera(*SIZE))
+    assert_crop(renderer_of(way, config), scene, lit_scene.camera(*SIZE))
 
 
 @pytest.mark.parametrize("name", RAY_CAMERAS)
-def test_rays_of_all_lenses(name: str) -> None:
-    """Rays of fisheyes, thin lenses, parallel ones and of rolling shutters."""
+def test_traced_windows_equal_crops_for_all_lenses(name: str) -> None:
+    """Covers fisheye, thin lens, orthographic and rolling shutter."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
-    assert_cut_out(ls.create_renderer(config, "cpu"), ls.Scene([layers(camera)]), camera)
+    assert_crop(ls.create_renderer(config, "cpu"), ls.Scene([layers(camera)]), camera)
 
 
 @pytest.mark.parametrize("way", SCHEDULES)
 @pytest.mark.parametrize("name", ["distorted fisheye", "rolling shutter"])
-def test_rasterised_along_rays(name: str, way: str) -> None:
-    """Sigma points and rays of pixels."""
+def test_unscented_windows_equal_crops(name: str, way: str) -> None:
+    """Covers sigma-point projection and pixel rays."""
     camera = RAY_CAMERAS[name]
     config = ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED))
-    assert_cut_out(renderer_of(way, config), ls.Scene([layers(camera)]), camera)
+    assert_crop(renderer_of(way, config), ls.Scene([layers(camera)]), camera)
 
 
 @pytest.mark.parametrize("name", ["phone", "barrel"])
-def test_resampled_lenses(name: str) -> None:
-    """Rasterised frames of distorting lenses, which are resampled from a larger pinhole's."""
+def test_resampled_windows_equal_crops(name: str) -> None:
+    """Covers rasterised frames with lens distortion, resampled from a larger pinhole frame."""
     camera = replace(LENSES[name], width=71, height=53, cx=36.0, cy=25.0, fx=60.0, fy=63.0)
-    assert_cut_out(ls.create_renderer(None, "cpu"), ls.Scene([layers(camera)]), camera)
+    assert_crop(ls.create_renderer(None, "cpu"), ls.Scene([layers(camera)]), camera)
 
 
-def test_focus_and_depth_are_of_the_picture() -> None:
-    """A pixel to focus on is one of the picture, and what is computed on the host fits a window's frame."""
+def test_focus_and_depth_use_full_image_coordinates() -> None:
+    """The pixel to focus on is given in full-image coordinates, and host-side depth fits a window's frame."""
     camera = lens(60.0, SIZE, aperture=0.1)
     scene = ls.Scene([layers(camera)])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
@@ -124,8 +124,8 @@ def test_focus_and_depth_are_of_the_picture() -> None:
         ((0, 0, 16.5, 16), "four whole numbers"),
     ],
 )
-def test_windows_that_are_none(window: tuple[float, ...], message: str) -> None:
-    """They are refused where they are made."""
+def test_invalid_windows_are_refused(window: tuple[float, ...], message: str) -> None:
+    """The camera's constructor refuses them."""
     with pytest.raises(ls.SceneError, match=message):
         lens(60.0, SIZE, window=window)
 
@@ -139,15 +139,15 @@ def test_windows_that_are_none(window: tuple[float, ...], message: str) -> None:
         ({"pipeline": "hybrid", "time_limit": 1.0}, "choose samples by the whole image"),
     ],
 )
-def test_frames_that_need_the_whole_picture(settings: dict[str, Any], message: str) -> None:
-    """One line instead of other pixels than the whole picture's."""
+def test_settings_that_need_the_full_image_are_refused(settings: dict[str, Any], message: str) -> None:
+    """One message instead of pixels that differ from the full image."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.ConfigError, match=message):
         ls.render(lit_scene.scene(), camera, ls.RenderConfig(**settings), device="cpu")
 
 
-def test_what_is_not_of_windows() -> None:
-    """Gradients are of whole pictures, and a window is not scaled."""
+def test_gradients_and_scaling_refuse_windows() -> None:
+    """Gradients need the full image, and a camera with a window cannot be scaled."""
     camera = lens(60.0, SIZE, window=WINDOWS[0])
     with pytest.raises(ls.SceneError, match="need the whole image"):
         ls.splat_gradients(ls.Scene([layers(camera)]), camera, dL_dcolor=np.ones((53, 71, 3)), device="cpu")

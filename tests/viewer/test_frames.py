@@ -248,7 +248,7 @@ def test_the_log_has_no_word_of_grain_that_is_still_to_go(caplog: pytest.LogCapt
     thread = threading.Thread(target=render, name=THREAD)
     thread.start()
     thread.join()
-    assert "grainy" not in caplog.text
+    assert "noisy" not in caplog.text
     render()
-    assert "grainy" in caplog.text
+    assert "noisy" in caplog.text
     renderers.close()

@@ -1,4 +1,4 @@
-"""Haze of captures in lit frames: Gaussians too thin for a surface stay as captured, or are lit, as their set says."""
+"""Thin haze of captures in lit frames: without a surface it stays as captured, or is lit if its set is relit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PIPELINES = pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pip
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
 GREEN, RED = np.array([0.2, 0.7, 0.3]), np.array([0.8, 0.3, 0.2])
 GLOWING = ls.MaterialSimple(emissive=(0.5, 0.5, 0.5))
-"""Relit: none of it is as captured, and half of its albedo shines without light."""
+"""A relit material: nothing is as captured, and half of its albedo is emitted without light."""
 KEPT = {
     "shadow-only": {"shadow_catcher": True},
     "ambient": {"material": ls.MaterialSimple(ambient=(0.4, 0.4, 0.4))},
@@ -26,14 +26,14 @@ KEPT = {
 
 
 def veil(depth: float, opacity: float, color: np.ndarray) -> ls.Gaussians:
-    """One Gaussian, flat and so wide that its alpha is even over the view."""
+    """One flat Gaussian, so wide that its alpha is constant over the view."""
     return ls.Gaussians(
         [[0.0, 0.0, depth]], [[1.0, 0.0, 0.0, 0.0]], [[40.0, 40.0, 0.002]], [opacity], flat_sh(color[None])
     )
 
 
 def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
-    """From the front, in the light."""
+    """A frame from the front, in the light."""
     config = replace(ls.RenderConfig(pipeline=pipeline, lighting=True), **settings)
     return ls.render(ls.Scene(splats=splats, lights=[FACING]), front_camera(24, 18, 30.0), config, device="cpu")
 
@@ -41,10 +41,10 @@ def frame_of(splats: list[ls.SplatInstance], pipeline: ls.Pipeline = ls.Pipeline
 @PIPELINES
 @pytest.mark.parametrize("kind", KEPT)
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.9, 0.6, 0.1), None], ids=["black", "orange", "none"])
-def test_kept_haze_shows_as_captured(
+def test_emissive_haze_stays_as_captured(
     background: tuple[float, float, float] | None, kind: str, pipeline: ls.Pipeline
 ) -> None:
-    """Where no surface is found, a lit frame shows the same as an unlit one, to the bit."""
+    """Where no surface is found, a lit frame equals an unlit one to the bit."""
     splats = [ls.SplatInstance(veil(2.0, 0.2, GREEN), **KEPT[kind])]
     lit = frame_of(splats, pipeline, background=background)
     unlit = frame_of(splats, pipeline, background=background, lighting=False)
@@ -56,8 +56,8 @@ def test_kept_haze_shows_as_captured(
 @PIPELINES
 @pytest.mark.parametrize("first", ["captured", "relit"])
 @pytest.mark.parametrize("opacity", [0.12, 0.5, 0.9])
-def test_each_gaussian_shows_as_its_set_says(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
-    """Whichever is in front, and whether they come to a surface: captured plus what the relit ones shine."""
+def test_mixed_haze_adds_captured_and_relit_parts(opacity: float, first: str, pipeline: ls.Pipeline) -> None:
+    """Whichever set is in front, and whether there is a surface or not, the frame is the sum of both parts."""
     depths = (2.0, 2.5) if first == "captured" else (2.5, 2.0)
     captured = ls.SplatInstance(veil(depths[0], opacity, GREEN))
     relit = ls.SplatInstance(veil(depths[1], opacity, RED), material=GLOWING)
@@ -71,8 +71,8 @@ def test_each_gaussian_shows_as_its_set_says(opacity: float, first: str, pipelin
 
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
-def test_random_hits_have_the_same_mean(strategy: ls.config.TraceStrategy) -> None:
-    """Three veils of both kinds, by rays that each see one Gaussian, or one pass."""
+def test_stochastic_hits_of_mixed_sets_are_unbiased(strategy: ls.config.TraceStrategy) -> None:
+    """Three layers of both kinds, by rays that hit one Gaussian, or one pass, each."""
     splats = [
         ls.SplatInstance(veil(2.0, 0.3, GREEN)),
         ls.SplatInstance(veil(2.2, 0.4, RED), material=GLOWING),
@@ -86,8 +86,8 @@ def test_random_hits_have_the_same_mean(strategy: ls.config.TraceStrategy) -> No
 
 @PIPELINES
 @pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside a captured set"])
-def test_relit_haze_is_lit(beside: bool, pipeline: ls.Pipeline) -> None:
-    """By the light that faces it: no jump where its alpha reaches that of a surface, 0.3."""
+def test_relit_haze_is_lit_without_a_surface(beside: bool, pipeline: ls.Pipeline) -> None:
+    """Light from the front gives no jump where alpha reaches that of a surface, 0.3."""
     material = ls.MaterialSimple(emissive=(0.0, 0.0, 0.0), diffuse=(1.0, 1.0, 1.0))
     more = [ls.SplatInstance(veil(9.0, 1e-6, GREEN))] if beside else []
     for opacity in (0.05, 0.29, 0.31):
@@ -98,8 +98,8 @@ def test_relit_haze_is_lit(beside: bool, pipeline: ls.Pipeline) -> None:
 
 
 @PIPELINES
-def test_captures_beside_relit_sets_keep_their_bits(pipeline: ls.Pipeline) -> None:
-    """Pixels that the relit set does not reach show what they show unlit."""
+def test_captures_beside_relit_sets_are_unchanged(pipeline: ls.Pipeline) -> None:
+    """Pixels that the relit set does not reach equal the unlit frame to the bit."""
     capture = ls.SplatInstance(veil(2.0, 0.6, GREEN))
     spot = ls.Gaussians([[-0.4, 0.0, 1.9]], [[1.0, 0.0, 0.0, 0.0]], [[0.05, 0.05, 0.05]], [0.8], flat_sh(RED[None]))
     lit = frame_of([capture, ls.SplatInstance(spot, material=GLOWING)], pipeline)
@@ -112,7 +112,7 @@ def test_captures_beside_relit_sets_keep_their_bits(pipeline: ls.Pipeline) -> No
 @pytest.mark.parametrize("way", WAYS)
 @PIPELINES
 def test_all_schedules_agree(pipeline: ls.Pipeline, way: str) -> None:
-    """The kernels of the CPU and those of CUDA, layers of both kinds one after the other, a mesh between them."""
+    """CPU and CUDA schedules give equal frames of alternating layers of both kinds with a mesh between them."""
     splats = [ls.SplatInstance(veil(2.0 + 0.1 * k, 0.2, GREEN)) for k in range(3)]
     splats += [ls.SplatInstance(veil(2.05 + 0.1 * k, 0.2, RED), material=GLOWING) for k in range(3)]
     corners = [[-0.2, -0.2, 2.12], [0.3, -0.2, 2.12], [0.0, 0.3, 2.12]]

@@ -1,4 +1,4 @@
-"""Meshes in captures without lights: lit by what the captures show around them, or from the camera."""
+"""Meshes in captures without lights: lit by the captures around them, or by a headlight."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def _unsaid() -> Iterator[None]:
 
 
 def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gaussians:
-    """A sphere of dense Gaussians around the mesh, as a room is; of ``share`` below 1 only those at its bottom.
+    """A sphere of dense Gaussians around the mesh, like a room; below a ``share`` of 1 only its bottom.
 
     Args:
-        colors: Display-referred, of all Gaussians or one for each of 3,000.
-        share: Of the sphere, by solid angle, from +y on.
+        colors: Display-referred colour of all Gaussians, or one for each of 3,000.
+        share: Fraction of the sphere by solid angle, from +y on.
         radius: Scene units.
     """
     along = even_directions(3000)
@@ -49,7 +49,7 @@ def shell(colors: np.ndarray, share: float = 1.0, radius: float = 8.0) -> ls.Gau
 
 
 def ball(radius: float = 0.8, **attributes: Any) -> ls.Mesh:
-    """A smooth ball at the place."""
+    """A smooth ball at the test position."""
     import trimesh
 
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=radius)
@@ -65,8 +65,8 @@ def light_on(scene: ls.Scene, **settings: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_a_matt_mesh_in_an_even_capture_shows_albedo_times_its_radiance(pipeline: ls.Pipeline) -> None:
-    """A white furnace, from every side of the mesh, in one sample."""
+def test_diffuse_mesh_in_a_captured_furnace_shows_its_albedo(pipeline: ls.Pipeline) -> None:
+    """White furnace: albedo times the capture's constant radiance, from every side, in one sample."""
     color = np.array([0.9, 0.6, 0.3])
     seen = light_on(ls.Scene([shell(color)], [ball()]), pipeline=pipeline)
     np.testing.assert_allclose(seen.mean(axis=0), 0.5 * decode_srgb(color), rtol=0.01)
@@ -74,8 +74,8 @@ def test_a_matt_mesh_in_an_even_capture_shows_albedo_times_its_radiance(pipeline
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_light_comes_from_where_the_capture_shows_it(axis: int) -> None:
-    """Half of the sphere shines: irradiance is (1 + cosine) / 2 of it by the normal's angle to that side."""
+def test_captured_light_comes_from_bright_directions(axis: int) -> None:
+    """With half of the sphere bright, irradiance is (1 + cosine) / 2 by the normal's angle to that half."""
     along = even_directions(3000)
     colors = np.where(along[:, axis, None] > 0.0, [1.0, 1.0, 1.0], [0.0, 0.0, 0.0])
     camera = front_camera(96, 72)
@@ -86,8 +86,8 @@ def test_the_light_comes_from_where_the_capture_shows_it(axis: int) -> None:
     assert abs(error.mean()) < 0.01 and np.sqrt(np.mean(error**2)) < 0.03
 
 
-def test_the_light_of_meshes_that_move_is_found_by_one_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is found anew at each place, not for a new object at the same place, and equals that of a new renderer."""
+def test_captured_light_is_rendered_again_after_a_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is rendered at each new position, not for a new object at the same one, and equals a new renderer's."""
     found, made = captured_light.captured_light, list[object]()
     boxes = list[np.ndarray]()
 
@@ -107,8 +107,8 @@ def test_the_light_of_meshes_that_move_is_found_by_one_renderer(monkeypatch: pyt
     np.testing.assert_array_equal(frame.color, ls.render(scene, camera, device="cpu").color)
 
 
-def test_captured_light_is_that_of_paths() -> None:
-    """Paths find what captures show around a mesh by bouncing; the mean over the mesh agrees within 5 %."""
+def test_captured_light_agrees_with_path_tracing() -> None:
+    """The mean over the mesh agrees within 5 %."""
     along = even_directions(3000)
     colors = 0.5 + 0.4 * along[:, [1, 0, 2]]
     scene = ls.Scene([shell(colors, radius=50.0)], [ball()])
@@ -116,8 +116,8 @@ def test_captured_light_is_that_of_paths() -> None:
     np.testing.assert_allclose(seen.mean(axis=0), truth.mean(axis=0), rtol=0.05)
 
 
-def test_captures_stay_as_they_were_to_the_byte() -> None:
-    """Only pixels of the mesh change."""
+def test_captured_light_changes_only_mesh_pixels() -> None:
+    """Pixels of the capture are byte-equal."""
     scene = ls.Scene([shell(np.array([0.7, 0.5, 0.2]))], [ball()])
     camera = front_camera(64, 48)
     lit, flat = (
@@ -129,8 +129,8 @@ def test_captures_stay_as_they_were_to_the_byte() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_what_a_capture_does_not_surround_is_lit_from_the_camera(share: float) -> None:
-    """A figure without a room, or ground without a sky: the frame is that of lighting=True."""
+def test_mesh_outside_a_capture_gets_a_headlight(share: float) -> None:
+    """With a capture of a figure, or a floor without a sky, the frame equals that of lighting=True."""
     capture = shell(np.array([0.5, 0.5, 0.5]), share) if share else one_gaussian((1.5, 0.0, 4.0))
     scene = ls.Scene([capture], [octahedron((0.0, 0.0, 4.0), 1.0)])
     frame, asked = (
@@ -140,8 +140,8 @@ def test_what_a_capture_does_not_surround_is_lit_from_the_camera(share: float) -
     np.testing.assert_array_equal(frame.color, asked.color)
 
 
-def test_lights_and_settings_that_are_given_decide() -> None:
-    """A lamp, a lamp that is off, and lighting=True and False: none of them takes light from the capture."""
+def test_explicit_lights_and_settings_disable_captured_light() -> None:
+    """A light, a disabled light, and lighting=True or False take no light from the capture."""
     capture, lamp = shell(np.array([0.2, 0.2, 0.8])), ls.LightPoint(PLACE - (0, 0, 3), intensity=5.0)
     scene = ls.Scene([capture], [ball()])
     for lights, lighting in (((lamp,), None), ((replace(lamp, enabled=False),), None), ((), True)):
@@ -151,8 +151,8 @@ def test_lights_and_settings_that_are_given_decide() -> None:
     assert np.ptp(flat.color[flat.instance_index == 1], axis=0).max() < 1e-6
 
 
-def test_light_follows_the_mesh_and_is_the_same_for_any_renderer() -> None:
-    """A renderer that has shown other places shows what a new one does, to the bit, with any number of threads."""
+def test_captured_light_does_not_depend_on_earlier_frames() -> None:
+    """A renderer that has rendered other positions equals a new one to the bit, with any number of threads."""
     along = even_directions(3000)
     scene = ls.Scene([shell(np.where(along[:, :1] > 0.0, 0.9, 0.1) * np.ones(3))], [ball()])
     moved = replace(scene, meshes=[ls.MeshInstance(ball(), position=(1.5, 0.0, 0.0))])
@@ -166,8 +166,8 @@ def test_light_follows_the_mesh_and_is_the_same_for_any_renderer() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [*DIRECT, ls.Pipeline.PATH, ls.Pipeline.REALTIME])
-def test_gain_and_tone_mapping_are_of_all_that_captures_light(pipeline: ls.Pipeline) -> None:
-    """A stop is twice the light in every pipeline; the gain that is found exposes a gray ball as its gray room."""
+def test_capture_gain_scales_captured_light(pipeline: ls.Pipeline) -> None:
+    """One stop doubles the light in every pipeline; the estimated gain exposes a grey ball like its grey room."""
     color = np.array([0.5, 0.5, 0.5])
     scene = ls.Scene([shell(color, radius=30.0)], [ball()])
     gain = ls.avatars.estimate_capture_gain(scene, device="cpu")
@@ -189,16 +189,16 @@ def test_gain_and_tone_mapping_are_of_all_that_captures_light(pipeline: ls.Pipel
     np.testing.assert_array_equal(mapped.pixels_srgb()[beside], plain.pixels_srgb()[beside])
 
 
-def test_more_samples_and_images_of_lights_agree_with_one_sample() -> None:
-    """Directions are spread over samples; where each light has an image, one a sample is looked for."""
+def test_captured_light_agrees_for_any_number_of_samples() -> None:
+    """Directions are spread over samples; with images of single lights, each sample has one direction."""
     scene = ls.Scene([shell(np.array([0.9, 0.6, 0.3]))], [ball()])
     one = light_on(scene).mean(axis=0)
     np.testing.assert_allclose(light_on(scene, samples=8, jitter=False).mean(axis=0), one, rtol=0.01)
     np.testing.assert_allclose(light_on(scene, aovs=("lights",), jitter=False).mean(axis=0), one, rtol=0.02)
 
 
-def test_it_is_said_once_what_lights_the_meshes(caplog: pytest.LogCaptureFixture) -> None:
-    """Two renderers and three frames: one line, which names the setting."""
+def test_captured_light_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Two renderers and three frames log one line, which names the setting."""
     scene = ls.Scene([shell(np.array([0.5, 0.5, 0.5]))], [ball()])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         for _ in range(2):

@@ -1,4 +1,4 @@
-"""How many samples a frame has unless they are given, and what is said of too few."""
+"""Default numbers of samples per pixel, and warnings about too few samples."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ MANY, SOME = SAMPLES_OF_RANDOM_LIGHT, SAMPLES_OF_ENVIRONMENT_ON_SPLATS
 
 
 def ball(radius: float) -> ls.MeshInstance:
-    """In front of the camera."""
+    """A ball in front of the camera."""
     pose = np.eye(4)
     pose[2, 3] = 4.0
     return ls.MeshInstance(icosphere(radius), pose)
 
 
 def scene(*lights: Any, **capture: Any) -> ls.Scene:
-    """A capture and a ball; without the ball if the capture is described."""
+    """A capture and a ball; only the capture if it is described."""
     splats = [ls.SplatInstance(random_gaussians(3, count=60), **capture)]
     return ls.Scene(splats, () if capture else [ball(0.4)], lights)
 
@@ -58,14 +58,16 @@ def scene(*lights: Any, **capture: Any) -> ls.Scene:
         (scene(SKY), {"samples": 3}, 3),
     ],
 )
-def test_samples_are_chosen_by_what_is_lit(content: ls.Scene, settings: dict[str, Any], samples: int) -> None:
-    """Many where light comes from random directions and is reflected or blocked, else one."""
+def test_default_samples_depend_on_lights_and_surfaces(
+    content: ls.Scene, settings: dict[str, Any], samples: int
+) -> None:
+    """Many where random light is reflected or blocked, else one."""
     assert FramePlan.of(ls.RenderConfig(**settings), content).samples == samples
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_an_environment_shows_no_pepper_by_default(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
-    """A bright window in a dark room: one sample leaves black points next to bright ones, the default does not."""
+def test_default_samples_leave_no_black_pixels(pipeline: ls.Pipeline, caplog: pytest.LogCaptureFixture) -> None:
+    """With a bright window in a dark room, one sample leaves black pixels beside bright ones; the default does not."""
     image = np.full((16, 32, 3), 0.02, np.float32)
     image[5:9, 12:20] = 12.0
     lit = ls.Scene((), [ball(0.9)], [ls.LightEnvironment(image)])
@@ -81,8 +83,8 @@ def test_an_environment_shows_no_pepper_by_default(pipeline: ls.Pipeline, caplog
     assert errors[None] < 0.35 * errors[1]
 
 
-def test_too_few_samples_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
-    """With what is grainy and what helps; never by default, nor as soon as resumed frames have enough."""
+def test_too_few_samples_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    """The warning names the noisy light and the remedy; none by default, nor once resumed frames have enough."""
     camera, soft = front_camera(16, 16), scene(SKY, SOFT_SUN)
 
     def lines(content: ls.Scene, **settings: Any) -> list[str]:
@@ -107,8 +109,8 @@ def test_too_few_samples_are_warned_of_once(caplog: pytest.LogCaptureFixture) ->
 
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
-def test_samples_that_nobody_asked_for_leave_captures_as_they_are(pipeline: ls.Pipeline) -> None:
-    """A kept capture before a mesh that needs samples: pixels without the mesh have the bits of an unlit frame."""
+def test_default_samples_leave_captures_unchanged(pipeline: ls.Pipeline) -> None:
+    """An emissive capture in front of a noisy mesh: pixels without the mesh equal the unlit frame to the bit."""
     content = scene(replace(SKY, visible=False))
     pose = np.eye(4)
     pose[:3, 3] = 1.0, 0.0, 9.0
@@ -123,8 +125,10 @@ def test_samples_that_nobody_asked_for_leave_captures_as_they_are(pipeline: ls.P
     np.testing.assert_array_equal(frame.pixels_srgb()[untouched], alone.pixels_srgb()[untouched])
 
 
-def test_the_demo_chooses_its_samples(caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Any) -> None:
-    """Its animation has fewer than its lights need, on purpose: it does not complain about itself, others still do."""
+def test_demo_animation_suppresses_its_noise_warning(
+    caplog: pytest.LogCaptureFixture, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Its animation deliberately has few samples and logs no warning; other frames still do."""
     settings = replace(demo._lit_config(), samples=MANY, max_bounces=0)
     monkeypatch.setattr(demo, "_lit_config", lambda: settings)
     monkeypatch.setattr(demo, "_SWING_FRAMES", 2)
@@ -136,6 +140,6 @@ def test_the_demo_chooses_its_samples(caplog: pytest.LogCaptureFixture, tmp_path
         return ls.create_renderer(config, "cpu")
 
     list(demo.lit_images(content, front_camera(16, 16), tmp_path, start, lambda label, share: None))
-    assert not [record for record in caplog.records if "grainy" in record.getMessage()]
+    assert not [record for record in caplog.records if "is noisy" in record.getMessage()]
     start(ls.RenderConfig(samples=1)).render(content, front_camera(16, 16))
-    assert [record for record in caplog.records if "grainy" in record.getMessage()]
+    assert [record for record in caplog.records if "is noisy" in record.getMessage()]

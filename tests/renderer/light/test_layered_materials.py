@@ -1,4 +1,4 @@
-"""Materials with layers in frames: pipelines show the same under a lamp, and paths the scene around in a coat."""
+"""Layered materials in frames: pipelines agree under a light, and paths show reflections in a coat."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ LOOKS: dict[str, dict[str, Any]] = {
 
 
 def frame(scene: ls.Scene, pipeline: ls.Pipeline, samples: int = 1, **changes: Any) -> np.ndarray:
-    """Colour."""
+    """Colour of a frame."""
     settings = ls.RenderConfig(pipeline=pipeline, samples=samples, jitter=False, **changes)
     return ls.render(scene, VIEW, settings, device="cpu").color
 
 
 @pytest.mark.parametrize("look", LOOKS)
-def test_pipelines_agree_under_a_lamp(look: str) -> None:
-    """On a ball, without bounces; and the layer, or what is scattered more than once, makes a difference."""
+def test_pipelines_agree_on_layers_under_a_light(look: str) -> None:
+    """On a ball without bounces; the layer, or multiple scattering, changes the image."""
     compensated = look == "metal"
     scene = ls.Scene(meshes=[ball(0.3, ls.MaterialPbr(**(PLAIN | LOOKS[look])), rows=24)], lights=[LAMP])
     shown = [frame(scene, p, max_bounces=0, energy_compensation=compensated) for p in SAMPLED]
@@ -40,8 +40,8 @@ def test_pipelines_agree_under_a_lamp(look: str) -> None:
     assert np.abs(without - shown[0]).max() > 0.02
 
 
-def test_layers_on_captures() -> None:
-    """Relit Gaussians have them, too."""
+def test_relit_gaussians_have_layers() -> None:
+    """Clearcoat and sheen work on relit sets."""
     gaussians = ls.gaussians_from_mesh(ball(0.3, ls.MaterialPbr(base_color=(0.5, 0.1, 0.1))), 3000)
     shown = [
         frame(ls.Scene(splats=[ls.SplatInstance(gaussians, material=material)], lights=[LAMP]), ls.Pipeline.HYBRID)
@@ -50,8 +50,8 @@ def test_layers_on_captures() -> None:
     assert shown[1].mean() > shown[0].mean() + 0.005
 
 
-def test_a_coat_shows_the_scene_around() -> None:
-    """In paths: head on 0.04 of a lit wall behind the camera, over black."""
+def test_coat_reflects_its_surroundings() -> None:
+    """In path tracing, a coat over black reflects 0.04 of a lit wall behind the camera at normal incidence."""
     coated = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, clearcoat=1.0)
     dark = ls.MaterialPbr(base_color=(0.0, 0.0, 0.0), specular=0.0, roughness=1.0, emissive=(1.0, 1.0, 1.0))
     scene = ls.Scene(

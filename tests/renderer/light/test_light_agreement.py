@@ -1,4 +1,4 @@
-"""Our own ways to light the same thing agree: mesh and Gaussians, raster, trace and hybrid, lit and not lit."""
+"""Different ways to light the same scene agree: mesh and Gaussians, raster, trace and hybrid, lit and unlit."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def ring() -> ls.Mesh:
 
 
 def tray() -> ls.Mesh:
-    """A slab, and a ball over it that shadows it."""
+    """A slab, and a ball above it that shadows it."""
     slab = transform_mesh(rounded_box((1.3, 0.2, 1.0), 0.06), similarity((0.3, 1.0, 0.1), 0.2, 1.0, (0.0, 0.45, 0.0)))
     return join_meshes([slab, transform_mesh(sphere(0.22), similarity(offset=(-0.1, 0.85, 0.0)))])
 
@@ -47,18 +47,18 @@ FLOOR = parallelogram((-3.0, 0.0, 3.0), (6.0, 0.0, 0.0), (0.0, 0.0, -6.0), matte
 
 @cache
 def gaussians_of(name: str) -> ls.Gaussians:
-    """The object as Gaussians that carry its normals and albedo."""
+    """The object as Gaussians with its normals and albedo."""
     mesh, count = OBJECTS[name]
     return ls.gaussians_from_mesh(mesh, count)
 
 
 def as_mesh(name: str) -> ls.Scene:
-    """The object over the floor."""
+    """The mesh object over the floor."""
     return ls.Scene((), [FLOOR, OBJECTS[name][0]], [LAMP])
 
 
 def as_gaussians(name: str, **changes: object) -> ls.Scene:
-    """The same of Gaussians."""
+    """The Gaussian object over the floor."""
     instance = ls.SplatInstance(gaussians_of(name), material=OBJECTS[name][0].material)
     return ls.Scene([replace(instance, **changes)], [FLOOR], [LAMP])
 
@@ -69,7 +69,7 @@ def overlap(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def inner(mask: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Pixels of a mask around which, two pixels far, all belong to it and face about the same way."""
+    """Pixels of a mask whose neighbours, up to two pixels away, belong to it and have similar normals."""
     kept = mask.copy()
     for rows in range(-2, 3):
         for columns in range(-2, 3):
@@ -79,14 +79,14 @@ def inner(mask: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 
 def psnr(first: np.ndarray, second: np.ndarray) -> float:
-    """Decibels between two images, white is 1."""
+    """PSNR between two images in decibels; white is 1."""
     return float(-10.0 * np.log10(np.mean((np.clip(first, 0.0, 1.0) - np.clip(second, 0.0, 1.0)) ** 2)))
 
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
-def test_mesh_and_gaussians_are_shadowed_alike(name: str, pipeline: ls.Pipeline) -> None:
-    """The same object in both forms: the masks of its shadow on the floor and on itself."""
+def test_mesh_and_gaussians_have_equal_shadows(name: str, pipeline: ls.Pipeline) -> None:
+    """Compares masks of the shadows on the floor and on the object itself."""
     mesh = lit(as_mesh(name), CAMERA, pipeline, aovs=("lights",))
     splats = lit(as_gaussians(name), CAMERA, pipeline, aovs=("lights",))
     assert mesh.light_shadow is not None
@@ -113,11 +113,11 @@ def test_mesh_and_gaussians_are_shadowed_alike(name: str, pipeline: ls.Pipeline)
 
 @PIPELINES
 @pytest.mark.parametrize("name", OBJECTS)
-def test_mesh_and_gaussians_are_shaded_alike(name: str, pipeline: ls.Pipeline) -> None:
-    """The same object in both forms, away from its edges: how bright, unshadowed.
+def test_mesh_and_gaussians_have_equal_shading(name: str, pipeline: ls.Pipeline) -> None:
+    """Compares unshadowed brightness away from edges.
 
-    The rasteriser orders discs by their centres: those that face the viewer more are seen more than they should be. So
-    they are where footprints widen them: these are of no use to what was not trained with them.
+    The rasteriser orders discs by their centres, so that discs that face the viewer get too much weight. Footprints
+    have the same effect: they suit only captures trained with them.
     """
     thin = ls.TraceConfig(dilation=0.0)
     mesh = lit(as_mesh(name), CAMERA, pipeline, aovs=("lights",))
@@ -131,8 +131,8 @@ def test_mesh_and_gaussians_are_shaded_alike(name: str, pipeline: ls.Pipeline) -
     assert np.abs(shone_too - shone).mean() < each * shone.mean()
 
 
-def test_pipelines_light_meshes_alike() -> None:
-    """Nothing but rounding tells raster, trace and hybrid apart where there are only meshes."""
+def test_pipelines_shade_meshes_equally() -> None:
+    """Raster, trace and hybrid frames of meshes differ only by rounding."""
     scene = as_mesh("tray")
     raster, trace, hybrid = (lit(scene, CAMERA, pipeline) for pipeline in DIRECT)
     for frame in (raster, hybrid):
@@ -141,8 +141,8 @@ def test_pipelines_light_meshes_alike() -> None:
 
 
 @pytest.mark.parametrize("name", ["ring", "shiny sphere"])
-def test_pipelines_light_splats_alike(name: str) -> None:
-    """Raster and hybrid show the same, and differ from trace as their footprints do."""
+def test_pipelines_shade_splats_equally(name: str) -> None:
+    """Raster and hybrid frames are equal, and differ from traced ones as their footprints do."""
     raster, trace, hybrid = (lit(as_gaussians(name), CAMERA, pipeline) for pipeline in DIRECT)
     assert_close(hybrid.color, raster.color, atol=1e-4)
     assert psnr(raster.color, trace.color) > 23.0
@@ -152,8 +152,8 @@ def test_pipelines_light_splats_alike(name: str) -> None:
 
 
 @PIPELINES
-def test_white_gaussians_disappear_in_even_light(pipeline: ls.Pipeline) -> None:
-    """The white furnace: what the Gaussians of a surface take from each other by their shadows is below 1 %."""
+def test_white_gaussians_disappear_in_a_furnace(pipeline: ls.Pipeline) -> None:
+    """White furnace: Gaussians of a surface lose less than 1 % to shadows on each other."""
     white = matte(1.0)
     splats = ls.gaussians_from_mesh(ball_at((0.0, 0.7, 0.0), 0.5, white), 4000)
     sky = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
@@ -165,16 +165,16 @@ def test_white_gaussians_disappear_in_even_light(pipeline: ls.Pipeline) -> None:
 
 
 def capture() -> ls.Gaussians:
-    """What stands for a capture: it shines as it is."""
+    """A set of Gaussians that emits its colours, like a capture."""
     return random_gaussians(71, count=300, degree=2, center=(0.0, 0.8, 0.0), extent=(0.9, 0.7, 0.6))
 
 
 @PIPELINES
 @pytest.mark.parametrize("lights", [(LAMP,), (replace(LAMP, enabled=False),), ()], ids=["lamp", "off", "headlight"])
-def test_captures_come_out_as_they_went_in(
+def test_lighting_without_reflecting_surfaces_changes_nothing(
     lights: tuple[ls.LightPoint, ...], pipeline: ls.Pipeline, tmp_path: Path
 ) -> None:
-    """Lighting on, but nothing that reflects: no light, equal colours, equal files, whatever the tone mapping."""
+    """No light, equal colours and equal files, whatever the tone mapping."""
     scene = ls.Scene([capture()], (), lights)
     settings = {"background": (0.2, 0.3, 0.4), "tone_map": ls.ToneMap.AGX}
     frame = lit(scene, CAMERA, pipeline, **settings)
@@ -192,8 +192,8 @@ def test_captures_come_out_as_they_went_in(
 
 
 @PIPELINES
-def test_a_capture_beside_a_lit_mesh_is_as_captured(pipeline: ls.Pipeline, tmp_path: Path) -> None:
-    """Light on a floor changes no pixel of the capture that hides it, nor of the background."""
+def test_capture_beside_a_lit_mesh_is_unchanged(pipeline: ls.Pipeline, tmp_path: Path) -> None:
+    """Light on a floor changes no pixel of the capture in front of it, nor of the background."""
     half = parallelogram((-3.0, 0.0, 0.2), (3.2, 0.0, 0.0), (0.0, 0.0, -1.4), matte(0.8))
     scene = ls.Scene([capture()], [half], [LAMP])
     frame = lit(scene, CAMERA, pipeline, tone_map=ls.ToneMap.NEUTRAL)

@@ -1,4 +1,4 @@
-"""Light against closed forms, and against integrals in float64 where there is none."""
+"""Lighting compared with closed forms, and with float64 integrals where there are none."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from support.scenes.light_rig import (
 from support.scenes.light_scenes import ball_at, clear_glass, matte, metal
 
 EVEN = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
-"""As bright everywhere."""
+"""Constant environment."""
 
 # --- How bright ---
 
@@ -31,7 +31,7 @@ EVEN = ls.LightEnvironment(color=(0.5, 1.0, 1.5))
 @PIPELINES
 @pytest.mark.parametrize("reach", [math.inf, 2.6], ids=["no range", "range"])
 def test_point_light_over_a_plane(pipeline: ls.Pipeline, reach: float) -> None:
-    """Albedo over pi, times candela over distance squared, times the cosine, and the window of glTF: every pixel."""
+    """Every pixel is albedo / pi times candela / distance squared times the cosine, and glTF's range window."""
     light = ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.5, 0.2), intensity=7.0, range=reach)
     camera, albedo = above(), (0.9, 0.6, 0.3)
     frame = lit(ls.Scene((), [floor(matte(*albedo))], [light]), camera, pipeline)
@@ -46,7 +46,7 @@ def test_point_light_over_a_plane(pipeline: ls.Pipeline, reach: float) -> None:
 
 @PIPELINES
 def test_spot_over_a_plane(pipeline: ls.Pipeline) -> None:
-    """Full inside the inner cone, none outside the outer one, and in between glTF's squared ramp of the cosine."""
+    """Full inside the inner cone, none outside the outer one, and glTF's squared ramp of the cosine between."""
     light = ls.LightSpot((-0.5, 2.0, 0.4), (0.3, -1.0, -0.2), intensity=9.0, inner_angle=0.25, outer_angle=0.5)
     camera = above()
     frame = lit(ls.Scene((), [floor(matte(0.8))], [light]), camera, pipeline)
@@ -62,8 +62,8 @@ def test_spot_over_a_plane(pipeline: ls.Pipeline) -> None:
 
 @PIPELINES
 @pytest.mark.parametrize("shadows", ls.Shadows, ids=lambda shadows: shadows.value)
-def test_light_that_meets_nothing_is_the_same_with_any_shadows(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
-    """Spheres over the horizon light as their centres do, discs in the sky too; sampling them only adds noise."""
+def test_unblocked_light_is_equal_for_all_shadow_modes(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+    """Spheres and distant discs above the horizon light like their centres; sampling them only adds noise."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), intensity=7.0, radius=0.3),
         ls.LightSphere((-1.0, 2.0, 0.5), 0.4, intensity=6.0),
@@ -91,8 +91,8 @@ def test_light_that_meets_nothing_is_the_same_with_any_shadows(pipeline: ls.Pipe
 
 
 @PIPELINES
-def test_lights_add_up_and_are_told_apart(pipeline: ls.Pipeline) -> None:
-    """The image is the sum over lights of what each would reflect times its shadow; a disabled one gives nothing."""
+def test_frame_is_the_sum_of_its_lights(pipeline: ls.Pipeline) -> None:
+    """The image is the sum over lights of unshadowed light times shadow; a disabled light adds nothing."""
     lights = [
         ls.LightPoint((0.4, 1.5, -0.3), color=(1.0, 0.2, 0.1), intensity=7.0, name="lamp"),
         ls.LightDirectional((0.4, -1.0, 0.3), intensity=1.5, casts_shadow=False),
@@ -118,7 +118,7 @@ def test_lights_add_up_and_are_told_apart(pipeline: ls.Pipeline) -> None:
 
 @PIPELINES
 def test_without_lights_there_is_a_headlight(pipeline: ls.Pipeline) -> None:
-    """A white wall that faces the camera is 1, whatever its distance; others are darker by their cosine."""
+    """A white wall that faces the camera is 1 at any distance; tilted ones are darker by their cosine."""
     camera = above(height=3.0, eye=(1.5, 0.4))
     frame = lit(ls.Scene((), [floor(matte(0.9))]), camera, pipeline)
     directions, _ = towards(tuple(camera.eye), floor_points(camera))
@@ -126,11 +126,11 @@ def test_without_lights_there_is_a_headlight(pipeline: ls.Pipeline) -> None:
 
 
 RECT = ls.LightRect((0.3, 1.2, -0.2), (1.1, 0.2, 0.0), (0.1, 0.0, 0.9), intensity=3.0)
-"""Over the plane, facing down and a little to one side."""
+"""A rectangle over the plane, facing down and slightly to one side."""
 
 
 def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
-    """Of a plane that faces up, of which the whole rectangle is over the horizon (Lambert 1760), shape (H, W)."""
+    """Irradiance on a plane that faces up, with the whole rectangle above the horizon (Lambert 1760), shape (H, W)."""
     u, v = 0.5 * np.array(light.edge_u), 0.5 * np.array(light.edge_v)
     corners = [np.array(light.position) + a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     rays = [towards(corner, points)[0] for corner in corners]
@@ -143,7 +143,7 @@ def rect_irradiance(light: ls.LightRect, points: np.ndarray) -> np.ndarray:
 
 
 def test_rectangle_over_a_plane() -> None:
-    """Sampled, the closed form of its irradiance; as a point, that of its centre, area and both cosines."""
+    """Sampled, the closed form of its irradiance; as a point light, that of its centre, area and both cosines."""
     camera = above()
     scene = ls.Scene((), [floor(matte(0.8))], [RECT])
     points = floor_points(camera)
@@ -181,7 +181,7 @@ def test_disk_over_a_plane() -> None:
 
 
 def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
-    """Reflectance of a facet, shape (..., 3)."""
+    """Schlick reflectance of a facet, shape (..., 3)."""
     metallic, cosine = material.metallic, cosine[..., None]
     straight = material.specular * ((material.ior - 1.0) / (material.ior + 1.0)) ** 2 * (1.0 - metallic)
     straight = straight + metallic * np.array(material.base_color)
@@ -190,14 +190,14 @@ def schlick(material: ls.MaterialPbr, cosine: np.ndarray) -> np.ndarray:
 
 
 def smith_g1(alpha: float, cosine: np.ndarray) -> np.ndarray:
-    """Smith's, of GGX: how many of the facets that face a direction are seen from there."""
+    """Smith's masking of GGX: the visible fraction of the facets that face a direction."""
     return 2.0 * cosine / (cosine + np.sqrt(alpha**2 + (1.0 - alpha**2) * cosine**2))
 
 
-def highlight_share(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 256) -> np.ndarray:
-    """What the highlight reflects of light from everywhere to viewers at those cosines, shape (..., 3): an integral.
+def highlight_albedo(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 256) -> np.ndarray:
+    """Directional albedo of the highlight at the viewers' cosines, shape (..., 3), by numerical integration.
 
-    Over the facets that each viewer sees (Heitz 2018), on a grid of ``steps`` by ``steps`` numbers.
+    Integrates over the facets visible to each viewer (Heitz 2018), on a grid of ``steps`` by ``steps`` numbers.
     """
     alpha = material.roughness**2
     out, turn = np.meshgrid((np.arange(steps) + 0.5) / steps, (np.arange(steps) + 0.5) / steps * 2.0 * np.pi)
@@ -221,9 +221,9 @@ def highlight_share(material: ls.MaterialPbr, cosines: np.ndarray, steps: int = 
 
 
 def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: np.ndarray) -> np.ndarray:
-    """The BSDF of a rough material, without the cosine, shape (..., 3); unit vectors that point away, (..., 3).
+    """BSDF of a rough material, without the cosine, shape (..., 3); unit vectors away from the surface, (..., 3).
 
-    The diffuse part gets what the highlight leaves, on the way in and out (Kelemen and Szirmay-Kalos 2001).
+    The diffuse part gets the energy that the highlight leaves, on the way in and out (Kelemen and Szirmay-Kalos 2001).
     """
     alpha = material.roughness**2
     half = view + light
@@ -233,7 +233,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
     value = spread * smith_g1(alpha, facing) * smith_g1(alpha, shone) / (4.0 * facing * shone)
     value = schlick(material, (view * half).sum(-1)) * value[..., None]
     nodes = (np.arange(64) + 0.5) / 64
-    left = 1.0 - highlight_share(replace(material, metallic=0.0), nodes, 96)  # metal keeps to its own share
+    left = 1.0 - highlight_albedo(replace(material, metallic=0.0), nodes, 96)  # metal keeps to its own share
     mean = (2.0 * nodes[:, None] * left).mean(axis=0)
     enters, leaves = (
         np.stack([np.interp(cosine, nodes, left[:, c]) for c in range(3)], axis=-1) for cosine in (shone, facing)
@@ -242,7 +242,7 @@ def pbr(material: ls.MaterialPbr, normal: np.ndarray, view: np.ndarray, light: n
 
 
 def diffuse_color(material: ls.MaterialPbr) -> np.ndarray:
-    """Albedo below the highlight, shape (3,): what is rough scatters what it would transmit."""
+    """Albedo below the highlight, shape (3,); rough surfaces scatter the transmitted fraction."""
     return (1.0 - material.metallic) * np.array(material.base_color)
 
 
@@ -260,8 +260,8 @@ rather take too much."""
 
 @PIPELINES
 @pytest.mark.parametrize("name", MATERIALS)
-def test_materials_under_a_point_light(name: str, pipeline: ls.Pipeline) -> None:
-    """The image of a plane is that of the formulas, highlight and all."""
+def test_materials_under_a_point_light_equal_the_formulas(name: str, pipeline: ls.Pipeline) -> None:
+    """Compares the image of a plane, highlight included."""
     (material, loss), camera = MATERIALS[name], above(eye=(2.5, 1.0), height=2.5)
     light = ls.LightPoint((-1.2, 1.4, -0.4), intensity=7.0)
     frame = lit(ls.Scene((), [floor(material)], [light]), camera, pipeline)
@@ -277,7 +277,7 @@ def test_materials_under_a_point_light(name: str, pipeline: ls.Pipeline) -> None
 
 @PIPELINES
 def test_simple_material_under_a_point_light(pipeline: ls.Pipeline) -> None:
-    """Diffuse and Phong's highlight from each light; own light and the ambient share once, however many there are."""
+    """Diffuse and Phong highlight per light; emission and ambient light are added once for any number of lights."""
     material = ls.MaterialSimple(
         base_color=(0.9, 0.7, 0.5),
         emissive=(0.1, 0.0, 0.2),
@@ -303,16 +303,16 @@ def test_simple_material_under_a_point_light(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("name", MATERIALS)
-def test_materials_in_even_light(name: str) -> None:
-    """A plane shows what its highlight reflects, at each angle of view, and of the rest its diffuse colour."""
+def test_materials_in_a_furnace_equal_their_albedo(name: str) -> None:
+    """A plane shows its highlight's directional albedo at each angle, and its diffuse colour times the rest."""
     material, loss = MATERIALS[name]
     camera = ls.Camera.look_at((3.0, 2.0, 0.0), (0.0, 0.0, 0.0), width=32, height=48, fov_y=0.7)
     frame = lit(ls.Scene((), [floor(material)], [EVEN]), camera, shadows=ls.Shadows.SOFT, samples=96)
     cosines = towards(tuple(camera.eye), floor_points(camera))[0][..., 1]
     rows = np.arange(0, 48, 6)
     means = np.array([cosines[row : row + 6].mean() for row in rows])
-    mirrored = highlight_share(material, means)
-    kept = highlight_share(replace(material, metallic=0.0), means)
+    mirrored = highlight_albedo(material, means)
+    kept = highlight_albedo(replace(material, metallic=0.0), means)
     expected = (mirrored + diffuse_color(material) * (1.0 - kept)) * EVEN.color
     ours = np.array([frame.color[row : row + 6].mean(axis=(0, 1)) for row in rows])
     assert (expected < EVEN.color).all()
@@ -322,8 +322,8 @@ def test_materials_in_even_light(name: str) -> None:
 
 
 @PIPELINES
-def test_white_diffuse_plane_in_even_light_shows_its_albedo(pipeline: ls.Pipeline) -> None:
-    """Albedo times the environment."""
+def test_diffuse_plane_in_a_furnace_shows_its_albedo(pipeline: ls.Pipeline) -> None:
+    """Albedo times the environment's radiance."""
     camera, albedo = above(), np.array([0.9, 0.5, 0.2])
     frame = lit(ls.Scene((), [floor(matte(*albedo))], [EVEN]), camera, pipeline, shadows=ls.Shadows.SOFT, samples=64)
     means = [blocks(frame.color[..., c]) for c in range(3)]
@@ -340,12 +340,12 @@ FURNACE = {
     "half a mirror": (ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, metallic=0.5), 0.004),
     "white, seen": (replace(matte(1.0), specular=0.0, ior=1.0), 0.004),
 }
-"""Materials that keep all light, and by how much a mean may be off."""
+"""Materials that lose no energy, and the tolerance of their mean."""
 
 
 @pytest.mark.parametrize("name", FURNACE)
-def test_what_keeps_all_light_disappears_in_even_light(name: str) -> None:
-    """The white furnace: a convex object of any material without loss cannot be told from the environment behind."""
+def test_lossless_materials_disappear_in_a_furnace(name: str) -> None:
+    """White furnace: a convex object of any lossless material cannot be distinguished from the environment."""
     material, off = FURNACE[name]
     camera = ls.Camera.look_at((1.5, 1.0, 2.6), (0.0, 0.0, 0.0), width=48, height=48, fov_y=0.6)
     scene = ls.Scene((), [ball_at((0.0, 0.0, 0.0), 0.7, material)], [EVEN])

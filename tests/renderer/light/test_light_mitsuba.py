@@ -1,6 +1,6 @@
-"""Against Mitsuba's path tracer: the stored images of tools/make_mitsuba_light_reference.py.
+"""Comparison with Mitsuba's path tracer: the stored images of tools/make_mitsuba_light_reference.py.
 
-Compared is what both see alike: not pixels at the edges of objects, nor glass's own shadow, nor where a spot fades.
+Pixels at object edges, glass's own shadow, and the falloff region of spots are left out.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ SCENES = light_scenes()
 SHARP = [name for name, one in SCENES.items() if one.shadows is ls.Shadows.HARD]
 SOFT = [name for name in SCENES if name not in SHARP]
 AGAIN = ("constant", "metal_sky")
-"""Scenes of the deep suite: daily tests have even light in closed form, and the sky on other materials."""
+"""Scenes of the deep suite: daily tests cover constant environments in closed form, and other materials."""
 DARK = 0.01
-"""Share of an image's mean below which a pixel is not lit."""
+"""Fraction of an image's mean below which a pixel counts as unlit."""
 BLOCK = 12
-"""Pixels along the side of blocks whose means are compared where samples are random."""
+"""Side of the pixel blocks whose means are compared where samples are random."""
 SAMPLES = 160
-"""Leave noise of 0.5 % in the mean of a block."""
+"""Samples that leave a noise of 0.5 % in the mean of a block."""
 
 
 class Reference(NamedTuple):
-    """What Mitsuba shows."""
+    """Mitsuba's image of a scene, and the compared pixels."""
 
     image: np.ndarray  # (H, W, 3), linear
     compared: np.ndarray  # (H, W)
@@ -44,7 +44,7 @@ def reference_of(name: str) -> Reference:
 
 
 def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Frame:
-    """Our frame of a scene, lit."""
+    """Our lit frame of a scene."""
     # The references have direct light alone: what rough metals reflect of other surfaces is not in them.
     direct = ls.RenderConfig(pipeline=pipeline, lighting=True, shadows=one.shadows, max_bounces=8)
     config = replace(direct, glossy_reflections=False)
@@ -54,7 +54,7 @@ def frame_of(one: LightScene, pipeline: ls.Pipeline, **changes: object) -> ls.Fr
 
 
 def assert_as_bright(ours: np.ndarray, theirs: np.ndarray, mean: float = 0.01, most: float = 0.01) -> None:
-    """Lit values: within ``mean`` on the mean, and 99 of 100 within ``most``; dark ones: by so much of the mean."""
+    """Asserts that lit values are within ``mean`` on average and 99 % within ``most``; dark values must be dark."""
     level = theirs.mean()
     lit = theirs > DARK * level
     assert lit.mean() > 0.3
@@ -66,7 +66,7 @@ def assert_as_bright(ours: np.ndarray, theirs: np.ndarray, mean: float = 0.01, m
 
 
 def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
-    """Means over the compared pixels of blocks that have enough of them, shape (B, 3)."""
+    """Means of blocks with enough compared pixels, shape (B, 3)."""
     rows, columns = (size // BLOCK for size in compared.shape)
     blocks = np.where(compared[..., None], image, 0.0).reshape(rows, BLOCK, columns, BLOCK, 3).sum(axis=(1, 3))
     counts = compared.reshape(rows, BLOCK, columns, BLOCK).sum(axis=(1, 3))
@@ -76,8 +76,8 @@ def block_means(image: np.ndarray, compared: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("pipeline", DIRECT, ids=lambda pipeline: pipeline.value)
 @pytest.mark.parametrize("name", SHARP)
-def test_lights_without_extent_light_as_in_mitsuba(name: str, pipeline: ls.Pipeline) -> None:
-    """Every pixel by itself: point, spot and directional light on diffuse and metal, and in mirror and glass."""
+def test_point_spot_and_directional_lights_equal_mitsuba(name: str, pipeline: ls.Pipeline) -> None:
+    """Compares every pixel: diffuse and metal surfaces, and mirror and glass."""
     if SCENES[name].smooth and pipeline is ls.Pipeline.RASTER:
         pytest.skip("a raster frame has no reflections")
     theirs = reference_of(name)
@@ -88,10 +88,10 @@ def test_lights_without_extent_light_as_in_mitsuba(name: str, pipeline: ls.Pipel
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.deep] if name in AGAIN else []) for name in SOFT]
 )
-def test_lights_with_an_extent_light_as_in_mitsuba(name: str) -> None:
-    """Rectangle, disk, sphere, and environments, one even and one with a sun, turned about all axes.
+def test_area_lights_and_environments_equal_mitsuba(name: str) -> None:
+    """Rectangle, disk, sphere, and environments, one constant and one with a sun, rotated about all axes.
 
-    The means of whole surfaces and of blocks of pixels; of these, one in a hundred may be off by what is left of noise.
+    Compares means of whole surfaces and of blocks, of which one in a hundred may exceed the noise.
     """
     theirs = reference_of(name)
     frame = frame_of(SCENES[name], ls.Pipeline.TRACE, samples=SAMPLES)
@@ -104,8 +104,8 @@ def test_lights_with_an_extent_light_as_in_mitsuba(name: str) -> None:
     assert_as_bright(ours, block_means(theirs.image, theirs.compared), most=0.03)
 
 
-def test_a_light_elsewhere_would_be_noticed() -> None:
-    """The comparison fails for a light that is 3 cm off."""
+def test_comparison_fails_for_a_moved_light() -> None:
+    """A light that is 3 cm off fails the comparison."""
     one, theirs = SCENES["point"], reference_of("point")
     moved = ls.LightPoint((1.63, 2.6, 1.4), color=(1.0, 0.9, 0.7), intensity=30.0)
     ours = frame_of(replace(one, scene=replace(one.scene, lights=(moved,))), ls.Pipeline.TRACE).color

@@ -1,4 +1,4 @@
-"""Which scenes are lit when nobody says so."""
+"""Scenes that are lit by default."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LAMP = ls.LightPoint((0.0, 0.0, 0.0))
 
 @pytest.mark.parametrize("pipeline", DIRECT)
 def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
-    """Their faces differ in brightness, as with lighting=True; without light they would be one flat colour."""
+    """Faces differ in brightness, as with lighting=True; unlit they would have one flat colour."""
     scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
     frame, asked, flat = (
         ls.render(scene, front_camera(40, 30), ls.RenderConfig(pipeline=pipeline, lighting=lighting), device="cpu")
@@ -36,14 +36,14 @@ def test_meshes_alone_are_lit_by_a_headlight(pipeline: ls.Pipeline) -> None:
         (ls.Scene([one_gaussian()], lights=[LAMP]), True),
     ],
 )
-def test_captures_alone_are_shown_as_trained(scene: ls.Scene, is_lit: bool) -> None:
-    """Unless there are lights: a capture brings its own. Meshes are always lit."""
+def test_captures_without_lights_are_unlit(scene: ls.Scene, is_lit: bool) -> None:
+    """Captures are lit only if there are lights; meshes always are."""
     assert scene.is_lit_by_default is is_lit
     assert (ls.render(scene, front_camera(8, 6), device="cpu").light is not None) is is_lit
 
 
 def test_rays_without_a_camera_have_no_headlight() -> None:
-    """There is no place where it could be."""
+    """A headlight needs a camera position."""
     scene = ls.Scene(meshes=[octahedron((0.0, 0.0, 4.0), 1.0)])
     unlit = ls.RenderConfig(lighting=False)
     rays = ((0.0, 0.0, 0.0), [(0.0, 0.1, 1.0), (0.1, 0.0, 1.0)])

@@ -1,4 +1,4 @@
-"""Lit frames: what they are made of adds up, and the same whichever way, order and number of steps they take."""
+"""Lit frames: their parts add up, and do not depend on backend, order or number of steps."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from support.scenes.raster_scenes import front_camera, one_gaussian, random_gaus
 
 
 def checked(image: np.ndarray | None) -> np.ndarray:
-    """An image that must be there, finite everywhere."""
+    """An image that must exist and be finite."""
     assert image is not None
     assert np.isfinite(image).all()
     return image
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_parts_of_a_frame_add_up(pipeline: ls.Pipeline) -> None:
-    """Colour is what was captured and light; light is emission, what arrives of each lamp, and reflections."""
+def test_light_layers_add_up_to_the_frame(pipeline: ls.Pipeline) -> None:
+    """Colour is captured radiance plus light; light is emission, shadowed light of each light, and reflections."""
     # Of one sample: means of display-referred and of linear colours do not add up.
     settings = config(pipeline, samples=1, aovs=all_aovs(), background=(0.0, 0.0, 0.0))
     frame = ls.render(scene(*LAMPS, SKY), camera(), settings, device="cpu")
@@ -48,14 +48,14 @@ def test_parts_of_a_frame_add_up(pipeline: ls.Pipeline) -> None:
 
 
 def all_aovs() -> tuple[str, ...]:
-    """All of them."""
+    """All light images."""
     return ("albedo", "emission", "reflection", "lights", "hits")
 
 
 @pytest.mark.parametrize("shadows", list(ls.Shadows))
 @pytest.mark.parametrize("pipeline", SAMPLED)
-def test_every_way_shows_the_same(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
-    """The schedule of CUDA, its graphs and any number of threads; twice the same renderer."""
+def test_backends_give_equal_lit_frames(pipeline: ls.Pipeline, shadows: ls.Shadows) -> None:
+    """CUDA's schedule, its graphs and any number of threads agree; a renderer repeats its frames."""
     settings = config(pipeline, shadows=shadows, samples=2, background=None)
     frames = [renderer_of(way, settings).render(scene(*LAMPS, SKY), camera()) for way in WAYS]
     single = ls.create_renderer(settings, "cpu", threads=1)
@@ -67,8 +67,8 @@ def test_every_way_shows_the_same(pipeline: ls.Pipeline, shadows: ls.Shadows) ->
         assert np.mean(np.abs(frame.color - frames[0].color).max(axis=2) > 1e-3) < 0.01
 
 
-def test_samples_go_on_where_they_stopped() -> None:
-    """2 + 3 samples are 5, in every image, for every pipeline."""
+def test_resumed_lit_frames_equal_uninterrupted_ones() -> None:
+    """2 + 3 samples equal 5 in every image of every pipeline."""
     for pipeline in SAMPLED:
         settings = config(pipeline, shadows=ls.Shadows.SOFT, samples=5)
         at_once = ls.render(scene(*LAMPS, SKY), camera(), settings, device="cpu")
@@ -80,8 +80,8 @@ def test_samples_go_on_where_they_stopped() -> None:
             np.testing.assert_array_equal(getattr(resumed, name), getattr(at_once, name), name)
 
 
-def test_resume_tells_light_from_none() -> None:
-    """A frame without light is not a start for one with it, nor the other way round."""
+def test_resume_refuses_a_change_of_lighting() -> None:
+    """An unlit frame cannot be resumed as a lit one, nor the reverse."""
     unlit = ls.render(scene(), camera(), config(lighting=False), device="cpu")
     bright = ls.render(scene(), camera(), config(), device="cpu")
     for settings, frame in ((config(), unlit), (config(lighting=False), bright)):
@@ -90,7 +90,7 @@ def test_resume_tells_light_from_none() -> None:
 
 
 def test_lighting_by_default_follows_the_scene() -> None:
-    """Lights and meshes make it a lit frame; captures alone are as trained, and lit by the camera's own if told to."""
+    """Lights and meshes make frames lit by default; captures alone are unlit, or lit by a headlight on request."""
     dark = replace(scene(), lights=())
     captures = replace(dark, meshes=())
     assert ls.render(scene(), camera(), config(), device="cpu").color_space == "linear"
@@ -100,8 +100,8 @@ def test_lighting_by_default_follows_the_scene() -> None:
     assert checked(ls.render(dark, camera(), config(lighting=True), device="cpu").light).max() > 0.1
 
 
-def test_soft_shadows_average_to_the_light() -> None:
-    """Samples of an extended light spread around their mean, which more of them approach as chance does."""
+def test_soft_shadow_samples_converge_to_the_mean() -> None:
+    """Samples of an area light scatter around their mean with the expected error."""
     lamp = replace(LAMPS[0], radius=0.3)
     renderers = [ls.create_renderer(config(shadows=ls.Shadows.SOFT, samples=n), "cpu") for n in (1, 16, 256)]
     one, some, many = (renderer.render(scene(lamp), camera()).color for renderer in renderers)
@@ -109,8 +109,8 @@ def test_soft_shadows_average_to_the_light() -> None:
     assert errors[0] > 2.5 * errors[1] > 0.0
 
 
-def test_stochastic_splats_average_to_sorted_ones() -> None:
-    """In unlit frames, to the blend of all; jitter off, so that only chance differs."""
+def test_stochastic_splats_converge_to_sorted_ones() -> None:
+    """Unlit frames without jitter converge to the blend of all splats."""
     captures = replace(scene(), meshes=(), lights=())
     exact = ls.render(captures, camera(), config(ls.Pipeline.RASTER), device="cpu")
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
@@ -124,8 +124,8 @@ def test_stochastic_splats_average_to_sorted_ones() -> None:
     assert 3.0 < errors[0] / errors[1] < 5.0, "16 times the samples, a quarter of the noise"
 
 
-def test_stochastic_splats_are_the_same_in_every_order_and_way() -> None:
-    """No order enters: sets may change places, and pixels may be worked on one by one."""
+def test_stochastic_splats_do_not_depend_on_order_or_backend() -> None:
+    """Sets may be reordered, and pixels processed one by one."""
     chance = ls.RasterConfig(strategy=ls.config.RasterStrategy.STOCHASTIC)
     settings = config(ls.Pipeline.RASTER, raster=chance, samples=3)
     frames = [renderer_of(way, settings).render(scene(), camera()) for way in WAYS]
@@ -135,8 +135,8 @@ def test_stochastic_splats_are_the_same_in_every_order_and_way() -> None:
 
 
 @pytest.mark.parametrize("strategy", [ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS])
-def test_stochastic_samples_are_lit_one_by_one(strategy: ls.config.TraceStrategy) -> None:
-    """Close to the sorted frame on surfaces as thin as these: the mean of lit samples, not a lit mean."""
+def test_stochastic_samples_are_lit_separately(strategy: ls.config.TraceStrategy) -> None:
+    """The frame is the mean of lit samples, close to the sorted frame on thin surfaces."""
     settings = config(trace=ls.TraceConfig(strategy=strategy), shadows=ls.Shadows.OFF, samples=64, jitter=False)
     exact = replace(settings, trace=ls.TraceConfig(), samples=1)
     floor = replace(scene(), meshes=(), splats=scene().splats[:1])
@@ -146,8 +146,8 @@ def test_stochastic_samples_are_lit_one_by_one(strategy: ls.config.TraceStrategy
     assert inside.sum() > 200 and relative.mean() < 0.05
 
 
-def test_mirrors_show_lit_things() -> None:
-    """A plane mirror shows what a mirrored camera sees, lights and shadows included."""
+def test_mirrors_show_lit_objects() -> None:
+    """A plane mirror shows the view of a mirrored camera, including lights and shadows."""
     silver = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
     pane = ls.Mesh(
         np.array([[-9.0, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]]), [[0, 1, 2], [0, 2, 3]], material=silver
@@ -172,13 +172,13 @@ def test_mirrors_show_lit_things() -> None:
 
 
 def pane_below() -> ls.MeshInstance:
-    """A floor before the mirror."""
+    """A floor in front of the mirror."""
     corners = np.array([[-3.0, 0.0, 0.1], [3.0, 0.0, 0.1], [3.0, 0.0, 6.0], [-3.0, 0.0, 6.0]])
     return ls.MeshInstance(ls.Mesh(corners, [[0, 2, 1], [0, 3, 2]], material=ls.MaterialPbr(specular=0.0)))
 
 
-def test_rays_see_what_pixels_see() -> None:
-    """``trace_rays`` of a lit scene gives the linear colours of the frame, without what lies behind."""
+def test_lit_ray_queries_equal_pixels() -> None:
+    """``trace_rays`` of a lit scene gives the frame's linear colours without the background."""
     view = camera()
     thin = ls.TraceConfig(dilation=0.0)  # given rays have no footprint
     frame = ls.render(scene(), view, config(background=(0.0, 0.0, 0.0), trace=thin), device="cpu")
@@ -194,8 +194,8 @@ def test_rays_see_what_pixels_see() -> None:
     assert empty.any() and (white.radiance[empty] == 0.0).all()
 
 
-def test_light_that_is_too_bright_is_counted() -> None:
-    """Values beyond float32 are left out, and the statistics say how many."""
+def test_overflowing_light_is_counted() -> None:
+    """Values beyond float32 are dropped, and the statistics count them."""
     blinding = ls.MaterialPbr(emissive=(3e38, 3e38, 3e38), emissive_texture=None)
     lamp = ls.LightPoint((0.0, 1.0, -1.0), intensity=1e30)
     ball = ls.MeshInstance(
@@ -207,8 +207,8 @@ def test_light_that_is_too_bright_is_counted() -> None:
     assert frame.stats.nonfinite_count > 20
 
 
-def test_moving_a_lamp_needs_no_upload() -> None:
-    """The same renderer follows lights from frame to frame, and goes back to unlit frames without them."""
+def test_moving_a_light_uploads_no_assets() -> None:
+    """A renderer follows lights between frames, and returns to unlit frames without them."""
     renderer = ls.create_renderer(config(ls.Pipeline.HYBRID), "cpu")
     assets = scene()
     left, right = (replace(assets, lights=[ls.LightPoint((x, 1.5, 0.0), intensity=5.0)]) for x in (-1.0, 1.0))
@@ -224,8 +224,8 @@ def test_moving_a_lamp_needs_no_upload() -> None:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_each_capture_has_its_own_roughness(pipeline: ls.Pipeline) -> None:
-    """A renderer that goes on to another capture lights it as a new renderer does: none of the first one is left."""
+def test_roughness_of_the_last_capture_is_not_reused(pipeline: ls.Pipeline) -> None:
+    """A renderer that switches to another capture lights it as a new renderer does."""
     settings, view = ls.RenderConfig(pipeline=pipeline), front_camera()
     warm = ls.create_renderer(settings, "cpu")
     shown: list[np.ndarray] = []
@@ -239,14 +239,14 @@ def test_each_capture_has_its_own_roughness(pipeline: ls.Pipeline) -> None:
 
 
 def glossy(roughness: float) -> ls.Scene:
-    """A capture whose Gaussians all have this roughness, relit by one lamp."""
+    """A capture whose Gaussians all have this roughness, relit by one light."""
     gaussians = random_gaussians(5, count=60, roughness=np.full(60, roughness, np.float32))
     lamp = ls.LightDirectional((0.2, 0.3, 1.0), intensity=3.0, casts_shadow=False)
     return ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())], lights=[lamp])
 
 
-def test_lights_of_all_kinds_leave_no_trace_when_off() -> None:
-    """Lights that are not enabled are as good as not there, but for the headlight that would replace them."""
+def test_disabled_lights_add_nothing() -> None:
+    """Disabled lights only replace the headlight."""
     rect = ls.LightRect((0.0, 2.0, 0.5), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0), intensity=3.0)
     ball = ls.LightSphere((0.5, 2.0, 0.5), 0.2, intensity=5.0)
     kinds = (*LAMPS, SKY, rect, ball)
@@ -256,8 +256,8 @@ def test_lights_of_all_kinds_leave_no_trace_when_off() -> None:
     np.testing.assert_allclose(with_them.color, without.color, atol=1e-6)
 
 
-def test_an_environment_is_seen_where_nothing_is() -> None:
-    """Behind everything, turned as it says, and by mirrors too; unless it is not visible."""
+def test_visible_environment_fills_the_background() -> None:
+    """It is rotated as specified and appears in mirrors; an invisible one does not show."""
     image = np.zeros((8, 16, 3), np.float32)
     image[:, 8:] = (1.0, 0.5, 0.25)  # right of the middle: +x
     right, empty = ls.LightEnvironment(image), ls.Mesh([[0, 0, -9.0], [1e-3, 0, -9], [0, 1e-3, -9]], [[0, 1, 2]])
@@ -274,8 +274,8 @@ def test_an_environment_is_seen_where_nothing_is() -> None:
 
 
 @pytest.mark.parametrize("pipeline", DIRECT)
-def test_thin_captures_over_nothing_keep_their_colour(pipeline: ls.Pipeline) -> None:
-    """Without a background, half of a grey is half of its light, whatever its material and however it is drawn."""
+def test_transparent_captures_keep_their_premultiplied_light(pipeline: ls.Pipeline) -> None:
+    """Without a background, half of a grey is half of its light, for every material and pipeline."""
     veil = one_gaussian(mean=(0.0, 0.0, 0.0), scale=(3.0, 3.0, 0.01), opacity=0.5, color=(0.5, 0.5, 0.5))
     view = ls.Camera.look_at((0.0, 0.0, -3.0), (0.0, 0.0, 0.0), width=16, height=16, fov_y=0.1)
     sun = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
@@ -299,8 +299,8 @@ def test_thin_captures_over_nothing_keep_their_colour(pipeline: ls.Pipeline) -> 
             np.testing.assert_allclose(frame.pixels_srgb()[..., :3], 0.5, atol=1e-3)
 
 
-def test_pixels_that_leave_the_lens_are_no_capture() -> None:
-    """Where only some samples have a ray, what a transparent frame captured is no more than what covers it."""
+def test_partly_covered_fisheye_pixels_are_premultiplied() -> None:
+    """Where only some samples have a ray, a transparent frame's captured part does not exceed its coverage."""
     fisheye = ls.Camera(
         width=32, height=32, fx=5.0, fy=5.0, cx=16.0, cy=16.0, camera_from_world=np.eye(4), model=ls.CameraModel.FISHEYE
     )

@@ -1,4 +1,4 @@
-"""Materials in lit frames: what each of their numbers and textures does to a surface, worked out by hand."""
+"""Materials in lit frames: the effect of each value and texture on a surface, calculated by hand."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from support.scenes.pipelines import DIRECT
 from support.scenes.raster_scenes import flat_sh, front_camera
 
 FACING = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
-"""Under it, a diffuse surface square to the view shows its albedo."""
+"""A light under which a diffuse surface facing the view shows its albedo."""
 PIPELINES = DIRECT
 
 
 def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls.Mesh:
-    """A square that fills the view, its texture upright in it."""
+    """A square that fills the view, with an upright texture."""
     corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * depth
     positions = np.column_stack([corners, np.full(4, depth)])
     uvs = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -26,7 +26,7 @@ def wall(material: ls.MaterialPbr | ls.MaterialSimple, depth: float = 2.0) -> ls
 
 
 def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: np.ndarray) -> ls.Gaussians:
-    """Flat Gaussians that fill the view, some layers deep: pixels let through less than a thousandth."""
+    """Flat Gaussians that fill the view, several layers deep: pixels transmit less than a thousandth."""
     x, y = np.meshgrid(*[np.linspace(-1.6, 1.6, rows) * 0.5 * depth] * 2)
     layers = [np.column_stack([x.ravel(), y.ravel(), np.full(x.size, depth + 0.01 * k)]) for k in range(3)]
     means = np.concatenate(layers)
@@ -39,29 +39,29 @@ def curtain(rows: int = 9, depth: float = 2.0, opacity: float = 0.95, **extras: 
 
 
 def lit(scene: ls.Scene, pipeline: ls.Pipeline = ls.Pipeline.TRACE, **settings: object) -> ls.Frame:
-    """A small frame from the front, lights on."""
+    """A small lit frame from the front."""
     config = replace(ls.RenderConfig(pipeline=pipeline, lighting=True), **settings)
     return ls.render(scene, front_camera(24, 18, 30.0), config, device="cpu")
 
 
 def middle(frame: ls.Frame) -> np.ndarray:
-    """Linear colour of the pixels around the centre, mean, shape (3,)."""
+    """Mean linear colour of the pixels around the centre, shape (3,)."""
     return frame.color[7:11, 10:14].mean(axis=(0, 1))
 
 
 def texture(*rgb: int) -> np.ndarray:
-    """Of one colour."""
+    """A texture of one colour."""
     return np.full((2, 2, 3), rgb, np.uint8)
 
 
 def diffuse(**changes: object) -> ls.MaterialPbr:
-    """White paper."""
+    """A white diffuse material."""
     return replace(ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=1.0, specular=0.0), **changes)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_emission_needs_no_light(pipeline: ls.Pipeline) -> None:
-    """What shines is seen with all lights off, times its texture, decoded; and light is added to it."""
+    """Emission, times its decoded texture, is visible with all lights off; light is added to it."""
     dark = replace(FACING, enabled=False)
     shining = replace(diffuse(), emissive=(2.0, 1.0, 0.5), emissive_texture=texture(255, 128, 0))
     seen = middle(lit(ls.Scene(meshes=[wall(shining)], lights=[dark]), pipeline))
@@ -74,7 +74,7 @@ def test_emission_needs_no_light(pipeline: ls.Pipeline) -> None:
 @pytest.mark.parametrize("lights", [1, 3])
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
-    """However many lights there are, of meshes and of splats."""
+    """Ambient light is added once for any number of lights, on meshes and splats."""
     material = ls.MaterialSimple(emissive=(0, 0, 0), ambient=(0.3, 0.2, 0.1), diffuse=(0.5, 0.5, 0.5))
     each = replace(FACING, intensity=np.pi / lights)
     of_mesh = ls.Scene(meshes=[wall(replace(material, base_color=(0.6, 0.6, 0.6)))], lights=[each] * lights)
@@ -86,7 +86,7 @@ def test_ambient_is_added_once(lights: int, pipeline: ls.Pipeline) -> None:
 
 
 def test_metallic_roughness_texture_multiplies() -> None:
-    """Green is roughness, blue metallic: a texture looks as the factors that it comes to."""
+    """Green is roughness, blue metallic: a texture gives the look of the multiplied factors."""
     light = ls.LightDirectional((0.1, 0.05, 1.0), intensity=2.0)
     plain = ls.MaterialPbr(base_color=(0.9, 0.6, 0.3), roughness=0.8 * 0.4, metallic=0.8)
     mapped = replace(plain, roughness=0.8, metallic=1.0, metallic_roughness_texture=texture(0, 102, 204))
@@ -94,8 +94,8 @@ def test_metallic_roughness_texture_multiplies() -> None:
     np.testing.assert_allclose(seen[0], seen[1], rtol=1e-5)
 
 
-def test_texels_of_no_roughness_still_shine() -> None:
-    """Rays go on from smooth materials only; a smooth spot of a rough one shows the sky in its highlight instead."""
+def test_smooth_texels_of_rough_materials_have_highlights() -> None:
+    """Only smooth materials spawn reflection rays; smooth texels of rough ones show the environment in a highlight."""
     spotless = ls.MaterialPbr(
         base_color=(1.0, 1.0, 1.0), metallic=1.0, roughness=1.0, metallic_roughness_texture=texture(0, 0, 255)
     )
@@ -104,8 +104,8 @@ def test_texels_of_no_roughness_still_shine() -> None:
     np.testing.assert_allclose(seen, [0.2, 0.3, 0.4], rtol=0.02)
 
 
-def test_normal_texture_tilts() -> None:
-    """Red leans right, green up: the cosine of the light changes by what the map says, and scales with its strength."""
+def test_normal_texture_tilts_the_normal() -> None:
+    """Red tilts right, green up; the cosine changes accordingly, and scales with the texture's strength."""
     up = ls.LightDirectional((0.0, 1.0, 1.0), intensity=np.pi)  # from above: y of the camera points down
     right = ls.LightDirectional((-1.0, 0.0, 1.0), intensity=np.pi)
     leaning_up, leaning_right = texture(128, 204, 230), texture(204, 128, 230)
@@ -120,8 +120,8 @@ def test_normal_texture_tilts() -> None:
             np.testing.assert_allclose(seen, normal @ toward, rtol=1e-4)
 
 
-def test_occlusion_dims_the_environment_alone() -> None:
-    """By its share, as strong as said; lamps are not dimmed."""
+def test_occlusion_dims_only_the_environment() -> None:
+    """Occlusion scales environment light by its strength, and no other light."""
     hidden = texture(51, 0, 0)
     sky = ls.LightEnvironment(visible=False)
     for strength, share in ((1.0, 0.2), (0.5, 0.6)):
@@ -132,8 +132,8 @@ def test_occlusion_dims_the_environment_alone() -> None:
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_gaussians_bring_their_own_surface(pipeline: ls.Pipeline) -> None:
-    """Albedo in place of the captured colour where nothing shines; roughness and metallic, too."""
+def test_relit_gaussians_use_their_stored_material(pipeline: ls.Pipeline) -> None:
+    """Albedo replaces the captured colour where nothing is emitted; roughness and metallic are used, too."""
     light = ls.LightDirectional((0.15, 0.0, 1.0), intensity=3.0)
     own = {"albedo": np.array([0.2, 0.6, 0.4]), "roughness": np.float32(0.35), "metallic": np.float32(0.7)}
     bare = curtain(colors=np.tile(encode_srgb(np.array([0.2, 0.6, 0.4])), (243, 1)))
@@ -151,11 +151,11 @@ def test_gaussians_bring_their_own_surface(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_gaussians_bring_their_own_normals(pipeline: ls.Pipeline) -> None:
-    """Light falls by the normals that Gaussians carry; whichever way they point, they face the viewer.
+def test_relit_gaussians_use_their_stored_normals(pipeline: ls.Pipeline) -> None:
+    """Light uses the stored normals, turned towards the viewer.
 
-    The curtain just fills the view: turned around, normals of one that is as wide as the others would be near the
-    horizon of the eye at its sides, where they are bent (test_stored_normals.py).
+    The curtain just fills the view: on a wider one, turned normals would be near the horizon at its sides, where they
+    are bent (test_stored_normals.py).
     """
     tilted, narrow = np.array([0.6, 0.0, -0.8]), np.array([0.4, 0.4, 1.0])
     toward = ls.LightDirectional((0.0, 0.0, 1.0), intensity=np.pi)
@@ -171,8 +171,8 @@ def test_gaussians_bring_their_own_normals(pipeline: ls.Pipeline) -> None:
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
-def test_sh_degree_of_a_set(pipeline: ls.Pipeline) -> None:
-    """Degree 0 drops the view-dependent part of that set alone."""
+def test_sh_degree_is_limited_per_set(pipeline: ls.Pipeline) -> None:
+    """Degree 0 drops the view-dependent part of that set only."""
     capture = curtain()
     sh = np.concatenate([capture.sh, np.full((capture.count, 3, 3), 0.2, np.float32)], axis=1)
     viewed = replace(capture, sh=sh)
@@ -188,7 +188,7 @@ def test_sh_degree_of_a_set(pipeline: ls.Pipeline) -> None:
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 def test_thin_splats_without_a_surface_stay_as_captured(pipeline: ls.Pipeline) -> None:
-    """A veil that hides less than the threshold shows the same whether its set also reflects or only shines."""
+    """A layer below the iso-opacity threshold looks the same whether its set also reflects or only emits."""
     veil = curtain(rows=3, opacity=0.04)
     background = (0.2, 0.4, 0.6)
     shining = lit(ls.Scene(splats=[veil], lights=[FACING]), pipeline, background=background)
@@ -199,16 +199,16 @@ def test_thin_splats_without_a_surface_stay_as_captured(pipeline: ls.Pipeline) -
     np.testing.assert_array_equal(kept.captured, shining.captured)
 
 
-def test_light_reaches_around_no_corner_of_a_shading_normal() -> None:
-    """A light behind the triangle does not light it, however far its normals lean towards it."""
+def test_light_behind_a_triangle_does_not_light_it() -> None:
+    """A light behind the triangle adds nothing, however far its shading normals lean towards it."""
     plain = wall(diffuse())
     leaning = replace(plain, normals=np.tile([0.0, -0.9, -0.4359], (4, 1)))
     below = ls.LightDirectional((0.0, 1.0, -0.1), intensity=10.0)
     assert middle(lit(ls.Scene(meshes=[leaning], lights=[below]), shadows=ls.Shadows.OFF)).max() == 0.0
 
 
-def test_thin_relit_splats_average_to_the_sorted_frame() -> None:
-    """Lit samples of single Gaussians, over black and over white: their mean is the light of all, blended."""
+def test_stochastic_relit_splats_are_lit_without_bias() -> None:
+    """Lit samples of single Gaussians, over black and white, have the mean of the blended light."""
     capture = curtain(rows=5, opacity=0.35)
     splats = ls.SplatInstance(capture, material=ls.MaterialSimple(emissive=(0, 0, 0), diffuse=(1, 1, 1)))
     scene = ls.Scene(splats=[splats], lights=[replace(FACING, direction=(0.0, 0.3, 1.0))])
@@ -224,8 +224,8 @@ def test_thin_relit_splats_average_to_the_sorted_frame() -> None:
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
 @pytest.mark.parametrize("samples", [1, 32])
-def test_shadows_take_the_same_share_of_fine_detail(samples: int, pipeline: ls.Pipeline) -> None:
-    """A capture of stripes narrower than pixels is darkened by what its lights lack, however many samples see it."""
+def test_shadows_darken_fine_detail_evenly(samples: int, pipeline: ls.Pipeline) -> None:
+    """A capture with stripes narrower than pixels darkens equally for any number of samples."""
     x = np.linspace(-1.7, 1.7, 341)
     means = np.column_stack([x, np.zeros(341), np.full(341, 2.0)])
     scales = np.tile([0.009, 3.0, 0.002], (341, 1))
@@ -247,8 +247,8 @@ def test_shadows_take_the_same_share_of_fine_detail(samples: int, pipeline: ls.P
     np.testing.assert_allclose(dark.color.mean() / free.color.mean(), 1.0 / 3.0, rtol=0.03)
 
 
-def test_rough_glass_keeps_its_light() -> None:
-    """What transmits but is rough scatters that share back, instead of losing it."""
+def test_rough_glass_scatters_the_transmitted_light_back() -> None:
+    """Without path tracing, rough transmission becomes diffuse reflection instead of a loss."""
     frosted = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.4, transmission=1.0)
     plain = replace(frosted, transmission=0.0)
     seen = [middle(lit(ls.Scene(meshes=[wall(m)], lights=[FACING]))) for m in (frosted, plain)]

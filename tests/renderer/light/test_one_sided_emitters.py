@@ -1,4 +1,4 @@
-"""Meshes that emit from the front of their triangles alone: what is seen, sampled and met agrees."""
+"""Meshes that emit from the front of their triangles only: direct view, light sampling and hits agree."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EMITTED = 2.0
 LAMP = replace(diffuse(0.0, EMITTED), double_sided=False)
 DOWN_AT_FLOOR = ls.Camera.look_at((0.0, 0.4, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=16, height=16, fov_y=0.02)
 DARK = ls.LightPoint((0.0, 50.0, 0.0), intensity=1e-9)
-"""Makes frames lit ones."""
+"""A light so weak that it only makes frames lit."""
 
 
 def panel(material: ls.MaterialPbr, *, faces_down: bool = True) -> ls.Mesh:
@@ -25,7 +25,7 @@ def panel(material: ls.MaterialPbr, *, faces_down: bool = True) -> ls.Mesh:
 
 
 def floor_below(material: ls.MaterialPbr, *, faces_down: bool, mirrored: bool = False) -> ls.Scene:
-    """A panel over a floor."""
+    """An emitting panel over a floor."""
     place = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
     floor = quad((-4.0, 0.0, -4.0), (0.0, 0.0, 8.0), (8.0, 0.0, 0.0), diffuse(0.5))
     lamp = ls.MeshInstance(panel(material, faces_down=faces_down), place)
@@ -33,14 +33,14 @@ def floor_below(material: ls.MaterialPbr, *, faces_down: bool, mirrored: bool = 
 
 
 def form_factor() -> float:
-    """Share of the light of a square of side 1 that a point gets below its middle, at a distance of 1."""
+    """Form factor from a point to a square of side 1 above it, at a distance of 1."""
     a = 0.5
     return 4.0 / (2.0 * math.pi) * 2.0 * a / math.sqrt(1.0 + a * a) * math.atan(a / math.sqrt(1.0 + a * a))
 
 
 @pytest.mark.parametrize("pipeline", list(ls.Pipeline))
-def test_the_back_of_an_emitter_is_black(pipeline: ls.Pipeline) -> None:
-    """Its front shows what it emits, in every pipeline, and in the layer of the emission; a mirrored one likewise."""
+def test_back_of_a_one_sided_emitter_is_black(pipeline: ls.Pipeline) -> None:
+    """Its front shows the emission in every pipeline and in the emission image; a mirrored instance likewise."""
     camera = ls.Camera.look_at((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), width=8, height=8, fov_y=0.3)
     config = ls.RenderConfig(pipeline=pipeline, aovs=("emission",))
     for faces_down, mirrored in ((True, False), (False, False), (True, True)):
@@ -52,7 +52,7 @@ def test_the_back_of_an_emitter_is_black(pipeline: ls.Pipeline) -> None:
         np.testing.assert_allclose(frame.emission, expected, atol=1e-5)
 
 
-def test_a_floor_has_the_light_of_the_front_by_its_form_factor() -> None:
+def test_one_sided_emitter_lights_by_its_form_factor() -> None:
     """Radiance is albedo times emission times form factor below the front, and 0 below the back."""
     expected = 0.5 * EMITTED * form_factor()
     for mirrored in (False, True):
@@ -65,8 +65,8 @@ def test_a_floor_has_the_light_of_the_front_by_its_form_factor() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.1, 1.0])
-def test_two_sides_and_one_are_the_same_to_what_sees_the_front(roughness: float) -> None:
-    """Bit by bit, whether samples of lights or of a highlight find the emitter."""
+def test_one_and_two_sided_emitters_agree_in_front(roughness: float) -> None:
+    """Bit-equal, whether samples of lights or of a highlight find the emitter."""
     shown = []
     for double_sided in (False, True):
         scene = floor_below(replace(LAMP, double_sided=double_sided), faces_down=True)
@@ -77,8 +77,8 @@ def test_two_sides_and_one_are_the_same_to_what_sees_the_front(roughness: float)
     assert shown[0].mean() > 0.05
 
 
-def test_a_hollow_ball_that_emits_inwards_is_as_bright_as_its_series() -> None:
-    """Emission over one minus albedo, wherever one looks; 0 where it emits outwards, but for rounding at edges."""
+def test_hollow_emitting_ball_equals_the_geometric_series() -> None:
+    """Radiance is emission over one minus albedo in all directions; 0 if it emits outwards, except at edges."""
     camera = ls.Camera.look_at((0.1, 0.2, 0.0), (1.0, 0.3, 0.2), (0.0, 1.0, 0.0), width=24, height=24, fov_y=1.0)
     material = replace(diffuse(0.5, 1.0), double_sided=False)
     inwards = paths(ls.Scene((), [ls.MeshInstance(ball(1.0, material, hollow=True))]), camera, 16, 24)
@@ -87,8 +87,8 @@ def test_a_hollow_ball_that_emits_inwards_is_as_bright_as_its_series() -> None:
     assert outwards.color.mean() < 1e-5
 
 
-def test_real_time_has_the_light_of_the_front_alone() -> None:
-    """Below the front as paths have it, to 3 %; below the back nothing."""
+def test_real_time_emitters_light_only_in_front() -> None:
+    """In front within 3 % of path tracing, and nothing behind."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), "cpu")
     lit, back = floor_below(LAMP, faces_down=True), floor_below(LAMP, faces_down=False)
     frames = [renderer.render(lit, DOWN_AT_FLOOR).color.astype(np.float64) for _ in range(24)]

@@ -1,4 +1,4 @@
-"""Arrays of callers, also those of packages that are not needed."""
+"""Array inputs of callers, also from packages that are not dependencies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from lumisplat.renderer.gradients.arrays import given_array
 
 
 class Tensor:
-    """An array of another package that has gradients."""
+    """An array of another package that requires gradients."""
 
     def __dlpack_device__(self) -> tuple[int, int]:
         return 1, 0
@@ -22,7 +22,7 @@ class Tensor:
 
 
 class TensorOfNumPy(Tensor):
-    """The same, of a package that knows NumPy."""
+    """An array of another package that requires gradients and converts itself to NumPy."""
 
     def __array__(self, *_: Any, **__: Any) -> np.ndarray:
         raise RuntimeError("Can't call numpy() on Tensor that requires grad.\nUse tensor.detach().numpy() instead.")
@@ -40,8 +40,8 @@ class TensorOfNumPy(Tensor):
         ([[1.0], [1.0, 2.0]], "setting an array element with a sequence.*"),
     ],
 )
-def test_what_cannot_be_read_is_one_line(given: Any, problem: str) -> None:
-    """With what its package says, and what to do."""
+def test_unreadable_arrays_raise_one_line(given: Any, problem: str) -> None:
+    """The error contains the package's own message, and what to do."""
     remedy = "; expected an array of numbers; detach tensors with gradients"
     with pytest.raises(ls.SceneError, match=f"^dL_dcolor cannot be read as an array: {problem}{remedy}$") as found:
         given_array("dL_dcolor", given, (2, 2))

@@ -1,4 +1,4 @@
-"""Depth order and tile lists against NumPy, in both schedules."""
+"""Depth order and tile lists compared with NumPy, in both schedules."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CULLED, NONFINITE = 0xFFFFFFFF, 0xFFFFFFFE
 
 
 def make_order(parallel: bool, threads: int = 3) -> BinningChunked | BinningParallel:
-    """An order of either schedule on the CPU."""
+    """A binning of either schedule on the CPU."""
     launcher = Launcher("cpu", threads=threads, parallel=parallel)
     order = (BinningParallel if parallel else BinningChunked)(launcher, Buffers("cpu"))
     order.begin()
@@ -41,7 +41,7 @@ def random_keys(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize("count", [1, 2, 100, 5000])
 def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> None:
-    """Visible items come front to back, ties in their own order, culled ones never."""
+    """Visible items are sorted front to back, ties keep their order, and culled ones are dropped or last."""
     keys = random_keys(count, count)
     order = make_order(parallel)
     result = order.sort(DeviceArray(keys, dtype=wp.uint32, device="cpu"))
@@ -54,7 +54,7 @@ def test_order_is_a_stable_sort_of_the_visible(parallel: bool, count: int) -> No
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_all_visible_and_none_visible(parallel: bool) -> None:
-    """Nothing is lost at the ends: neither the last of all-visible items, nor a first of none."""
+    """The last of all visible items is kept, and no item appears if none is visible."""
     for fill, expected in ((np.float32(1.0).view(np.uint32), 9), (CULLED, 0)):
         order = make_order(parallel)
         order.sort(DeviceArray(np.full(9, fill, np.uint32), dtype=wp.uint32, device="cpu"))
@@ -64,14 +64,14 @@ def test_all_visible_and_none_visible(parallel: bool) -> None:
 
 @pytest.mark.parametrize("parallel", [False, True])
 def test_keys_over_the_whole_range_sort(parallel: bool) -> None:
-    """Three-digit keys, from the smallest denormal to the largest float, are ordered too."""
+    """Three-digit keys, from the smallest denormal to the largest float, are sorted."""
     depths = np.array([3.4e38, 1e-45, 1.0, 2.0, 1e-20, 1e20, 0.5], np.float32)
     result = make_order(parallel).sort(DeviceArray(depths.view(np.uint32), dtype=wp.uint32, device="cpu"))
     np.testing.assert_array_equal(result.order.numpy()[: len(depths)], np.argsort(depths))
 
 
 def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_count: int) -> list[list[int]]:
-    """Which items touch each tile, in order."""
+    """Items that touch each tile, in order."""
     lists: list[list[int]] = [[] for _ in range(tile_count)]
     for item in order:
         rect = rects[item]
@@ -82,8 +82,8 @@ def brute_force_lists(rects: np.ndarray, order: np.ndarray, tiles_x: int, tile_c
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
-    """Every tile lists exactly its items, in depth order; in the parallel schedule also after its lists overflowed."""
+def test_tile_lists_contain_touching_items_in_depth_order(parallel: bool) -> None:
+    """Holds in the parallel schedule also after lists were truncated."""
     random = np.random.default_rng(5)
     tiles_x, tiles_y, count = 7, 5, 400
     table = np.zeros(count, dtype=table_dtype(TileRect))
@@ -109,8 +109,8 @@ def test_tile_lists_hold_what_touches_them_in_order(parallel: bool) -> None:
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
-    """Pairs that 32 bits cannot count end in one line, not in a wrapped sum, a cut list or a write out of bounds."""
+def test_too_many_pairs_raise_an_error(parallel: bool) -> None:
+    """Pairs beyond 32-bit indices raise an error instead of an overflow, a truncated list or a write out of bounds."""
     tiles_x, tiles_y, count = 4096, 3, 180_000
     table = np.zeros(count, dtype=table_dtype(TileRect))
     table["x1"], table["y1"] = tiles_x, tiles_y
@@ -121,14 +121,14 @@ def test_more_pairs_than_indices_reach_is_an_error(parallel: bool) -> None:
         order.finish()
 
 
-def test_grown_leaves_room_without_doubling() -> None:
-    """Capacities hold the count and waste at most a quarter, or 1024 elements."""
+def test_grown_capacity_wastes_at_most_a_quarter() -> None:
+    """A capacity holds the count and wastes at most a quarter of it, or 1024 elements."""
     for count in [0, 1, 1000, 1024, 1025, 5000, 123_456, 10_000_000]:
         assert count <= grown_capacity(count) <= max(1.25 * count + 1, count + 1024)
 
 
-def test_overflow_draws_the_frame_again_with_more_room() -> None:
-    """A camera that comes so close that splats cover more tiles than the graph has room for: no cut frame is shown."""
+def test_truncated_lists_are_enlarged_and_redrawn() -> None:
+    """A camera moves so close that splats exceed the captured graph's list; no truncated frame is returned."""
     scene = ls.Scene([scenes.random_gaussians(4, count=200)])
     launcher = GraphLauncher()
     renderer = ls.Renderer(ls.RenderConfig(), launcher)

@@ -1,4 +1,4 @@
-"""Blocks of threads that share a tile's splats, against one item a pixel: the same bits."""
+"""Thread blocks that share a tile's splats give the bits of one item per pixel."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ LAYERS = ("color", "alpha", "normal", "depth", "gaussian_index", "instance_index
 
 
 class ByPixels(Launcher):
-    """Composites each pixel by itself."""
+    """A launcher that composites each pixel separately."""
 
     def run_blocks(self, kernel: Any, blocks: int, *inputs: object) -> None:
-        """One item a pixel instead."""
+        """Runs one item per pixel instead."""
         assert kernel is splat_kernels.composite_blocks
         self.run_banded(splat_kernels.composite_pixels, blocks * TILE_PX * TILE_PX, *inputs)
 
 
 @pytest.mark.parametrize("opacity", [0.02, 0.3, 0.95])
 @pytest.mark.parametrize("with_mesh", [False, True])
-def test_lists_of_several_batches(opacity: float, with_mesh: bool) -> None:
-    """Tiles with more splats than a block has threads; pixels end by opacity, at a mesh, or with the list."""
+def test_thread_blocks_equal_pixels_over_several_batches(opacity: float, with_mesh: bool) -> None:
+    """Tiles have more splats than a block has threads; pixels end by opacity, at a mesh, or at the list's end."""
     gaussians = random_gaussians(
         8, 2200, extent=(1.0, 0.6, 1.5), scale_range=(0.1, 0.5), opacities=np.full(2200, opacity)
     )
@@ -47,7 +47,7 @@ def test_lists_of_several_batches(opacity: float, with_mesh: bool) -> None:
 
 
 def test_splats_are_read_from_shared_memory() -> None:
-    """Each by wide loads, and blocks ask for so few registers that four of them share a multiprocessor."""
+    """Splats are read by wide loads, and launch bounds allow four blocks per multiprocessor."""
     code = compile_for_cuda(splat_kernels.BLOCKS).read_text()
     assert re.search(r"\.maxntid 256", code) and re.search(r"\.minnctapersm 4", code)
     assert len(re.findall(r"ld\.shared\.v4", code)) >= 3

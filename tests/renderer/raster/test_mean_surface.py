@@ -1,4 +1,4 @@
-"""The weighted-mean surface of the Gaussians in a pixel: its twin, closed forms, and what has another surface."""
+"""The weighted-mean surface of a pixel's Gaussians: float64 twin, closed forms, and frames that do not use it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ CENTRE = (24, 32)
 def surfaces(
     scene: ls.Scene, camera: ls.Camera, raster: ls.RasterConfig = MEAN, way: str = "cpu"
 ) -> dict[str, Doubles]:
-    """What the G-buffer of a frame in real time says of the Gaussians in each pixel, and ``depth_z``; 0 without any."""
+    """Mean surface of each pixel in a real-time frame's G-buffer, and ``depth_z``; 0 without Gaussians."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, raster=raster, max_bounces=0, jitter=False)
     renderer = renderer_of(way, config)
     frames = 4 if way == "cpu as graph" else 1  # a graph is captured by the third and replayed by the fourth
@@ -57,17 +57,17 @@ def surfaces(
 
 
 def relit(*sets: ls.Gaussians, **settings: Any) -> ls.Scene:
-    """Sets that lights shine on."""
+    """Sets with a material that reflects light."""
     return ls.Scene([ls.SplatInstance(gaussians, material=MATTE, **settings) for gaussians in sets], lights=[LAMP])
 
 
 def veil(depth: float, opacity: float, **changes: Any) -> ls.Gaussians:
-    """One Gaussian, flat, and so wide that its alpha is even over the view."""
+    """One flat Gaussian, so wide that its alpha is constant over the view."""
     return one_gaussian((0.0, 0.0, depth), (60.0, 60.0, 0.001), opacity, **changes)
 
 
 def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
-    """Two relit sets, one of them placed askew, one that stays as captured, and a mesh; and their roughnesses."""
+    """Two relit sets, one of them transformed, an emissive capture and a mesh, and the sets' roughnesses."""
     rough = [np.random.default_rng(seed).uniform(0.2, 1.0, 120).astype(np.float32) for seed in range(2)]
     first = random_gaussians(21, 120, roughness=rough[0])
     second = random_gaussians(22, 120, center=(0.0, 0.0, 0.0), extent=(1.2, 1.0, 0.8), roughness=rough[1])
@@ -82,8 +82,8 @@ def of_many_kinds() -> tuple[ls.Scene, list[Doubles]]:
 
 
 @pytest.mark.parametrize("dilation", [0.3, 3.0])
-def test_surface_is_the_twins(way: str, dilation: float) -> None:
-    """Depth, share and roughness in each pixel, of relit sets among others and before a mesh."""
+def test_mean_surface_equals_the_twin(way: str, dilation: float) -> None:
+    """Compares depth, weight and roughness in each pixel, for relit sets among others and in front of a mesh."""
     scene, rough = of_many_kinds()
     camera, raster = front_camera(), replace(MEAN, dilation=dilation)
     found = surfaces(scene, camera, raster, way)
@@ -99,8 +99,8 @@ def test_surface_is_the_twins(way: str, dilation: float) -> None:
     assert_close_outside_band(roughness, twin.values[..., 0], band, atol=1e-4, band_share=0.4, name="roughness")
 
 
-def test_two_veils_show_their_mean(way: str) -> None:
-    """Weights 0.5 and 0.5 x 0.6: depth, roughness, metallic and albedo lie in between by these, over their sum."""
+def test_two_layers_give_their_weighted_mean(way: str) -> None:
+    """Weights are 0.5 and 0.5 x 0.6: depth, roughness, metallic and albedo are means with these weights."""
     near = veil(3.0, 0.5, roughness=[0.2], metallic=[0.0])
     far = veil(5.0, 0.6, roughness=[0.8], metallic=[1.0])
     found = surfaces(relit(near, far), front_camera(), way=way)
@@ -113,8 +113,8 @@ def test_two_veils_show_their_mean(way: str) -> None:
     np.testing.assert_allclose(found["albedo"][CENTRE], (1.0 - 0.3 / 0.8) * plain["albedo"][CENTRE], rtol=1e-3)
 
 
-def test_haze_has_a_surface() -> None:
-    """Of Gaussians too thin for an iso-opacity surface; positions are on the rays."""
+def test_thin_gaussians_have_a_mean_surface() -> None:
+    """Gaussians too thin for an iso-opacity surface still have a mean one; positions are on the rays."""
     camera = front_camera()
     found = surfaces(relit(veil(3.0, 0.1), veil(5.0, 0.1)), camera)
     ray = raster_oracle.pixel_rays(camera)
@@ -123,8 +123,8 @@ def test_haze_has_a_surface() -> None:
 
 
 @pytest.mark.parametrize("tilt", [0.3, 1.0])
-def test_slope_is_that_of_the_largest_response(tilt: float) -> None:
-    """Undilated, near its mean a splat is as deep as its Gaussian responds most, whatever its shape."""
+def test_mean_depth_slope_follows_the_peak_response(tilt: float) -> None:
+    """Undilated, the depth of a splat near its mean is that of the Gaussian's peak response on the ray."""
     half = 0.5 * tilt
     gaussian = one_gaussian(
         (0.4, -0.3, 4.0), (0.5, 0.3, 0.02), rotation=(np.cos(half), 0.6 * np.sin(half), 0.8 * np.sin(half), 0.0)
@@ -140,7 +140,7 @@ def test_slope_is_that_of_the_largest_response(tilt: float) -> None:
 
 
 def tilted_wall(angle: float) -> ls.Gaussians:
-    """A wall of flat Gaussians, turned about the x axis."""
+    """A wall of flat Gaussians, rotated about the x axis."""
     x, y = np.meshgrid(np.arange(-4.0, 4.0, 0.25), np.arange(-4.0, 4.0, 0.25))
     turn = rotation((1.0, 0.0, 0.0), angle)[:3, :3]
     means = np.stack([x, y, 0.0 * x], axis=-1).reshape(-1, 3) @ turn.T + [0.0, 0.0, 6.0]
@@ -151,8 +151,8 @@ def tilted_wall(angle: float) -> ls.Gaussians:
     )
 
 
-def test_a_tilted_wall_is_flat() -> None:
-    """With linear depths a wall of overlapping Gaussians is where it is; with those of its means far before that."""
+def test_mean_surface_of_a_tilted_wall_is_planar() -> None:
+    """Linear depths reproduce the wall; depths of means alone would lie far in front of it."""
     angle, camera = 0.9, front_camera(focal=120.0)
     scene = relit(tilted_wall(angle))
     normal = np.array([0.0, -np.sin(angle), np.cos(angle)])
@@ -164,8 +164,8 @@ def test_a_tilted_wall_is_flat() -> None:
     assert error.mean() < 0.1 * of_means.mean()
 
 
-def test_it_is_not_behind_the_mesh() -> None:
-    """Where a splat is deeper than the mesh that it covers, its surface is the mesh's."""
+def test_mean_surface_is_not_behind_the_mesh() -> None:
+    """Where a splat is deeper than the mesh that it covers, its surface depth is the mesh's."""
     half = 0.6
     tilted = one_gaussian((0.0, 0.0, 4.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
     scene = replace(relit(tilted), meshes=[quad(4.2, 9.0)])
@@ -187,8 +187,8 @@ UNCHANGED = {
 
 
 @pytest.mark.parametrize("kind", UNCHANGED)
-def test_what_has_another_surface_is_the_same(kind: str) -> None:
-    """To the bit: unlit frames, captures that are kept, rays, and samples of one Gaussian each."""
+def test_frames_without_mean_surface_are_unchanged(kind: str) -> None:
+    """Bit-equal: unlit frames, emissive captures, traced frames and stochastic samples."""
     scene, config = UNCHANGED[kind]
     mean = replace(config, raster=replace(config.raster, surface=ls.config.GaussianSurface.MEAN))
     iso, other = (ls.render(scene, front_camera(), settings, device="cpu") for settings in (config, mean))
@@ -197,8 +197,8 @@ def test_what_has_another_surface_is_the_same(kind: str) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.HYBRID])
-def test_lamps_light_it_where_it_is(pipeline: ls.Pipeline) -> None:
-    """A lamp at the eye: light falls by the square of the mean distance, not of the nearer veil's."""
+def test_mean_surface_is_lit_at_its_depth(pipeline: ls.Pipeline) -> None:
+    """Light from the eye falls off with the square of the mean distance, not of the nearer layer's."""
     lamp = ls.LightPoint((0.0, 0.0, 0.0), intensity=30.0, casts_shadow=False)
     veils = joined(veil(3.0, 0.5), veil(5.0, 0.6))
     scene, alone = replace(relit(veils), lights=[lamp]), replace(relit(veil(4.0, 0.8)), lights=[lamp])
@@ -208,8 +208,8 @@ def test_lamps_light_it_where_it_is(pipeline: ls.Pipeline) -> None:
     np.testing.assert_allclose(ratio, (4.0 / 3.75) ** 2, rtol=2e-3)
 
 
-def test_a_room_of_gaussians_looks_the_same() -> None:
-    """Of opaque surfaces both say nearly the same: frames in real time agree within a few per cent."""
+def test_mean_and_iso_surfaces_agree_on_opaque_rooms() -> None:
+    """Real-time frames with either surface agree within a few per cent."""
     view = room_camera(96, 72)
     scene = with_gaussians(PathRoom(path_rooms()["diffuse_area"].scene, view), 4000).scene
     means = []

@@ -1,4 +1,4 @@
-"""Frames whose values follow from pencil and paper. The renderer and its twin must both show them."""
+"""Frames with values from closed forms, for the renderer and its float64 twin."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NO_DILATION = ls.RenderConfig(raster=ls.RasterConfig(dilation=0.0))
 
 @pytest.fixture(params=["twin", *WAYS])
 def draw(request: pytest.FixtureRequest) -> Draw:
-    """Draws Gaussians with the twin or in a way of the renderer."""
+    """Draws Gaussians with the twin or with one backend of the renderer."""
 
     def call(gaussians: ls.Gaussians, camera: ls.Camera, config: ls.RenderConfig | None = None) -> Drawn:
         scene = ls.Scene([gaussians])
@@ -39,8 +39,8 @@ def centred_camera() -> ls.Camera:
 
 
 @pytest.mark.parametrize("opacity", [0.004, 0.1, 0.5, 0.98])
-def test_centre_shows_the_opacity(draw: Draw, opacity: float) -> None:
-    """On a pixel centre, alpha is the opacity and the colour is the Gaussian's times it."""
+def test_alpha_at_the_mean_is_the_opacity(draw: Draw, opacity: float) -> None:
+    """At a pixel centre, alpha is the opacity, and the colour is the Gaussian's times alpha."""
     frame = draw(one_gaussian(opacity=opacity, color=(0.9, 0.5, 0.1)), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(opacity, rel=1e-4)
     assert frame.color[CENTRE] == pytest.approx(opacity * np.array([0.9, 0.5, 0.1]), rel=1e-4)
@@ -48,14 +48,14 @@ def test_centre_shows_the_opacity(draw: Draw, opacity: float) -> None:
 
 @pytest.mark.parametrize(("opacity", "alpha"), [(1.0, 0.99), (0.995, 0.99), (1.0 / 256.0, 0.0)])
 def test_alpha_is_bounded(draw: Draw, opacity: float, alpha: float) -> None:
-    """No Gaussian is more opaque than 0.99, and below 1/255 there is none."""
+    """Alpha is at most 0.99, and 0 below 1/255."""
     frame = draw(one_gaussian(opacity=opacity), centred_camera())
     assert frame.alpha[CENTRE] == pytest.approx(alpha, abs=1e-6)
     assert frame.alpha.max() == pytest.approx(alpha, abs=1e-6)
 
 
-def test_two_blend_by_hand(draw: Draw) -> None:
-    """The nearer covers the farther, whichever comes first in the set, and the background fills the rest."""
+def test_two_gaussians_blend_front_to_back(draw: Draw) -> None:
+    """The nearer Gaussian covers the farther one, in any order of the set, over the background."""
     near = one_gaussian((0.0, 0.0, 3.0), opacity=0.6, color=(1.0, 0.0, 0.2))
     far = one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.0, 1.0, 0.4))
     for gaussians in (joined(near, far), joined(far, near)):
@@ -67,8 +67,8 @@ def test_two_blend_by_hand(draw: Draw) -> None:
         assert frame.alpha[CENTRE] == pytest.approx(0.8, abs=1e-5)
 
 
-def test_width_on_the_image(draw: Draw) -> None:
-    """One pixel to the side, the response is exp(-1 / (2 variance)), the variance being (f s / z)^2 + 0.3."""
+def test_projected_variance_includes_dilation(draw: Draw) -> None:
+    """One pixel from the mean, the response is exp(-1 / (2 variance)) with variance (f s / z)^2 + 0.3."""
     frame = draw(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.8), centred_camera())
     variance = (60.0 * 0.1 / 4.0) ** 2 + 0.3
     for dy, dx in ((0, 1), (-2, 0), (1, -3)):
@@ -76,8 +76,8 @@ def test_width_on_the_image(draw: Draw) -> None:
         assert frame.alpha[24 + dy, 32 + dx] == pytest.approx(expected, rel=2e-4)
 
 
-def test_footprint_ends_at_one_step(draw: Draw) -> None:
-    """The ellipse reaches exactly to where alpha is 1/255: no pixel beyond, none missing, no cut at 3 sigma."""
+def test_footprint_ends_where_alpha_is_one_step(draw: Draw) -> None:
+    """The ellipse extends exactly to alpha 1/255, without a cut at 3 sigma."""
     gaussians = one_gaussian((0.0, 0.0, 4.0), 0.25, 0.9)
     frame = draw(gaussians, centred_camera())
     y, x = np.mgrid[:48, :64] - np.array(CENTRE)[:, None, None]
@@ -89,8 +89,8 @@ def test_footprint_ends_at_one_step(draw: Draw) -> None:
     np.testing.assert_allclose(frame.alpha[sure], np.where(inside, alpha, 0.0)[sure], atol=1e-5)
 
 
-def test_pixel_stops_before_its_minimum(draw: Draw) -> None:
-    """The Gaussian that would take the transmittance to 1e-4 is dropped, and so is all behind it."""
+def test_blending_stops_before_minimum_transmittance(draw: Draw) -> None:
+    """The Gaussian that would reduce the transmittance to 1e-4 is dropped, and so are all behind it."""
     colors = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 1.0, 1.0)]
     opacities = [0.9, 0.95, 0.985, 0.5]  # T: 0.1, 0.005, 0.000075 (dropped), then 0.0025 would have been fine.
     layers = [
@@ -101,8 +101,8 @@ def test_pixel_stops_before_its_minimum(draw: Draw) -> None:
     assert frame.color[CENTRE] == pytest.approx([0.9, 0.095, 0.0], abs=1e-5)
 
 
-def test_colour_is_not_negative(draw: Draw) -> None:
-    """A negative SH sum shows as black, and does not darken what is behind."""
+def test_negative_sh_colour_is_black(draw: Draw) -> None:
+    """A negative SH sum gives black, and does not darken the colours behind."""
     dark = one_gaussian((0.0, 0.0, 3.0), opacity=0.5, color=(-4.0, 0.2, 0.2))
     frame = draw(joined(dark, one_gaussian((0.0, 0.0, 5.0), opacity=0.5, color=(0.8, 0.0, 0.0))), centred_camera())
     assert frame.color[CENTRE] == pytest.approx([0.25 * 0.8, 0.1, 0.1], abs=1e-5)
@@ -113,7 +113,7 @@ def test_colour_is_not_negative(draw: Draw) -> None:
     [(1, (0, 1, 0), -1), (2, (0, 0, 1), 1), (3, (1, 0, 0), -1), (1, (0, -1, 0), 1), (3, (0, 0, 1), 0)],
 )
 def test_sh_degree_one_signs(draw: Draw, coefficient: int, direction: tuple[float, ...], factor: float) -> None:
-    """Seen along an axis, a first-degree coefficient adds sqrt(3 / 4 pi) with the signs of Kerbl et al."""
+    """Seen along an axis, a degree-1 coefficient adds sqrt(3 / 4 pi) with the signs of Kerbl et al."""
     sh = np.zeros((1, 4, 3))
     sh[0, coefficient] = 0.3
     gaussians = ls.Gaussians([[0, 0, 0]], [[1, 0, 0, 0]], [[0.2] * 3], [0.9], sh)
@@ -123,15 +123,15 @@ def test_sh_degree_one_signs(draw: Draw, coefficient: int, direction: tuple[floa
     assert color == pytest.approx(0.5 + factor * 0.3 * np.sqrt(3.0 / (4.0 * np.pi)), abs=2e-5)
 
 
-def test_dc_is_the_colour(draw: Draw) -> None:
-    """The first coefficient times Y_00, plus one half."""
+def test_dc_coefficient_gives_the_base_colour(draw: Draw) -> None:
+    """The colour is the first coefficient times Y_00, plus one half."""
     gaussians = ls.Gaussians([[0, 0, 4]], [[1, 0, 0, 0]], [[0.2] * 3], [0.5], [[[1.0, 0.0, -1.0]]])
     expected = 0.5 * np.maximum(0.5 + SH_C0 * np.array([1.0, 0.0, -1.0]), 0.0)
     assert draw(gaussians, centred_camera()).color[CENTRE] == pytest.approx(expected, abs=1e-5)
 
 
-def test_antialiasing_keeps_the_energy(draw: Draw) -> None:
-    """Far below a pixel in size, the summed alpha is the Gaussian's own area, not that of the dilation."""
+def test_antialiasing_preserves_summed_alpha(draw: Draw) -> None:
+    """For a Gaussian far below a pixel, the summed alpha is its own area, not that of the dilation."""
     scale, depth, opacity = 0.02, 4.0, 0.9
     frame = draw(one_gaussian((0.0, 0.0, depth), scale, opacity, antialiased=True), front_camera(focal=120.0))
     variance = (120.0 * scale / depth) ** 2
@@ -142,8 +142,8 @@ def test_antialiasing_keeps_the_energy(draw: Draw) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_anisotropic_equals_line_integrals(draw: Draw, seed: int) -> None:
-    """From far away, alpha is the opacity times the density integrated along the pixel's ray, over the largest."""
+def test_anisotropic_alpha_equals_line_integrals(draw: Draw, seed: int) -> None:
+    """From far away, alpha is the opacity times the Gaussian's line integral along the pixel's ray, normalised to 1."""
     source = random_gaussians(seed, 1, scale_range=(0.1, 1.0))
     gaussians = ls.Gaussians([[0, 0, 0]], source.rotations_wxyz, source.scales, [0.9], source.sh)
     distance = 4000.0
@@ -167,7 +167,7 @@ def test_anisotropic_equals_line_integrals(draw: Draw, seed: int) -> None:
 
 
 def test_front_to_back_equals_back_to_front(draw: Draw) -> None:
-    """Blending the same splats from the back with the over operator gives the same colour to float precision."""
+    """Blending the same splats from the back with the over operator gives equal colours to float precision."""
     gaussians = random_gaussians(60, 80, degree=1)
     camera = front_camera()
     config = ls.RenderConfig(background=(0.3, 0.6, 0.9), raster=ls.RasterConfig(transmittance_min=0.0))

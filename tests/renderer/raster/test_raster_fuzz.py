@@ -1,4 +1,4 @@
-"""Values that break careless arithmetic: whatever comes in through the door, what goes out is finite or counted."""
+"""Extreme input values: every output is finite or counted."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ COLOURS = [0.0, 1e4, -1e4, 1e30, -1e30, LARGEST, -LARGEST, SMALLEST]
 
 
 def poisoned(seed: int, count: int = 400) -> ls.Gaussians:
-    """Gaussians whose every number is drawn from the lists above."""
+    """Gaussians with every value drawn from the lists above."""
     rng = np.random.default_rng(seed)
 
     def draw(values: list[float], *shape: int) -> np.ndarray:
@@ -37,7 +37,7 @@ def poisoned(seed: int, count: int = 400) -> ls.Gaussians:
 
 
 def assert_sane(frame: ls.Frame) -> None:
-    """No NaN anywhere; infinity in the depth of nothing only; all values in their ranges."""
+    """Asserts that no value is NaN, only depth is infinite, and all values are in range."""
     assert np.isfinite(frame.color).all()
     assert np.isfinite(frame.normal).all()
     assert ((frame.alpha >= 0.0) & (frame.alpha <= 1.0)).all()
@@ -48,15 +48,15 @@ def assert_sane(frame: ls.Frame) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_poison_makes_finite_frames(renderer: ls.Renderer, seed: int) -> None:
-    """Extreme but valid Gaussians are drawn, culled or counted; none turns a pixel into NaN or infinity."""
+def test_extreme_gaussians_give_finite_frames(renderer: ls.Renderer, seed: int) -> None:
+    """Extreme but valid Gaussians are drawn, culled or counted; no pixel is NaN or infinite."""
     frame = renderer.render(ls.Scene([poisoned(seed)]), front_camera(37, 29, 30.0))
     assert_sane(frame)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_poison_does_not_spread(renderer: ls.Renderer, seed: int) -> None:
-    """Among poisoned neighbours outside the view, a healthy capture looks as it does alone."""
+def test_extreme_gaussians_do_not_affect_others(renderer: ls.Renderer, seed: int) -> None:
+    """A capture looks the same with extreme neighbours outside of the view."""
     healthy = random_gaussians(100 + seed, 100, degree=1)
     behind = poisoned(seed)
     behind = behind.subset(behind.means[:, 2] < 0.0)
@@ -78,7 +78,7 @@ def test_overflowing_colour_is_counted(renderer: ls.Renderer, color: float) -> N
 
 @pytest.mark.parametrize("scale", [1e12, 1e20, 1e30, LARGEST])
 def test_enormous_gaussians_are_not_lost_silently(renderer: ls.Renderer, scale: float) -> None:
-    """A Gaussian around everything covers the image, or is counted as not finite; it never just vanishes."""
+    """A Gaussian around everything covers the image, or is counted as not finite."""
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0), scale, 0.8)]), front_camera())
     assert_sane(frame)
     covered = np.allclose(frame.alpha, 0.8, atol=1e-3)
@@ -86,8 +86,8 @@ def test_enormous_gaussians_are_not_lost_silently(renderer: ls.Renderer, scale: 
 
 
 @pytest.mark.parametrize("distance", [0.0100001, 0.011, 0.05])
-def test_straddling_the_near_plane(renderer: ls.Renderer, distance: float) -> None:
-    """Gaussians that reach past the near plane and the camera stay finite."""
+def test_gaussians_across_the_near_plane_are_finite(renderer: ls.Renderer, distance: float) -> None:
+    """Gaussians that reach past the near plane and the camera give finite values."""
     rng = np.random.default_rng(0)
     means = np.concatenate([rng.normal(0.0, 0.01, (50, 2)), np.full((50, 1), distance)], axis=1)
     source = random_gaussians(101, 50, scale_range=(1e-4, 10.0))
@@ -96,8 +96,8 @@ def test_straddling_the_near_plane(renderer: ls.Renderer, distance: float) -> No
 
 
 @pytest.mark.parametrize("size", [(1, 1), (16, 16), (17, 15), (15, 33), (2, 300), (300, 2)])
-def test_tile_edges(way: str, size: tuple[int, int]) -> None:
-    """Gaussians centred on tile edges and corners, of any size, show the same alpha on every side."""
+def test_alpha_is_continuous_across_tile_edges(way: str, size: tuple[int, int]) -> None:
+    """Gaussians centred on tile edges and corners, of any size, have equal alpha on every side."""
     width, height = size
     camera = front_camera(width, height, 1000.0, cx=0.0, cy=0.0)
     marks = [(x, y) for x, y in itertools.product(range(0, width + 1, 16), range(0, height + 1, 16))]
@@ -113,8 +113,8 @@ def test_tile_edges(way: str, size: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("factor", [1e-6, 1e-3, 1e3, 1e6])
-def test_units_do_not_matter(renderer: ls.Renderer, factor: float) -> None:
-    """A scene in micrometres or in megametres looks like the one in metres, if the near plane goes along."""
+def test_frames_do_not_depend_on_the_unit(renderer: ls.Renderer, factor: float) -> None:
+    """A scene in micrometres or megametres looks like that in metres, if the near plane is scaled as well."""
     gaussians = random_gaussians(102, 150)
     expected = renderer.render(ls.Scene([gaussians]), front_camera())
     scaled = ls.SplatInstance(gaussians, similarity(scale=factor))
@@ -124,8 +124,8 @@ def test_units_do_not_matter(renderer: ls.Renderer, factor: float) -> None:
     assert (frame.gaussian_index == expected.gaussian_index)[found].mean() > 0.99
 
 
-def test_many_layers(renderer: ls.Renderer) -> None:
-    """A thousand faint layers on one pixel blend to 1 - (1 - a)^n."""
+def test_thousand_faint_layers_blend_exactly(renderer: ls.Renderer) -> None:
+    """A thousand layers of alpha a on one pixel blend to 1 - (1 - a)^n."""
     layers = joined(*(one_gaussian((0.0, 0.0, 2.0 + 0.001 * i), 40.0, 0.005) for i in range(1000)))
     frame = renderer.render(ls.Scene([layers]), front_camera(20, 20))
     expected = 1.0 - (1.0 - 0.005) ** 1000
@@ -133,7 +133,7 @@ def test_many_layers(renderer: ls.Renderer) -> None:
 
 
 def test_absurd_transforms_are_refused_or_finite(renderer: ls.Renderer) -> None:
-    """An instance moved or scaled to the ends of float32 never makes NaN."""
+    """An instance moved or scaled to the limits of float32 gives no NaN."""
     for scale, offset in itertools.product((1e-12, 1.0, 1e12), (0.0, 1e12, -1e20)):
         try:
             placed = ls.SplatInstance(random_gaussians(103, 20), similarity(scale=scale, offset=(0.0, 0.0, offset)))
@@ -143,8 +143,8 @@ def test_absurd_transforms_are_refused_or_finite(renderer: ls.Renderer) -> None:
         assert_sane(renderer.render(ls.Scene([placed], [mesh]), front_camera(20, 20)))
 
 
-def test_failed_upload_leaves_the_renderer_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After running out of memory half way, the old scene and the new one are both drawn as by a new renderer."""
+def test_failed_upload_leaves_the_renderer_usable(monkeypatch: pytest.MonkeyPatch) -> None:
+    """After an out-of-memory error, the old and the new scene are drawn as by a new renderer."""
     from lumisplat.renderer.scene import assets
 
     old = ls.Scene([random_gaussians(110)], [quad(5.0)])

@@ -1,4 +1,4 @@
-"""Against gsplat: the stored images of tools/make_gsplat_reference.py."""
+"""Comparison with gsplat: the stored images of tools/make_gsplat_reference.py."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def reference(name: str) -> tuple[np.ndarray, ls.Camera]:
 
 
 def assert_like_gsplat(frame: ls.Frame, image: np.ndarray) -> None:
-    """Mean error below half a step of 8 bits over the pixels that show anything, and 99.5 % within four steps."""
+    """Asserts a mean error below half an 8-bit step over covered pixels, and 99.5 % within four steps."""
     shown = image[..., 3] > 0.0
     assert shown.mean() > 0.1
     actual = np.concatenate([frame.color, frame.alpha[..., None]], axis=-1)
@@ -36,8 +36,8 @@ def assert_like_gsplat(frame: ls.Frame, image: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("name", gsplat_frames())
-def test_synthetic_captures(renderer: ls.Renderer, name: str) -> None:
-    """SH of degree 3, opacity compensation, and a wide lens that needs the Jacobian's clamp."""
+def test_synthetic_captures_equal_gsplat(renderer: ls.Renderer, name: str) -> None:
+    """Covers SH degree 3, opacity compensation, and a wide lens that needs the Jacobian clamp."""
     gaussians, camera = gsplat_frames()[name]
     image, stored_camera = reference(name)
     np.testing.assert_array_equal(stored_camera.camera_from_world, camera.camera_from_world)
@@ -46,8 +46,8 @@ def test_synthetic_captures(renderer: ls.Renderer, name: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["biker_front", "biker_close"])
-def test_a_real_capture(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
-    """The biker, whole and close."""
+def test_real_capture_equals_gsplat(renderer: ls.Renderer, data_dir: Path, name: str) -> None:
+    """Renders the biker as a whole and from close up."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     image, camera = reference(name)
     assert_like_gsplat(renderer.render(ls.Scene([biker]), camera), image)

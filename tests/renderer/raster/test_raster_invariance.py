@@ -1,4 +1,4 @@
-"""What must not change a frame: order, hidden splats, threads, repetition, and where in the world it all happens."""
+"""Changes that must not change a frame: order, hidden splats, threads, repetition, and the coordinate frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def images(frame: ls.Frame) -> Images:
 
 
 def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = IMAGES) -> None:
-    """Bit-equal images."""
+    """Asserts bit-equal images."""
     for name in names:
         np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), err_msg=name)
 
@@ -46,7 +46,7 @@ def full_scene() -> ls.Scene:
 
 
 def test_order_in_the_set_does_not_matter(renderer: ls.Renderer) -> None:
-    """Shuffled Gaussians make the same frame to the bit, their indices apart."""
+    """Shuffled Gaussians give the same frame to the bit, except for their indices."""
     gaussians = random_gaussians(71, 300, degree=1)
     order = np.random.default_rng(0).permutation(300)
     assert len(np.unique(gaussians.means[:, 2])) == 300
@@ -58,7 +58,7 @@ def test_order_in_the_set_does_not_matter(renderer: ls.Renderer) -> None:
 
 
 def test_equal_depths_keep_the_order_of_the_scene(renderer: ls.Renderer) -> None:
-    """Of splats at one depth, the first of the set, and the first instance, is in front."""
+    """Among splats at one depth, the first of the set, and the first instance, is in front."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     camera = front_camera(cx=32.5, cy=24.5)
@@ -68,8 +68,8 @@ def test_equal_depths_keep_the_order_of_the_scene(renderer: ls.Renderer) -> None
         assert renderer.render(scene, camera).color[24, 32] == pytest.approx([0.09, 0.0, 0.9], abs=1e-5)
 
 
-def test_other_kernels_are_announced_once(way: str, caplog: pytest.LogCaptureFixture) -> None:
-    """A capture of another kernel degree is drawn as Gaussian, and a renderer says so once for each degree."""
+def test_other_kernel_degrees_are_logged_once(way: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A capture of another kernel degree is drawn as Gaussian; a renderer logs each degree once."""
     gaussian = random_gaussians(21, 30)
     quartic, linear = (replace(gaussian, kernel_degree=degree) for degree in (4, 0))
     renderer = renderer_of(way)
@@ -83,7 +83,7 @@ def test_other_kernels_are_announced_once(way: str, caplog: pytest.LogCaptureFix
 
 
 def test_instances_sort_together(renderer: ls.Renderer) -> None:
-    """A set cut into several instances makes the same frame as the whole."""
+    """A set split into several instances gives the same frame as the whole."""
     gaussians = random_gaussians(72, 200, degree=1)
     parts = [gaussians.subset(np.arange(start, 200, 3)) for start in range(3)]
     whole = renderer.render(ls.Scene([gaussians]), front_camera())
@@ -107,7 +107,7 @@ def test_instances_sort_together(renderer: ls.Renderer) -> None:
     ids=["behind", "occluded", "outside", "faint", "nothing", "too near"],
 )
 def test_hidden_splats_change_nothing(renderer: ls.Renderer, hidden: ls.Gaussians) -> None:
-    """Splats that cannot be seen leave every image as it was, to the bit."""
+    """Splats that are not visible leave every image unchanged to the bit."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
     frame = renderer.render(ls.Scene([visible]), front_camera())
@@ -115,7 +115,7 @@ def test_hidden_splats_change_nothing(renderer: ls.Renderer, hidden: ls.Gaussian
 
 
 def test_frames_repeat(renderer: ls.Renderer, way: str) -> None:
-    """The same frame again, after another one, and from another renderer, is bit-equal."""
+    """A frame is bit-equal after another frame, and from another renderer."""
     scene, camera = full_scene(), front_camera()
     first = renderer.render(scene, camera)
     other = renderer.render(ls.Scene([random_gaussians(77)]), front_camera(90, 70))
@@ -125,8 +125,8 @@ def test_frames_repeat(renderer: ls.Renderer, way: str) -> None:
     assert other.color.shape == (70, 90, 3)
 
 
-def test_returned_frames_stay(renderer: ls.Renderer) -> None:
-    """A frame already returned does not change when the next one is drawn."""
+def test_returned_frames_do_not_change(renderer: ls.Renderer) -> None:
+    """A returned frame does not change when the next one is drawn."""
     frame = renderer.render(full_scene(), front_camera())
     before = {name: image.copy() for name, image in images(frame).items()}
     renderer.render(ls.Scene([random_gaussians(78)]), front_camera())
@@ -135,15 +135,15 @@ def test_returned_frames_stay(renderer: ls.Renderer) -> None:
 
 
 def test_threads_do_not_matter() -> None:
-    """One, two and five CPU threads make the same frame to the bit."""
+    """One, two and five CPU threads give the same frame to the bit."""
     scene, camera = full_scene(), front_camera(150, 90, 140.0)
     single = ls.create_renderer(device="cpu", threads=1).render(scene, camera)
     for threads in (2, 5):
         assert_equal(ls.create_renderer(device="cpu", threads=threads).render(scene, camera), single)
 
 
-def test_parts_of_the_image(renderer: ls.Renderer) -> None:
-    """A camera that sees a part of the image, cut anywhere, shows exactly that part."""
+def test_cropped_cameras_equal_crops(renderer: ls.Renderer) -> None:
+    """A camera cropped anywhere shows exactly that part of the image."""
     scene = full_scene()
     whole = renderer.render(scene, front_camera(64, 48))
     left, top = 21, 13
@@ -152,8 +152,8 @@ def test_parts_of_the_image(renderer: ls.Renderer) -> None:
         assert_close(getattr(part, name), getattr(whole, name)[top:, left:], atol=1e-4, name=name)
 
 
-def test_moving_everything_together(renderer: ls.Renderer) -> None:
-    """Scene and camera moved, turned and scaled as one make the same picture; depths scale."""
+def test_frames_do_not_depend_on_the_world_frame(renderer: ls.Renderer) -> None:
+    """Transforming scene and camera together gives the same image; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, 1.7, (3.0, -5.0, 11.0))
     scene, camera = full_scene(), front_camera()
     moved = ls.Scene(
@@ -181,7 +181,7 @@ def test_moving_everything_together(renderer: ls.Renderer) -> None:
 
 
 def test_renderer_follows_every_rearrangement(way: str) -> None:
-    """One renderer shows what a new one shows when the same assets change places, count, order or company."""
+    """A renderer equals a new one after the same assets change transforms, count, order or neighbours."""
     first, second = (random_gaussians(seed, 60 + seed, center=(0.0, 0.0, 0.0)) for seed in (80, 81))
     ball, wall = octahedron((0.1, 0.1, 0.0), 0.6), quad(1.5, tilt=0.3)
     left, right = similarity(offset=(-0.7, 0.0, 4.0)), similarity((0.0, 1.0, 0.0), 1.0, 0.8, (0.8, 0.2, 4.4))
@@ -201,8 +201,8 @@ def test_renderer_follows_every_rearrangement(way: str) -> None:
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_colour_turns_with_the_object(renderer: ls.Renderer, degree: int) -> None:
-    """An instance turned by R before a fixed camera shows the object's colours as the camera turned by R^-1 does."""
+def test_sh_colours_rotate_with_the_object(renderer: ls.Renderer, degree: int) -> None:
+    """An instance rotated by R equals the unrotated one seen from a camera rotated by R^-1."""
     asset = random_gaussians(79, 120, degree, center=(0.0, 0.0, 0.0), extent=(1.2, 1.0, 1.0))
     turn = similarity((0.5, 1.0, 0.3), 1.3)
     camera = front_camera(camera_from_world=similarity(offset=(0.0, 0.0, 4.0)))
@@ -216,8 +216,8 @@ def test_colour_turns_with_the_object(renderer: ls.Renderer, degree: int) -> Non
 
 
 @pytest.mark.parametrize("background", [(0.0, 0.0, 0.0), (0.2, 0.5, 1.0), None])
-def test_empty_views(way: str, background: tuple[float, float, float] | None) -> None:
-    """With nothing in sight there is only background: no alpha, no surface, no normal."""
+def test_empty_view_shows_only_background(way: str, background: tuple[float, float, float] | None) -> None:
+    """Without visible objects there is no alpha, surface or normal."""
     renderer = renderer_of(way, ls.RenderConfig(lighting=False, background=background))
     behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
     for scene in (ls.Scene(), ls.Scene([behind]), ls.Scene([], [quad(-3.0)]), ls.Scene([behind], [quad(-3.0)])):
@@ -229,8 +229,8 @@ def test_empty_views(way: str, background: tuple[float, float, float] | None) ->
 
 
 @pytest.mark.parametrize("name", ["instances", "meshes and splats", "many small"])
-def test_background_fills_the_rest(way: str, name: str) -> None:
-    """Over any background, a frame is the transparent one plus (1 - alpha) times it."""
+def test_background_is_composited_under_the_frame(way: str, name: str) -> None:
+    """Over any background, a frame is the transparent one plus (1 - alpha) times the background."""
     case = next(case for case in cases() if case.name == name)
     bare, over = (
         renderer_of(way, ls.RenderConfig(background=b, lighting=False)).render(case.scene, case.camera)
@@ -240,8 +240,8 @@ def test_background_fills_the_rest(way: str, name: str) -> None:
     assert_close(over.color, expected, atol=1e-6)
 
 
-def test_assets_are_told_apart(renderer: ls.Renderer) -> None:
-    """A new asset at an old one's address is uploaded again: a frame never shows what was drawn before."""
+def test_new_asset_at_a_reused_address_is_uploaded(renderer: ls.Renderer) -> None:
+    """A new object at the address of a freed one is uploaded, so that frames never show the old one."""
 
     def mean_color(make: Callable[[float], ls.Scene], value: float) -> np.ndarray:
         return renderer.render(make(value), front_camera()).color.max(axis=(0, 1))
@@ -251,8 +251,8 @@ def test_assets_are_told_apart(renderer: ls.Renderer) -> None:
         assert shown == pytest.approx(0.99 * value, abs=1e-2)
 
 
-def test_buffers_settle(renderer: ls.Renderer) -> None:
-    """After its first frame a renderer allocates nothing more for frames of that size, nor for smaller ones."""
+def test_renderer_allocates_nothing_after_the_first_frame(renderer: ls.Renderer) -> None:
+    """Later frames of that size, or smaller, allocate nothing."""
     scene = full_scene()
     renderer.render(scene, front_camera(90, 70))
     settled = renderer._buffers.allocations
@@ -262,7 +262,7 @@ def test_buffers_settle(renderer: ls.Renderer) -> None:
 
 
 def test_memory_is_reported(renderer: ls.Renderer) -> None:
-    """A frame's memory covers at least its assets and images, and little more than what is held."""
+    """The reported memory covers at least assets and images, and little more than the allocations."""
     gaussians = random_gaussians(82, 5000, degree=3)
     frame = renderer.render(ls.Scene([gaussians]), front_camera(300, 200))
     assert frame.stats is not None
@@ -273,7 +273,7 @@ def test_memory_is_reported(renderer: ls.Renderer) -> None:
 
 
 def test_lists_grow_as_needed(renderer: ls.Renderer) -> None:
-    """Splats that all cover every tile outgrow the first guess of the lists; nothing is lost, at once or later."""
+    """Splats that cover every tile exceed the first capacity of the lists; none is lost, now or later."""
     layers = random_gaussians(81, 600, scale_range=(20.0, 30.0))
     means = np.column_stack([layers.means[:, :2], np.random.default_rng(0).permutation(np.linspace(2.5, 5.5, 600))])
     faint = ls.Gaussians(means, layers.rotations_wxyz, layers.scales, np.full(600, 0.01), layers.sh)

@@ -1,4 +1,4 @@
-"""Triangles on their own, and splats in front of, behind and across them."""
+"""Triangles alone, and splats in front of, behind and across them."""
 
 from __future__ import annotations
 
@@ -25,31 +25,31 @@ GREY = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1))
 
 @pytest.fixture
 def renderer(way: str) -> ls.Renderer:
-    """A renderer without the headlight that shows meshes alone: here their own colours are looked at."""
+    """A renderer without headlight, which shows the meshes' own colours."""
     return renderer_of(way, ls.RenderConfig(lighting=False))
 
 
 def plane_depth(camera: ls.Camera, point: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """View depth at which each pixel's ray meets a camera-space plane, shape (H, W)."""
+    """View depth at which each pixel's ray hits a camera-space plane, shape (H, W)."""
     return (point @ normal) / (oracles.pixel_rays(camera) @ normal)
 
 
 def test_base_colour_is_encoded(renderer: ls.Renderer) -> None:
-    """An unlit mesh shows its linear base colour, encoded, and ends the pixel."""
+    """An unlit mesh shows its linear base colour, encoded for display, and is opaque."""
     frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=GREY)]), front_camera())
     assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
     assert (frame.alpha == 1.0).all() and (frame.instance_index == 0).all() and (frame.gaussian_index == -1).all()
 
 
-def test_texture_needs_uvs(renderer: ls.Renderer) -> None:
-    """A texture without coordinates to look it up with changes nothing."""
+def test_texture_without_uvs_is_ignored(renderer: ls.Renderer) -> None:
+    """A texture changes nothing on a mesh without texture coordinates."""
     material = ls.MaterialPbr(base_color=(0.5, 0.25, 0.1), base_color_texture=np.zeros((2, 2, 3), np.uint8))
     frame = renderer.render(ls.Scene([], [quad(3.0, 9.0, material=material)]), front_camera())
     assert_close(frame.color, np.broadcast_to(encode_srgb([0.5, 0.25, 0.1]), (48, 64, 3)), atol=1e-5)
 
 
 def test_depth_of_a_tilted_plane(renderer: ls.Renderer) -> None:
-    """Depth is exact at every pixel centre of a steep plane, and its normal is the plane's."""
+    """Depth is exact at every pixel centre of a steep plane, and the normal is the plane's."""
     frame = renderer.render(ls.Scene([], [quad(9.0, 6.0, tilt=1.3)]), front_camera())
     normal = np.array([1.3, 0.0, -1.0])
     expected = plane_depth(front_camera(), np.array([0.0, 0.0, 9.0]), normal)
@@ -72,7 +72,7 @@ def crumpled_plane(count: int, half: float, normal: np.ndarray) -> ls.Mesh:
 
 @pytest.mark.parametrize("count", [300, pytest.param(1200, marks=pytest.mark.deep)])
 def test_depth_of_small_far_triangles(renderer: ls.Renderer, count: int) -> None:
-    """Triangles of a pixel and less, far from the eye, show their plane's depth, and leave no pixel out."""
+    """Triangles of a pixel and less, far from the eye, have their plane's depth and leave no pixel out."""
     normal = np.array([0.5, -0.3, -1.0])
     frame = renderer.render(ls.Scene([], [crumpled_plane(count, 30.0, normal)]), front_camera(200, 150, 140.0))
     expected = plane_depth(frame.camera, np.array([0.0, 0.0, 10.0]), normal)
@@ -81,8 +81,8 @@ def test_depth_of_small_far_triangles(renderer: ls.Renderer, count: int) -> None
 
 
 @pytest.mark.parametrize("near", [0.01, 0.5, 2.0])
-def test_triangles_are_cut_at_the_near_plane(renderer: ls.Renderer, near: float) -> None:
-    """A floor that runs from behind the camera to the horizon is there exactly from the near plane on."""
+def test_triangles_are_clipped_at_the_near_plane(renderer: ls.Renderer, near: float) -> None:
+    """A floor from behind the camera to the horizon is visible exactly from the near plane on."""
     floor = ls.Mesh([[-500, 1, -500], [500, 1, -500], [500, 1, 900], [-500, 1, 900]], np.array([[0, 1, 2], [0, 2, 3]]))
     camera = front_camera(focal=20.0, near=near)
     frame = renderer.render(ls.Scene([], [floor]), camera)
@@ -95,7 +95,7 @@ def test_triangles_are_cut_at_the_near_plane(renderer: ls.Renderer, near: float)
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_cracks_between_triangles(renderer: ls.Renderer, seed: int) -> None:
-    """A crumpled grid of triangles that covers the image leaves no pixel out, whatever side its edges fall on."""
+    """A crumpled grid of triangles over the image leaves no pixel out, on either side of its edges."""
     rng = np.random.default_rng(seed)
     count = 24
     y, x = np.mgrid[:count, :count] / (count - 1) * 2.0 - 1.0
@@ -110,7 +110,7 @@ def test_no_cracks_between_triangles(renderer: ls.Renderer, seed: int) -> None:
 
 
 def test_edges_on_pixel_centres_leave_no_holes(renderer: ls.Renderer) -> None:
-    """Edges and vertices exactly on pixel centres belong to some triangle."""
+    """Edges and vertices exactly at pixel centres belong to some triangle."""
     ticks = (np.arange(0, 65, 8) - 32 + 0.5) / 60.0 * 4.0
     x, y = np.meshgrid(ticks, ticks)
     points = np.stack([x, y, np.full_like(x, 4.0)], axis=-1).reshape(-1, 3)
@@ -121,7 +121,7 @@ def test_edges_on_pixel_centres_leave_no_holes(renderer: ls.Renderer) -> None:
 
 
 def test_nearest_triangle_wins_in_any_order(renderer: ls.Renderer) -> None:
-    """Interpenetrating meshes show the nearer one at each pixel, whichever is listed first."""
+    """Intersecting meshes show the nearer one at each pixel, in any order of the list."""
     tilted, flat = quad(4.0, tilt=0.8), quad(4.1, 0.9)
     one = renderer.render(ls.Scene([], [tilted, flat]), front_camera())
     two = renderer.render(ls.Scene([], [flat, tilted]), front_camera())
@@ -133,7 +133,7 @@ def test_nearest_triangle_wins_in_any_order(renderer: ls.Renderer) -> None:
 
 
 def test_both_sides_are_drawn(renderer: ls.Renderer) -> None:
-    """Winding and mirroring do not matter: the same picture, the normal towards the viewer."""
+    """Winding and mirroring do not matter; the normal faces the viewer."""
     mesh = quad(4.0, tilt=0.5)
     turned = ls.Mesh(mesh.positions, mesh.indices[:, ::-1])
     mirrored = ls.MeshInstance(ls.Mesh(mesh.positions * [-1.0, 1.0, 1.0], mesh.indices), np.diag([-1.0, 1.0, 1.0, 1.0]))
@@ -146,8 +146,8 @@ def test_both_sides_are_drawn(renderer: ls.Renderer) -> None:
     assert (np.einsum("hwc,hwc->hw", expected.normal, oracles.pixel_rays(front_camera()))[seen] < 0.0).all()
 
 
-def test_normals_of_a_stretched_ball(renderer: ls.Renderer) -> None:
-    """Shading normals follow the inverse transpose: those of an ellipsoid, not of its stretched directions."""
+def test_normals_use_the_inverse_transpose(renderer: ls.Renderer) -> None:
+    """Shading normals of a stretched ball are those of the ellipsoid."""
     stretch = np.diag([2.0, 1.0, 0.5, 1.0])
     placed = np.eye(4)
     placed[:3, 3] = (0.0, 0.0, 6.0)
@@ -161,7 +161,7 @@ def test_normals_of_a_stretched_ball(renderer: ls.Renderer) -> None:
     assert frame.normal[y, x] == pytest.approx(expected / np.linalg.norm(expected), abs=1e-3)
 
 
-def test_texture_lies_as_gltf_says(renderer: ls.Renderer) -> None:
+def test_texture_coordinates_follow_gltf(renderer: ls.Renderer) -> None:
     """(0, 0) is the texture's top left corner, u runs right and v down; texel centres show the texels."""
     texture = np.arange(4 * 4 * 3, dtype=np.uint8).reshape(4, 4, 3) * 5
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)
@@ -182,7 +182,7 @@ def test_texture_repeats_and_multiplies(renderer: ls.Renderer) -> None:
 
 
 def test_texture_is_perspective_correct(renderer: ls.Renderer) -> None:
-    """On a receding floor the texture's midline is at half the distance on the floor, not on the image."""
+    """On a receding floor, the texture's midline is at half the distance along the floor, not in the image."""
     texture = np.zeros((64, 1, 3), np.uint8)
     texture[32:] = 255
     material = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), base_color_texture=texture)
@@ -200,7 +200,7 @@ def test_texture_is_perspective_correct(renderer: ls.Renderer) -> None:
 
 
 def test_mesh_in_front_hides_splats(renderer: ls.Renderer) -> None:
-    """Behind a mesh nothing of the splats remains, to the bit."""
+    """Splats behind a mesh change no bit."""
     wall = quad(2.0, 3.0, material=GREY)
     alone = renderer.render(ls.Scene([], [wall]), front_camera())
     frame = renderer.render(ls.Scene([random_gaussians(95)], [wall]), front_camera())
@@ -208,8 +208,8 @@ def test_mesh_in_front_hides_splats(renderer: ls.Renderer) -> None:
         np.testing.assert_array_equal(getattr(frame, name), getattr(alone, name))
 
 
-def test_mesh_behind_shows_through(renderer: ls.Renderer) -> None:
-    """Behind splats, a mesh is the background: what they leave of the light falls on it."""
+def test_mesh_behind_splats_is_their_background(renderer: ls.Renderer) -> None:
+    """The mesh behind splats is composited with their transmittance."""
     gaussians = random_gaussians(96)
     splats = renderer.render(ls.Scene([gaussians]), front_camera())
     frame = renderer.render(ls.Scene([gaussians], [quad(9.0, 9.0, material=GREY)]), front_camera())
@@ -221,8 +221,8 @@ def test_mesh_behind_shows_through(renderer: ls.Renderer) -> None:
     assert_close(frame.depth_z[~reached], np.full((~reached).sum(), 9.0), atol=1e-4)
 
 
-def test_mesh_across_a_splat(renderer: ls.Renderer) -> None:
-    """A mesh that passes through a splat's depth covers it on one side and is covered on the other."""
+def test_mesh_can_cross_a_splat(renderer: ls.Renderer) -> None:
+    """A mesh through a splat's depth covers it on one side and is covered on the other."""
     splat = one_gaussian((0.0, 0.0, 4.0), 0.5, 0.5, color=(1.0, 1.0, 1.0))
     frame = renderer.render(ls.Scene([splat], [quad(4.0, 3.0, tilt=0.5, material=GREY)]), front_camera())
     grey = encode_srgb([0.5, 0.25, 0.1])
@@ -233,8 +233,8 @@ def test_mesh_across_a_splat(renderer: ls.Renderer) -> None:
 
 
 @pytest.mark.parametrize(("offset", "is_seen"), [(-1e-3, True), (1e-3, False)])
-def test_depth_decides_finely(renderer: ls.Renderer, offset: float, is_seen: bool) -> None:
-    """A thousandth of a unit before a mesh a splat is seen, a thousandth behind it is not."""
+def test_splats_and_meshes_are_depth_tested_finely(renderer: ls.Renderer, offset: float, is_seen: bool) -> None:
+    """A splat a thousandth of a unit in front of a mesh is visible, and one as far behind it is not."""
     wall = quad(4.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([one_gaussian((0.0, 0.0, 4.0 + offset), opacity=0.9)], [wall]), front_camera())
     assert (frame.gaussian_index[24, 32] == 0) == is_seen
@@ -254,7 +254,7 @@ def test_depth_decides_finely(renderer: ls.Renderer, offset: float, is_seen: boo
     ids=["point", "line", "through the eye", "at the eye", "tiny", "huge", "overflowing"],
 )
 def test_degenerate_triangles_are_harmless(renderer: ls.Renderer, points: list[list[float]]) -> None:
-    """All but points and lines, and sizes that overflow, leave everything finite and the rest of the scene in place."""
+    """Near-degenerate triangles, and sizes that overflow, keep everything finite and the other objects unchanged."""
     wall = quad(5.0, 9.0, material=GREY)
     frame = renderer.render(ls.Scene([], [ls.Mesh(points, np.array([[0, 1, 2]])), wall]), front_camera())
     assert np.isfinite(frame.color).all() and np.isfinite(frame.normal).all() and (frame.alpha == 1.0).all()
@@ -263,7 +263,7 @@ def test_degenerate_triangles_are_harmless(renderer: ls.Renderer, points: list[l
 
 
 def test_instances_share_a_mesh(renderer: ls.Renderer) -> None:
-    """One textured mesh placed twice looks in each place as it does alone."""
+    """One textured mesh in two instances looks in each position as it does alone."""
     mesh = checker_quad(0.0)
     left, right = np.eye(4), np.eye(4)
     left[:3, 3], right[:3, 3] = (-1.4, 0.0, 5.0), (1.4, 0.0, 5.0)
@@ -275,8 +275,8 @@ def test_instances_share_a_mesh(renderer: ls.Renderer) -> None:
         np.testing.assert_array_equal(both.color[here], alone.color[here])
 
 
-def test_splats_behind_a_wall_are_not_even_looked_at(renderer: ls.Renderer) -> None:
-    """A wall in front of half the image hides thousands of splats, and those beside it are as without it."""
+def test_hidden_splats_cost_no_blending(renderer: ls.Renderer) -> None:
+    """A wall over half the image hides thousands of splats, and splats beside it are unchanged."""
     splats = random_gaussians(95, 3000, scale_range=(0.02, 0.1))
     camera = front_camera()
     open_view = renderer.render(ls.Scene([splats]), camera)

@@ -1,4 +1,4 @@
-"""Depth, normal and index of the surface that a frame describes."""
+"""Depth, normal and index of a frame's surface."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def camera() -> ls.Camera:
 
 @pytest.mark.parametrize(("opacity", "is_surface"), [(0.29, False), (0.31, True), (1.0, True)])
 def test_surface_needs_transmittance_below_threshold(renderer: ls.Renderer, opacity: float, is_surface: bool) -> None:
-    """One Gaussian is a surface if it leaves less than 0.7 of the light."""
+    """One Gaussian is a surface if its transmittance is below 0.7."""
     frame = renderer.render(ls.Scene([one_gaussian(opacity=opacity)]), camera())
     assert frame.gaussian_index[CENTRE] == (0 if is_surface else -1)
     assert frame.instance_index[CENTRE] == (0 if is_surface else -1)
@@ -37,8 +37,8 @@ def test_surface_needs_transmittance_below_threshold(renderer: ls.Renderer, opac
     assert np.linalg.norm(frame.normal[CENTRE]) == pytest.approx(1.0)
 
 
-def test_surface_is_where_opacity_adds_up(renderer: ls.Renderer) -> None:
-    """0.8 x 0.8 < 0.7: the second of several faint layers is the surface, not the first and not the last."""
+def test_surface_is_where_transmittance_crosses_the_threshold(renderer: ls.Renderer) -> None:
+    """0.8 x 0.8 < 0.7: the second of several faint layers is the surface."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     frame = renderer.render(ls.Scene([joined(*reversed(layers))]), camera())
     assert frame.gaussian_index[CENTRE] == 2
@@ -47,7 +47,7 @@ def test_surface_is_where_opacity_adds_up(renderer: ls.Renderer) -> None:
 
 @pytest.mark.parametrize(("threshold", "index"), [(1.0, 0), (0.7, 1), (0.6, 2), (0.0, -1)])
 def test_threshold_is_a_setting(way: str, threshold: float, index: int) -> None:
-    """The iso-opacity threshold chooses the layer."""
+    """The iso-opacity threshold selects the layer."""
     layers = [one_gaussian((0.0, 0.0, 3.0 + i), 0.5, 0.2) for i in range(4)]
     config = ls.RenderConfig(raster=ls.RasterConfig(depth_iso_transmittance=threshold))
     frame = renderer_of(way, config).render(ls.Scene([joined(*layers)]), camera())
@@ -56,7 +56,7 @@ def test_threshold_is_a_setting(way: str, threshold: float, index: int) -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
 def test_depth_is_along_the_ray(renderer: ls.Renderer, tilt: float) -> None:
-    """A flat Gaussian is a wall: depth_z is that of its plane in every pixel, depth the distance along the ray."""
+    """For a flat Gaussian, depth_z is that of its plane in every pixel, and depth is the distance along the ray."""
     wall = one_gaussian((0.0, 0.0, 5.0), (50.0, 50.0, 0.01), 0.9, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0, 0))
     frame = renderer.render(ls.Scene([wall]), front_camera(cx=20.0))
     ray = oracles.pixel_rays(front_camera(cx=20.0))
@@ -66,8 +66,8 @@ def test_depth_is_along_the_ray(renderer: ls.Renderer, tilt: float) -> None:
     assert_close(frame.depth, expected * np.linalg.norm(ray, axis=-1), atol=3e-4)
 
 
-def test_depth_of_a_round_gaussian(renderer: ls.Renderer) -> None:
-    """It responds most where the ray is nearest to its mean."""
+def test_round_gaussian_depth_is_at_the_peak(renderer: ls.Renderer) -> None:
+    """The depth is where the ray is nearest to the mean."""
     frame = renderer.render(ls.Scene([one_gaussian((0.3, 0.2, 5.0), 2.0, 0.9)]), camera())
     ray = oracles.pixel_rays(camera())
     expected = ray @ [0.3, 0.2, 5.0] / (ray**2).sum(axis=-1)
@@ -77,7 +77,7 @@ def test_depth_of_a_round_gaussian(renderer: ls.Renderer) -> None:
 
 
 def test_surface_is_not_behind_the_mesh(renderer: ls.Renderer) -> None:
-    """Where a Gaussian's mean is before a mesh but its peak on the ray is not, the surface is the mesh's depth."""
+    """If a Gaussian's mean is in front of a mesh but its peak on the ray is not, the depth is the mesh's."""
     tilted = one_gaussian((0.0, 0.0, 5.0), (2.0, 2.0, 0.01), 0.9, rotation=(np.cos(0.25), np.sin(0.25), 0.0, 0.0))
     frame = renderer.render(ls.Scene([tilted], [quad(5.1, 9.0)]), camera())
     splat = frame.gaussian_index >= 0
@@ -86,7 +86,7 @@ def test_surface_is_not_behind_the_mesh(renderer: ls.Renderer) -> None:
 
 
 def test_indices_count_within_their_instance(renderer: ls.Renderer) -> None:
-    """Splat instances are numbered first, meshes after them; a mesh has no Gaussian index."""
+    """Splat instances are numbered first, then meshes; a mesh has no Gaussian index."""
     far, near = random_gaussians(90, 5, center=(0.0, 50.0, 4.0)), one_gaussian((0.5, 0.0, 3.0), 0.1, 0.9)
     target = one_gaussian((-0.5, 0.0, 3.0), 0.1, 0.9)
     scene = ls.Scene([far, joined(far, near), joined(target, far)], [quad(9.0, 0.1), quad(6.0, 5.0)])
@@ -97,8 +97,8 @@ def test_indices_count_within_their_instance(renderer: ls.Renderer) -> None:
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, 2.8])
-def test_normal_of_a_disc(renderer: ls.Renderer, angle: float) -> None:
-    """A flat Gaussian's normal is its thin axis, on the viewer's side."""
+def test_flat_gaussian_normal_is_its_thin_axis(renderer: ls.Renderer, angle: float) -> None:
+    """The normal faces the viewer."""
     half = 0.5 * angle
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.9, rotation=(np.cos(half), np.sin(half), 0.0, 0.0))
     axis = rotation((1.0, 0.0, 0.0), angle)[:3, 2]
@@ -106,8 +106,8 @@ def test_normal_of_a_disc(renderer: ls.Renderer, angle: float) -> None:
     assert normal == pytest.approx(-np.sign(axis[2]) * axis, abs=1e-3)
 
 
-def test_normal_of_a_ball_is_towards_the_eye(renderer: ls.Renderer) -> None:
-    """A round Gaussian faces the camera wherever it stands, over its whole footprint."""
+def test_round_gaussian_normal_faces_the_eye(renderer: ls.Renderer) -> None:
+    """Holds at every position and over the whole footprint."""
     mean = np.array([0.8, -0.5, 3.0])
     frame = renderer.render(ls.Scene([one_gaussian(tuple(mean), 0.2, 0.9)]), camera())
     seen = frame.alpha > 0.0
@@ -116,7 +116,7 @@ def test_normal_of_a_ball_is_towards_the_eye(renderer: ls.Renderer) -> None:
 
 
 def test_normals_mix_by_weight(renderer: ls.Renderer) -> None:
-    """The frame's normal is the mean over splats and mesh, each with the weight of its colour."""
+    """The frame's normal is the mean over splats and mesh, with the weights of their colours."""
     tilt = 0.4
     disc = one_gaussian((0.0, 0.0, 4.0), (0.3, 0.3, 1e-4), 0.6, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0))
     frame = renderer.render(ls.Scene([disc], [quad(5.0, tilt=0.5)]), camera())
@@ -127,7 +127,7 @@ def test_normals_mix_by_weight(renderer: ls.Renderer) -> None:
 
 
 def test_cancelling_normals_face_the_camera(renderer: ls.Renderer) -> None:
-    """Where the normals cancel out, the direction towards the camera stands in; with either sheet alone it does not."""
+    """Where normals cancel, the direction towards the camera replaces them; with either sheet alone it does not."""
     sheets = opposed_sheets()
     frame = renderer.render(ls.Scene([sheets]), camera())
     assert frame.normal[CENTRE] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)

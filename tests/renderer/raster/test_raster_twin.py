@@ -1,4 +1,4 @@
-"""The rasteriser against its float64 twin, frame by frame."""
+"""The rasteriser compared with its float64 twin, frame by frame."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from support.scenes.raster_scenes import Case, cases
 
 @pytest.mark.parametrize("case", cases(), ids=lambda case: case.name)
 def test_frame_equals_twin(case: Case, way: str) -> None:
-    """Every image of a frame is the twin's to float32 precision, but where rounding may flip a decision.
+    """Every image equals the twin's to float32 precision, except where rounding may flip a decision.
 
-    There, one splat more or less at alpha 1/255 may show in the colour, and any surface may be chosen; at an edge of a
-    mesh or in a tie of depths, the colour may be anything.
+    There, one splat of alpha 1/255 more or less may change the colour, and any surface may be chosen. At an edge of a
+    mesh, or in a tie of depths, the colour may be anything.
     """
     frame = renderer_of(way, replace(case.config, lighting=False)).render(case.scene, case.camera)
     twin = oracles.render(case.scene, case.camera, case.config)
@@ -39,7 +39,7 @@ def test_frame_equals_twin(case: Case, way: str) -> None:
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> np.ndarray:
-    """Ratio of the two, one where both are infinite, infinite where only one is."""
+    """Ratio of two values: one where both are infinite, infinite where only one is."""
     both = np.isinf(actual) & np.isinf(expected)
     one = np.isinf(actual) ^ np.isinf(expected)
     safe = np.where(np.isinf(actual) | np.isinf(expected), 1.0, actual) / np.where(np.isinf(expected), 1.0, expected)

@@ -1,4 +1,4 @@
-"""Features of splats as channels of a frame, and their derivatives, against the twin and against colours."""
+"""Features of splats rendered as channels, and their gradients, compared with the twin and with colours."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from support.oracles.gradient_oracle import Loss, Parameters, differences
 from support.scenes.gradient_scenes import BACKGROUND, by_pixels, cloud, vars_of, view
 
 ANY = 3
-"""Channels beside depth and normal: seven in all, so that two compositions and three replays show them."""
+"""Channels besides depth and normal: seven in all, which need two compositing passes and three replays."""
 
 
 def differentiable(threads: int | None = None) -> ls.DifferentiableRenderer:
-    """On a CPU, over a background that features do not have."""
+    """A differentiable renderer on the CPU, over a background that features do not have."""
     return ls.DifferentiableRenderer(ls.RenderConfig(background=BACKGROUND), "cpu", threads=threads)
 
 
@@ -27,14 +27,14 @@ def numbers(count: int) -> np.ndarray:
 
 
 def by_shown(camera: ls.Camera) -> np.ndarray:
-    """Derivatives by depth, normal and the rest."""
+    """Gradients with respect to depth, normal and the other channels."""
     return np.random.default_rng(9).normal(size=(camera.height, camera.width, 4 + ANY)).astype(np.float32)
 
 
 def with_features(
     scene: ls.Scene, camera: ls.Camera, threads: int | None = None
 ) -> tuple[np.ndarray, ls.gradients.SplatGradients]:
-    """What features show, and derivatives of colour, alpha and them."""
+    """Rendered features, and gradients of colour, alpha and features."""
     renderer, surface = differentiable(threads), ls.gradients.SurfaceFeatures.of(scene, camera)
     renderer.render(scene, camera)
     shown = renderer.render_features(np.concatenate([surface.values, numbers(len(surface.values))], axis=1))
@@ -43,8 +43,8 @@ def with_features(
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_derivatives_are_central_differences_of_the_twin(antialiased: bool) -> None:
-    """Of every parameter, also by way of depth and normal, and of the features themselves."""
+def test_gradients_equal_central_differences_of_the_twin(antialiased: bool) -> None:
+    """Covers every parameter, also through depth and normal, and the features themselves."""
     gaussians, camera = cloud(4, 10, antialiased=antialiased), view()
     shown, found = with_features(ls.Scene([gaussians]), camera)
     loss = Loss(camera, *by_pixels(camera), antialiased, by_features=by_shown(camera))
@@ -63,8 +63,8 @@ def test_derivatives_are_central_differences_of_the_twin(antialiased: bool) -> N
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (name, np.median(error), error.max())
 
 
-def test_colours_as_features_are_colours() -> None:
-    """Over black they show the frame, and have the derivatives of colours that no direction changes."""
+def test_features_equal_to_colours_render_as_colours() -> None:
+    """Over black they equal the frame, and have the gradients of view-independent colours."""
     gaussians, camera = cloud(degree=0, count=60), view()
     scene, (by_color, _) = ls.Scene([gaussians]), by_pixels(camera)
     renderer = ls.DifferentiableRenderer(device="cpu")
@@ -89,7 +89,7 @@ def test_colours_as_features_are_colours() -> None:
 
 
 def test_bits_do_not_depend_on_threads() -> None:
-    """Neither of what is shown nor of derivatives."""
+    """Holds for features and for gradients."""
     scene, camera = ls.Scene([cloud(count=400)]), view(150, 100)
     one, two, five = (with_features(scene, camera, threads) for threads in (1, 2, 5))
     for shown, found in (two, five):
@@ -99,8 +99,8 @@ def test_bits_do_not_depend_on_threads() -> None:
             np.testing.assert_array_equal(vars_of(found)[name], value, err_msg=name)
 
 
-def test_the_schedule_of_gpus_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of pixels on a CPU, but for the order of sums."""
+def test_gpu_schedule_gives_equal_features(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thread blocks on a CPU give equal results, up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     shown, tiles = with_features(scene, camera)
     monkeypatch.setattr(
@@ -115,8 +115,8 @@ def test_the_schedule_of_gpus_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
         assert np.abs(vars_of(blocks)[name] - value).max() < 1e-4 * np.abs(value).mean(), name
 
 
-def test_instances_have_features_of_their_own() -> None:
-    """Depths and normals of a set that is turned, scaled and moved are those of one that is so in its file."""
+def test_instance_features_equal_those_of_transformed_sets() -> None:
+    """Depths and normals of a transformed instance equal those of a set stored with that transform."""
     gaussians, camera = cloud(9, degree=0), view()
     place = np.eye(4)
     place[:3, :3] = 1.3 * np.array([[np.cos(0.7), 0.0, np.sin(0.7)], [0.0, 1.0, 0.0], [-np.sin(0.7), 0.0, np.cos(0.7)]])
@@ -136,8 +136,8 @@ def test_instances_have_features_of_their_own() -> None:
     assert twice.features is not None and not twice.features[gaussians.count :].any()
 
 
-def test_a_mesh_ends_the_sums() -> None:
-    """Of splats before it, over nothing; those behind it have no derivatives."""
+def test_meshes_end_feature_sums() -> None:
+    """Splats in front of the mesh are summed over nothing; those behind it have no gradients."""
     camera, base, corners = (
         view(),
         cloud(count=12),
@@ -157,8 +157,8 @@ def test_a_mesh_ends_the_sums() -> None:
     np.testing.assert_allclose(shown[..., 0], alpha, atol=1e-6)
 
 
-def test_a_scene_without_gaussians_shows_none() -> None:
-    """Its features have no rows, and its channels are 0."""
+def test_scene_without_gaussians_has_zero_features() -> None:
+    """Features have no rows, and the channels are 0."""
     renderer = differentiable()
     renderer.render(ls.Scene(), view())
     assert not renderer.render_features(np.zeros((0, 2))).any()
@@ -166,8 +166,8 @@ def test_a_scene_without_gaussians_shows_none() -> None:
     assert found.features is not None and found.features.shape == (0, 2)
 
 
-def test_what_does_not_fit_is_refused() -> None:
-    """In a line that says which, and what to do first."""
+def test_features_of_wrong_shape_are_refused() -> None:
+    """The message names the array and what to do."""
     scene, camera, renderer = ls.Scene([cloud()]), view(), differentiable()
     with pytest.raises(ls.ConfigError, match=r"^render_features: render a frame first$"):
         renderer.render_features(np.zeros((16, 1)))
@@ -185,8 +185,8 @@ def test_what_does_not_fit_is_refused() -> None:
         renderer.gradients(*by_pixels(camera), dL_dfeatures=np.zeros((30, 36, 2)))
 
 
-def test_arrays_of_other_packages_go_in_and_out() -> None:
-    """By DLPack alone, and without a copy where they come out."""
+def test_features_exchange_dlpack_arrays() -> None:
+    """Arrays are exchanged by DLPack, without a copy on output."""
 
     class Foreign:
         """An array of a package that NumPy knows nothing of."""
@@ -209,8 +209,8 @@ def test_arrays_of_other_packages_go_in_and_out() -> None:
         assert np.shares_memory(np.from_dlpack(value), value)
 
 
-def test_lenses_that_distort_have_no_gradients() -> None:
-    """Their frames are resampled: what is differentiated is what is shown, or nothing."""
+def test_distorted_lenses_are_refused() -> None:
+    """Their frames are resampled, so that gradients would not be those of the frame."""
     bent = replace(view(), distortion=(0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
     with pytest.raises(ls.ConfigError, match="resampled"):
         differentiable().render(ls.Scene([cloud()]), bent)

@@ -1,4 +1,4 @@
-"""Derivatives of unlit raster frames, against central differences of a float64 twin and against each other."""
+"""Gradients of unlit raster frames, compared with central differences of a float64 twin and with each other."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from support.scenes.gradient_scenes import BACKGROUND, by_pixels, check_instance
 
 
 def gradients_of(scene: ls.Scene, camera: ls.Camera, threads: int | None = None) -> ls.gradients.SplatGradients:
-    """Of the pixels of ``by_pixels``."""
+    """Gradients of the loss of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(ls.RenderConfig(background=BACKGROUND), "cpu", threads=threads)
     renderer.render(scene, camera)
     return renderer.gradients(*by_pixels(camera), pose=True)
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_derivatives_are_central_differences_of_the_twin(antialiased: bool) -> None:
-    """Of every parameter, where two step sizes agree: median below 1e-5 of their mean magnitude, worst 1e-3."""
+def test_gradients_equal_central_differences_of_the_twin(antialiased: bool) -> None:
+    """For every parameter, where two step sizes agree: median error below 1e-5 of the mean magnitude, worst 1e-3."""
     gaussians, camera = cloud(antialiased=antialiased), view()
     found = gradients_of(ls.Scene([gaussians]), camera)
     loss = Loss(camera, *by_pixels(camera), antialiased)
@@ -40,7 +40,7 @@ def test_derivatives_are_central_differences_of_the_twin(antialiased: bool) -> N
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_they_are_the_adjoint_of_what_moves_pixels(antialiased: bool) -> None:
+def test_gradients_are_the_adjoint_of_the_jacobian(antialiased: bool) -> None:
     """``<J v, w> = <v, J^T w>`` for random directions v of all parameters at once and random w over the pixels."""
     gaussians, camera = cloud(5, antialiased=antialiased), view()
     loss = Loss(camera, *by_pixels(camera), antialiased)
@@ -65,8 +65,8 @@ def along(start: Parameters, way: dict[str, np.ndarray], step: float) -> Paramet
     return replace(start, **{name: getattr(start, name) + step * value for name, value in way.items()})
 
 
-def test_what_is_culled_has_derivatives_of_exactly_0() -> None:
-    """Behind the eye, beside the image, too transparent to be seen; and all that an opaque wall hides."""
+def test_culled_gaussians_have_zero_gradients() -> None:
+    """Covers Gaussians behind the eye, beside the image, too transparent, and behind an opaque wall."""
     base = cloud(count=8)
     means = base.means.copy()
     means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
@@ -91,8 +91,8 @@ def test_bits_do_not_depend_on_threads() -> None:
 
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
-def test_the_schedule_of_gpus_agrees(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks of pixels on a CPU give the derivatives of tiles, but for the order of sums."""
+def test_gpu_schedule_gives_equal_gradients(antialiased: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thread blocks on a CPU give the gradients of tiles, up to the order of sums."""
     scene, camera = ls.Scene([cloud(count=60, antialiased=antialiased)]), view(50, 40)
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -107,8 +107,8 @@ def test_the_schedule_of_gpus_agrees(antialiased: bool, monkeypatch: pytest.Monk
     np.testing.assert_allclose(blocks.centers_absolute, tiles.centers_absolute, rtol=1e-4, atol=1e-5)
 
 
-def test_that_schedule_has_zeros_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where all pixels of a tile have ended long before its list has: no record keeps what was in memory."""
+def test_gpu_schedule_zeroes_records_behind_opaque_tiles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all pixels of a tile end long before its list, no record keeps old memory."""
     scene, camera = ls.Scene([opaque()]), view()
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -123,15 +123,15 @@ def test_that_schedule_has_zeros_behind_opaque_tiles(monkeypatch: pytest.MonkeyP
     np.testing.assert_allclose(blocks.weights, tiles.weights, rtol=1e-3, atol=1e-4)
 
 
-def test_frames_are_those_of_every_renderer() -> None:
-    """To the bit: what is differentiated is what is shown."""
+def test_differentiable_frames_equal_rendered_frames() -> None:
+    """Bit-equal to the frames of a plain renderer."""
     scene, camera, config = ls.Scene([cloud(count=200)]), view(150, 100), ls.RenderConfig(background=BACKGROUND)
     shown = ls.DifferentiableRenderer(config, "cpu").render(scene, camera)
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config, device="cpu").color)
 
 
-def test_instances_add_up_and_their_places_are_undone() -> None:
-    """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
+def test_instance_gradients_are_transformed_and_summed() -> None:
+    """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), view()
     place = np.eye(4)
     turn = ls.transform(gaussians, place)  # a copy
@@ -151,12 +151,12 @@ def test_instances_add_up_and_their_places_are_undone() -> None:
 
 
 def close(value: np.ndarray, expected: np.ndarray) -> None:
-    """Equal but for the rounding of float32."""
+    """Asserts equality up to float32 rounding."""
     assert np.abs(value - expected).max() < 2e-4 * np.abs(expected).mean()
 
 
-def test_a_mesh_hides_what_is_behind_it() -> None:
-    """Splats behind it have no derivatives, those before it have those over its colour."""
+def test_splats_behind_a_mesh_have_zero_gradients() -> None:
+    """Splats in front of it have gradients over its colour."""
     gaussians, camera = cloud(count=12), view()
     wall = ls.MeshInstance(
         ls.Mesh(
@@ -183,13 +183,13 @@ def test_a_mesh_hides_what_is_behind_it() -> None:
         ((np.full((30, 36, 3), np.nan), None), r"^dL_dcolor: 3,240 of 3,240 values are not finite$"),
     ],
 )
-def test_images_that_do_not_fit_are_refused(images: tuple[np.ndarray, np.ndarray | None], problem: str) -> None:
-    """In a line that says which."""
+def test_images_of_wrong_shape_are_refused(images: tuple[np.ndarray, np.ndarray | None], problem: str) -> None:
+    """The message names the image."""
     with pytest.raises(ls.SceneError, match=problem):
         ls.splat_gradients(ls.Scene([cloud()]), view(), *images, device="cpu")
 
 
-def test_only_what_is_drawn_unlit_and_sorted_is_differentiated() -> None:
+def test_only_unlit_sorted_frames_are_differentiable() -> None:
     """Other frames, and none at all, are refused."""
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(device="cpu").gradients(np.zeros((30, 36, 3)))

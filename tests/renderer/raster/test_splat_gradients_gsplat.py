@@ -1,4 +1,4 @@
-"""Derivatives against gsplat's projection and harmonics under PyTorch: the arrays of tools/make_gsplat_gradients.py."""
+"""Gradients compared with gsplat's projection and SH in PyTorch: the arrays of tools/make_gsplat_gradients.py."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference" / "gsplat_gradient
 
 @pytest.fixture(scope="module")
 def stored() -> dict[str, np.ndarray]:
-    """The scene, what it was weighted with, and the derivatives."""
+    """The scene, the weights of the loss, and the gradients."""
     with np.load(REFERENCE) as file:
         assert str(file["made_with"]).startswith("gsplat 1.5.3")
         return dict(file)
 
 
 @pytest.mark.parametrize("name", ["classic", "antialiased"])
-def test_derivatives_are_those_of_gsplat(stored: dict[str, np.ndarray], name: str) -> None:
-    """Of every parameter, background and pose: median error below 5e-6 of their mean magnitude, the largest 1e-4."""
+def test_gradients_equal_gsplat(stored: dict[str, np.ndarray], name: str) -> None:
+    """Covers every parameter, background and pose: median error below 5e-6 of the mean magnitude, largest 1e-4."""
     sets = ("means", "rotations_wxyz", "scales", "opacities", "sh")
     gaussians = ls.Gaussians(*(stored[key] for key in sets), antialiased=name == "antialiased")
     np.testing.assert_array_equal(gaussians.rotations_wxyz, stored["rotations_wxyz"])

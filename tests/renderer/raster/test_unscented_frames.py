@@ -1,4 +1,4 @@
-"""Frames that are rasterised along rays, against the tracer, the float64 twin, and what linear projections make."""
+"""Frames rasterised along rays, compared with the tracer, the float64 twin and linear projections."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ NAMES = list(LENSES)
 
 
 def unscented(**changes: object) -> ls.RenderConfig:
-    """Settings of such frames; ``changes`` are of ``RasterConfig``."""
+    """Settings of such frames; ``changes`` are fields of ``RasterConfig``."""
     return ls.RenderConfig(raster=replace(ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), **changes))
 
 
 def traced(dilation: float = 0.3) -> ls.RenderConfig:
-    """Settings of the frames of rays that they are compared with."""
+    """Settings of the traced frames for comparison."""
     trace = ls.TraceConfig(dilation=dilation, hit_distance=ls.config.HitDistance.MEAN)
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_is_the_tracers_frame(name: str) -> None:
-    """Where no two Gaussians are in another order: colour, alpha, depth, normal and index, through every lens."""
+def test_unscented_frame_equals_the_traced_frame(name: str) -> None:
+    """Where no two Gaussians have another order: colour, alpha, depth, normal and index, for every lens."""
     camera = LENSES[name]
     scene = ls.Scene([layers(camera)])
     frame = ls.render(scene, camera, unscented(dilation=0.0), device="cpu")
@@ -50,8 +50,8 @@ def test_it_is_the_tracers_frame(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_is_the_tracers_frame_with_footprints(name: str) -> None:
-    """Of Gaussians as small as a pixel, which these widen most: ours are taken at means, the tracer's at each ray."""
+def test_unscented_frame_with_footprints_is_close_to_traced(name: str) -> None:
+    """Pixel-sized Gaussians, which footprints widen most: ours are evaluated at means, the tracer's at each ray."""
     camera = LENSES[name]
     camera = camera.scaled(4 * camera.width)
     gaussians = layers(camera)
@@ -65,8 +65,8 @@ def test_it_is_the_tracers_frame_with_footprints(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_it_is_the_twins_frame(name: str) -> None:
-    """In double precision and without tiles; thresholds of alpha may be crossed by rounding, in few pixels."""
+def test_unscented_frame_equals_the_twin(name: str) -> None:
+    """The twin uses double precision and no tiles; rounding may cross alpha thresholds in a few pixels."""
     camera, gaussians = LENSES[name], random_gaussians(3, count=40, degree=2, center=(0.0, 0.0, 2.0))
     config = replace(unscented(), background=(0.2, 0.4, 0.6))
     frame = ls.render(ls.Scene([gaussians]), camera, config, device="cpu")
@@ -78,15 +78,15 @@ def test_it_is_the_twins_frame(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_tiles_cut_nothing_of_large_gaussians(name: str) -> None:
-    """However large, near the edge of what the lens sees, behind it or around the eye: alpha is that of no tiles."""
+def test_tiles_contain_large_gaussians(name: str) -> None:
+    """Large Gaussians near the lens's limit, behind it or around the eye have the alpha of a frame without tiles."""
     assert cut_off(LENSES[name], range(30)) > 1000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", NAMES)
-def test_tiles_cut_nothing_of_many_large_gaussians(name: str) -> None:
-    """The same of 4,000 of them a lens."""
+def test_tiles_contain_thousands_of_large_gaussians(name: str) -> None:
+    """Tests 4,000 Gaussians per lens."""
     assert cut_off(LENSES[name], range(30, 1030)) > 30000
 
 
@@ -97,20 +97,20 @@ BACKWARD = {
 
 
 @pytest.mark.parametrize("name", BACKWARD)
-def test_tiles_cut_nothing_of_what_is_opposite_to_the_axis(name: str) -> None:
-    """Of any size and shape, one at a time: around the image, or an arc of a circle in it."""
+def test_tiles_contain_gaussians_opposite_the_axis(name: str) -> None:
+    """Gaussians of any size and shape, one at a time, cover a ring around the image or an arc in it."""
     assert cut_off(BACKWARD[name], range(40), lambda seed: needle(seed, BACKWARD[name])) > 10000
 
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", BACKWARD)
-def test_tiles_cut_nothing_of_much_that_is_opposite_to_the_axis(name: str) -> None:
-    """The same of 600 of them."""
+def test_tiles_contain_hundreds_of_gaussians_opposite_the_axis(name: str) -> None:
+    """Tests 600 Gaussians."""
     assert cut_off(BACKWARD[name], range(40, 640), lambda seed: needle(seed, BACKWARD[name])) > 150000
 
 
-def test_tiles_cut_nothing_at_the_edge_of_a_wide_pinhole() -> None:
-    """Where tangents grow within what is small: 176 degrees across."""
+def test_tiles_contain_gaussians_at_the_edge_of_a_wide_pinhole() -> None:
+    """At 176 degrees, tangents vary strongly over a small Gaussian."""
     camera = lens(256.0 / np.tan(np.radians(88.0)), (512, 64))
     assert cut_off(camera, range(3), lambda seed: rim(seed, camera, 88.0)) > 1000
 
@@ -130,7 +130,7 @@ def rim(seed: int, camera: ls.Camera, degrees: float) -> ls.Gaussians:
 
 
 def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussians] = large) -> int:
-    """Fails where tiles cut off parts of Gaussians; returns in how many pixels some were seen."""
+    """Fails if tiles cut off parts of Gaussians; returns the number of pixels with visible Gaussians."""
     renderer = ls.create_renderer(unscented(transmittance_min=0.0, dilation=0.0), "cpu")
     camera = replace(camera, near=0.011)  # the default follows the size of the scene, and the twin does not
     twin = Twin(camera, dilation=0.0, transmittance_min=0.0)
@@ -146,8 +146,8 @@ def cut_off(camera: ls.Camera, seeds: range, scene_of: Callable[[int], ls.Gaussi
     return seen
 
 
-def test_small_gaussians_are_the_ellipses_of_ewa() -> None:
-    """They differ by what the linear projection leaves out: half as much for half the angle."""
+def test_small_gaussians_converge_to_ewa_ellipses() -> None:
+    """The difference is the second-order error of the linear projection: half as large for half the angle."""
     errors = []
     for factor in (1.0, 2.0, 4.0):
         camera = lens(60.0)
@@ -161,8 +161,8 @@ def test_small_gaussians_are_the_ellipses_of_ewa() -> None:
     assert errors[1] < 0.6 * errors[0] and errors[2] < 0.6 * errors[1], errors
 
 
-def test_a_footprint_is_the_dilation_on_the_axis() -> None:
-    """A point of a Gaussian has the profile of its dilated splat."""
+def test_footprint_equals_the_dilation_on_the_axis() -> None:
+    """A point-like Gaussian has the profile of its dilated splat."""
     camera = replace(lens(60.0), camera_from_world=np.eye(4), cx=32.0, cy=24.0, fy=60.0)
     point = ls.Gaussians([(0.0, 0.0, 4.0)], [(1.0, 0.0, 0.0, 0.0)], [(1e-4,) * 3], [0.9], np.zeros((1, 1, 3)))
     ewa, rays = (
@@ -175,7 +175,7 @@ def test_a_footprint_is_the_dilation_on_the_axis() -> None:
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
 def test_all_schedules_agree(way: str, name: str) -> None:
-    """Tiles on CPUs, pixels on CUDA, graphs."""
+    """Compares tiles on CPUs, pixels on CUDA, and graphs."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(11, count=120, degree=1, center=(0.0, 0.0, 2.5))])
     frame = renderer_of(way, unscented()).render(scene, camera)
     expected = ls.render(scene, camera, unscented(), device="cpu")
@@ -184,7 +184,7 @@ def test_all_schedules_agree(way: str, name: str) -> None:
 
 
 def test_bits_do_not_depend_on_threads() -> None:
-    """Bands write what is theirs."""
+    """Bands write separate elements."""
     camera, scene = LENSES["rolling fisheye"], ls.Scene([random_gaussians(12, count=300, center=(0.0, 0.0, 2.5))])
     one, two, five = (ls.Renderer(unscented(), Launcher("cpu", threads)).render(scene, camera) for threads in (1, 2, 5))
     for other in (two, five):
@@ -192,8 +192,8 @@ def test_bits_do_not_depend_on_threads() -> None:
         np.testing.assert_array_equal(one.depth, other.depth)
 
 
-def test_samples_are_those_of_their_rays() -> None:
-    """Where several antialias a frame, all of them are the tracer's."""
+def test_antialiased_samples_follow_their_rays() -> None:
+    """Several samples per pixel equal the tracer's samples."""
     camera, gaussians = LENSES["fisheye"], layers(LENSES["fisheye"])
     scene, samples = ls.Scene([gaussians]), 4
     frame = ls.render(scene, camera, replace(unscented(dilation=0.0), samples=samples), device="cpu")
@@ -201,8 +201,8 @@ def test_samples_are_those_of_their_rays() -> None:
     np.testing.assert_allclose(frame.color, expected.color, atol=2e-4)
 
 
-def test_meshes_are_seen_through_the_same_lens() -> None:
-    """A textured wall between Gaussians, lit: as traced, with what the lens bends, and in front of it as behind."""
+def test_meshes_are_traced_through_the_same_lens() -> None:
+    """A textured, lit wall between Gaussians equals the traced one through a distorting lens."""
     camera = LENSES["fisheye of 220 degrees"]
     gaussians = layers(camera)
     scene = ls.Scene([gaussians], [checker_quad(2.5)], [ls.LightPoint((0.5, -1.0, 0.0), (1.0, 1.0, 1.0), 30.0)])
@@ -211,8 +211,8 @@ def test_meshes_are_seen_through_the_same_lens() -> None:
     np.testing.assert_allclose(frames[0].color, frames[1].color, atol=3e-4)
 
 
-def test_relit_sets_among_captured_ones_are_lit_as_by_the_tracer() -> None:
-    """What they show is added up apart."""
+def test_mixed_sets_are_lit_as_by_the_tracer() -> None:
+    """The contribution of relit sets is accumulated separately."""
     camera = LENSES["phone"]
     gaussians = layers(camera, count=24)
     halves = [gaussians.subset(np.arange(k, 24, 2)) for k in (0, 1)]
@@ -225,8 +225,8 @@ def test_relit_sets_among_captured_ones_are_lit_as_by_the_tracer() -> None:
     np.testing.assert_allclose(frames[0].color, frames[1].color, atol=2e-3)
 
 
-def test_hits_are_counted() -> None:
-    """As many as the tracer has blended."""
+def test_hit_counts_equal_the_tracers() -> None:
+    """The image ``hits`` has as many blended Gaussians as the tracer's."""
     camera = LENSES["fisheye"]
     scene = ls.Scene([layers(camera)])
     frames = [
@@ -237,8 +237,8 @@ def test_hits_are_counted() -> None:
     assert (frames[0].hits == frames[1].hits).mean() > 0.99 and frames[0].hits.max() > 2
 
 
-def test_what_it_cannot_draw_is_refused() -> None:
-    """In a line that says what can."""
+def test_unsupported_settings_are_refused() -> None:
+    """The message names the supported settings."""
     scene = ls.Scene([random_gaussians(1, count=3)])
     orthographic = lens(8.0, model=ls.CameraModel.ORTHOGRAPHIC)
     with pytest.raises(ls.SceneError, match=r"^camera is orthographic, .* use Pipeline\.TRACE$"):
@@ -252,14 +252,14 @@ def test_what_it_cannot_draw_is_refused() -> None:
         ls.render(scene, lens(40.0), replace(unscented(), pipeline=ls.Pipeline.REALTIME), device="cpu")
 
 
-def test_who_can_is_named_where_ewa_cannot() -> None:
+def test_ewa_error_suggests_unscented_projection() -> None:
     """The message for a fisheye names this projection."""
     with pytest.raises(ls.SceneError, match=r"use Projection\.UNSCENTED or Pipeline\.TRACE$"):
         ls.render(ls.Scene([random_gaussians(1, count=3)]), LENSES["fisheye"], device="cpu")
 
 
-def test_gaussians_that_are_not_finite_are_dropped_and_counted() -> None:
-    """One that overflows hides nothing of the others."""
+def test_nonfinite_gaussians_are_dropped_and_counted() -> None:
+    """An overflowing Gaussian hides no other one."""
     gaussians = random_gaussians(2, count=5)
     means = gaussians.means.copy()
     means[1] = 3e38

@@ -1,4 +1,4 @@
-"""Derivatives of frames that are rasterised along rays, against central differences of a float64 twin."""
+"""Gradients of frames rasterised along rays, compared with central differences of a float64 twin."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ VIEWS = {
 
 
 def config_of(**changes: Any) -> ls.RenderConfig:
-    """Settings; ``changes`` are of ``RasterConfig``."""
+    """Settings; ``changes`` are fields of ``RasterConfig``."""
     raster = replace(ls.RasterConfig(projection=ls.config.Projection.UNSCENTED), **changes)
     return ls.RenderConfig(background=BACKGROUND, raster=raster)
 
@@ -34,7 +34,7 @@ def config_of(**changes: Any) -> ls.RenderConfig:
 def gradients_of(
     scene: ls.Scene, camera: ls.Camera, threads: int | None = None, **changes: Any
 ) -> ls.gradients.SplatGradients:
-    """Of the pixels of ``by_pixels``."""
+    """Gradients of the loss of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(config_of(**changes), "cpu", threads=threads)
     renderer.render(scene, camera)
     return renderer.gradients(*by_pixels(camera), pose=True)
@@ -42,8 +42,8 @@ def gradients_of(
 
 @pytest.mark.parametrize("antialiased", [False, True], ids=["classic", "mip"])
 @pytest.mark.parametrize("name", VIEWS)
-def test_derivatives_are_central_differences_of_the_twin(name: str, antialiased: bool) -> None:
-    """Of every parameter, where two step sizes agree: median below 1e-5 of their mean magnitude, worst 1e-3."""
+def test_gradients_equal_central_differences_of_the_twin(name: str, antialiased: bool) -> None:
+    """For every parameter, where two step sizes agree: median error below 1e-5 of the mean magnitude, worst 1e-3."""
     gaussians, camera = cloud(count=9, antialiased=antialiased), VIEWS[name]
     found = gradients_of(ls.Scene([gaussians]), camera)
     loss: Any = Loss(Twin(camera, dilation=0.0 if antialiased else 0.3), *by_pixels(camera))
@@ -55,8 +55,8 @@ def test_derivatives_are_central_differences_of_the_twin(name: str, antialiased:
         assert np.median(error) < 1e-5 and error.max() < 1e-3, (key, np.median(error), error.max())
 
 
-def test_a_rolling_shutter_is_differentiated_but_for_its_times() -> None:
-    """When a mean is seen, on which its colour and its footprint depend, counts as given: a share of a thousandth."""
+def test_rolling_shutter_gradients_hold_the_time_fixed() -> None:
+    """The time at which a mean is seen, which affects colour and footprint, is held fixed: a relative error of 1e-3."""
     end = np.array(view().camera_from_world)
     end[:3, 3] += (0.05, -0.03, 0.02)
     camera = replace(view(), camera_from_world_end=end)
@@ -70,8 +70,8 @@ def test_a_rolling_shutter_is_differentiated_but_for_its_times() -> None:
         assert agree.mean() > 0.8 and np.median(error) < 5e-4 and error.max() < 1e-2, (key, error.max())
 
 
-def test_what_is_not_met_has_derivatives_of_exactly_0() -> None:
-    """Behind a pinhole, beside the image, too transparent to be seen."""
+def test_invisible_gaussians_have_zero_gradients() -> None:
+    """Covers Gaussians behind a pinhole, beside the image and too transparent."""
     base = cloud(count=8)
     means = base.means.copy()
     means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
@@ -95,8 +95,8 @@ def test_bits_do_not_depend_on_threads() -> None:
 
 
 @pytest.mark.parametrize("name", ["phone", "fisheye of 220 degrees", "rolling shutter"])
-def test_the_schedule_of_gpus_agrees(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Warps of pixels on a CPU give the derivatives of tiles, but for the order of sums."""
+def test_gpu_schedule_gives_equal_gradients(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warps of pixels on a CPU give the gradients of tiles, up to the order of sums."""
     camera, scene = LENSES[name], ls.Scene([random_gaussians(13, count=60, degree=1, center=(0.0, 0.0, 2.5))])
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -110,8 +110,8 @@ def test_the_schedule_of_gpus_agrees(name: str, monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("name", ["pinhole", "fisheye"])
-def test_that_schedule_has_zeros_behind_opaque_tiles(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where all pixels of a tile have ended long before its list has: no record keeps what was in memory."""
+def test_gpu_schedule_zeroes_records_behind_opaque_tiles(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where all pixels of a tile end long before its list, no record keeps old memory."""
     camera, scene = VIEWS[name], ls.Scene([opaque()])
     tiles = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -126,8 +126,8 @@ def test_that_schedule_has_zeros_behind_opaque_tiles(name: str, monkeypatch: pyt
     np.testing.assert_allclose(warps.weights, tiles.weights, rtol=1e-3, atol=1e-4)
 
 
-def test_instances_add_up_and_their_places_are_undone() -> None:
-    """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
+def test_instance_gradients_are_transformed_and_summed() -> None:
+    """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
     gaussians, camera = cloud(9, degree=0), VIEWS["fisheye"]
     angle, scale, place = 0.7, 1.3, np.eye(4)
     turn = [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
@@ -141,8 +141,8 @@ def test_instances_add_up_and_their_places_are_undone() -> None:
 
 
 @pytest.mark.parametrize("name", ["barrel", "fisheye"])
-def test_those_by_the_pose_are_of_turns_and_shifts(name: str) -> None:
-    """Of the camera, in its axes, which its rays follow; Gaussians lie in a placed set."""
+def test_pose_gradients_are_in_camera_axes(name: str) -> None:
+    """Gradients of rotations and translations of the camera, whose rays move with it, for a transformed set."""
     camera, gaussians, place = VIEWS[name], cloud(8, count=9, degree=2), np.eye(4)
     place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     place[:3, 3] = 0.1, -0.2, 0.3
@@ -168,12 +168,12 @@ def test_those_by_the_pose_are_of_turns_and_shifts(name: str) -> None:
 
 
 def close(value: np.ndarray, expected: np.ndarray) -> None:
-    """Equal but for the rounding of float32."""
+    """Asserts equality up to float32 rounding."""
     assert np.abs(value - expected).max() < 3e-4 * np.abs(expected).mean()
 
 
-def test_a_mesh_hides_what_is_behind_it() -> None:
-    """What is behind it has no derivatives, and the background none, either."""
+def test_gaussians_behind_a_mesh_have_zero_gradients() -> None:
+    """The background has zero gradients there, too."""
     gaussians, camera = cloud(count=12), VIEWS["fisheye"]
     gaussians = replace(gaussians, scales=0.3 * gaussians.scales)
     wall = ls.Mesh(
@@ -188,8 +188,8 @@ def test_a_mesh_hides_what_is_behind_it() -> None:
     assert not found.background.any(), "it is hidden, too"
 
 
-def test_frames_are_those_of_every_renderer() -> None:
-    """To the bit: what is differentiated is what is shown; the function of one call has the same derivatives."""
+def test_differentiable_frames_equal_rendered_frames() -> None:
+    """Bit-equal to frames of a plain renderer; the one-call function has the same gradients."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=30)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
     shown = renderer.render(scene, camera)
@@ -198,8 +198,8 @@ def test_frames_are_those_of_every_renderer() -> None:
     np.testing.assert_array_equal(once.sets[0].means, renderer.gradients(*by_pixels(camera)).sets[0].means)
 
 
-def test_what_has_no_derivatives_is_refused() -> None:
-    """By features, and of more than one sample, whether asked for or resumed."""
+def test_frames_without_gradients_are_refused() -> None:
+    """Features, several samples and resumed frames are refused."""
     camera, scene = VIEWS["fisheye"], ls.Scene([cloud(count=3)])
     renderer = ls.DifferentiableRenderer(config_of(), "cpu")
     with pytest.raises(ls.ConfigError, match="render a frame first"):

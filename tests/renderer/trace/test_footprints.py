@@ -1,4 +1,4 @@
-"""The footprints of rays in closed form: how wide a pixel finds a Gaussian, also placed and mirrored, and where not."""
+"""Ray footprints in closed form: how far a pixel widens a Gaussian, also for instances and mirrors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from support.scenes.raster_scenes import front_camera, one_gaussian, quad, rando
 from support.scenes.trace_scenes import MIRROR
 
 SMALL = 1e-3
-"""Scale of a Gaussian that is a tenth of a pixel wide."""
+"""Scale of a Gaussian a tenth of a pixel wide."""
 MEAN = (0.31, -0.18, 2.0)
 FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
@@ -37,8 +37,8 @@ def expected_alpha(camera: ls.Camera, area: np.ndarray, dilation: float) -> np.n
 
 @pytest.mark.parametrize("dilation", [0.3, 2.0])
 @pytest.mark.parametrize("placed", [False, True])
-def test_a_pixel_widens_a_pinholes_gaussians(dilation: float, placed: bool) -> None:
-    """By its solid angle at the mean's distance, whatever the placement scales."""
+def test_pinhole_footprint_is_the_pixel_solid_angle(dilation: float, placed: bool) -> None:
+    """The width follows the solid angle at the mean's distance, whatever the instance's scale."""
     camera = front_camera(96, 64, 100.0)
     instance = ls.SplatInstance(one_gaussian(MEAN, SMALL, 0.8))
     if placed:
@@ -50,16 +50,16 @@ def test_a_pixel_widens_a_pinholes_gaussians(dilation: float, placed: bool) -> N
     np.testing.assert_allclose(frame.alpha, expected, atol=2e-4)
 
 
-def test_a_pixel_widens_a_fisheyes_gaussians() -> None:
-    """By its solid angle, which shrinks off the axis."""
+def test_fisheye_footprint_is_the_pixel_solid_angle() -> None:
+    """The solid angle shrinks off the axis."""
     camera = front_camera(96, 64, 30.0, model=FISHEYE)
     angle = np.arccos(camera.ray_directions()[..., 2])
     frame = traced(ls.Scene([one_gaussian(MEAN, SMALL, 0.8)]), camera)
     np.testing.assert_allclose(frame.alpha, expected_alpha(camera, np.sinc(angle / np.pi), 0.3), atol=2e-4)
 
 
-def test_mirrors_show_what_is_as_far_behind_them() -> None:
-    """The footprint goes on widening behind the mirror: the image is that of a mirrored camera, left for right."""
+def test_footprint_grows_along_the_unfolded_path() -> None:
+    """The reflection in a mirror equals the flipped image of a mirrored camera."""
     splats = random_gaussians(61, 200, center=(0.0, 0.0, -2.0), extent=(1.5, 1.0, 0.5), scale_range=(0.002, 0.02))
     mirror = quad(1.0, 3.0, material=MIRROR)
     seen = traced(ls.Scene([splats], [mirror]), front_camera(64, 48, 60.0)).color
@@ -73,8 +73,8 @@ def test_mirrors_show_what_is_as_far_behind_them() -> None:
 
 
 @pytest.mark.parametrize("why", ["antialiased", "antialiasing on", "orthographic"])
-def test_some_rays_have_no_footprint(why: str) -> None:
-    """The frame is that without dilation, to the bit."""
+def test_frames_without_footprint_ignore_dilation(why: str) -> None:
+    """The frame equals that without dilation to the bit."""
     gaussians = random_gaussians(62, 200, scale_range=(0.005, 0.05))
     camera, changes = front_camera(48, 32, 40.0), {}
     if why == "antialiased":
@@ -90,16 +90,16 @@ def test_some_rays_have_no_footprint(why: str) -> None:
         np.testing.assert_array_equal(getattr(frame, image), getattr(thin, image))
 
 
-def test_antialiasing_off_widens_all() -> None:
-    """Also captures that are antialiased by their own account."""
+def test_antialiasing_off_dilates_every_capture() -> None:
+    """Captures that are marked as antialiased are dilated, too."""
     plain = random_gaussians(63, 200, scale_range=(0.005, 0.05))
     camera = front_camera(48, 32, 40.0)
     off = traced(ls.Scene([replace(plain, antialiased=True)]), camera, antialiasing=ls.config.Antialiasing.OFF)
     np.testing.assert_array_equal(off.color, traced(ls.Scene([plain]), camera).color)
 
 
-def test_given_rays_have_no_footprint() -> None:
-    """What `trace_rays` and `transmittance` see does not depend on the dilation."""
+def test_ray_queries_have_no_footprint() -> None:
+    """Results of `trace_rays` and `transmittance` do not depend on the dilation."""
     scene = ls.Scene([random_gaussians(64, 200, scale_range=(0.005, 0.05))])
     directions = front_camera(48, 32, 40.0).ray_directions().reshape(-1, 3)
     wide, thin = (
@@ -110,8 +110,8 @@ def test_given_rays_have_no_footprint() -> None:
     np.testing.assert_array_equal(wide.radiance, thin.radiance)
 
 
-def test_shadows_have_no_footprint() -> None:
-    """A Gaussian of a tenth of a pixel darkens as much of the floor with a wide dilation as with none."""
+def test_shadow_rays_have_no_footprint() -> None:
+    """A Gaussian a tenth of a pixel wide darkens an equal area of the floor with wide dilation and with none."""
     lights = [ls.LightDirectional(direction=(0.0, 0.0, 1.0), intensity=3.0)]
     above = random_gaussians(65, 300, center=(0.0, 0.0, 2.0), extent=(1.0, 1.0, 0.5), scale_range=(0.002, 0.01))
     below = np.eye(4)
@@ -132,8 +132,8 @@ def test_shadows_have_no_footprint() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_depth_is_that_of_the_gaussian_itself(pipeline: ls.Pipeline) -> None:
-    """A thin tilted disc lies in its plane, however wide the pixels find it."""
+def test_depth_ignores_the_footprint(pipeline: ls.Pipeline) -> None:
+    """A thin tilted disc has its plane's depth, however far pixels widen it."""
     tilt = 0.6
     disc = one_gaussian(
         (0.0, 0.0, 3.0), (0.8, 0.8, 1e-4), 0.95, rotation=(np.cos(tilt / 2), np.sin(tilt / 2), 0.0, 0.0)

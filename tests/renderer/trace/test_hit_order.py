@@ -1,4 +1,4 @@
-"""Sets that are relit among sets that are shown as captured: each Gaussian in its own order, by brute force."""
+"""Relit sets among emissive captures: each Gaussian in its set's order, compared with brute force."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MEAN, PEAK = ls.config.HitDistance.MEAN, ls.config.HitDistance.PEAK
 
 
 def mixed_scene() -> ls.Scene:
-    """Eight placements of all sizes through each other, every other one relit."""
+    """Eight interpenetrating instances of all sizes, every other one relit."""
     instances: list[ls.SplatInstance] = []
     for number in range(8):
         random = np.random.default_rng(number)
@@ -35,7 +35,7 @@ def mixed_scene() -> ls.Scene:
 
 
 def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the captured sets in each pixel, by means among relit ones by peaks, and what all let through."""
+    """Weight of the captured sets in each pixel, by means among relit ones by peaks, and the total transmittance."""
     worlds = {
         order: world_of(scene, ls.RenderConfig(trace=ls.TraceConfig(hit_distance=order, transmittance_min=0.0)))
         for order in (MEAN, PEAK)
@@ -57,8 +57,8 @@ def expected_weights(scene: ls.Scene, camera: ls.Camera) -> tuple[np.ndarray, np
 
 @pytest.mark.parametrize("way", ["cpu", "cpu as cuda"])
 @pytest.mark.parametrize("k", [4, 16])
-def test_each_set_keeps_its_order(way: str, k: int) -> None:
-    """Captured sets are ordered by their means, relit ones by their peaks, all on one ray."""
+def test_each_set_has_its_own_hit_order(way: str, k: int) -> None:
+    """On one ray, captured sets are ordered by their means, and relit ones by their peaks."""
     scene, camera = mixed_scene(), small_camera(30, 22, 24.0, near=0.05)
     trace = ls.TraceConfig(hits_per_pass=k, transmittance_min=0.0)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=True, shadows=ls.Shadows.OFF, samples=1, trace=trace)

@@ -1,4 +1,4 @@
-"""Stochastic hits of rays that walk the trees alone: those that packets find."""
+"""Stochastic hits of rays that traverse BVHs on their own equal those of packets."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ COUNT = 512
 
 
 class Rig:
-    """Rays every which way through a scene.
+    """Rays in random directions through a scene.
 
     Args:
-        spread: Of the rays: above 0, they find Gaussians widened.
+        spread: Footprint of the rays; above 0, they widen Gaussians.
         threads: CPU threads.
         trace: Fields of ``TraceConfig``.
     """
@@ -43,7 +43,7 @@ class Rig:
         self.rays = self._rays(spread)
 
     def hits(self, *, alone: bool) -> dict[str, np.ndarray]:
-        """What the rays hit, walking alone or in packets."""
+        """Hits of the rays, traversing on their own or in packets."""
         self.tracer._is_stochastic_hit = alone
         hits = self.tracer.find(self.scene, self.rays, self.rays.t_max, f"alone {alone}", bounced=True)
         names = ("color", "normal", "transmittance", "depth", "gaussian", "hits")
@@ -73,8 +73,8 @@ class Rig:
 
 @pytest.mark.parametrize("spread", [0.0, 0.05])
 @pytest.mark.parametrize("distance", list(HitDistance))
-def test_rays_alone_hit_what_packets_hit(distance: HitDistance, spread: float) -> None:
-    """Whatever the order of hits, the offset, the kernel, and how wide rays are."""
+def test_single_rays_and_packets_have_equal_hits(distance: HitDistance, spread: float) -> None:
+    """Holds for every hit distance, offset, kernel degree and footprint."""
     rig = Rig(spread=spread, hit_distance=distance, dilation=0.3 if spread else 0.0)
     alone, packets = rig.hits(alone=True), rig.hits(alone=False)
     active = device_array(rig.rays.is_active).numpy().astype(bool)
@@ -86,7 +86,7 @@ def test_rays_alone_hit_what_packets_hit(distance: HitDistance, spread: float) -
 
 
 def test_threads_change_no_bit() -> None:
-    """Nor does the order in which rays are taken depend on them."""
+    """The order in which rays are processed does not depend on threads, either."""
     (one, other), rig = ((Rig(threads=threads).hits(alone=True)) for threads in (1, 3)), Rig()
     for name in one:
         np.testing.assert_array_equal(one[name], other[name])

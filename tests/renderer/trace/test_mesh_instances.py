@@ -1,4 +1,4 @@
-"""Thousands of mesh instances: the tree over them, as it is built, refitted and rebuilt."""
+"""Thousands of mesh instances: the top-level tree as built, refitted and rebuilt."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SCHEDULES = [False, True]
 
 
 def shapes() -> list[ls.Mesh]:
-    """A tetrahedron, a pair of triangles, and one."""
+    """A tetrahedron, two triangles, and one triangle."""
     corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.2], [0.1, 1.0, 0.0], [0.3, 0.2, 0.9]])
     faces = np.array([[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
     return [ls.Mesh(corners, faces[:count]) for count in (4, 2, 1)]
 
 
 def crowd(count: int, seed: int, meshes: list[ls.Mesh]) -> list[ls.MeshInstance]:
-    """Instances of all sizes, turned anyhow, anywhere in a box."""
+    """Instances of all sizes, with random rotations and positions in a box."""
     rng = np.random.default_rng(seed)
     size = np.exp(rng.uniform(-3.0, -1.0, count))
     axes, places = rng.normal(size=(2, count, 3))
@@ -34,7 +34,7 @@ def crowd(count: int, seed: int, meshes: list[ls.Mesh]) -> list[ls.MeshInstance]
 
 
 def rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origins in the box, and directions; some of these lie along the axes."""
+    """Origins in the box, and directions, some of them along the axes."""
     rng = np.random.default_rng(seed)
     along = rng.normal(size=(count, 3))
     along[::7] = np.eye(3)[rng.integers(0, 3, len(along[::7]))]
@@ -42,7 +42,7 @@ def rays(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest_one_by_one(scene: ls.Scene, origins: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance and instance of each ray's nearest triangle: a loop over all instances, in float64."""
+    """Distance and instance of each ray's nearest triangle, by a loop over all instances in float64."""
     t, which = np.full(len(origins), np.inf), np.full(len(origins), -1)
     for number, instance in enumerate(scene.meshes):
         world = instance.mesh.positions @ instance.transform[:3, :3].T + instance.transform[:3, 3]
@@ -57,8 +57,8 @@ def nearest_one_by_one(scene: ls.Scene, origins: np.ndarray, along: np.ndarray) 
 
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
-def test_hits_among_thousands_of_instances(parallel: bool) -> None:
-    """Those of a loop over all of them."""
+def test_hits_equal_a_loop_over_all_instances(parallel: bool) -> None:
+    """Compares thousands of instances."""
     scene = ls.Scene([], crowd(2000, 1, shapes()))
     origins, along = rays(400, 2)
     hits = RayRig(parallel=parallel).hits(scene, origins, along)
@@ -69,8 +69,8 @@ def test_hits_among_thousands_of_instances(parallel: bool) -> None:
 
 
 @pytest.mark.parametrize("parallel", SCHEDULES)
-def test_instances_that_move_are_hit_where_they_are(parallel: bool) -> None:
-    """A refitted tree gives the bits of a new one, and is built anew once it has become loose."""
+def test_refitted_top_level_equals_a_new_one(parallel: bool) -> None:
+    """A refitted tree gives a new tree's bits, and is rebuilt once it has become too loose."""
     launcher, meshes = Launcher("cpu", 1, parallel=parallel), shapes()
     kept = MeshBvhScene(launcher)
     builds = []
@@ -88,8 +88,8 @@ def test_instances_that_move_are_hit_where_they_are(parallel: bool) -> None:
     assert builds[0] == builds[1] != builds[2] != builds[3], "nudged instances are refitted, others built anew"
 
 
-def test_trees_of_new_meshes_leave_those_of_others() -> None:
-    """Meshes are built when they appear, and forgotten with the last of those that appeared with them."""
+def test_new_meshes_do_not_rebuild_other_trees() -> None:
+    """Trees of meshes are built when they appear, and freed with the last mesh built together with them."""
     launcher, (one, two, three) = Launcher("cpu", 1), shapes()
     kept = MeshBvhScene(launcher)
     trees = []

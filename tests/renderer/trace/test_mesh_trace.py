@@ -1,4 +1,4 @@
-"""The nearest triangle of each ray: against brute force in float64, and nothing gets through closed meshes."""
+"""The nearest triangle on each ray, compared with brute force in float64; closed meshes do not leak."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def rig(request: pytest.FixtureRequest) -> RayRig:
 
 
 def cube() -> ls.Mesh:
-    """Twelve triangles around the origin, with shared corners, from -1 to 1."""
+    """Twelve triangles around the origin with shared corners, from -1 to 1."""
     corners = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1]]
     faces += [[2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
@@ -33,7 +33,7 @@ def cube() -> ls.Mesh:
 
 
 def soup(seed: int, count: int) -> ls.Mesh:
-    """Triangles of random size anywhere in a box."""
+    """Triangles of random size in a box."""
     rng = np.random.default_rng(seed)
     centers = rng.uniform(-1.0, 1.0, (count, 1, 3))
     corners = centers + rng.normal(size=(count, 3, 3)) * np.exp(rng.uniform(-4.0, 0.0, (count, 1, 1)))
@@ -46,7 +46,7 @@ def directions(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def assert_as_brute_force(scene: ls.Scene, hits: Hits, origins: np.ndarray, along: np.ndarray, t_min: float) -> None:
-    """Face, instance, distance and weights of every ray but those few that float32 may decide otherwise."""
+    """Asserts face, instance, distance and weights of all rays but the few that float32 may decide otherwise."""
     triangles = triangles_of(scene)
     faces = np.cumsum([0, *(instance.mesh.face_count for instance in scene.meshes)])
     meshes = list({id(instance.mesh): instance.mesh for instance in scene.meshes}.values())
@@ -71,8 +71,8 @@ def assert_as_brute_force(scene: ls.Scene, hits: Hits, origins: np.ndarray, alon
 
 
 @pytest.mark.parametrize("t_min", [0.0, 1.5])
-def test_hits_are_those_of_brute_force(rig: RayRig, t_min: float) -> None:
-    """A soup of triangles in several placements, sheared and mirrored ones among them."""
+def test_hits_equal_brute_force(rig: RayRig, t_min: float) -> None:
+    """A set of random triangles in several instances, sheared and mirrored ones among them."""
     rng = np.random.default_rng(1)
     mesh, other = soup(2, 60), soup(3, 30)
     poses = [np.eye(4), similarity((1.0, 2.0, 0.5), 1.1, 0.7, (1.0, 0.0, 0.5)), similarity(offset=(-1, 0.5, 0)) @ SHEAR]
@@ -85,16 +85,16 @@ def test_hits_are_those_of_brute_force(rig: RayRig, t_min: float) -> None:
     assert_as_brute_force(scene, hits, origins.astype(float), along.astype(float), t_min)
 
 
-def test_distance_is_the_worlds(rig: RayRig) -> None:
-    """However an instance is scaled, the distance is measured along the ray as it is."""
+def test_hit_distance_is_in_world_units(rig: RayRig) -> None:
+    """However an instance is scaled, the distance is measured along the unscaled ray."""
     for scale in (1e-3, 1.0, 1e3):
         scene = ls.Scene([], [ls.MeshInstance(quad(5.0, 50.0), similarity(scale=scale))])
         hits = rig.hits(scene, [[0.0, 0.0, 0.0]], [[0.0, 0.6, 0.8]])
         assert hits.t[0] == pytest.approx(5.0 * scale / 0.8, rel=1e-6)
 
 
-def test_only_what_is_farther_than_t_min_counts(rig: RayRig) -> None:
-    """A triangle at exactly ``t_min`` does not, nor one through the origin; the next one does."""
+def test_hits_must_exceed_t_min(rig: RayRig) -> None:
+    """Triangles exactly at ``t_min``, or through the origin, are skipped; the next one is hit."""
     scene = ls.Scene([], [quad(z) for z in (0.0, 2.0, 3.0)])
     t_min = np.array([0.0, 1.999, 2.0, 2.001, 3.0])
     origins, along = np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1))
@@ -103,8 +103,8 @@ def test_only_what_is_farther_than_t_min_counts(rig: RayRig) -> None:
     np.testing.assert_array_equal(hits.instance, [1, 1, 2, 2, -1])
 
 
-def test_nothing_beyond_t_max_counts(rig: RayRig) -> None:
-    """``t_max`` stays where nothing nearer is, and where it is not above ``t_min`` there is no ray."""
+def test_hits_must_not_exceed_t_max(rig: RayRig) -> None:
+    """``t_max`` is returned without a nearer hit, and a ray whose ``t_max`` is not above ``t_min`` is inactive."""
     scene = ls.Scene([], [quad(2.0)])
     t_max = np.array([1.9, 2.1, np.inf, 0.0, -np.inf])
     hits = rig.hits(scene, np.zeros((5, 3)), np.tile([0.0, 0.0, 1.0], (5, 1)), t_max=t_max)
@@ -112,8 +112,8 @@ def test_nothing_beyond_t_max_counts(rig: RayRig) -> None:
     np.testing.assert_array_equal(hits.face >= 0, [False, True, True, False, False])
 
 
-def test_the_first_of_equally_near_ones_wins(rig: RayRig) -> None:
-    """Coinciding triangles and instances: lowest instance, then lowest face."""
+def test_first_of_coinciding_triangles_wins(rig: RayRig) -> None:
+    """Coinciding triangles and instances: the lowest instance wins, then the lowest face."""
     one = quad(2.0)
     twice = ls.Mesh(one.positions, np.concatenate([one.indices, one.indices]))
     rng = np.random.default_rng(4)
@@ -122,8 +122,8 @@ def test_the_first_of_equally_near_ones_wins(rig: RayRig) -> None:
     assert (hits.instance == 0).all() and (hits.face < 2).all()
 
 
-def test_scenes_without_meshes(rig: RayRig) -> None:
-    """No ray hits anything, and no tree is needed."""
+def test_scene_without_meshes_has_no_hits(rig: RayRig) -> None:
+    """No tree is needed."""
     hits = rig.hits(ls.Scene(), np.zeros((3, 3)), np.eye(3))
     assert np.isinf(hits.t).all() and (hits.face == -1).all()
 
@@ -132,7 +132,7 @@ def test_scenes_without_meshes(rig: RayRig) -> None:
 @pytest.mark.parametrize(("scale", "offset"), [(1e-3, 0.0), (1.0, 0.0), (1e3, 0.0), (1.0, 1e3)])
 @pytest.mark.parametrize("shape", ["cube", "sphere", "icosphere"])
 def test_closed_meshes_do_not_leak(rig: RayRig, shape: str, scale: float, offset: float, pose: str) -> None:
-    """From inside and from afar, at faces, at edges and at corners: rays end where they are aimed."""
+    """Rays from inside and from afar, aimed at faces, edges and corners, end at the mesh."""
     mesh = {"cube": cube(), "sphere": shapes.sphere(), "icosphere": shapes.icosphere(subdivisions=4)}[shape]
     rng = np.random.default_rng(5)
     matrix = similarity((1.0, 2.0, 0.5), 0.9, scale, (0.8 * offset, -0.6 * offset, 0.0))
@@ -158,8 +158,8 @@ def normalized_sum(weights: np.ndarray) -> np.ndarray:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def test_rays_along_the_axes_meet_boxes(rig: RayRig) -> None:
-    """Directions with zeros in them, from and to all over a cube whose faces lie across them, edges included."""
+def test_axis_aligned_rays_hit_boxes(rig: RayRig) -> None:
+    """Directions with zeros, from and to all positions of a cube with axis-aligned faces, edges included."""
     steps = np.linspace(-1.0, 1.0, 9)
     grid = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     for axis in range(3):
@@ -170,8 +170,8 @@ def test_rays_along_the_axes_meet_boxes(rig: RayRig) -> None:
             np.testing.assert_array_equal(rig.hits(ls.Scene([], [cube()]), origins, along).t, np.full(len(grid), 2.0))
 
 
-def test_small_far_triangles_are_met_where_they_are(rig: RayRig) -> None:
-    """Irregular triangles of a hundredth of their distance and less: the plane's depth to float32."""
+def test_small_far_triangles_have_exact_distances(rig: RayRig) -> None:
+    """Irregular triangles of a hundredth of their distance and less have the plane's depth to float32 precision."""
     rng = np.random.default_rng(6)
     count = 200
     y, x = (np.mgrid[:count, :count] + rng.uniform(-0.3, 0.3, (2, count, count))) / (count - 1) * 2.0 - 1.0
@@ -188,7 +188,7 @@ def test_small_far_triangles_are_met_where_they_are(rig: RayRig) -> None:
 
 @pytest.mark.parametrize("size", [1e-30, 1e19, 1e30])
 def test_extreme_triangles_are_harmless(rig: RayRig, size: float) -> None:
-    """Sizes that overflow or underflow leave the rest of the scene in place."""
+    """Sizes that overflow or underflow leave the other objects unchanged."""
     extreme = ls.Mesh(size * np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0], [-1.0, 0.0, 1.0]]), np.array([[0, 1, 2]]))
     along = directions(np.random.default_rng(7), 1000)
     along[:, 2] = np.abs(along[:, 2]) + 0.5
@@ -198,7 +198,7 @@ def test_extreme_triangles_are_harmless(rig: RayRig, size: float) -> None:
 
 
 def test_threads_do_not_change_a_bit() -> None:
-    """Bands over any number of threads find the same."""
+    """Hits are equal for any number of threads."""
     rng = np.random.default_rng(8)
     scene = ls.Scene([], [soup(9, 500)])
     origins, along = rng.normal(size=(3000, 3)), directions(rng, 3000)
@@ -221,8 +221,8 @@ def test_trees_are_built_once_and_follow_the_scene(rig: RayRig) -> None:
     assert rig.scene.bytes == held
 
 
-def test_many_instances_are_told_apart(rig: RayRig) -> None:
-    """Hundreds of placements of one mesh, each turned its own way: a ray finds the one it is aimed at."""
+def test_rays_hit_the_instance_they_are_aimed_at(rig: RayRig) -> None:
+    """Hundreds of instances of one mesh, each with its own rotation."""
     rng = np.random.default_rng(10)
     mesh = shapes.icosphere(0.4, subdivisions=1)
     centers = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)

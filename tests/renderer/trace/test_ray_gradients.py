@@ -1,4 +1,4 @@
-"""Derivatives of unlit frames of rays, against central differences of a float64 twin and against each other."""
+"""Gradients of unlit traced frames, compared with central differences of a float64 twin and with each other."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ COUNT = 7
 
 
 def config(**trace: Any) -> ls.RenderConfig:
-    """Frames of rays; further settings are those of ``TraceConfig``."""
+    """Settings of traced frames; further settings are fields of ``TraceConfig``."""
     return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, background=BACKGROUND, trace=ls.TraceConfig(**trace))
 
 
 def gradients_of(
     scene: ls.Scene, camera: ls.Camera, settings: ls.RenderConfig | None = None, threads: int | None = None
 ) -> ls.gradients.SplatGradients:
-    """Of the pixels of ``by_pixels``."""
+    """Gradients of the loss of ``by_pixels``."""
     renderer = ls.DifferentiableRenderer(settings or config(), "cpu", threads=threads)
     renderer.render(scene, camera)
     return renderer.gradients(*by_pixels(camera), pose=True)
 
 
 def loss_of(camera: ls.Camera, **settings: Any) -> RayLoss:
-    """The twin's number of a frame, of the same pixels."""
+    """The twin's loss of a frame, over the same pixels."""
     rays = camera_rays(camera)
     by_color, by_alpha = by_pixels(camera)
     return RayLoss(
@@ -53,7 +53,10 @@ def loss_of(camera: ls.Camera, **settings: Any) -> RayLoss:
 
 
 def check_differences(found: dict[str, np.ndarray], loss: Callable[[Parameters], float], p: Parameters) -> None:
-    """Where two step sizes agree, the median is below 1e-5 of the mean magnitude, the worst below 1e-3."""
+    """Asserts a median error below 1e-5 of the mean magnitude, and a worst error below 1e-3.
+
+    Only values where two step sizes agree are compared.
+    """
     for name, value in found.items():
         expected, agree = differences(loss, p, name)
         error = np.abs(value - expected)[agree] / np.abs(expected).mean()
@@ -62,40 +65,40 @@ def check_differences(found: dict[str, np.ndarray], loss: Callable[[Parameters],
 
 
 def check_frame(gaussians: ls.Gaussians, camera: ls.Camera, settings: ls.RenderConfig, **twin: Any) -> None:
-    """All derivatives of a frame against those of the twin."""
+    """Compares all gradients of a frame with the twin's."""
     found = gradients_of(ls.Scene([gaussians]), camera, settings)
     parameters = Parameters.of(gaussians, BACKGROUND, camera)
     check_differences(vars_of(found) | {"background": found.background}, loss_of(camera, **twin), parameters)
 
 
 @pytest.mark.parametrize("degree", range(6))
-def test_derivatives_are_central_differences_of_the_twin(degree: int) -> None:
-    """Of every parameter, for each degree of the kernel."""
+def test_gradients_equal_central_differences_of_the_twin(degree: int) -> None:
+    """Covers every parameter, for each kernel degree."""
     gaussians = replace(cloud(count=COUNT), kernel_degree=degree)
     check_frame(gaussians, view(*SIZE), config(), degree=degree)
 
 
-def test_so_are_those_in_the_order_of_peaks_without_widths() -> None:
-    """Of large Gaussians that cross each other, which the order of their means shows in another way."""
+def test_peak_order_gradients_equal_central_differences() -> None:
+    """Large interpenetrating Gaussians, without footprint, whose order by means would differ."""
     settings = config(dilation=0.0, hit_distance=ls.config.HitDistance.PEAK)
     check_frame(cloud(4, COUNT), view(*SIZE), settings, dilation=0.0, by_peak=True)
 
 
-def test_so_are_those_of_gaussians_that_are_smaller_than_pixels() -> None:
-    """What shows of them is their rays' width, which depends on how far away their means are."""
+def test_subpixel_gradients_equal_central_differences() -> None:
+    """The footprint dominates, and depends on the distance of the means."""
     base = cloud(6, COUNT)
     small = replace(base, scales=0.15 * base.scales)
     check_frame(small, view(*SIZE), config(dilation=2.0), dilation=2.0)
 
 
-def test_so_are_those_of_a_fisheye() -> None:
-    """That sees Gaussians on all sides of it, near ones too."""
+def test_fisheye_gradients_equal_central_differences() -> None:
+    """The fisheye sees Gaussians on all sides, near ones too."""
     eye = ls.Camera.look_at((0.1, 0.2, -0.2), (0.0, 0.0, 1.0), width=16, height=16, fov_y=3.0, model="fisheye")
     check_frame(replace(cloud(8, COUNT), kernel_degree=4), eye, config(), degree=4)
 
 
-def test_those_of_any_rays_are_central_differences_of_the_twin() -> None:
-    """Each ray sees colours from an eye of its own."""
+def test_ray_query_gradients_equal_central_differences() -> None:
+    """Each ray sees colours from its own origin."""
     rng = np.random.default_rng(5)
     gaussians, count = replace(cloud(3, COUNT), kernel_degree=3), 200
     origins = 3.0 * rng.normal(size=(count, 3)) / np.sqrt(3.0)
@@ -120,8 +123,8 @@ POSED = {
 
 
 @pytest.mark.parametrize("kind", POSED)
-def test_those_by_the_pose_are_of_turns_and_shifts(kind: str) -> None:
-    """Of the camera, in its axes, which its rays follow; Gaussians lie in a placed set, and see one eye or many."""
+def test_pose_gradients_are_in_camera_axes(kind: str) -> None:
+    """Gradients of rotations and translations of the camera, whose rays move with it, for a transformed set."""
     camera, gaussians, place = POSED[kind], replace(cloud(8, COUNT, degree=2), kernel_degree=3), np.eye(4)
     place[:3, :3] = 1.2 * np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     place[:3, 3] = 0.1, -0.2, 0.3
@@ -142,12 +145,12 @@ def test_those_by_the_pose_are_of_turns_and_shifts(kind: str) -> None:
 
 
 def loss_at(camera: ls.Camera, pose: np.ndarray, parameters: Parameters) -> float:
-    """The twin's number of a frame from another pose."""
+    """The twin's loss of a frame from another pose."""
     return loss_of(replace(camera, camera_from_world=pose), degree=3)(parameters)
 
 
 @pytest.mark.parametrize("degree", [2, 4])
-def test_they_are_the_adjoint_of_what_moves_pixels(degree: int) -> None:
+def test_gradients_are_the_adjoint_of_the_jacobian(degree: int) -> None:
     """``<J v, w> = <v, J^T w>`` for random directions v of all parameters at once and random w over the pixels."""
     gaussians, camera = replace(cloud(5), kernel_degree=degree), view()
     loss, start = loss_of(camera, degree=degree), Parameters.of(gaussians, BACKGROUND, camera)
@@ -172,8 +175,8 @@ def along(start: Parameters, way: dict[str, np.ndarray], step: float) -> Paramet
     return replace(start, **{name: getattr(start, name) + step * value for name, value in way.items()})
 
 
-def test_what_no_ray_meets_has_derivatives_of_exactly_0() -> None:
-    """Behind the eye, beside the image, too transparent to be seen; and all that an opaque wall hides."""
+def test_gaussians_off_all_rays_have_zero_gradients() -> None:
+    """Covers Gaussians behind the eye, beside the image, too transparent, and behind an opaque wall."""
     base = replace(cloud(count=8), kernel_degree=4)
     means, opacities = base.means.copy(), base.opacities.copy()
     means[0], means[1] = (0.3, -0.2, -5.0), (40.0, 0.0, 0.0)
@@ -185,8 +188,8 @@ def test_what_no_ray_meets_has_derivatives_of_exactly_0() -> None:
     assert not found.weights[:3].any() and (found.weights[3:] > 0.0).all()
 
 
-def test_a_mesh_hides_what_is_behind_it() -> None:
-    """Gaussians behind it have no derivatives, those before it have those over its colour."""
+def test_gaussians_behind_a_mesh_have_zero_gradients() -> None:
+    """Gaussians in front of it have gradients over its colour."""
     base, camera = cloud(count=12), view()
     gaussians = replace(base, scales=0.3 * base.scales)
     corners = np.array([[-9.0, -9.0, 0.0], [9.0, -9.0, 0.0], [9.0, 9.0, 0.0], [-9.0, 9.0, 0.0]])
@@ -207,7 +210,7 @@ def test_a_mesh_hides_what_is_behind_it() -> None:
 
 
 def lone(mean: tuple[float, float, float]) -> ls.Gaussians:
-    """One Gaussian."""
+    """A scene of one Gaussian."""
     return replace(cloud(count=1, degree=0), means=np.array([mean]))
 
 
@@ -221,8 +224,8 @@ def test_bits_do_not_depend_on_threads() -> None:
         np.testing.assert_array_equal(one.weights, other.weights)
 
 
-def test_rays_may_be_gone_back_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the device has no room for all hits: the same sums, in another order."""
+def test_backward_pass_in_ranges_gives_equal_sums(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ranges of rays, where the device cannot hold all hits, give the same sums in another order."""
     scene, camera = ls.Scene([cloud(count=60)]), view(50, 40)
     whole = gradients_of(scene, camera)
     monkeypatch.setattr(ray_backward, "BACKWARD_HITS", 300)
@@ -233,7 +236,7 @@ def test_rays_may_be_gone_back_a_few_at_a_time(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_ranges_are_whole_warps_that_fit() -> None:
-    """All hits are in one of them; a warp that is too large is alone, and the last one may be half of one."""
+    """Ranges contain all hits; a warp that is too large is a range of its own, and the last one may be half a warp."""
     counts = np.zeros(176, np.int32)
     counts[[3, 20, 40, 41, 100, 170]] = 4, 5, 20, 30, 7, 2
     found = list(packet_ranges(counts, 12))
@@ -241,8 +244,8 @@ def test_ranges_are_whole_warps_that_fit() -> None:
 
 
 @pytest.mark.parametrize("degree", [2, 3])
-def test_the_schedule_of_gpus_agrees(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One ray an item on a CPU gives the derivatives of packets, but for the rounding of hits."""
+def test_gpu_schedule_gives_equal_gradients(degree: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One ray per item on a CPU gives the gradients of packets, up to the rounding of hits."""
     scene, camera = ls.Scene([replace(cloud(count=60), kernel_degree=degree)]), view(50, 40)
     packets = gradients_of(scene, camera)
     monkeypatch.setattr(
@@ -255,15 +258,15 @@ def test_the_schedule_of_gpus_agrees(degree: int, monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(rays.weights, packets.weights, rtol=1e-5)
 
 
-def test_frames_are_those_of_every_renderer() -> None:
-    """To the bit: what is differentiated is what is shown."""
+def test_differentiable_frames_equal_rendered_frames() -> None:
+    """Bit-equal to the frames of a plain renderer."""
     scene, camera = ls.Scene([cloud(count=200)]), view(75, 50)
     shown = ls.DifferentiableRenderer(config(), "cpu").render(scene, camera)
     np.testing.assert_array_equal(shown.color, ls.render(scene, camera, config(), device="cpu").color)
 
 
-def test_instances_add_up_and_their_places_are_undone() -> None:
-    """A set that is turned, scaled and moved has the derivatives of one that is so in its file, and two of one add."""
+def test_instance_gradients_are_transformed_and_summed() -> None:
+    """A transformed instance has the gradients of a set stored with that transform; instances of one set add up."""
     gaussians, camera = replace(cloud(9, degree=0), kernel_degree=4), view()
     angle, scale, place = 0.7, 1.3, np.eye(4)
     place[:3, :3] = scale * np.array(
@@ -279,12 +282,12 @@ def test_instances_add_up_and_their_places_are_undone() -> None:
 
 
 def close(value: np.ndarray, expected: np.ndarray) -> None:
-    """Equal but for the rounding of float32."""
+    """Asserts equality up to float32 rounding."""
     assert np.abs(value - expected).max() < 2e-4 * np.abs(expected).mean()
 
 
-def test_far_away_they_are_those_of_the_rasteriser() -> None:
-    """Without widths, a splat is the Gaussian along parallel rays: its error falls with the distance of the camera."""
+def test_distant_gradients_equal_the_rasterisers() -> None:
+    """Without footprint, a splat is the Gaussian along parallel rays: its error falls with the camera's distance."""
     rng = np.random.default_rng(2)
     gaussians = replace(cloud(12, 12, 0), opacities=rng.uniform(0.2, 0.8, 12))
     near, far = differing(gaussians, 4.0), differing(gaussians, 64.0)
@@ -293,9 +296,9 @@ def test_far_away_they_are_those_of_the_rasteriser() -> None:
 
 
 def differing(gaussians: ls.Gaussians, distance: float) -> dict[str, float]:
-    """How the rasteriser's derivatives differ from those of rays, relative to their magnitude.
+    """Difference between the rasteriser's and traced gradients, relative to their magnitude.
 
-    The camera is so far away, and shows as much of the Gaussians.
+    The camera is at the given distance, with the Gaussians at a constant size in the image.
     """
     eye = distance * np.array([0.1, -0.07, -1.0])
     camera = ls.Camera.look_at(eye, (0.0, 0.0, 0.0), (0.1, -1.0, 0.0), width=36, height=30, fov_y=2.4 / distance)
@@ -308,8 +311,8 @@ def differing(gaussians: ls.Gaussians, distance: float) -> dict[str, float]:
     }
 
 
-def test_only_what_is_drawn_unlit_sorted_and_once_is_differentiated() -> None:
-    """Other frames and rays, and none at all, are refused in a line."""
+def test_only_unlit_sorted_single_sample_frames_are_differentiable() -> None:
+    """Other frames and rays, and none at all, are refused."""
     scene, camera = ls.Scene([cloud()]), view()
     with pytest.raises(ls.ConfigError, match="render a frame first"):
         ls.DifferentiableRenderer(config(), "cpu").gradients(np.zeros((30, 36, 3)))
@@ -339,8 +342,8 @@ def test_only_what_is_drawn_unlit_sorted_and_once_is_differentiated() -> None:
         renderer.ray_gradients(scene, np.zeros(3), np.eye(3), np.eye(3)[:2])
 
 
-def test_rays_between_a_frame_and_its_gradients_take_its_place() -> None:
-    """Derivatives are those of what was traced last, never of a mixture."""
+def test_gradients_belong_to_the_last_traced_rays() -> None:
+    """A ray query between a frame and its gradients replaces the frame."""
     scene, camera = ls.Scene([cloud()]), view()
     renderer = ls.DifferentiableRenderer(config(), "cpu")
     renderer.render(scene, camera)
@@ -349,8 +352,8 @@ def test_rays_between_a_frame_and_its_gradients_take_its_place() -> None:
         renderer.gradients(*by_pixels(camera))
 
 
-def test_a_scene_without_gaussians_has_none() -> None:
-    """And none that any ray hits have 0."""
+def test_scene_without_gaussians_has_no_gradients() -> None:
+    """Gaussians that no ray hits have zero gradients."""
     camera = view()
     found = gradients_of(ls.Scene(), camera)
     assert found.sets == () and found.weights.shape == (0,)

@@ -1,4 +1,4 @@
-"""Real captures: rays against the float64 twin, and stochastic frames against the sorted one."""
+"""Real captures: rays compared with the float64 twin, and stochastic frames with sorted ones."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from support.twins import TWINS
 
 RAYS = 60
 PLACES = {"biker.compressed.ply": (0.2, -0.1, -0.7), "logo_sog": (0.3, -0.2, -1.2)}
-"""Where the eye is from the middle of each capture, in sizes of it."""
+"""Eye position relative to each capture's centre, in units of its size."""
 
 
 def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]:
-    """A capture, and a camera that sees it all."""
+    """A capture, and a camera that sees all of it."""
     capture = ls.load(data_dir / "splats" / name)
     assert isinstance(capture, ls.Gaussians)
     low, high = np.percentile(capture.means, (2, 98), axis=0)
@@ -31,7 +31,7 @@ def view_of(data_dir: Path, name: str, width: int) -> tuple[ls.Scene, ls.Camera]
 @pytest.mark.data
 @pytest.mark.parametrize("name", PLACES)
 def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
-    """Mean errors of radiance and transmittance below 1e-3, 99 % of the iso depths within 1e-3 of themselves."""
+    """Mean errors of radiance and transmittance below 1e-3, and 99 % of the iso depths within a relative 1e-3."""
     scene, camera = view_of(data_dir, name, 320)
     frame = ls.render(scene, camera, device="cpu")
     shown = np.flatnonzero(frame.alpha > 0.01)
@@ -51,10 +51,10 @@ def test_rays_equal_the_twin(data_dir: Path, name: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", PLACES)
-def test_rays_show_captures_as_the_rasteriser_does(data_dir: Path, name: str) -> None:
-    """Over covered pixels 30 dB and more, traced and seen in a mirror; without footprints, far less.
+def test_traced_captures_are_close_to_rasterised_ones(data_dir: Path, name: str) -> None:
+    """Covered pixels have 30 dB and more, traced directly and in a mirror; without footprints far less.
 
-    The order of peaks costs the biker 5 dB.
+    The order by peaks costs the biker 5 dB.
     """
     scene, camera = view_of(data_dir, name, 320)
     raster = ls.render(scene, camera, device="cpu")
@@ -70,7 +70,7 @@ def test_rays_show_captures_as_the_rasteriser_does(data_dir: Path, name: str) ->
 
 
 def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
-    """The scene with a mirror just before a camera, and the camera beyond that sees in it what the first one does."""
+    """The scene with a mirror in front of a camera, and a camera that sees in the mirror what the first one sees."""
     forward, right = camera.camera_from_world[2, :3], camera.camera_from_world[0, :3]
     size = float(np.linalg.norm(scene.splats[0].gaussians.means.mean(axis=0) - camera.eye))
     plane = camera.eye + 0.02 * size * forward
@@ -95,7 +95,7 @@ def in_mirror(scene: ls.Scene, camera: ls.Camera) -> tuple[ls.Scene, ls.Camera]:
     ],
 )
 def test_stochastic_frames_converge(data_dir: Path, strategy: ls.config.TraceStrategy, width: int) -> None:
-    """The mean of 256 is 40 dB from the sorted frame, of 64 six less: the error falls as the root of their number."""
+    """The mean of 256 samples is 40 dB from the sorted frame, that of 64 is 6 dB worse: error 1 / sqrt(samples)."""
     scene, camera = view_of(data_dir, "biker.compressed.ply", width)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, jitter=False)
     exact = ls.render(scene, camera, config, device="cpu").color
@@ -108,5 +108,5 @@ def test_stochastic_frames_converge(data_dir: Path, strategy: ls.config.TraceStr
 
 
 def decibels(image: np.ndarray, expected: np.ndarray) -> float:
-    """PSNR of an image whose white is 1."""
+    """PSNR of an image with a white of 1."""
     return float(-10.0 * np.log10(np.mean((image - expected) ** 2)))

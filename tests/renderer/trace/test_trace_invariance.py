@@ -1,4 +1,4 @@
-"""What must not change a traced image: order, hidden Gaussians, packets, passes, threads, and where it all happens."""
+"""Changes that must not change a traced image: order, hidden Gaussians, packets, passes, threads, coordinate frame."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ FISHEYE, ORTHOGRAPHIC = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRAPHIC
 
 @pytest.fixture(params=WAYS)
 def way(request: pytest.FixtureRequest) -> str:
-    """One way to trace a frame."""
+    """One backend that traces a frame."""
     return request.param
 
 
@@ -47,7 +47,7 @@ def settings(strategy: ls.config.TraceStrategy = SORTED, seed: int = 0, **change
 
 @functools.cache
 def renderer(way: str, config: ls.RenderConfig) -> ls.Renderer:
-    """One renderer for all tests that need the same."""
+    """A renderer shared by all tests with these settings."""
     return renderer_of(way, config)
 
 
@@ -61,7 +61,7 @@ make_kernel = gaussian_trace_kernels.gaussian_trace_kernel.__wrapped__
 
 @functools.cache
 def unfused_kernel(lanes: int, *stack: int) -> wp.Kernel:
-    """The tracing kernel with every multiplication and addition rounded by itself."""
+    """The tracing kernel with every multiplication and addition rounded separately."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(PACKET_OPTIONS, "cpu_compiler_flags", "-march=native -ffp-contract=off")
         return make_kernel(lanes, *stack)
@@ -81,7 +81,7 @@ def view(width: int = 24, height: int = 18, focal: float = 22.0, **changes: obje
 
 
 def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = IMAGES) -> None:
-    """Bit-equal images."""
+    """Asserts bit-equal images."""
     for name in names:
         np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), err_msg=name)
 
@@ -93,8 +93,8 @@ def full_scene() -> ls.Scene:
     return ls.Scene(placed, [octahedron((0.1, 0.1, 4.0), 0.6), quad(5.5, tilt=0.3)])
 
 
-def fog(count: int = 400, seed: int = 61) -> ls.Gaussians:
-    """Faint Gaussians of which every ray meets a hundred or more, in front of and around the origin, no two at once."""
+def faint_gaussians(count: int = 400, seed: int = 61) -> ls.Gaussians:
+    """Faint Gaussians, a hundred or more on every ray, around and in front of the origin, no two at one distance."""
     gaussians = random_gaussians(seed, count, 1, (0.0, 0.0, 1.5), (0.6, 0.6, 2.5), scale_range=(0.4, 1.2))
     return replace(gaussians, opacities=np.random.default_rng(seed).uniform(0.01, 0.02, count))
 
@@ -104,12 +104,12 @@ def fog(count: int = 400, seed: int = 61) -> ls.Gaussians:
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_order_in_the_set_does_not_matter(way: str, hit_distance: ls.config.HitDistance) -> None:
-    """Shuffled Gaussians make the same image to the bit, their indices apart: in one pass, and in many.
+    """Shuffled Gaussians give the same image to the bit, except for their indices, in one pass and in many.
 
-    On a GPU, peaks of two Gaussians of the fog can round to the same distance: the set then orders them.
+    On a GPU, peaks of two faint Gaussians can round to one distance: the set's order then decides.
     """
     swapped = 0.02**2 if way.startswith("cuda") and hit_distance is ls.config.HitDistance.PEAK else 0.0
-    for gaussians in (random_gaussians(71, 300, degree=1), fog()):
+    for gaussians in (random_gaussians(71, 300, degree=1), faint_gaussians()):
         order = np.random.default_rng(0).permutation(gaussians.count)
         config = settings(hit_distance=hit_distance)
         frame = render(way, ls.Scene([gaussians]), view(), config)
@@ -123,7 +123,7 @@ def test_order_in_the_set_does_not_matter(way: str, hit_distance: ls.config.HitD
 
 
 def test_equal_distances_keep_the_order_of_the_scene(way: str) -> None:
-    """Of Gaussians at one distance, the first of the set, and the first instance, is in front."""
+    """Among Gaussians at one distance, the first of the set, and the first instance, is in front."""
     red = one_gaussian(opacity=0.9, color=(1.0, 0.0, 0.0))
     blue = one_gaussian(opacity=0.9, color=(0.0, 0.0, 1.0))
     camera = front_camera(cx=32.5, cy=24.5)
@@ -135,8 +135,8 @@ def test_equal_distances_keep_the_order_of_the_scene(way: str) -> None:
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 def test_instances_sort_together(way: str, hit_distance: ls.config.HitDistance) -> None:
-    """A set cut into several instances makes the same image as the whole."""
-    gaussians = joined(random_gaussians(72, 200, degree=1), fog(300))
+    """A set split into several instances gives the same image as the whole."""
+    gaussians = joined(random_gaussians(72, 200, degree=1), faint_gaussians(300))
     firsts = np.array([0, 170, 330, 500])
     parts = [gaussians.subset(np.arange(*span)) for span in itertools.pairwise(firsts)]
     config = settings(hit_distance=hit_distance)
@@ -160,7 +160,7 @@ HIDDEN = {
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_hidden_gaussians_change_nothing(way: str, strategy: ls.config.TraceStrategy) -> None:
-    """What cannot be seen leaves every image as it was, to the bit, though every tree is another one."""
+    """Invisible Gaussians leave every image unchanged to the bit, although every tree differs."""
     wall = [one_gaussian((0.0, 0.0, 8.0 + 0.1 * i), 6.0, 1.0) for i in range(4)]
     visible = joined(random_gaussians(76, 150), *wall)
     frame = render(way, ls.Scene([visible]), view(), settings(strategy))
@@ -173,8 +173,8 @@ def test_hidden_gaussians_change_nothing(way: str, strategy: ls.config.TraceStra
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_empty_views(way: str, strategy: ls.config.TraceStrategy) -> None:
-    """With nothing in sight there is only background: no alpha, no surface, no normal."""
+def test_empty_view_shows_only_background(way: str, strategy: ls.config.TraceStrategy) -> None:
+    """Without visible objects there is no alpha, surface or normal."""
     for background in ((0.2, 0.5, 1.0), None):
         config = replace(settings(strategy), background=background, lighting=False)
         behind = random_gaussians(80, 20, center=(0.0, 0.0, -5.0))
@@ -195,14 +195,14 @@ def test_empty_views(way: str, strategy: ls.config.TraceStrategy) -> None:
 
 
 def discs() -> ls.Scene:
-    """A stack of flat Gaussians: boxes so thin that each pass has to start exactly where the one before ended."""
+    """A stack of flat Gaussians with boxes so thin that each pass must start exactly where the last one ended."""
     layers = [one_gaussian((0.0, 0.0, z), (2.0, 2.0, 1e-5), 0.02) for z in np.linspace(3.0, 3.2, 150)]
     return ls.Scene([joined(*layers)])
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_passes_show_every_layer(way: str, hit_distance: ls.config.HitDistance) -> None:
-    """Of 150 discs, nearly all of the same distance, none is lost and none is shown twice, in lists of any length."""
+def test_passes_blend_every_layer_once(way: str, hit_distance: ls.config.HitDistance) -> None:
+    """Of 150 discs at nearly one distance, none is lost or blended twice, with lists of any length."""
     camera = view(3, 3, 100.0)
     for k in (4, 16):
         frame = render(way, discs(), camera, settings(hits_per_pass=k, hit_distance=hit_distance))
@@ -210,13 +210,13 @@ def test_passes_show_every_layer(way: str, hit_distance: ls.config.HitDistance) 
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_passes_do_not_matter(hit_distance: ls.config.HitDistance) -> None:
-    """Lists of 4, 16 and 64 hits, for one ray and for packets, show hundreds of Gaussians the same."""
-    scene = ls.Scene([fog()], [quad(3.5, tilt=0.3)])
+def test_list_length_does_not_change_the_image(hit_distance: ls.config.HitDistance) -> None:
+    """Lists of 4, 16 and 64 hits, for single rays and packets, give equal images of hundreds of Gaussians."""
+    scene = ls.Scene([faint_gaussians()], [quad(3.5, tilt=0.3)])
     few, some = (settings(hits_per_pass=k, hit_distance=hit_distance) for k in (4, 16))
     frames = [render("cpu as cuda", scene, view(), few), render("cpu as cuda", scene, view(), some)]
     frames += [render("cpu", scene, view(), config) for config in (few, some)]
-    fewest = np.log(1.0 - render("cpu", ls.Scene([fog()]), view(), some).alpha) / np.log(1.0 - 0.02)
+    fewest = np.log(1.0 - render("cpu", ls.Scene([faint_gaussians()]), view(), some).alpha) / np.log(1.0 - 0.02)
     assert np.median(fewest) > 64.0, "too few Gaussians on a ray to need a second pass of the longest list"
     for frame in frames[1:]:
         for name in IMAGES:
@@ -224,7 +224,7 @@ def test_passes_do_not_matter(hit_distance: ls.config.HitDistance) -> None:
 
 
 def inside() -> ls.Scene:
-    """Large Gaussians around the camera: many hulls begin behind it, in an order that only their rays know."""
+    """Large Gaussians around the camera: many hulls begin behind it, in an order that only single rays determine."""
     random = np.random.default_rng(0)
     gaussians = random_gaussians(1, 200, center=(0.0, 0.0, 0.1), extent=(0.3, 0.3, 0.05))
     scales = np.repeat(random.uniform(0.3, 0.6, (200, 1)), 3, axis=1)
@@ -232,12 +232,12 @@ def inside() -> ls.Scene:
 
 
 def many_scenes() -> dict[str, tuple[ls.Scene, ls.Camera]]:
-    """Scenes and cameras in which packets are of every kind."""
+    """Scenes and cameras with every kind of packet."""
     around = random_gaussians(61, 600, degree=1, center=(0.0, 0.0, 0.0), extent=(3.0, 3.0, 3.0))
     moving = similarity((0.0, 1.0, 0.0), 0.1, 1.0, (0.1, 0.0, 0.0))
     return {
         "plain": (full_scene(), view()),
-        "fog": (ls.Scene([fog()]), view()),
+        "faint_gaussians": (ls.Scene([faint_gaussians()]), view()),
         "inside": (inside(), view(focal=15.0)),
         "narrow": (full_scene(), view(focal=3000.0)),
         "wide": (ls.Scene([around]), view(focal=4.0)),
@@ -258,10 +258,10 @@ SCENES = many_scenes()
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_packets_show_what_single_rays_show(
+def test_packets_equal_single_rays(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, name: str
 ) -> None:
-    """Sixteen rays that walk together meet what each meets alone, to rounding."""
+    """Sixteen rays that traverse together have the hits of each ray on its own, up to rounding."""
     scene, camera = SCENES[name]
     config = settings(strategy, seed=5, hit_distance=hit_distance)
     together, alone = (render(way, scene, camera, config) for way in ("cpu", "cpu as cuda"))
@@ -280,28 +280,28 @@ def test_packets_show_what_single_rays_show(
     "hit_distance", [ls.config.HitDistance.PEAK, pytest.param(ls.config.HitDistance.HULL, marks=pytest.mark.deep)]
 )
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_packets_are_single_rays_to_the_bit(
+def test_packets_equal_single_rays_bitwise_without_fusing(
     strategy: ls.config.TraceStrategy, hit_distance: ls.config.HitDistance, normal_method: ls.config.NormalMethod
 ) -> None:
-    """But for what compilers fuse: packets do for each ray what it does alone, operation by operation.
+    """Packets apply the operations of a single ray to each lane.
 
-    Which multiplications and additions are fused depends on how the loop over the lanes is vectorised, and so on the
-    processor. Without any, all images are bit-equal.
+    The multiplications and additions that compilers fuse depend on the vectorisation of the loop over lanes, and so on
+    the processor. Without fusing, all images are bit-equal.
     """
     config = settings(strategy, seed=5, hit_distance=hit_distance, normal_method=normal_method)
-    for scene, camera in (SCENES[name] for name in ("plain", "fog", "inside", "lens")):
+    for scene, camera in (SCENES[name] for name in ("plain", "faint_gaussians", "inside", "lens")):
         together, alone = (unfused_renderer(way, config).render(scene, camera) for way in ("cpu", "cpu as cuda"))
         assert_equal(together, alone)
         assert together.alpha.max() > 0.0
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_ellipsoid_normals_of_packets(strategy: ls.config.TraceStrategy) -> None:
-    """The other normals likewise, and they are others.
+def test_ellipsoid_normals_of_packets_equal_single_rays(strategy: ls.config.TraceStrategy) -> None:
+    """Normals agree, and differ from those of the other method, except at some pixels.
 
-    Not at each pixel: a small alpha enlarges the rounding of the weights that are divided by it, and where a ray grazes
-    an ellipsoid, the normal depends on the root of a small difference. Which operations are fused moves both.
-    ``test_packets_are_single_rays_to_the_bit`` checks every pixel.
+    A small alpha amplifies the rounding of weights that are divided by it, and where a ray grazes an ellipsoid, the
+    normal depends on the root of a small difference. Fusing changes both, and
+    ``test_packets_equal_single_rays_bitwise_without_fusing`` compares without it.
     """
     config = settings(strategy, normal_method=ls.config.NormalMethod.ELLIPSOID)
     together, alone = (render(way, full_scene(), view(), config) for way in ("cpu", "cpu as cuda"))
@@ -312,10 +312,10 @@ def test_ellipsoid_normals_of_packets(strategy: ls.config.TraceStrategy) -> None
 
 
 @pytest.mark.parametrize("hit_distance", list(ls.config.HitDistance))
-def test_parts_of_the_image(way: str, hit_distance: ls.config.HitDistance) -> None:
-    """A camera that sees a part of the image, cut anywhere, shows that part: other packets, the same rays."""
+def test_cropped_cameras_equal_crops(way: str, hit_distance: ls.config.HitDistance) -> None:
+    """A camera cropped anywhere shows that part of the image: other packets, the same rays."""
     config = settings(hit_distance=hit_distance)
-    for scene in (full_scene(), ls.Scene([fog()]), inside()):
+    for scene in (full_scene(), ls.Scene([faint_gaussians()]), inside()):
         whole = render(way, scene, view(), config)
         left, top = 9, 6
         part = render(way, scene, view(24 - left, 18 - top, cx=12.0 - left, cy=9.0 - top), config)
@@ -328,7 +328,7 @@ def test_parts_of_the_image(way: str, hit_distance: ls.config.HitDistance) -> No
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_images_repeat(way: str, strategy: ls.config.TraceStrategy) -> None:
-    """The same image again, after another one, from another renderer and on any number of threads, is bit-equal."""
+    """An image is bit-equal after another image, from another renderer and on any number of threads."""
     scene, config = full_scene(), replace(settings(strategy), samples=2)
     warm = renderer_of(way, config)
     first = warm.render(scene, view())
@@ -340,8 +340,8 @@ def test_images_repeat(way: str, strategy: ls.config.TraceStrategy) -> None:
             assert_equal(other.render(scene, view()), first)
 
 
-def test_seeds_change_what_is_random(way: str) -> None:
-    """Stochastic images change with the seed, with every pixel and sample; sorted ones do not."""
+def test_seed_changes_only_stochastic_images(way: str) -> None:
+    """Stochastic images change with the seed, and between pixels and samples; sorted ones do not."""
     scene = ls.Scene([random_gaussians(78, 200)])
     for strategy in STRATEGIES:
         first, second = (render(way, scene, view(), settings(strategy, seed=seed)) for seed in (0, 1))
@@ -355,8 +355,8 @@ def test_seeds_change_what_is_random(way: str) -> None:
         assert 0.25 < (accepted[lag:] != accepted[:-lag]).mean() < 0.75, f"pixels {lag} apart are alike"
 
 
-def test_returned_frames_stay(way: str) -> None:
-    """A frame already returned does not change when the next one is drawn."""
+def test_returned_frames_do_not_change(way: str) -> None:
+    """A returned frame does not change when the next one is drawn."""
     frame = render(way, full_scene(), view())
     before = {name: getattr(frame, name).copy() for name in IMAGES}
     render(way, ls.Scene([random_gaussians(78)]), view())
@@ -364,8 +364,8 @@ def test_returned_frames_stay(way: str) -> None:
         np.testing.assert_array_equal(getattr(frame, name), image)
 
 
-def test_buffers_settle(way: str) -> None:
-    """After its first frame a renderer allocates nothing more for frames of that size, nor for smaller ones."""
+def test_renderer_allocates_nothing_after_the_first_frame(way: str) -> None:
+    """Later frames of that size, or smaller, allocate nothing."""
     warm, scene = renderer_of(way, settings()), full_scene()
     warm.render(scene, view(33, 27))
     settled = warm._buffers.allocations, warm._scene.bvh.bytes
@@ -381,10 +381,10 @@ def test_buffers_settle(way: str) -> None:
 @pytest.mark.parametrize(
     ("scale", "offset"), [(1.7, (3.0, -5.0, 11.0)), (1e-3, (0.0, 0.0, 0.0)), (1e3, (1e4, 0.0, 0.0))]
 )
-def test_moving_everything_together(
+def test_images_do_not_depend_on_the_world_frame(
     way: str, hit_distance: ls.config.HitDistance, scale: float, offset: tuple[float, float, float]
 ) -> None:
-    """Scene and camera moved, turned and scaled as one make the same picture; depths scale."""
+    """Transforming scene and camera together gives the same image; depths scale."""
     move = similarity((0.2, 1.0, -0.4), 2.2, scale, offset)
     scene, camera, config = full_scene(), view(), settings(hit_distance=hit_distance)
     moved = ls.Scene(
@@ -406,8 +406,8 @@ def test_moving_everything_together(
     np.testing.assert_allclose(frame.depth[same] / scale, expected.depth[same], rtol=1e-4)
 
 
-def test_near_hides_peaks(way: str) -> None:
-    """A disc before the near plane is not there, to the bit; one right behind it is; a mesh likewise."""
+def test_near_plane_hides_peaks_in_front_of_it(way: str) -> None:
+    """A disc in front of the near plane changes no bit, and one right behind it is visible; a mesh likewise."""
     disc = one_gaussian((0.0, 0.0, 3.0), (0.5, 0.5, 1e-3), 0.8)
     rest = random_gaussians(79, 100, center=(0.0, 0.0, 6.0))
     both, alone = ls.Scene([joined(rest, disc)]), ls.Scene([rest])
@@ -429,7 +429,7 @@ def test_near_hides_peaks(way: str) -> None:
 
 @pytest.mark.parametrize("dilation", [0.0, 0.3])
 def test_raster_and_trace_agree_on_small_gaussians(way: str, dilation: float) -> None:
-    """Near the optical axis, one beside the other, both pipelines show the same; neither is tested by itself here."""
+    """Near the optical axis, for Gaussians side by side, both pipelines give equal images."""
     random = np.random.default_rng(4)
     x, y = np.meshgrid(np.linspace(-0.35, 0.35, 6), np.linspace(-0.25, 0.25, 5))
     count = x.size
@@ -453,8 +453,8 @@ def test_raster_and_trace_agree_on_small_gaussians(way: str, dilation: float) ->
     assert_close(trace.normal[both], raster.normal[both], atol=1e-5, name="normal")
 
 
-def test_normals_that_hybrid_frames_do_not_have(caplog: pytest.LogCaptureFixture) -> None:
-    """Ellipsoids have no normals where they are rasterised: a line says so once, and names what has them."""
+def test_hybrid_frames_log_unused_ellipsoid_normals(caplog: pytest.LogCaptureFixture) -> None:
+    """A warning, once, names the pipeline that supports them."""
     scene, camera = ls.Scene([random_gaussians(1, count=5)]), front_camera(8, 8)
     for pipeline, lines in ((ls.Pipeline.HYBRID, 1), (ls.Pipeline.TRACE, 0), (ls.Pipeline.RASTER, 0)):
         caplog.clear()

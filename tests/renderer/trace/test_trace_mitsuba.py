@@ -1,4 +1,4 @@
-"""Against Mitsuba: the stored images of tools/make_mitsuba_reference.py."""
+"""Comparison with Mitsuba: the stored images of tools/make_mitsuba_reference.py."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ REFERENCE = Path(__file__).resolve().parents[2] / "reference"
 @pytest.mark.parametrize(
     ("hit_distance", "alike"), [(ls.config.HitDistance.HULL, True), (ls.config.HitDistance.PEAK, False)]
 )
-def test_images_are_those_of_mitsuba(name: str, hit_distance: ls.config.HitDistance, alike: bool) -> None:
-    """With its order and its ends, mean error below half a step of 8 bits and 99.5 % within four; with ours, not."""
+def test_images_equal_mitsuba(name: str, hit_distance: ls.config.HitDistance, alike: bool) -> None:
+    """With its hit order, the mean error is below half an 8-bit step, and 99.5 % within four; with ours it is not."""
     with np.load(REFERENCE / f"mitsuba_{name}.npz") as stored:
         image = stored["image"] / float(stored["steps"])
     gaussians, camera = mitsuba_frames()[name]

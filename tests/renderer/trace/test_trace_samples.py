@@ -1,4 +1,4 @@
-"""Samples of traced images: their mean, where in the pixel they lie, and frames that are resumed."""
+"""Samples of traced images: their mean, their sub-pixel positions, and resumed frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WHITE = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0))
 
 @pytest.fixture(params=WAYS)
 def way(request: pytest.FixtureRequest) -> str:
-    """One way to trace a frame."""
+    """One backend that traces a frame."""
     return request.param
 
 
@@ -42,7 +42,7 @@ def renderer(
     jitter: bool = True,
     background: tuple[float, float, float] | None = (0.1, 0.2, 0.3),
 ) -> ls.Renderer:
-    """One renderer for all tests that need the same."""
+    """A renderer shared by all tests with these settings."""
     config = ls.RenderConfig(
         pipeline=ls.Pipeline.TRACE,
         lighting=False,
@@ -66,7 +66,7 @@ def scene() -> ls.Scene:
 
 
 def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = IMAGES) -> None:
-    """Bit-equal images."""
+    """Asserts bit-equal images."""
     for name in names:
         np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), err_msg=name)
 
@@ -75,7 +75,7 @@ def assert_equal(actual: ls.Frame, expected: ls.Frame, names: tuple[str, ...] = 
 
 
 def test_frames_are_means_of_samples_across_the_pixel(way: str) -> None:
-    """Sample n is the image of a camera shifted to where sample n lies in the pixels: the frame is their mean."""
+    """A sample is the image of a camera shifted to its sub-pixel position, and the frame is their mean."""
     camera = view()
     singles = []
     for n in range(8):
@@ -91,8 +91,8 @@ def test_frames_are_means_of_samples_across_the_pixel(way: str) -> None:
     assert np.abs(frame.color - singles[0].color).max() > 0.05
 
 
-def test_samples_average_as_they_are_shown(way: str) -> None:
-    """Half white and half black is 0.5 in the space that captures are trained in, not the 0.73 of equal light."""
+def test_unlit_samples_average_display_values(way: str) -> None:
+    """Half white and half black is 0.5 in the captures' display space, not the 0.73 of a mean in linear light."""
     camera = view(8, 8, 8.0)
     meshes = [quad(4.0, 4.0, material=BLACK), quad(3.9, 1.95, material=WHITE)]  # white ends in the middle of a pixel
     shifted = replace(camera, cx=camera.cx + 0.5, cy=camera.cy + 0.5)
@@ -107,7 +107,7 @@ def test_samples_average_as_they_are_shown(way: str) -> None:
 
 @pytest.mark.parametrize("strategy", [HIT, PASS])
 def test_samples_of_a_pixel_differ(way: str, strategy: ls.config.TraceStrategy) -> None:
-    """Each draws anew, so that every pixel comes near its expectation, without any sub-pixel offset."""
+    """Each sample uses new random numbers: every pixel approaches its expectation, even without sub-pixel offsets."""
     faint = ls.Scene([one_gaussian(scale=50.0, opacity=0.3)])
     frame = renderer(way, 64, strategy, jitter=False).render(faint, view(12, 9))
     assert frame.alpha.mean() == pytest.approx(0.3, abs=0.02)
@@ -116,7 +116,7 @@ def test_samples_of_a_pixel_differ(way: str, strategy: ls.config.TraceStrategy) 
 
 
 def test_jitter_antialiases_edges(way: str) -> None:
-    """With it, alpha at a mesh's edge is the area covered; without it, all or nothing at any number of samples."""
+    """With jitter, alpha at a mesh's edge is the covered area; without, it is 0 or 1 for any number of samples."""
     square = ls.Scene([], [quad(4.0, 1.0)])
     camera = view(16, 16, 22.3, cx=8.21, cy=8.37)  # edges at 2.635, 13.785 and 2.795, 13.945
     smooth = renderer(way, 64).render(square, camera).alpha
@@ -134,7 +134,7 @@ def test_jitter_antialiases_edges(way: str) -> None:
 
 
 def test_surface_is_that_of_the_first_sample(way: str) -> None:
-    """Depth, normal and indices are those through the pixels' centres, however many samples follow."""
+    """Depth, normal and indices are those at the pixels' centres, however many samples follow."""
     for strategy in STRATEGIES:
         one, many = (renderer(way, samples, strategy).render(scene(), view()) for samples in (1, 8))
         assert_equal(many, one, ("depth", "normal", "gaussian_index", "instance_index"))
@@ -145,8 +145,8 @@ def test_surface_is_that_of_the_first_sample(way: str) -> None:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_resumed_frames_are_those_rendered_at_once(way: str, strategy: ls.config.TraceStrategy) -> None:
-    """Eight samples, three and then five, and one by one are the same to the bit, and say how many they are."""
+def test_resumed_frames_equal_uninterrupted_ones(way: str, strategy: ls.config.TraceStrategy) -> None:
+    """Eight samples, three and then five, and one by one are bit-equal, with the same count."""
     whole = renderer(way, 8, strategy).render(scene(), view())
     assert whole.samples == 8
     three = renderer(way, 3, strategy).render(scene(), view())
@@ -166,16 +166,16 @@ def test_resumed_frames_are_those_rendered_at_once(way: str, strategy: ls.config
     assert_equal(frame, whole)
 
 
-def test_frames_resume_elsewhere() -> None:
-    """What one schedule began, the other one finishes."""
+def test_frames_resume_in_another_schedule() -> None:
+    """A frame that one schedule began is finished by the other one."""
     whole = renderer("cpu", 8).render(scene(), view())
     mixed = renderer("cpu as cuda", 5).render(scene(), view(), resume=renderer("cpu", 3).render(scene(), view()))
     assert_close(mixed.color, whole.color, atol=2e-6)
     assert_equal(mixed, whole, ("gaussian_index", "instance_index"))
 
 
-def test_resume_refuses_what_does_not_fit() -> None:
-    """Another size, another background, the rasteriser, its frames, and more samples than a mean can tell apart."""
+def test_resume_refuses_mismatched_frames() -> None:
+    """Another size, another background, rasterised frames, and too many samples are refused."""
     frame = renderer("cpu").render(scene(), view())
     for camera in (view(18, 24), view(24, 17), view(25, 18)):
         with pytest.raises(ls.ConfigError, match=rf"cannot resume a frame of 24 x 18 .* is {camera.width} x"):
@@ -220,7 +220,7 @@ POSE = ls.Camera.look_at((0.1, 0.0, 0.0), (0.0, 0.0, 4.0), (0.0, -1.0, 0.0)).cam
     ids=", ".join,
 )
 def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
-    """Of the same size, but elsewhere, another lens, ...: the message names what differs, a name may."""
+    """The message names the differing camera fields; another name is allowed."""
     frame = renderer("cpu").render(scene(), view())
     with pytest.raises(ls.ConfigError, match=rf"they differ in {', '.join(changes)}$"):
         renderer("cpu").render(scene(), replace(view(), **changes), resume=frame)
@@ -236,7 +236,7 @@ def test_resume_refuses_other_cameras(changes: dict[str, Any]) -> None:
     ],
 )
 def test_resume_refuses_other_settings(changes: dict[str, Any], names: str) -> None:
-    """All but the number of samples must be as they were; a frame that does not know them is taken at its word."""
+    """All settings but the number of samples must be equal; a frame without stored settings is accepted."""
     first = renderer("cpu")
     frame = first.render(scene(), view())
     assert frame.config == first.config
@@ -246,14 +246,14 @@ def test_resume_refuses_other_settings(changes: dict[str, Any], names: str) -> N
     assert second.render(scene(), view(), resume=replace(frame, config=None)).samples == 3
 
 
-def test_resume_takes_frames_only() -> None:
-    """What is none is named, not looked into."""
+def test_resume_refuses_other_types() -> None:
+    """The message names the type."""
     with pytest.raises(ls.ConfigError, match=r"^resume is 'a\.png', expected a Frame$"):
         renderer("cpu").render(scene(), view(), resume="a.png")  # pyright: ignore[reportArgumentType]
 
 
 def test_transparent_frames_resume(way: str) -> None:
-    """Without a background likewise."""
+    """Frames without a background are resumed likewise."""
     whole = renderer(way, 4, background=None).render(scene(), view())
     half = renderer(way, 2, background=None).render(scene(), view())
     assert_equal(renderer(way, 2, background=None).render(scene(), view(), resume=half), whole)
@@ -263,7 +263,7 @@ def test_transparent_frames_resume(way: str) -> None:
 
 
 def test_progress_counts_the_samples() -> None:
-    """Called once a sample of this call, also of one that resumes, with how many there are; the last call says 1."""
+    """Progress is called once per new sample with the total count; the last call has fraction 1."""
     calls: list[tuple[str, float]] = []
     first, second = renderer("cpu", 4), renderer("cpu", 2)
     for one in (first, second):  # loading kernels is progress, too
@@ -276,8 +276,8 @@ def test_progress_counts_the_samples() -> None:
     assert calls == [("tracing, 5 samples", 0.5), ("tracing, 6 samples", 1.0)]
 
 
-def test_counts_add_up_on_a_gpu() -> None:
-    """Whatever their number, beyond 32 bits."""
+def test_sample_counts_do_not_overflow_on_a_gpu() -> None:
+    """Sums beyond 32 bits are exact."""
     for size in (1, 4096, 4097, 10_000):
         counts = np.random.default_rng(size).integers(0, 2**31, size, dtype=np.int32)
         total = wp.zeros(1, dtype=wp.int64, device="cpu")
@@ -287,8 +287,8 @@ def test_counts_add_up_on_a_gpu() -> None:
         assert total.numpy()[0] == counts.sum(dtype=np.int64)
 
 
-def test_what_is_not_finite_is_black_and_counted(way: str) -> None:
-    """Once a sample and pixel; frames before or beside have no part in it, also where one is resumed."""
+def test_nonfinite_samples_are_black_and_counted(way: str) -> None:
+    """Each is counted once per sample and pixel; other frames do not affect the count, also when resumed."""
     broken = replace(one_gaussian((0.0, 0.0, 4.0), 0.1, 0.9), sh=np.full((1, 16, 3), 3e38, np.float32))
     both = ls.Scene([broken], [quad(6.0, 10.0)])
     drawn = renderer(way, 3, jitter=False).render(both, view())

@@ -1,4 +1,4 @@
-"""The random strategies show on average what sorting shows, and each time one of the things that they may show."""
+"""Stochastic strategies have the mean of sorting, and each sample is one of the possible outcomes."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ from support.twins import TWINS
 HIT, PASS = ls.config.TraceStrategy.STOCHASTIC_HIT, ls.config.TraceStrategy.STOCHASTIC_PASS
 CASES = {case.name: case for case in stochastic_cases()}
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
-"""Where statistics are made: all ways draw the same numbers, as ``test_ways_draw_the_same`` shows."""
+"""Devices of the statistics: ``test_backends_draw_the_same_random_numbers`` covers all other backends."""
 SEEDS = range(4)
-"""Fixed, so that a test fails always or never."""
+"""Fixed seeds, so that a test always fails or always passes."""
 FAMILY_ERROR = 1e-3
-"""Probability at which a right renderer would fail a comparison, over all its values."""
+"""Probability that a correct renderer fails a comparison, over all its values."""
 
 strategies = pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strategy: strategy.value)
 devices = pytest.mark.parametrize("device", DEVICES)
 
 
 def random_case(name: str, strategy: ls.config.TraceStrategy, **changes: object) -> Case:
-    """A case with a random strategy, every sample through the pixel's centre."""
+    """A case with a stochastic strategy and every sample at the pixel's centre."""
     case = CASES[name]
     return replace(case, config=changed_rays(case.config, strategy=strategy, jitter=False, **changes))
 
 
 def samples_of(case: Case) -> int:
-    """Samples a seed; fewer where each takes many waves of rays."""
+    """Samples per seed; fewer for cases with many waves of rays."""
     return 32 if any(one.mesh.material.is_smooth for one in case.scene.meshes) else 128
 
 
 @cache
 def frames_of(name: str, strategy: ls.config.TraceStrategy, device: str) -> list[ls.Frame]:
-    """One frame a seed."""
+    """One frame per seed."""
     case = random_case(name, strategy)
     config = replace(case.config, samples=samples_of(case))
     return [renderer_of(device, replace(config, seed=seed)).render(case.scene, case.camera) for seed in SEEDS]
@@ -58,16 +58,16 @@ def twin_of(name: str, strategy: ls.config.TraceStrategy) -> dict[str, np.ndarra
 
 
 def critical_z(tests: int) -> float:
-    """Two-sided critical value for that many tests at once, corrected after Sidak (1967)."""
+    """Two-sided critical value for this many simultaneous tests, corrected after Sidak (1967)."""
     each = 1.0 - (1.0 - FAMILY_ERROR) ** (1.0 / tests)
     return NormalDist().inv_cdf(1.0 - 0.5 * each)
 
 
 def excess(mean: np.ndarray, expected: np.ndarray, variance: np.ndarray, count: int, most: float) -> np.ndarray:
-    """By how much means of ``count`` samples are farther from their expectation than chance allows, shape of ``mean``.
+    """Distance of means of ``count`` samples from their expectation beyond chance, with the shape of ``mean``.
 
-    The samples lie in 0..``most``. Rare ones skew the mean: its third central moment is at most ``most`` times the
-    variance, which Cornish and Fisher's expansion (1938) turns into room.
+    Samples lie in 0..``most``. Rare ones skew the mean: its third central moment is at most ``most`` times the
+    variance, which the expansion of Cornish and Fisher (1938) converts to a tolerance.
     """
     z = critical_z(mean.size)
     room = z * np.sqrt(variance / count) + most * (z * z - 1.0) / (6.0 * count)
@@ -75,13 +75,13 @@ def excess(mean: np.ndarray, expected: np.ndarray, variance: np.ndarray, count: 
 
 
 def pooled_excess(mean: np.ndarray, expected: np.ndarray, variance: np.ndarray, count: int, most: float) -> np.ndarray:
-    """The same of the mean over all pixels (P, ...), which are independent: finds what is wrong a little everywhere."""
+    """The excess of the mean over all pixels (P, ...), which are independent: detects small errors everywhere."""
     pixels = len(mean)
     return excess(mean.mean(axis=0), expected.mean(axis=0), variance.mean(axis=0), count * pixels, most)
 
 
 def brightest(case: Case) -> float:
-    """A bound of the colours that rays of a case may show: of all Gaussians, from a thousand directions."""
+    """Upper bound of the colours of a case's rays, from all Gaussians in a thousand directions."""
     directions = oracles.normalized(np.random.default_rng(0).normal(size=(1000, 3)))
     basis = oracles.sh_basis(directions)
     every = [one.gaussians.sh.astype(float) for one in case.scene.splats]
@@ -91,8 +91,8 @@ def brightest(case: Case) -> float:
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_mean_is_the_expectation(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
-    """Of colour and alpha, over samples and seeds, pixel by pixel and over all of them; in mirrors and glass too."""
+def test_stochastic_mean_is_the_expectation(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
+    """Colour and alpha over samples and seeds, per pixel and pooled, also in mirrors and glass."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     count = len(frames) * samples_of(CASES[name])
     for image, most in (("color", brightest(CASES[name])), ("alpha", 1.0)):
@@ -114,8 +114,8 @@ def test_mean_is_the_expectation(name: str, strategy: ls.config.TraceStrategy, d
 @devices
 @strategies
 @pytest.mark.parametrize("name", CASES)
-def test_noise_is_the_variance(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
-    """Frames of different seeds scatter about the expectation as independent samples do: no less, no more."""
+def test_noise_equals_the_predicted_variance(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
+    """Frames of different seeds scatter around the expectation like independent samples."""
     frames, twin = frames_of(name, strategy, device), twin_of(name, strategy)
     samples = samples_of(CASES[name])
     scattered = (twin["slack"] < 1e-3) & (twin["color_variance"].min(axis=-1) > 1e-3)
@@ -134,8 +134,8 @@ def test_noise_is_the_variance(name: str, strategy: ls.config.TraceStrategy, dev
 @devices
 @strategies
 @pytest.mark.parametrize("name", ["instances", "mesh", "linear, hull"])
-def test_every_sample_is_an_outcome(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
-    """A sample shows one Gaussian, one pass, or what is behind: all images are of that, as often as expected."""
+def test_every_sample_is_a_possible_outcome(name: str, strategy: ls.config.TraceStrategy, device: str) -> None:
+    """A sample has one Gaussian, one pass, or the background; all images agree, at the expected frequency."""
     case = random_case(name, strategy)
     world = world_of(case.scene, case.config)
     only_meshes = replace(world_of(replace(case.scene, splats=()), case.config), splat_count=world.splat_count)
@@ -176,8 +176,8 @@ def test_every_sample_is_an_outcome(name: str, strategy: ls.config.TraceStrategy
 
 
 @devices
-def test_scaled_acceptance(device: str) -> None:
-    """Scaled random numbers accept with alpha over the scale: opaquer than sorting, exactly as much as that says."""
+def test_acceptance_scale_raises_opacity(device: str) -> None:
+    """Scaled random numbers accept with alpha over the scale, which is exactly that much more opaque than sorting."""
     case = random_case("overlapping", HIT, acceptance_scale=0.5)
     twin = TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
     frame = renderer_of(device, replace(case.config, samples=500)).render(case.scene, case.camera)
@@ -189,7 +189,7 @@ def test_scaled_acceptance(device: str) -> None:
 
 @pytest.mark.parametrize("strategy", [HIT, PASS], ids=lambda strategy: strategy.value)
 def test_wrong_expectations_are_rejected(strategy: ls.config.TraceStrategy) -> None:
-    """The tests have power: Gaussians 5 % fainter, accepted a little sooner, or blended too short, would be noticed."""
+    """The statistics have power: Gaussians 5 % fainter, earlier acceptance, or shortened blending would fail."""
     frames, twin = frames_of("passes of 4", strategy, "cpu"), twin_of("passes of 4", strategy)
     case = random_case("passes of 4", strategy)
     (instance,) = case.scene.splats
@@ -213,8 +213,8 @@ def test_wrong_expectations_are_rejected(strategy: ls.config.TraceStrategy) -> N
 
 
 @strategies
-def test_ways_draw_the_same(strategy: ls.config.TraceStrategy, way: str) -> None:
-    """The same seed shows the same on every device and in every schedule, but for rounding; another seed does not."""
+def test_backends_draw_the_same_random_numbers(strategy: ls.config.TraceStrategy, way: str) -> None:
+    """A seed gives the same image on every backend up to rounding; another seed does not."""
     case = random_case("instances", strategy)
     config = replace(case.config, samples=8, seed=5)
     expected = renderer_of("cpu", config).render(case.scene, case.camera)
@@ -226,8 +226,8 @@ def test_ways_draw_the_same(strategy: ls.config.TraceStrategy, way: str) -> None
 
 
 @strategies
-def test_one_pass_holds_all(strategy: ls.config.TraceStrategy) -> None:
-    """Where nothing is behind the first pass, a stochastic pass that is taken has sorting's colour, unpremultiplied."""
+def test_complete_first_pass_equals_sorting(strategy: ls.config.TraceStrategy) -> None:
+    """If nothing is behind the first pass, an accepted stochastic pass has sorting's colour, unpremultiplied."""
     scene, camera = ls.Scene([copies(12, 173)]), small_camera(8, 6, 8.0)
     config = trace_config(None, strategy=strategy, jitter=False)
     frame = renderer_of("cpu", config).render(scene, camera)

@@ -1,4 +1,4 @@
-"""The ray tracer against its float64 twin, frame by frame and ray by ray."""
+"""The ray tracer compared with its float64 twin, frame by frame and ray by ray."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from support.twins import TWINS
 CASES = {case.name: case for case in cases()}
 WORLD = trace_config((0.3, 0.5, 0.9))
 SURE = 0.75
-"""Share of the pixels at which the twin must leave little room, or the comparison would prove nothing."""
+"""Fraction of pixels at which the twin must leave little tolerance; otherwise the comparison would prove nothing."""
 
 
 @cache
 def twin_of(name: str) -> dict[str, np.ndarray]:
-    """The twin's frame of a case, the same for every way."""
+    """The twin's frame of a case, the same for every backend."""
     case = CASES[name]
     return TWINS.result(trace_oracle.render, case.scene, case.camera, case.config)
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_frame_equals_twin(case: Case, way: str) -> None:
-    """Every image of a frame is the twin's, but for what rounding may change of it by the twin's own account.
+    """Every image equals the twin's within the tolerance that the twin computes for rounding.
 
-    Colours, alpha and normals everywhere; index and distance of the surface where it cannot be another one.
+    Colours, alpha and normals are compared everywhere, index and distance of the surface where it is unambiguous.
     """
     frame = renderer_of(way, replace(case.config, lighting=False)).render(case.scene, case.camera)
     assert_agrees(frame, twin_of(case.name), ("color", "alpha"), ("depth", "depth_z"))
@@ -40,7 +40,7 @@ def test_frame_equals_twin(case: Case, way: str) -> None:
 
 @cache
 def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-    """Rays every which way, of any length, through Gaussians, meshes and a mirror, and what the twin sees on them."""
+    """Rays in all directions, of any length, through Gaussians, meshes and a mirror, and the twin's results."""
     rng = np.random.default_rng(180)
     scene = ls.Scene(placed_scene().splats, mirror_scene().meshes + ls.Scene([], [quad(3.4, 0.6, tilt=0.4)]).meshes)
     origins = rng.normal((0.0, 0.0, 4.0), 2.5, (600, 3)).astype(np.float32)
@@ -49,7 +49,7 @@ def rays_and_twin() -> tuple[ls.Scene, np.ndarray, np.ndarray, dict[str, np.ndar
 
 
 def test_rays_equal_twin(way: str) -> None:
-    """Rays that share neither origin nor direction see what the twin does; mirrors show the background."""
+    """Rays without common origin or direction equal the twin's; mirrors show the background."""
     scene, origins, directions, twin = rays_and_twin()
     hits = renderer_of(way, WORLD).trace_rays(scene, origins, directions)
     assert_agrees(hits, twin, ("radiance", "transmittance"), ("depth",))
@@ -60,7 +60,7 @@ def test_rays_equal_twin(way: str) -> None:
 def assert_agrees(
     actual: ls.Frame | ls.RayHits, twin: dict[str, np.ndarray], colors: tuple[str, ...], depths: tuple[str, ...]
 ) -> None:
-    """Every image is within what rounding may do to the twin's."""
+    """Asserts that every image is within the twin's rounding tolerance."""
     for name in colors:
         assert (twin["slack"] < 0.02).mean() >= SURE, "too much room to compare"
         assert_within(getattr(actual, name), twin[name], 5e-6 + twin["slack"], name)
@@ -79,7 +79,7 @@ def assert_agrees(
 
 
 def assert_within(actual: np.ndarray, expected: np.ndarray, room: np.ndarray, name: str) -> None:
-    """No value of a pixel is farther off than the pixel's ``room``, and none is NaN."""
+    """Asserts that no value differs by more than the pixel's ``room``, and none is NaN."""
     assert not np.isnan(actual).any(), f"{name} has {np.isnan(actual).sum()} NaN"
     error = np.abs(actual.astype(np.float64) - expected).reshape(*room.shape, -1 if actual.size else 1).max(axis=-1)
     off = np.argwhere(error > room)
