@@ -121,7 +121,7 @@ def test_unsupported_frames_are_refused(config: ls.RenderConfig, message: str) -
 def test_resampled_frames_are_refused() -> None:
     """Rasterised frames of distorted lenses are resampled, and hence refused."""
     renderer = ls.create_renderer(settings(ls.Pipeline.HYBRID), "cpu")
-    with pytest.raises(ls.ConfigError, match="distorting lenses"):
+    with pytest.raises(ls.ConfigError, match="lens distortion"):
         ls.farm.render_samples(
             renderer, lit_scene.scene(), lens(50.0, SIZE, distortion=(0.05, 0, 0, 0, 0, 0)), range(2)
         )
