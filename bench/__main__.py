@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def benchmarks() -> dict[str, str]:
-    """Returns the commands of this folder, by name, each with the first line of its module's docstring."""
+    """Returns the commands of this folder by name, each with the first line of its module's docstring."""
     here = Path(__file__).parent
     found: dict[str, str] = {}
     for path in sorted(here.rglob("*.py")):

@@ -1,11 +1,11 @@
-"""Compares the noise of paths with even and with adaptive samples, and the time to the same noise (2 minutes).
+"""Compares uniform and adaptive sampling of paths: noise, and time to equal noise (2 minutes).
 
-``python -m bench.adaptive [--device cuda] [--width 192]`` prints a table of two scenes of uneven noise; ``--pictures
-FOLDER`` keeps pictures and their numbers of samples, ``--reference 4096`` adds errors against so many samples.
+``python -m bench.adaptive [--device cuda] [--width 192]`` prints a table of two scenes with uneven noise. ``--pictures
+FOLDER`` writes frames and their sample counts, ``--reference 4096`` adds errors against a frame of that many samples.
 
-The noise is what ends a frame, ``FrameStats.noise``: the relative error that 95 % of the pixels are estimated to be
-below. Times are CPU time on a CPU, so that other programs are of no matter. The time to equal noise is that of an even
-frame, between and beyond those measured in proportion to their logarithms.
+The noise is ``FrameStats.noise``, at which a frame ends: the estimated relative error that 95 % of the pixels are
+below. Times on a CPU are CPU time, so that other programs do not matter. The time to equal noise is interpolated
+between the uniform frames in logarithms of noise and time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ EVEN = (48, 96, 192)
 ADAPTIVE = (96, 192)
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 LEAST = 0.01
-"""Luminance below which errors are not relative, as of frames without exposure."""
+"""Smallest luminance by which errors are divided, as in frames without exposure."""
 
 WHITE = ls.MaterialPbr(base_color=(0.75, 0.75, 0.75), specular=0.0, roughness=1.0)
 RED = replace(WHITE, base_color=(0.6, 0.1, 0.1))
@@ -34,40 +34,40 @@ STEEL = ls.MaterialPbr(base_color=(0.8, 0.8, 0.85), metallic=1.0, roughness=0.3)
 
 @dataclass(frozen=True)
 class Row:
-    """A frame."""
+    """Figures of a frame."""
 
     samples: float
-    """Mean over pixels."""
+    """Mean number of samples per pixel."""
     seconds: float
     noise: float
     error: float | None
 
 
 def quad(corner: tuple[float, ...], u: tuple[float, ...], v: tuple[float, ...], material: ls.MaterialPbr) -> ls.Mesh:
-    """A parallelogram."""
+    """Returns a parallelogram."""
     o, x, y = (np.array(value) for value in (corner, u, v))
     return ls.Mesh(np.array([o, o + x, o + x + y, o + y]), np.array([[0, 1, 2], [0, 2, 3]]), material=material)
 
 
 def ball(center: tuple[float, ...], radius: float, material: ls.MaterialPbr) -> ls.Mesh:
-    """A sphere."""
+    """Returns a sphere."""
     mesh = sphere(radius, rows=24, columns=48)
     return ls.Mesh(mesh.positions + np.array(center), mesh.indices, material=material)
 
 
 def room() -> ls.Scene:
-    """The unit cube without its front; a wall hides half of it, and a ball of glass, from a small lamp that is seen."""
+    """Returns the unit cube without its front; a wall hides half of it and a glass ball from a small visible light."""
     x, y, z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
     walls = [quad((0, 0, 0), x, z, WHITE), quad(y, z, x, WHITE), quad(z, x, y, WHITE)]
     walls += [quad((0, 0, 0), z, y, RED), quad(x, y, z, GREEN)]
     walls += [quad((0.45, 0, 0.35), (0, 0, 0.65), (0, 0.75, 0), WHITE)]
     walls += [quad((0.45, 0, 0.35), (0, 0.75, 0), (0, 0, 0.65), WHITE)]
-    lamp = ls.LightSphere((0.2, 0.55, 0.6), 0.03, intensity=60.0)
-    return ls.Scene(meshes=[*walls, ball((0.72, 0.13, 0.3), 0.13, GLASS)], lights=[lamp])
+    light = ls.LightSphere((0.2, 0.55, 0.6), 0.03, intensity=60.0)
+    return ls.Scene(meshes=[*walls, ball((0.72, 0.13, 0.3), 0.13, GLASS)], lights=[light])
 
 
-def things() -> ls.Scene:
-    """Balls of glass and of rough steel on a board in the dark, under a small lamp."""
+def balls_on_board() -> ls.Scene:
+    """Returns balls of glass and of rough steel on a board in the dark, under a small light."""
     board = quad((-1.0, 0.0, -0.6), (0.0, 0.0, 2.2), (3.0, 0.0, 0.0), WHITE)
     balls = [ball((0.3, 0.18, 0.4), 0.18, GLASS), ball((0.75, 0.15, 0.55), 0.15, STEEL)]
     return ls.Scene(meshes=[board, *balls], lights=[ls.LightSphere((0.1, 1.1, -0.1), 0.05, intensity=60.0)])
@@ -76,7 +76,7 @@ def things() -> ls.Scene:
 def measured(
     config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera, truth: np.ndarray | None, device: str
 ) -> tuple[ls.Frame, Row]:
-    """A frame, and what it took."""
+    """Renders a frame and returns it with its figures."""
     renderer = ls.create_renderer(config, device)
     clock = clock_of(renderer.device)
     renderer.render(scene, camera.scaled(16))  # uploads
@@ -90,12 +90,12 @@ def measured(
 
 
 def quantile(errors: np.ndarray, color: np.ndarray) -> float:
-    """The relative error that 95 % of the pixels are below."""
+    """Returns the relative error that 95 % of the pixels are below."""
     return float(np.quantile(errors / np.maximum(color @ LUMINANCE, LEAST), 0.95))
 
 
 def equal_seconds(even: list[Row], noise: float) -> float:
-    """Time of an even frame of that noise."""
+    """Returns the time of a uniform frame with a given noise."""
     slope, start = np.polyfit([np.log(row.noise) for row in even], [np.log(row.seconds) for row in even], 1)
     return float(np.exp(start + slope * np.log(noise)))
 
@@ -104,15 +104,15 @@ def main() -> None:
     """Prints the table."""
     given = parser("adaptive", __doc__)
     given.add_argument("--width", type=int, default=192)
-    given.add_argument("--reference", type=int, help="samples of the truth")
+    given.add_argument("--reference", type=int, help="samples of the reference frame")
     given.add_argument("--pictures", type=Path)
     options = given.parse_args()
     quiet_warp()
     base = ls.RenderConfig(pipeline=ls.Pipeline.PATH, max_bounces=6, aovs=("variance", "sample_count"))
-    print_head("scene and samples", "mean of them", "s", "noise", "times sooner than even", "error")
+    print_head("scene and samples", "mean samples", "s", "noise", "speed-up at equal noise", "error")
     for name, scene, eye, target in (
         ("room", room(), (0.5, 0.5, -0.9), (0.5, 0.45, 0.5)),
-        ("things", things(), (0.5, 0.6, -0.9), (0.5, 0.15, 0.5)),
+        ("things", balls_on_board(), (0.5, 0.6, -0.9), (0.5, 0.15, 0.5)),
     ):
         camera = ls.Camera.look_at(eye, target, width=options.width, height=options.width * 3 // 4, fov_y=0.8)
         truth = None

@@ -1,15 +1,15 @@
 """Compares baked captures with paths and with the best SH for the same Gaussians (a scene: 10 minutes).
 
-``python -m bench.baked [--scenes room object metal] [--degrees 0 3]`` prints a JSON object a row, and writes frames of
-paths, baked and best ones to /tmp/baked. Frames are those of one ray a pixel through its centre, by rays that blend
-what they meet in order. ``alone_db`` is of the harmonics of each Gaussian by itself, ``baked_db`` of those that are
-changed once Gaussians are seen together. What a frame shows is linear in the harmonics before they are clamped: the
-best ones are the least-squares change of the bake over other views, by conjugate gradients, with the ridge that does
-best in the 16. ``known_db`` is of those that were fitted to the 16 themselves, which nothing that does not know these
-views can reach.
+``python -m bench.baked [--scenes room object metal] [--degrees 0 3]`` prints a JSON object per row, and writes frames
+of paths, of the bake and of the best SH to /tmp/baked. Frames have one ray per pixel through its centre, along which
+Gaussians are blended in order. ``alone_db`` is the PSNR of SH that are fitted per Gaussian, ``baked_db`` that after the
+joint fit over rays that cross several Gaussians. A frame is linear in the SH before they are clamped. The best SH are
+the least-squares change of the bake over other views, by conjugate gradients, with the ridge that gives the best PSNR
+in the 16 views. ``known_db`` is the PSNR of SH that were fitted to the 16 views themselves, which no method without
+these views can reach.
 
-Each of the 16 views has two frames of paths: errors are the mean of the product of those to both, in which their noise
-cancels. Pixels that show meshes, such as the lamp, are left out.
+Each of the 16 views has two independent frames of paths. The squared error is the mean product of the errors against
+both, in which their noise cancels. Pixels that show meshes, such as the light, are left out.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ VIEWS = 16
 OUT = Path("/tmp/baked")
 ITERATIONS = 60
 RIDGES = (1e-3, 1e-1, 1.0, 10.0)
-"""Of the best harmonics, weights of pixels being 1: those count that do best in the 16 views."""
+"""Ridge weights of the best SH, for pixel weights of 1; the one with the best PSNR in the 16 views is used."""
 Doubles = npt.NDArray[np.float64]
 Rays = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 """Origins and directions, (P, 3) each."""
@@ -50,32 +50,32 @@ Rays = tuple[npt.NDArray[Any], npt.NDArray[Any]]
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, and the views of it."""
+    """Scene with its random views."""
 
     scene: ls.Scene
     camera: Callable[[np.random.Generator], ls.Camera]
-    """One at random."""
+    """Returns a random camera."""
 
 
 @dataclass(frozen=True)
 class View:
-    """What 16 views are compared in: rays whose pixels show Gaussians alone."""
+    """View that is compared: rays whose pixels show only Gaussians."""
 
     truth: tuple[Doubles, Doubles]
-    """Display-referred, two independent frames, (P, 3) each."""
+    """Display-referred colours of two independent frames, (P, 3) each."""
     blend: Any
-    """Weights with which Gaussians are blended, sparse, (P, N)."""
+    """Blending weight of each Gaussian in each pixel, sparse, (P, N)."""
     basis: Doubles
-    """Harmonics towards each Gaussian, (N, 16)."""
+    """SH basis in the direction of each Gaussian, (N, 16)."""
     shown: npt.NDArray[np.bool_]
-    """The pixels, (H, W)."""
+    """Mask of the pixels, (H, W)."""
 
     def show(self, sh: Doubles) -> Doubles:
-        """What harmonics show, (N, K, 3) to (P, 3)."""
+        """Returns the colours of the pixels for SH of shape (N, K, 3), shape (P, 3)."""
         return self.blend @ np.maximum(self.colors(sh) + 0.5, 0.0)
 
     def colors(self, sh: Doubles) -> Doubles:
-        """Of the Gaussians, before a half is added."""
+        """Returns the colours of the Gaussians before 0.5 is added, shape (N, 3)."""
         return np.einsum("nk,nkc->nc", self.basis[:, : sh.shape[1]], sh)
 
 
@@ -84,30 +84,32 @@ def main() -> None:
     arguments = parser("baked", __doc__)
     arguments.add_argument("--scenes", nargs="+", default=["room", "object", "metal"])
     arguments.add_argument("--degrees", nargs="+", type=int, default=[0, 3])
-    arguments.add_argument("--samples", type=int, default=8, help="of bakes, each direction")
+    arguments.add_argument("--samples", type=int, default=8, help="samples per direction of the bake")
     arguments.add_argument("--directions", type=int, default=32)
-    arguments.add_argument("--paths", type=int, default=48, help="a pixel, of each of two frames")
-    arguments.add_argument("--learnt", type=int, default=48, help="views that the best harmonics are fitted to")
-    arguments.add_argument("--count", type=int, default=500, help="Gaussians of a wall, a third of those of a ball")
+    arguments.add_argument("--paths", type=int, default=48, help="paths per pixel, for each of two frames")
+    arguments.add_argument("--fit-views", type=int, default=48, help="views to which the best SH are fitted")
+    arguments.add_argument(
+        "--count", type=int, default=500, help="Gaussians per wall; the ball has three times as many"
+    )
     options = arguments.parse_args()
     OUT.mkdir(exist_ok=True)
     for name in options.scenes:
         case = cases(options.count)[name]()
         rng = np.random.default_rng(0)
-        learnt, views = (
+        fit_views, views = (
             [
                 view_of(case.scene, case.camera(rng), 10**5 + 2 * number, paths, options.device)
                 for number in range(count)
             ]
-            for count, paths in ((options.learnt, max(options.paths // 4, 2)), (VIEWS, options.paths))
+            for count, paths in ((options.fit_views, max(options.paths // 4, 2)), (VIEWS, options.paths))
         )
         for degree in options.degrees:
             started = time.process_time()
-            alone, sh = harmonics(case.scene, degree, options)
+            alone, sh = baked_sh(case.scene, degree, options)
             seconds = time.process_time() - started
-            best = max((best_harmonics(learnt, sh, ridge) for ridge in RIDGES), key=lambda one: decibels(views, one))
+            best = max((best_sh(fit_views, sh, ridge) for ridge in RIDGES), key=lambda one: decibels(views, one))
             halves = [replace(view, truth=(view.truth[0],) * 2) for view in views]
-            known = best_harmonics(halves, np.zeros_like(sh), RIDGES[0])
+            known = best_sh(halves, np.zeros_like(sh), RIDGES[0])
             row = {
                 "scene": name,
                 "gaussians": len(sh),
@@ -116,14 +118,14 @@ def main() -> None:
                 "alone_db": decibels(views, alone),
                 "baked_db": decibels(views, sh),
                 "best_db": decibels(views, best),
-                "known_db": decibels_of_known(views, known),
+                "known_db": decibels_of_fitted(views, known),
             }
             print(json.dumps(row | {"difference_db": round(row["best_db"] - row["baked_db"], 2)}), flush=True)
             write_views(name, degree, views[:3], sh, best)
 
 
-def harmonics(scene: ls.Scene, degree: int, options: argparse.Namespace) -> tuple[Doubles, Doubles]:
-    """Baked harmonics, of Gaussians alone and once they are seen together, (N, K, 3) each."""
+def baked_sh(scene: ls.Scene, degree: int, options: argparse.Namespace) -> tuple[Doubles, Doubles]:
+    """Returns the baked SH per Gaussian, and those after the joint fit, (N, K, 3) each."""
     alone: list[Doubles] = []
     changed = JointShFit.refitted
 
@@ -143,7 +145,7 @@ def harmonics(scene: ls.Scene, degree: int, options: argparse.Namespace) -> tupl
 
 
 def write_views(name: str, degree: int, views: list[View], sh: Doubles, best: Doubles) -> None:
-    """Frames of paths, baked and best ones, side by side, a view a row."""
+    """Writes frames of paths, of the bake and of the best SH side by side, one view per row."""
     rows: list[Doubles] = []
     for view in views:
         shown = [0.5 * (view.truth[0] + view.truth[1]), view.show(sh), view.show(best)]
@@ -155,21 +157,24 @@ def write_views(name: str, degree: int, views: list[View], sh: Doubles, best: Do
 
 
 def decibels(views: list[View], sh: Doubles) -> float:
-    """PSNR over all views, without the noise of the truth."""
+    """Returns the PSNR over all views without the noise of the truth."""
     errors = [(view.show(sh) - view.truth[0]) * (view.show(sh) - view.truth[1]) for view in views]
     return round(float(-10.0 * np.log10(max(np.concatenate(errors).mean(), 1e-12))), 2)
 
 
-def decibels_of_known(views: list[View], sh: Doubles) -> float:
-    """The same of harmonics that were fitted to the first frame of each view: only the second one counts."""
+def decibels_of_fitted(views: list[View], sh: Doubles) -> float:
+    """Returns the PSNR of SH fitted to the first frame of each view, measured on the second one without its noise."""
     errors = np.concatenate([view.show(sh) - view.truth[1] for view in views])
     noise = np.concatenate([view.truth[0] - view.truth[1] for view in views])
     squared = np.square(errors).mean() - 0.5 * np.square(noise).mean()
     return round(float(-10.0 * np.log10(max(squared, 1e-12))), 2)
 
 
-def best_harmonics(views: list[View], start: Doubles, ridge: float) -> Doubles:
-    """The least-squares harmonics of all views near some, (N, K, 3), by conjugate gradients on the normal equations."""
+def best_sh(views: list[View], start: Doubles, ridge: float) -> Doubles:
+    """Returns the least-squares SH of all views near ``start``, (N, K, 3).
+
+    Solves the normal equations by conjugate gradients.
+    """
     gaussians, count = start.shape[:2]
 
     def back(errors: list[Doubles]) -> Doubles:
@@ -192,12 +197,12 @@ def best_harmonics(views: list[View], start: Doubles, ridge: float) -> Doubles:
 
 
 def view_of(scene: ls.Scene, camera: ls.Camera, seed: int, paths: int, device: str) -> View:
-    """A view: two frames of paths, of this seed and the next, and how its pixels blend Gaussians."""
+    """Returns a view with two frames of paths, of this seed and the next, and its blending weights."""
     return lit_view(scene, camera, lambda rays, half: paths_of(scene, rays, paths, seed + half, device), device)
 
 
 def lit_view(scene: ls.Scene, camera: ls.Camera, light: Callable[[Rays, int], Doubles], device: str) -> View:
-    """A view of linear radiance of rays, (P, 3), that is asked for twice, as 0 and as 1."""
+    """Returns a view; ``light`` gives the linear radiance of rays, (P, 3), and is called twice, with 0 and 1."""
     from scipy.sparse import csr_array
 
     origins, directions = (rays.reshape(-1, 3) for rays in world_rays(camera))
@@ -213,9 +218,9 @@ def lit_view(scene: ls.Scene, camera: ls.Camera, light: Callable[[Rays, int], Do
         shape=(len(profile), int(firsts[-1])),
     )
     alpha = np.asarray(blend.sum(axis=1)).ravel()
-    # A mesh lets nothing through: what it adds to what Gaussians cover is what the pixel shows of it.
+    # Meshes are opaque, so coverage beyond that of Gaussians belongs to a mesh.
     shown = 1.0 - hits.transmittance - alpha < 0.02
-    # Behind pixels that are not covered is nothing, and pictures are laid over it as displays show them.
+    # Pixels are composited over black in display values.
     share = np.maximum(alpha[shown, None], 1e-6)
     frames = [
         share * apply_tone_map(light(rays, half) / share, ls.ToneMap.NONE).astype(float)
@@ -234,13 +239,13 @@ def lit_view(scene: ls.Scene, camera: ls.Camera, light: Callable[[Rays, int], Do
 
 
 def paths_of(scene: ls.Scene, rays: Rays, paths: int, seed: int, device: str) -> Doubles:
-    """Linear radiance of rays, (P, 3)."""
+    """Returns the linear radiance of rays by path tracing, (P, 3)."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=paths, max_bounces=BOUNCES, seed=seed)
     return ls.trace_rays(scene, *rays, config, device=device).radiance.astype(np.float64)
 
 
 def cases(count: int) -> dict[str, Callable[[], Case]]:
-    """By name, and made when they are asked for; with so many Gaussians a wall."""
+    """Returns functions that make the scenes, by name, with ``count`` Gaussians per wall."""
     return {
         "room": lambda: room(matte(0.8, 0.5, 0.2), count),
         "object": lambda: statue(count),
@@ -249,7 +254,7 @@ def cases(count: int) -> dict[str, Callable[[], Case]]:
 
 
 def room(ball: ls.MaterialPbr, count: int) -> Case:
-    """A closed room with a ball and a box: all Gaussians, but for the lamp in the ceiling."""
+    """Returns a closed room with a ball and a box; all surfaces but the light in the ceiling are Gaussians."""
     meshes = [*closed_room(), faceted_ball(0.0, ball), turned_box(matte(0.2, 0.5, 0.8))]
     lamps = [mesh for mesh in meshes if mesh.material.is_emissive]
     splats = [
@@ -267,7 +272,7 @@ def room(ball: ls.MaterialPbr, count: int) -> Case:
 
 
 def statue(count: int) -> Case:
-    """A glossy statue on a floor under a sun and a sky."""
+    """Returns a glossy statue on a floor under a sun and a sky."""
     mesh = ls.load(DATA / "meshes" / "statue.glb")
     mesh = mesh.meshes[0].mesh if isinstance(mesh, ls.Scene) else mesh
     assert isinstance(mesh, ls.Mesh)
@@ -291,7 +296,7 @@ def statue(count: int) -> Case:
 
 
 def as_splats(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
-    """The surface of a mesh as Gaussians, of its material."""
+    """Returns the surface of a mesh as Gaussians with its material."""
     return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=mesh.material)
 
 

@@ -1,8 +1,8 @@
-"""Times one preset of `bench.run` in a process of its own, so that memory and first use are its own (seconds).
+"""Times one preset of `bench.run` in its own process, for separate memory and first-use figures (seconds).
 
 ``python -m bench.case NAME [DEMO] [--device cuda]`` prints one JSON object. DEMO is the file of
-`bench.presets.store_demo`, for lit presets: their frames and unlit raster frames take turns, so that a machine that is
-busy for a while slows both.
+`bench.presets.store_demo`, for lit presets. Their frames alternate with unlit raster frames, so that other load on the
+machine slows both.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ def main() -> None:
         if preset.count:
             path = Path(folder) / "synthetic.ply"
             ls.save(path, synthetic(preset.count))
-        # A process whose peak memory is that of loading and rendering alone.
+        # A new process, whose peak memory is that of loading and rendering alone.
         script = f"import bench.case as case; case.measure({preset.name!r}, {str(path)!r}, {options.device!r})"
         done = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True)
     print(done.stdout.splitlines()[-1])
 
 
 def measure(name: str, path: str, device: str) -> None:
-    """Loads, renders a first frame and ``REPEATS`` steady ones, and prints what they took."""
+    """Loads, renders a first frame and ``REPEATS`` steady ones, and prints their times."""
     started = time.perf_counter()
     import lumisplat as ls
 
@@ -69,7 +69,7 @@ def measure(name: str, path: str, device: str) -> None:
     walls: list[float] = []
     stage_rows: list[dict[str, float]] = []
     for _ in range(REPEATS):
-        timed = renderer.render(scene, camera)  # frames that are kept would make each new one take memory anew
+        timed = renderer.render(scene, camera)  # holding old frames would force new allocations
         walls.append(timed.wall_ms)
         stage_rows.append(timed.stage_ms)
     row = {
@@ -90,7 +90,7 @@ def measure(name: str, path: str, device: str) -> None:
 
 
 def lit_row(preset, path: Path, device: str) -> dict:
-    """Renders a first frame of a lit preset and of unlit raster, then times ``LIT_REPEATS`` of each, taking turns."""
+    """Times ``LIT_REPEATS`` frames of a lit preset and of unlit raster, alternating, after a first frame of each."""
     from bench.presets import BASE, lit_camera, stored_demo
     from bench.timing import TimedRenderer, medians
 
@@ -101,7 +101,7 @@ def lit_row(preset, path: Path, device: str) -> dict:
     for turn in range(LIT_REPEATS + 1):
         for part, (renderer, scene) in turns.items():
             timed = renderer.render(scene, view)
-            if turn > 0:  # the first ones upload, build trees and allocate
+            if turn > 0:  # the first frames upload, build BVHs and allocate
                 walls[part].append(timed.wall_ms)
                 if part == preset:
                     stages.append(timed.stage_ms)

@@ -1,10 +1,10 @@
-"""Measures how stochastic frames and shadows near exact ones, and how long trees take to build (2 minutes).
+"""Measures how stochastic frames and shadows converge to exact ones, and BVH build times (2 minutes).
 
-``python -m bench.convergence trace`` prints one JSON object: how the mean of stochastic frames nears the sorted one,
-and seconds for a tree of a million Gaussians. ``python -m bench.convergence shadows DEMO`` has a row a scene: hard
-shadows with all samples through the pixel centres, in decibels of the share of each light that arrives, as the mean of
-stochastic samples against the exact one, over all pixels that the light could reach; and milliseconds of the shadow
-stage a sample, of all lights together. DEMO is the file of `bench.presets.store_demo`.
+``python -m bench.convergence trace`` prints one JSON object: PSNR of the mean of stochastic frames against the sorted
+frame, and seconds to build a BVH of a million Gaussians. ``python -m bench.convergence shadows DEMO`` prints a row per
+scene with hard shadows and all samples through the pixel centres: PSNR of the mean shadow factor of each light against
+the exact one, over all pixels that the light could reach, and milliseconds of the shadow stage per sample, for all
+lights. DEMO is the file of `bench.presets.store_demo`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from bench.timing import TimedRenderer, parser, quiet_warp
 TRACE_SAMPLES = {"stochastic-hit": (1, 4, 16, 64, 256), "stochastic-pass": (1, 4, 16, 64)}
 SHADOW_SAMPLES = (1, 4, 16, 64)
 TIMED, REPEATS = 8, 5
-"""Samples a frame whose shadows are timed, and such frames."""
+"""Samples per frame whose shadows are timed, and number of such frames."""
 TREE_COUNT = 1_000_000
 
 
@@ -63,7 +63,7 @@ def frames(device: str) -> dict[str, dict[str, float]]:
 
 
 def tree_seconds(device: str) -> dict[str, float]:
-    """Returns seconds for a large tree: built, refitted to all moved alike, and to each moved at random."""
+    """Returns seconds for a large BVH: built, refitted after a common motion, and after random motions."""
     gaussians = synthetic(TREE_COUNT)
     camera = TRACE[0].camera().scaled(width=16)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE), device, profile=True)
@@ -74,7 +74,7 @@ def tree_seconds(device: str) -> dict[str, float]:
         times[name].append(stage_ms(renderer.render(ls.Scene(splats=[capture]), camera))["build"])
 
     for turn in range(3):
-        # Of another size, so that the next one is taken for a new capture, not for one that moved.
+        # Another size, so that the next set counts as new and not as moved.
         renderer.render(ls.Scene(splats=[gaussians.subset(np.arange(TREE_COUNT - turn - 1))]), camera)
         build("build_s", gaussians)
         build("refit_s", replace(gaussians, means=gaussians.means * np.float32(1.0 + 0.01 * turn) + np.float32(0.01)))
@@ -85,9 +85,9 @@ def tree_seconds(device: str) -> dict[str, float]:
 
 
 def lit_scenes(demo: Path) -> dict[str, tuple[ls.Scene, ls.Camera, int]]:
-    """Returns scenes by name, each with its camera and the number of lights whose shares are compared.
+    """Returns scenes by name, each with its camera and the number of lights that are compared.
 
-    The share of the environment has no exact value, as its rays go in other directions with each sample.
+    The shadow factor of the environment has no exact value, because its rays change direction with each sample.
     """
     found = {"demo": (stored_demo(demo), lit_camera(), 2)}
     if BIKER.is_file():
@@ -99,7 +99,7 @@ def lit_scenes(demo: Path) -> dict[str, tuple[ls.Scene, ls.Camera, int]]:
 
 
 def shadow_row(scene: ls.Scene, camera: ls.Camera, count: int, *, device: str) -> dict[str, dict[str, float]]:
-    """Returns decibels by number of samples, and milliseconds a sample by method."""
+    """Returns PSNR by number of samples, and milliseconds per sample by method."""
     exact_method, stochastic = ls.config.ShadowMethod.EXACT, ls.config.ShadowMethod.STOCHASTIC
     compared = replace(scene, lights=scene.lights[:count])
     exact = shares(compared, camera, exact_method, 1, device)
@@ -119,14 +119,14 @@ def shadow_row(scene: ls.Scene, camera: ls.Camera, count: int, *, device: str) -
 
 
 def shares(scene: ls.Scene, camera: ls.Camera, method: ls.config.ShadowMethod, samples: int, device: str) -> np.ndarray:
-    """Returns the share of each light that arrives, (L, H, W, 3); -1 where no light would arrive anyway."""
+    """Returns the shadow factor of each light, (L, H, W, 3); -1 where the light does not reach the surface anyway."""
     frame = ls.render(scene, camera, shadow_config(method, samples, aovs=("lights",)), device=device)
     assert frame.light_direct is not None and frame.light_shadow is not None
     return np.where(frame.light_direct > 0.0, frame.light_shadow, -1.0)
 
 
 def shadow_config(method: ls.config.ShadowMethod, samples: int, aovs: tuple[str, ...] = ()) -> ls.RenderConfig:
-    """Returns settings of hybrid frames without mirrors, so that all shadow rays are those of pixels."""
+    """Returns settings of hybrid frames without bounces, so that all shadow rays belong to primary hits."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.HYBRID,
         max_bounces=0,

@@ -1,15 +1,15 @@
-"""Measures what `lumisplat delight` finds of captures whose materials are known (a scene: 1 to 3 minutes).
+"""Measures what `lumisplat delight` finds for captures of known materials (a scene: 1 to 3 minutes).
 
-``python -m bench.delighted [--scenes room spot "glossy spot"]`` prints a JSON object a scene, and writes pictures to
-/tmp/delighted: captured colours, albedo found and true albedo side by side. Captures are sets of Gaussians with the
-light of `lumisplat bake` in their colours, degree 0, or 3 and 32 samples where surfaces are glossy, at 8 bounces; they
-hide each other in the order of their centres, as captures are trained. All is compared in pictures from 8 sides, where
-they are opaque: albedo in linear light, after one factor a channel, as how bright the light was cannot be known, and
-encoded, as ``evaluate --materials`` has it (``albedo_srgb_db``); pictures in a new light as displays show them, after
-the same factor.
-``shadow_left`` is how much of the light on the floor is still in its albedo: the slope of one's logarithm by the
-other's. ``roughness``: for each true one, mean and root-mean-square error of what was found on the floor and on the
-cow, and how sure that says it is.
+``python -m bench.delighted [--scenes room spot "glossy spot"]`` prints a JSON object per scene, and writes images to
+/tmp/delighted: captured colours, estimated albedo and true albedo side by side. Captures are Gaussians with light baked
+into their colours by `lumisplat bake`, with degree 0, or degree 3 and 32 samples for glossy surfaces, at 8 bounces.
+Gaussians are composited in the order of their centres, as in trained captures. All figures are measured on images from
+8 sides, in opaque pixels. Albedo is compared in linear values after one factor per channel, because the brightness of
+the light is unknown, and in sRGB as ``evaluate --materials`` does (``albedo_srgb_db``). Frames under new light are
+compared in display values, after the same factor.
+``shadow_left`` is the fraction of the baked light on the floor that remains in its albedo: the slope of log albedo by
+log light. ``roughness`` lists, for each true value, mean and root mean square error of the estimate on the floor and
+on the cow, and its confidence.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ from lumisplat.relighting.irradiance import median_outgoing
 OUT = Path("/tmp/delighted")
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
 AS_TRAINED = ls.RenderConfig(pipeline=ls.Pipeline.PATH, trace=ls.TraceConfig(hit_distance=ls.config.HitDistance.MEAN))
-"""Paths on which Gaussians hide each other as in captures."""
+"""Path tracer settings that composite Gaussians in the order of their centres, as in captures."""
 GLOSSY = (0.15, 0.3, 0.5, 0.8)
-"""Roughnesses, a quadrant each."""
+"""Roughness of each quadrant."""
 SH_CONSTANT = 0.28209479177387814
 WIDTH, HEIGHT = 160, 120
 
 
 @dataclass(frozen=True)
 class Case:
-    """A capture with known materials."""
+    """Capture with known materials."""
 
     truth: ls.Gaussians
-    """With albedo and normals."""
+    """Gaussians with true albedo and normals."""
     captured: ls.Gaussians
-    """The same with light in its colours; its lamps follow."""
+    """The same Gaussians with light baked into their colours, followed by those of the lights."""
     cameras: list[ls.Camera]
     floor: slice | None = None
     """Gaussians on which a shadow falls."""
     material: ls.MaterialPbr = MATT
-    """Of all: with or without highlights."""
+    """Material of all surfaces: with or without highlights."""
 
 
 def colored(gaussians: ls.Gaussians, linear: Doubles) -> ls.Gaussians:
-    """A set of plain colours, without materials."""
+    """Returns Gaussians of constant colour, without materials."""
     sh = (encode_srgb(np.clip(linear, 0.0, 1.0)) - 0.5) / SH_CONSTANT
     return ls.Gaussians(
         gaussians.means,
@@ -70,7 +70,7 @@ def colored(gaussians: ls.Gaussians, linear: Doubles) -> ls.Gaussians:
 
 
 def painted(gaussians: ls.Gaussians, albedo: Doubles) -> ls.Gaussians:
-    """The set with an albedo, as its colour as well."""
+    """Returns Gaussians with an albedo, which is also their colour."""
     return ls.Gaussians(
         gaussians.means,
         gaussians.rotations_wxyz,
@@ -84,7 +84,7 @@ def painted(gaussians: ls.Gaussians, albedo: Doubles) -> ls.Gaussians:
 
 
 def room(device: str) -> Case:
-    """A closed room with a lamp: red and green walls, a ball and a box, all with a pattern."""
+    """Returns a closed room with a light: red and green walls, a ball and a box, all with a pattern."""
     import sys
 
     sys.path[:0] = [str(Path(__file__).resolve().parents[1] / "tests")]
@@ -117,14 +117,14 @@ def room(device: str) -> Case:
 
 
 def spot(sky: Doubles, device: str) -> Case:
-    """A matt spotted cow on a chequered floor under a sky."""
+    """Returns a matt spotted cow on a chequered floor under an environment."""
     truth, on_floor, cameras = spot_and_floor(7000)
     captured = _baked(_under(sky, truth, MATT), device)
     return Case(truth, captured, cameras, on_floor)
 
 
 def glossy_spot(sky: Doubles, device: str) -> Case:
-    """The same, half as fine and glossy: a roughness in each quadrant around it."""
+    """Returns a glossy cow with half as many Gaussians, and a different roughness in each quadrant around it."""
     truth, on_floor, cameras = spot_and_floor(3500)
     turn = np.arctan2(truth.means[:, 2], truth.means[:, 0]) / np.pi + 1.0
     truth = replace(truth, roughness=np.array(GLOSSY, np.float32)[np.floor(2.0 * turn).astype(int) % 4])
@@ -139,7 +139,7 @@ def _under(sky: Doubles, truth: ls.Gaussians, material: ls.MaterialPbr) -> ls.Sc
 
 
 def spot_and_floor(count: int) -> tuple[ls.Gaussians, slice, list[ls.Camera]]:
-    """So many Gaussians of each, those of the floor, and views."""
+    """Returns the Gaussians of cow and floor, the rows of the floor, and the cameras."""
     cow = ls.gaussians_from_mesh(_first_mesh(DATA / "meshes" / "spot.obj"), count)
     means, low = cow.means, float(cow.means[:, 1].min())
     spots = np.sin(9 * means[:, 0]) * np.sin(9 * means[:, 1]) * np.sin(9 * means[:, 2]) > 0.05
@@ -164,12 +164,12 @@ def spot_and_floor(count: int) -> tuple[ls.Gaussians, slice, list[ls.Camera]]:
 
 
 def overcast_sky() -> Doubles:
-    """A panorama without a sun."""
+    """Returns an environment without a sun."""
     return ls.io.load_radiance(DATA / "env" / "envmap3.exr").astype(np.float64)
 
 
 def sunny_sky() -> Doubles:
-    """The same, dimmer, and a sun of 20 degrees."""
+    """Returns the overcast environment at half brightness with a sun of 20 degrees."""
     from lumisplat.math.directions import panorama_directions
 
     sky = 0.5 * overcast_sky()
@@ -188,7 +188,7 @@ CASES: dict[str, Callable[[str], Case]] = {
 
 
 def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
-    """Figures, and rows of pictures: captured, found, true."""
+    """Returns the figures of a case, and rows of images: captured, estimated and true colours."""
     count = case.truth.count
     start = time.process_time()
     found = ls.inverse.estimate_materials(case.captured, ls.DelightConfig(matt=case.material is MATT), device=device)
@@ -226,7 +226,7 @@ def measured(case: Case, device: str) -> tuple[dict[str, Any], FloatArray]:
 
 
 def roughness_figures(case: Case, found: FloatArray, sureness: FloatArray, agree: Flags) -> dict[str, Any]:
-    """Of Gaussians whose normals are right: of all, of sure ones, and of the floor and the cow by their true one."""
+    """Returns roughness errors of Gaussians with correct normals: all, confident ones, and by part and true value."""
     true, on_floor = np.asarray(case.truth.roughness), np.zeros(len(found), bool)
     on_floor[case.floor] = True
 
@@ -236,28 +236,28 @@ def roughness_figures(case: Case, found: FloatArray, sureness: FloatArray, agree
     figures: dict[str, Any] = {"rmse": rmse(agree), "rmse_of_sure": rmse(agree & (sureness > CONFIDENT))}
     figures["rmse_all_0.8"] = round(float(np.sqrt(np.square(0.8 - true)[agree].mean())), 3)
     figures["sure"] = round(float((sureness > CONFIDENT).mean()), 3)
-    for name, place in (("floor", on_floor), ("cow", ~on_floor)):
+    for name, part in (("floor", on_floor), ("cow", ~on_floor)):
         for value in GLOSSY:
-            rows = agree & place & np.isclose(true, value)
+            rows = agree & part & np.isclose(true, value)
             mean, sure = (round(float(values[rows].mean()), 2) for values in (found, sureness))
             figures[f"{name} {value}"] = {"mean": mean, "rmse": rmse(rows), "sureness": sure}
     return figures
 
 
 def views(gaussians: ls.Gaussians, cameras: list[ls.Camera], device: str) -> list[Doubles]:
-    """Linear colours of the pixels that are covered, of each view, (P, 3)."""
+    """Returns linear colours of the covered pixels of each view, (P, 3)."""
     frames = [ls.render(ls.Scene([gaussians]), camera, ls.RenderConfig(), device=device) for camera in cameras]
     return [decode_srgb(np.clip(frame.color[frame.alpha > 0.99], 0.0, 1.0)).astype(np.float64) for frame in frames]
 
 
 def shade(colors: Doubles, albedo: Doubles) -> Doubles:
-    """Logarithms of what is light in colours, without their median, (N,)."""
+    """Returns the log ratio of colours to albedo, without its median, (N,)."""
     logs = np.log(np.maximum(colors, 1e-3) / albedo).mean(axis=1)
     return logs - np.median(logs)
 
 
 def relit(case: Case, albedo: Doubles, normals: FloatArray, roughness: FloatArray, device: str) -> Doubles:
-    """Display values, 0..1, of the covered pixels of all views in another light, (P, 3)."""
+    """Returns display values, 0..1, of the covered pixels of all views under another light, (P, 3)."""
     plain = replace(painted(case.truth, np.clip(albedo, 0.0, 1.0)), normals=normals, roughness=roughness)
     sun = ls.LightDirectional(direction=(-0.4, -1.0, 0.5), intensity=1.5)
     scene = ls.Scene(
@@ -270,7 +270,7 @@ def relit(case: Case, albedo: Doubles, normals: FloatArray, roughness: FloatArra
 
 
 def rows_of(case: Case, colors: tuple[Doubles, ...], device: str) -> FloatArray:
-    """Three views of each, side by side."""
+    """Returns three views of each set of colours, side by side."""
     frames = [
         [
             ls.render(ls.Scene([colored(case.truth, rgb)]), case.cameras[k], ls.RenderConfig(), device=device).color
@@ -282,17 +282,17 @@ def rows_of(case: Case, colors: tuple[Doubles, ...], device: str) -> FloatArray:
 
 
 def encoded(linear: Doubles) -> Doubles:
-    """As displays have it, 0..1."""
+    """Returns sRGB values, 0..1."""
     return np.asarray(encode_srgb(np.clip(linear, 0.0, 1.0)), np.float64)
 
 
 def psnr(a: Doubles, b: Doubles) -> float:
-    """Of values in 0..1, in dB."""
+    """Returns the PSNR of values in 0..1, dB."""
     return round(float(-10.0 * np.log10(np.mean((np.clip(a, 0.0, 1.0) - b) ** 2))), 2)
 
 
 def _baked(scene: ls.Scene, device: str, config: ls.RenderConfig = AS_TRAINED, degree: int = 0) -> ls.Gaussians:
-    """What a capture of the scene's set knows: its colours."""
+    """Returns a capture of the scene's Gaussians: baked colours without normals."""
     return replace(ls.bake(scene, config, degree=degree, device=device).splats[0].gaussians, normals=None)
 
 
@@ -308,7 +308,7 @@ def _first_mesh(path: Path) -> ls.Mesh:
 
 
 def main() -> None:
-    """Measures the scenes that are asked for."""
+    """Measures the requested scenes."""
     options = parser("delighted", __doc__)
     options.add_argument("--scenes", nargs="+", default=list(CASES), choices=list(CASES))
     OUT.mkdir(exist_ok=True)

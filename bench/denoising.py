@@ -1,11 +1,11 @@
-"""Compares denoised frames with many samples, and the time to the same error without denoising (4 minutes).
+"""Measures what denoising gains: PSNR, and time to equal PSNR without it (4 minutes).
 
 ``python -m bench.denoising [--device cuda]`` prints a table of frames with few samples of the demo room and, if the
-data is there, of a capture with a lit mesh in it; ``--pictures FOLDER`` keeps them. Needs the extra ``denoise``.
+data is there, of a capture with a lit mesh; ``--pictures FOLDER`` writes them. Needs the extra ``denoise``.
 
-Errors are PSNR of pictures. The time to equal error is that of as many samples as reach the error of the denoised
-frame, between those that were measured in proportion to the logarithm, over that of the frame and its denoising; a
-sample takes the least time that one took in any frame of the view.
+Errors are PSNR of frames in display values. The time to equal error is interpolated in log samples between the noisy
+frames; the last column divides it by the time of the frame with its denoising. The time per sample is the smallest of
+all frames of the view.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from bench.timing import parser, print_head, print_row, quiet_warp
 
 WIDTH, HEIGHT = 320, 180
 SAMPLES = (1, 4, 16, 64)
-"""Of noisy frames; those of the last one are only there to be compared with."""
+"""Samples of the noisy frames; the last frame only serves the interpolation."""
 REFERENCE = {ls.Pipeline.HYBRID: 128, ls.Pipeline.PATH: 192}
-"""Samples of the truth."""
+"""Samples of the reference frame."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A view whose frames are denoised."""
+    """View whose frames are denoised."""
 
     name: str
     scene: ls.Scene
@@ -39,7 +39,7 @@ class Case:
     pipeline: ls.Pipeline
 
     def config(self, samples: int, seed: int = 0) -> ls.RenderConfig:
-        """The settings of a frame."""
+        """Returns the settings of a frame."""
         return ls.RenderConfig(
             pipeline=self.pipeline,
             shadows=ls.Shadows.SOFT,
@@ -52,7 +52,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Row:
-    """A frame before and after."""
+    """Figures of a frame before and after denoising."""
 
     samples: int
     seconds: float
@@ -62,7 +62,7 @@ class Row:
 
 
 def cases() -> list[Case]:
-    """The demo room, and a bunny in a capture that takes its shadow."""
+    """Returns the demo room, and a bunny in a capture that receives its shadow."""
     room = ls.demo_scene_lit()
     view = ls.demo_cameras(WIDTH, HEIGHT, count=1)[0]
     found = [Case("demo room", room, view, pipeline) for pipeline in REFERENCE]
@@ -79,29 +79,29 @@ def cases() -> list[Case]:
 
 
 def bunny_in(capture: ls.Gaussians, bunny: ls.Mesh) -> ls.Scene:
-    """A bunny on the capture's ground, lit by a lamp and a sky."""
+    """Returns a bunny on the capture's ground, lit by a point light and an environment."""
     clay = replace(bunny, material=ls.MaterialPbr(base_color=(0.8, 0.5, 0.3), roughness=0.45))
     size = 0.5 / float(np.ptp(bunny.positions, axis=0).max())
     position = (0.42, size * float(bunny.positions[:, 1].min()), -0.62)
     placed = ls.MeshInstance(clay, position=position, rotation_degrees=(180, 0, 0), scale_by=size)
     kept = ls.SplatInstance(capture, shadow_catcher=True, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)))
-    lamp = ls.LightPoint((-0.6, -1.6, -1.4), (1.0, 0.85, 0.7), intensity=5.0, radius=0.15)
+    light = ls.LightPoint((-0.6, -1.6, -1.4), (1.0, 0.85, 0.7), intensity=5.0, radius=0.15)
     sky = ls.LightEnvironment(color=(0.6, 0.7, 1.0), intensity=0.35, visible=False)
-    return ls.Scene([kept], [placed], [lamp, sky])
+    return ls.Scene([kept], [placed], [light, sky])
 
 
 def measured(case: Case, device: str, pictures: Path | None) -> list[Row]:
-    """Frames of a case, with few samples first."""
+    """Renders and denoises the frames of a case, from few samples to many."""
     renderer = ls.create_renderer(case.config(REFERENCE[case.pipeline], seed=1), device)
     truth = renderer.render(case.scene, case.camera)
     rows: list[Row] = []
     for samples in SAMPLES:
         renderer = ls.create_renderer(case.config(samples), device)
-        renderer.render(case.scene, case.camera.scaled(16))  # uploads, and builds trees
+        renderer.render(case.scene, case.camera.scaled(16))  # uploads, and builds BVHs
         begun = time.perf_counter()
         noisy = renderer.render(case.scene, case.camera)
         between = time.perf_counter()
-        noisy.denoised()  # the first one of a size makes the filter ready
+        noisy.denoised()  # the first call of a size sets the filter up
         start = time.perf_counter()
         clean = noisy.denoised()
         taken = time.perf_counter() - start
@@ -114,7 +114,7 @@ def measured(case: Case, device: str, pictures: Path | None) -> list[Row]:
 
 
 def equal_samples(rows: Sequence[Row], psnr: float) -> float:
-    """Samples that reach that error without the denoiser; inf: more than were measured."""
+    """Returns the number of samples with this PSNR without the denoiser; inf if more than measured."""
     logarithms = [math.log(row.samples) for row in rows]
     return math.exp(np.interp(psnr, [row.noisy for row in rows], logarithms, right=math.inf))
 
@@ -127,7 +127,7 @@ def main() -> None:
     quiet_warp()
     if options.pictures is not None:
         options.pictures.mkdir(parents=True, exist_ok=True)
-    of_clean = "denoised", "denoising, s", "as good as samples", "times sooner than these"
+    of_clean = "denoised", "denoising, s", "equal samples", "speed-up at equal PSNR"
     print_head("view", "samples", "s", "PSNR", *of_clean)
     for case in cases():
         rows = measured(case, options.device, options.pictures)

@@ -1,10 +1,10 @@
-"""Measures what `lumisplat delight` finds of a room whose shape is known, relit beside the truth (10 minutes).
+"""Measures `lumisplat delight` on a room of known shape, relit beside the truth (10 minutes).
 
 ``python -m bench.known_room SET MESH...`` takes a set of tools/make_relightable_room.py and its meshes, and prints a
-JSON object for each of three captures, with the figures of `lumisplat evaluate --materials`: ``true``, Gaussians on the
-room's surfaces with the true albedo, the best that so many can do; ``captured``, the same with nothing but the light of
-the set's lamps in their colours, degree 0, by `lumisplat bake`; ``delighted``, what is found of that. They are written
-to /tmp/known_room, with pictures of the worst views.
+JSON object for each of three captures, with the figures of `lumisplat evaluate --materials`. ``true`` has Gaussians on
+the room's surfaces with the true albedo, the best that so many Gaussians can do. ``captured`` has the same Gaussians
+with only the light of the set baked into their colours by `lumisplat bake`, degree 0. ``delighted`` is what
+`lumisplat delight` finds from that. Captures and images of the worst views are written to /tmp/known_room.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from lumisplat.math.arrays import FloatArray
 
 OUT = Path("/tmp/known_room")
 FIGURE_DENSITY = 3.0
-"""Gaussians by area on figures, times those on walls."""
+"""Gaussians per area on figures, relative to walls."""
 MATT = ls.MaterialPbr(specular=0.0, roughness=1.0)
 WHITE = 0.5 / 0.28209479177387814
-"""Harmonic of degree 0 of display white."""
+"""SH coefficient of degree 0 of display white."""
 
 
 def main() -> None:
-    """Makes the captures, and compares them."""
+    """Makes the captures and compares them."""
     given = parser("known_room", __doc__)
-    given.add_argument("set", type=Path, help="of tools/make_relightable_room.py")
-    given.add_argument("meshes", type=Path, nargs="+", help="that stand in it")
+    given.add_argument("set", type=Path, help="set of tools/make_relightable_room.py")
+    given.add_argument("meshes", type=Path, nargs="+", help="meshes in the room")
     given.add_argument("--count", type=int, default=20_000, help="Gaussians")
-    given.add_argument("--samples", type=int, default=16, help="paths of each pixel of relit pictures")
+    given.add_argument("--samples", type=int, default=16, help="paths per pixel of relit frames")
     options = given.parse_args()
     quiet_warp()
     OUT.mkdir(exist_ok=True)
     true = room(options.meshes, options.count)
     compare("true", true, options)
-    captured = ls.merge([baked(true, options), *lamps(options.set)])
+    captured = ls.merge([baked(true, options), *light_splats(options.set)])
     compare("captured", captured, options)
     begun = time.process_time()
     found = ls.inverse.estimate_materials(captured, device=options.device)
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def room(meshes: list[Path], count: int) -> ls.Gaussians:
-    """Gaussians on all surfaces of the room, of its true albedo."""
+    """Returns Gaussians on all surfaces of the room, with its true albedo."""
     from make_relightable_room import room_of, surfaces  # pyright: ignore[reportMissingImports]
 
     placed = surfaces(room_of(meshes))
@@ -65,32 +65,32 @@ def room(meshes: list[Path], count: int) -> ls.Gaussians:
 
 
 def area(mesh: ls.Mesh) -> float:
-    """Of all triangles."""
+    """Returns the area of all triangles."""
     a, b, c = (mesh.positions[mesh.indices[:, k]] for k in range(3))
     return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
 
 
-def lit_by(folder: Path) -> tuple[Any, ...]:
-    """The lamps of the photographs."""
+def lights_of(folder: Path) -> tuple[Any, ...]:
+    """Returns the lights of the images."""
     scene = ls.load(folder / "lamps.toml")
     assert isinstance(scene, ls.Scene)
     return scene.lights
 
 
 def baked(true: ls.Gaussians, options: Any) -> ls.Gaussians:
-    """The same with the light of the lamps in their colours, and without materials."""
-    scene = ls.Scene([ls.SplatInstance(true, material=MATT)], lights=lit_by(options.set))
+    """Returns the Gaussians with baked light in their colours, and without materials."""
+    scene = ls.Scene([ls.SplatInstance(true, material=MATT)], lights=lights_of(options.set))
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=8)
     made = ls.bake(scene, degree=0, directions=16, config=config, device=options.device).splats[0].gaussians
     return replace(made, normals=None)
 
 
-def lamps(folder: Path) -> list[ls.Gaussians]:
-    """White Gaussians where lamps are."""
+def light_splats(folder: Path) -> list[ls.Gaussians]:
+    """Returns white Gaussians at the lights."""
     made: list[ls.Gaussians] = []
-    for lamp in lit_by(folder):
-        u, v = np.array(lamp.edge_u), np.array(lamp.edge_v)
-        corner = np.array(lamp.position) - 0.5 * (u + v)
+    for light in lights_of(folder):
+        u, v = np.array(light.edge_u), np.array(light.edge_v)
+        corner = np.array(light.position) - 0.5 * (u + v)
         quad: FloatArray = np.stack([corner, corner + u, corner + u + v, corner + v]).astype(np.float32)
         glowing = ls.gaussians_from_mesh(ls.Mesh(quad, np.array([(0, 1, 2), (0, 2, 3)], np.int32)), 300)
         white = np.full((glowing.count, 1, 3), WHITE, np.float32)
@@ -99,7 +99,7 @@ def lamps(folder: Path) -> list[ls.Gaussians]:
 
 
 def compare(name: str, capture: ls.Gaussians, options: Any) -> None:
-    """Writes a capture, and prints how near it is."""
+    """Writes a capture and prints its scores."""
     ls.save(OUT / f"{name}.ply", capture)
     begun = time.process_time()
     result = ls.inverse.evaluate_materials(capture, options.set, samples=options.samples, device=options.device)

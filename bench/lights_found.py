@@ -1,8 +1,8 @@
-"""Counts the lights and suns that are found in captures on which no threshold was chosen (5 minutes).
+"""Counts the lights and suns found in captures that were not used to tune thresholds (5 minutes).
 
-``python -m bench.lights_found`` draws rooms, nights and grounds of known light (`support.scenes.lit_captures`), looks
-for their light, and prints what was found, a line of JSON a capture and a table. The demo room and the captures of the
-data come last. ``--first 0`` uses the seeds that code may be changed by; those from 100 on are for measuring only.
+``python -m bench.lights_found`` generates rooms, nights and grounds of known light (`support.scenes.lit_captures`),
+estimates their lights, and prints a line of JSON per capture and a table. The demo room and the captures of the data
+come last. ``--first 0`` uses the development seeds; seeds from 100 on are for evaluation only.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from lumisplat.demo.scene import DAYLIGHT
 from support.scenes.lit_captures import KINDS, LitCapture, lit_capture
 
 NEAR = 0.4
-"""A light is the lamp's if it is not farther from it than this, metres."""
+"""Largest distance of an estimated light from a true one that counts as found, metres."""
 ASKED = 4
-"""Lights that are asked for: more than there are lamps."""
+"""Number of lights requested, more than any capture has."""
 
 
 def demo_capture() -> LitCapture:
-    """The demo's room, whose sun is known."""
+    """Returns the demo's room, whose sun is known."""
     towards = np.array(DAYLIGHT.sun_direction) / np.linalg.norm(DAYLIGHT.sun_direction)
     room = ls.Scene(splats=ls.demo_scene().splats)
     return LitCapture("demo room", room, np.array([0.0, 0.9, 0.4]), np.zeros((0, 3)), towards, 1.0)
 
 
-def captures_of_things() -> list[LitCapture]:
-    """Captures of the data: none holds the lamps or the sun that it was captured in."""
+def captures_of_objects() -> list[LitCapture]:
+    """Returns the captures of the data; none contains its own lights or sun."""
     paths = [DATA / "splats" / name for name in ("biker.spz", "playbot/0_0", "logo_sog")]
     sets = {path: load_capture(path) for path in paths if path.exists()}
     return [
@@ -44,20 +44,20 @@ def captures_of_things() -> list[LitCapture]:
 
 
 def middle(gaussians: ls.Gaussians) -> np.ndarray:
-    """Beside what was captured, halfway out and halfway up."""
+    """Returns a point beside the captured object, halfway out and halfway up."""
     low, high = np.quantile(gaussians.means.astype(np.float64), (0.02, 0.98), axis=0)
     return 0.5 * (low + high) + (0.35 * (high - low)[0], 0.0, 0.0)
 
 
 def found_lights(capture: LitCapture) -> dict:
-    """The lamps and the sun found in a capture, and how many of its own they are."""
+    """Estimates lights and sun of a capture, and counts how many are right."""
     try:
         estimate = ls.inverse.estimate_lights(capture.scene, capture.center, ASKED)
-        places, shares = np.array([light.position for light in estimate.lights]), estimate.evidence.tolist()
-        says = ""
+        positions, shares = np.array([light.position for light in estimate.lights]), estimate.evidence.tolist()
+        problem = ""
     except ls.SceneError as error:
-        places, shares, says = np.zeros((0, 3)), [], str(error)
-    gaps = np.linalg.norm(places[:, None] - capture.lamps[None], axis=-1) / capture.unit
+        positions, shares, problem = np.zeros((0, 3)), [], str(error)
+    gaps = np.linalg.norm(positions[:, None] - capture.lamps[None], axis=-1) / capture.unit
     sun = ls.inverse.estimate_sun(capture.scene, capture.center)
     off = None
     if sun is not None and capture.sun is not None:
@@ -67,19 +67,19 @@ def found_lights(capture: LitCapture) -> dict:
         "name": capture.name,
         "lamps": len(capture.lamps),
         "lamps_found": int((gaps <= NEAR).any(axis=0).sum()),
-        "lights": len(places),
+        "lights": len(positions),
         "lights_right": int((gaps <= NEAR).any(axis=1).sum()),
         "shares": [round(share, 3) for share in shares],
         "has_sun": capture.sun is not None,
         "sun_found": sun is not None,
         "sun_confidence": sun and round(sun.confidence, 2),
         "degrees_off": off,
-        "says": says[:14],
+        "says": problem[:14],
     }
 
 
 def table(rows: Sequence[dict]) -> list[str]:
-    """Markdown lines: a row a kind of capture."""
+    """Returns the lines of a Markdown table, one row per kind of capture."""
     head = ["captures", "number", "lamps", "found", "lights given", "of them lamps", "suns", "found", "degrees off"]
     lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     kinds = [*KINDS, *(row["name"] for row in rows if row["name"].split()[0] not in KINDS)]
@@ -105,7 +105,7 @@ def main() -> None:
     seeds = range(chosen.first, chosen.first + chosen.count)
     drawn = (lit_capture(kind, seed, chosen.device) for kind in KINDS for seed in seeds)
     rows: list[dict] = []
-    for capture in chain(drawn, [demo_capture()], captures_of_things()):
+    for capture in chain(drawn, [demo_capture()], captures_of_objects()):
         rows.append(found_lights(capture))
         print(json.dumps(rows[-1]), flush=True)
     print("\n".join(table(rows)))

@@ -1,7 +1,7 @@
-"""Times Mitsuba 3's ``volprim_rf_basic`` on the capture and camera of a preset, one sample a pixel (a minute).
+"""Times Mitsuba 3's ``volprim_rf_basic`` on the capture and camera of a preset, one sample per pixel (a minute).
 
 ``python -m bench.mitsuba_peer NAME`` prints one JSON object. The LLVM variant needs a libLLVM that Mitsuba accepts:
-Debian's ``libllvm19``, found by itself or through ``DRJIT_LIBLLVM_PATH``.
+Debian's ``libllvm19``, found automatically or by ``DRJIT_LIBLLVM_PATH``.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def main(name: str) -> None:
     reference = mi.render(scene, spp=16).numpy()[..., :3]
     scene, camera = ls.Scene(splats=[gaussians]), preset.camera()
     raster = ls.render(scene, camera, device="cpu").color
-    # The peer's rules: Gaussians in the order in which rays enter their hulls, which end at alpha 0.01.
+    # The peer sorts Gaussians by the entry into their hulls, which end at alpha 0.01.
     trace = ls.TraceConfig(hit_distance=ls.config.HitDistance.HULL, transmittance_min=MITSUBA_T, dilation=0.0)
     response = ls.config.ResponseConfig(min_response=0.01)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=trace, response=response, samples=16)
@@ -50,12 +50,12 @@ def main(name: str) -> None:
 
 
 def psnr(image: np.ndarray, reference: np.ndarray) -> float:
-    """Decibels between two images, clipped to what can be shown."""
+    """Returns the PSNR of two images clipped to 0..1, dB."""
     return float(-10.0 * np.log10(np.mean((np.clip(image, 0, 1) - np.clip(reference, 0, 1)) ** 2)))
 
 
 def load_mitsuba():
-    """The module, with the variant that has the integrator."""
+    """Returns the module, with the variant that has the integrator."""
     found = sorted(glob.glob("/usr/lib/*/libLLVM.so.19*") + glob.glob("/usr/lib/llvm-19/lib/libLLVM.so*"))
     if found:
         os.environ.setdefault("DRJIT_LIBLLVM_PATH", found[0])
@@ -66,7 +66,7 @@ def load_mitsuba():
 
 
 def describe(mi, gaussians, camera) -> dict:
-    """Mitsuba's scene dictionary; its cameras look along +z with x to the left."""
+    """Returns Mitsuba's scene dictionary; its cameras look along +z with x to the left."""
     count = gaussians.count
     to_world = camera.world_from_camera.copy()
     to_world[:, :2] *= -1.0

@@ -1,8 +1,8 @@
 """Compares the times of lit frames of two checkouts, as ratios of neighbouring frames (5 minutes).
 
 ``python -m bench.pairs OTHER [PRESET ...] [--device cuda]``: OTHER is a checkout of another revision. Each checkout
-renders in a process of its own, and their frames take turns, so that a machine that is busy for a while slows both. The
-column *ratio* is the median of the ratios of neighbouring frames.
+renders in its own process, and their frames alternate, so that other load on the machine slows both. The column
+*ratio* is the median of the ratios of neighbouring frames.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ PAIRS = 40
 
 
 class Checkout:
-    """A process that renders with a checkout's package."""
+    """Process that renders with a checkout's package."""
 
     def __init__(self, path: Path, device: str) -> None:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(path / "src"), str(ROOT)])}
@@ -46,7 +46,7 @@ class Checkout:
 
 
 def answer(device: str) -> None:
-    """Renders what stdin asks for, by public names only, so that any revision can; prints milliseconds.
+    """Renders the frames that stdin requests, by public names only, so that any revision can; prints milliseconds.
 
     A preset's name sets the scene and renders two frames; ``frame`` renders and times one.
     """
@@ -67,7 +67,7 @@ def answer(device: str) -> None:
 
 
 def times_of(preset: str, checkouts: tuple[Checkout, Checkout]) -> list[tuple[float, float]]:
-    """Returns times of neighbouring frames; who comes first changes from pair to pair."""
+    """Returns the times of neighbouring frames; the order of the checkouts alternates from pair to pair."""
     for checkout in checkouts:
         checkout.ask(preset)
     pairs: list[tuple[float, float]] = []
@@ -79,7 +79,7 @@ def times_of(preset: str, checkouts: tuple[Checkout, Checkout]) -> list[tuple[fl
 
 
 def main() -> None:
-    """Prints a table, a row a preset."""
+    """Prints a table with one row per preset."""
     given = parser("pairs", __doc__)
     given.add_argument("other", type=Path)
     given.add_argument("presets", nargs="*", metavar="preset")

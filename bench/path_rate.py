@@ -1,9 +1,9 @@
-"""Measures samples a second of paths beside Mitsuba, and what camera and bounced rays cost (2 minutes).
+"""Measures path samples per second beside Mitsuba, and the cost of camera and bounced rays (2 minutes).
 
-``python -m bench.path_rate [--device cuda]``: a mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``), frames taking
-turns, and the same room with relit Gaussians, which has no counterpart there. Then, for meshes and Gaussians, what
-finding the hits of a camera's ray and of a bounced one takes. Times are CPU time of the process, all threads together,
-the least of some frames: other work on the machine counts little. On a GPU they are wall time.
+``python -m bench.path_rate [--device cuda]``: a mesh room beside Mitsuba's ``path`` (``llvm_ad_rgb``), with alternating
+frames, and the same room with relit Gaussians, which Mitsuba does not have. Then, for meshes and Gaussians, the time to
+find the hits of a camera ray and of a bounced ray. Times are CPU time of the process over all threads, the minimum of
+some frames, so that other load counts little. On a GPU they are wall time.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def main() -> None:
     clock = clock_of(options.device)
     view = ls.Camera.look_at((0.5, 0.5, -1.3), (0.5, 0.5, 0.5), (0.0, 1.0, 0.0), width=SIZE, height=SIZE, fov_y=0.7)
     mesh_room = ls.Scene(meshes=room())
-    print_head("scene", "million samples a second", "Mitsuba", "ratio")
+    print_head("scene", "million samples/s", "Mitsuba", "ratio")
     ours = frames_of(mesh_room, view, options.device)
     try:
         peer = mitsuba_frames(mesh_room, view)
@@ -51,7 +51,7 @@ def main() -> None:
         print_row(f"{count:,} Gaussians", f"{1e-6 * SIZE * SIZE * SAMPLES / least:.3f}", "", "")
 
     print()
-    print_head("hits of a ray, nanoseconds", "camera", "bounced", "ratio")
+    print_head("time to find hits, ns per ray", "camera", "bounced", "ratio")
     scenes = {"mesh room": (mesh_room, view), "room, 100,000 Gaussians": (with_gaussians(100_000), view)}
     scenes["demo"] = ls.demo_scene_lit(), ls.demo_cameras(640, 360, count=1)[0]
     if BIKER.is_file():
@@ -62,17 +62,17 @@ def main() -> None:
 
 
 def config(samples: int) -> ls.RenderConfig:
-    """Settings of paths."""
+    """Returns settings of path-traced frames."""
     return ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples, max_bounces=BOUNCES)
 
 
 def matte(color: tuple[float, float, float], emissive: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> ls.MaterialPbr:
-    """A diffuse material."""
+    """Returns a diffuse material."""
     return ls.MaterialPbr(base_color=color, emissive=emissive, roughness=1.0, specular=0.0)
 
 
 def grid(corner: Any, u: Any, v: Any, cells: int, material: ls.MaterialPbr) -> ls.Mesh:
-    """A rectangle of ``cells`` by ``cells`` squares."""
+    """Returns a rectangle of ``cells`` by ``cells`` squares."""
     steps = np.linspace(0.0, 1.0, cells + 1)
     points = np.array(corner) + steps[:, None, None] * np.array(u) + steps[None, :, None] * np.array(v)
     first = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
@@ -82,7 +82,7 @@ def grid(corner: Any, u: Any, v: Any, cells: int, material: ls.MaterialPbr) -> l
 
 
 def room() -> list[ls.Mesh]:
-    """A Cornell-like room of 2,560 triangles with two balls of 1,280 each, lit by 32 that shine."""
+    """Returns a Cornell-like room of 2,560 triangles with two balls of 1,280 each, lit by 32 emissive triangles."""
     balls = [((0.3, 0.2, 0.6), 0.2, (0.7, 0.6, 0.3)), ((0.7, 0.18, 0.35), 0.18, (0.4, 0.5, 0.8))]
     walls = [
         grid((0, 0, 0), (0, 0, 1), (1, 0, 0), 16, matte(WHITE)),
@@ -93,15 +93,15 @@ def room() -> list[ls.Mesh]:
     ]
     ball = shapes.icosphere()
     round_ones = [
-        ls.Mesh(np.array(place) + radius * ball.positions, ball.indices, material=matte(color))
-        for place, radius, color in balls
+        ls.Mesh(np.array(position) + radius * ball.positions, ball.indices, material=matte(color))
+        for position, radius, color in balls
     ]
     lamp = grid((0.35, 0.99, 0.35), (0.3, 0, 0), (0, 0, 0.3), 4, matte((0.0, 0.0, 0.0), (15.0, 12.0, 9.0)))
     return [*walls, *round_ones, lamp]
 
 
 def with_gaussians(count: int) -> ls.Scene:
-    """The room with relit Gaussians in place of one of the balls."""
+    """Returns the room with relit Gaussians in place of one of the balls."""
     ball = ls.SplatInstance(
         synthetic(count), np.diag([0.18, 0.18, 0.18, 1.0]) + _shift(0.7, 0.25, 0.35), material=matte((0.4, 0.5, 0.8))
     )
@@ -116,7 +116,7 @@ def _shift(x: float, y: float, z: float) -> np.ndarray:
 
 
 def biker_on_floor() -> tuple[ls.Scene, ls.Camera]:
-    """The capture, relit by a sky and a sun."""
+    """Returns the biker capture, relit by an environment and a sun."""
     floor = grid((-6.0, 0.02, -6.0), (0.0, 0.0, 12.0), (12.0, 0.0, 0.0), 4, matte((0.6, 0.6, 0.6)))
     lights = (ls.LightEnvironment(), ls.LightDirectional((0.4, 1.0, 0.6), intensity=2.0))
     capture = ls.SplatInstance(load_capture(BIKER), material=ls.MaterialPbr(roughness=0.9))
@@ -126,7 +126,7 @@ def biker_on_floor() -> tuple[ls.Scene, ls.Camera]:
 
 
 def frames_of(scene: ls.Scene, view: ls.Camera, device: str) -> Callable[[], None]:
-    """What renders one frame."""
+    """Returns a function that renders one frame."""
     renderer = ls.create_renderer(config(SAMPLES), device)
 
     def render() -> None:
@@ -136,7 +136,7 @@ def frames_of(scene: ls.Scene, view: ls.Camera, device: str) -> Callable[[], Non
 
 
 def least_times(clock: Callable[[], float], ours: Callable[[], None], peer: Callable[[], None] | None) -> list[float]:
-    """Seconds of a frame of each, taking turns after a first one."""
+    """Returns the smallest time of a frame of each renderer, seconds; frames alternate after a warm-up."""
     turns = [ours] + ([peer] if peer else [])
     least = [float("inf")] * len(turns)
     for render in turns:
@@ -150,14 +150,14 @@ def least_times(clock: Callable[[], float], ours: Callable[[], None], peer: Call
 
 
 def mitsuba_frames(scene: ls.Scene, view: ls.Camera) -> Callable[[], None]:
-    """What renders one frame of the same meshes with Mitsuba."""
+    """Returns a function that renders one frame of the same meshes with Mitsuba."""
     mi: Any = load_mitsuba()
     to_world = view.world_from_camera.copy()
     to_world[:, :2] *= -1.0
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}}
     sensor = {"type": "perspective", "fov": float(np.degrees(view.fov_y)), "fov_axis": "y", "film": film}
     described = {"type": "scene", "sensor": sensor | {"to_world": mi.ScalarTransform4f(to_world)}}
-    # As many segments, and Russian roulette from the same bounce on.
+    # The same path length, and Russian roulette from the same bounce.
     described["integrator"] = {"type": "path", "max_depth": BOUNCES + 2, "rr_depth": 4}
     with tempfile.TemporaryDirectory() as folder:
         for number, instance in enumerate(scene.meshes):
@@ -172,7 +172,7 @@ def mitsuba_frames(scene: ls.Scene, view: ls.Camera) -> Callable[[], None]:
 
 
 def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
-    """A mesh as an entry of Mitsuba's scene."""
+    """Returns a mesh as an entry of Mitsuba's scene."""
     material: Any = mesh.material
     written = mi.Mesh("mesh", mesh.vertex_count, mesh.face_count)
     parameters = mi.traverse(written)
@@ -188,7 +188,7 @@ def mitsuba_mesh(mi: Any, mesh: ls.Mesh, path: Path) -> dict[str, Any]:
 
 
 def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[], float]) -> tuple[float, float]:
-    """Nanoseconds that finding the hits of a ray takes: of the camera's, and of those that have bounced."""
+    """Returns nanoseconds to find the hits of a camera ray and of a bounced ray."""
     renderer = ls.create_renderer(config(1), device)
     renderer.render(scene, view)
     least = (float("inf"), float("inf"))
@@ -203,7 +203,7 @@ def ray_costs(scene: ls.Scene, view: ls.Camera, device: str, clock: Callable[[],
 
 @contextlib.contextmanager
 def timed_rays(clock: Callable[[], float]) -> Generator[list[tuple[bool, float, int]]]:
-    """Receives whether the rays of a wave have bounced, seconds that finding their hits took, and their number."""
+    """Yields a list that receives, for each wave of rays, whether they have bounced, seconds, and their number."""
     rows: list[tuple[bool, float, int]] = []
     patched: Any = RayTracer
     find_hits = RayTracer.find_hits

@@ -1,4 +1,4 @@
-"""Names the captures, scenes and cameras that `bench.run` and `bench.pairs` time."""
+"""Captures, scenes and cameras that `bench.run` and `bench.pairs` time."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ BIKER = DATA / "splats" / "biker.compressed.ply"
 
 @dataclass(frozen=True)
 class Preset:
-    """One capture and one camera."""
+    """Capture with a camera."""
 
     name: str
     width: int
     height: int
     count: int = 0
-    """Gaussians of a synthetic capture; 0: the biker."""
+    """Gaussians of a synthetic capture; 0 for the biker."""
     peer: bool = False
     """Whether Mitsuba renders it in the same run."""
     trace: tuple[str, float] | None = None
-    """Strategy and least transmittance of the ray tracer; None: the rasteriser draws it."""
+    """Strategy and smallest transmittance of the ray tracer; None for the rasteriser."""
     as_trained: bool = False
-    """Whether rays have footprints and hits the order of means, as by default; else they are the peer's: without width,
-    in the order of peaks."""
+    """Whether rays have footprints and sort hits by Gaussian means, as by default.
+
+    Otherwise rays follow the peer: without footprint, and sorted by the peak of the response."""
 
     @property
     def available(self) -> bool:
@@ -39,11 +40,11 @@ class Preset:
 
     @property
     def view(self) -> tuple[int, int, int]:
-        """What presets share that show the same Gaussians from the same camera."""
+        """Key of presets that show the same Gaussians from the same camera."""
         return self.count, self.width, self.height
 
     def config(self) -> ls.RenderConfig:
-        """Settings of its frames."""
+        """Returns the render settings."""
         if self.trace is None:
             return ls.RenderConfig()
         strategy, transmittance_min = self.trace
@@ -53,7 +54,7 @@ class Preset:
         return ls.RenderConfig(pipeline=ls.Pipeline.TRACE, trace=config)
 
     def camera(self) -> ls.Camera:
-        """The view: the whole subject, filling the height of the image."""
+        """Returns a camera with the whole subject filling the height of the image."""
         if self.count:
             eye, target, up, fov_y = (0.0, -0.6, -3.2), (0.0, 0.0, 0.0), (0.0, -1.0, 0.0), 0.75
         else:
@@ -79,7 +80,9 @@ TRACE = [
     Preset("trace-stochastic-hit", 640, 360, peer=True, trace=("stochastic-hit", 0.0)),  # one sample
     Preset("trace-stochastic-pass", 640, 360, peer=True, trace=("stochastic-pass", 0.0)),  # one sample
     *(
-        Preset(f"trace-synthetic-{name}", 640, 360, count, trace=("sorted", 1e-4))  # the cost of a ray by their number
+        Preset(
+            f"trace-synthetic-{name}", 640, 360, count, trace=("sorted", 1e-4)
+        )  # cost of a ray by number of Gaussians
         for name, count in COUNTS.items()
     ),
 ]
@@ -93,23 +96,23 @@ KINDS = {
     "soft": "one light, soft shadow, 1 sample",
     "bounces": "one light, hard shadow, 3 bounces",
 }
-"""What light has to do, by its name in presets."""
+"""Lighting of the presets, by its name."""
 
 
 @dataclass(frozen=True)
 class LitPreset:
-    """One pipeline and one kind of light."""
+    """Pipeline with a kind of lighting."""
 
     pipeline: str
     kind: str
 
     @property
     def name(self) -> str:
-        """As it is asked for."""
+        """Name on the command line."""
         return f"light-{self.pipeline}-{self.kind}"
 
     def config(self) -> ls.RenderConfig:
-        """Settings of its frames."""
+        """Returns the render settings."""
         shadows = {"lit": ls.Shadows.OFF, "soft": ls.Shadows.SOFT}.get(self.kind, ls.Shadows.HARD)
         return ls.RenderConfig(
             pipeline=ls.Pipeline(self.pipeline),
@@ -120,7 +123,7 @@ class LitPreset:
         )
 
     def scene(self, demo: ls.Scene) -> ls.Scene:
-        """The demo, in its light; four lights are three more without extent, such as glTF files hold."""
+        """Returns the demo with one spot; with ``lit``, three more lights without extent, as in glTF files."""
         spot = demo.lights[0]
         more = (
             ls.LightPoint((-1.0, 1.8, 0.4), (1.0, 0.8, 0.6), intensity=2.0),
@@ -131,29 +134,29 @@ class LitPreset:
 
 
 BASE = LitPreset("raster", "unlit")
-"""What all others are compared with."""
+"""Preset with which all others are compared."""
 
 LIGHT = [
     LitPreset(pipeline.value, kind)
     for pipeline in (ls.Pipeline.RASTER, ls.Pipeline.TRACE, ls.Pipeline.HYBRID)
     for kind in KINDS
-    # The raster follows no mirrors.
+    # The rasteriser has no bounces.
     if not (pipeline is ls.Pipeline.RASTER and kind == "bounces")
 ]
 
 
 def lit_camera() -> ls.Camera:
-    """Returns the view of the demo scene that lit presets have."""
+    """Returns the camera of the lit presets."""
     return ls.demo_cameras(*LIT_SIZE, count=1)[0]
 
 
 def store_demo(path: Path) -> None:
-    """Builds the lit demo scene, which takes longer than timing it."""
+    """Builds and stores the lit demo scene, because building takes longer than timing."""
     path.write_bytes(pickle.dumps(ls.demo_scene_lit()))
 
 
 def stored_demo(path: Path) -> ls.Scene:
-    """Loads what `store_demo` has written."""
+    """Loads the scene of `store_demo`."""
     return pickle.loads(path.read_bytes())
 
 
@@ -165,13 +168,13 @@ def load_capture(path: Path) -> ls.Gaussians:
 
 
 def stage_ms(frame: ls.Frame) -> dict[str, float]:
-    """Milliseconds of a frame's stages."""
+    """Returns milliseconds of a frame's stages."""
     assert frame.stats is not None
     return frame.stats.stage_ms
 
 
 def synthetic(count: int, seed: int = 7) -> ls.Gaussians:
-    """A capture-like set: flat Gaussians over three nested wavy spheres, their size following the local density."""
+    """Returns capture-like flat Gaussians on three nested wavy spheres, scaled to their spacing."""
     random = np.random.default_rng(seed)
     direction = random.standard_normal((count, 3), dtype=np.float32)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

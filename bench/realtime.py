@@ -1,8 +1,8 @@
-"""Times the passes of frames in real time, by quality, pixels, Gaussians, lights and models (5 minutes).
+"""Times the passes of real-time frames by quality, pixels, Gaussians, lights and models (5 minutes).
 
-``python -m bench.realtime [--only quality,pixels,...]``: milliseconds of processor time, all threads together, the
-median of 6 frames after 4, which alternate with unlit raster frames of the same view: of the demo scene in each
-quality, then by pixels, Gaussians, lights and models.
+``python -m bench.realtime [--only quality,pixels,...]`` prints milliseconds of CPU time over all threads: the median of
+6 frames after 4, alternating with unlit raster frames of the same view. The first table shows the demo scene in each
+quality, the others depend on pixels, Gaussians, lights and models.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Case = tuple[str, ls.RenderConfig, ls.Scene, ls.Camera]
 
 
 def main() -> None:
-    """Prints a table for each thing that the cost depends on."""
+    """Prints a table for each parameter."""
     from bench.timing import parser, print_head, quiet_warp
 
     tables = {"quality": qualities, "pixels": sizes, **dict.fromkeys(COUNTS, growth)}
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def realtime(quality: ls.config.RealtimeQuality = ls.config.RealtimeQuality.BALANCED) -> ls.RenderConfig:
-    """Settings of frames in real time."""
+    """Returns settings of real-time frames."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.REALTIME,
         lighting=True,
@@ -49,21 +49,21 @@ def realtime(quality: ls.config.RealtimeQuality = ls.config.RealtimeQuality.BALA
 
 
 def qualities(_: str) -> Iterator[Case]:
-    """The demo scene in each quality."""
+    """Yields the demo scene in each quality."""
     scene = ls.demo_scene_lit()
     for quality in ls.config.RealtimeQuality:
         yield quality.value, realtime(quality), scene, ls.demo_cameras(*SIZE, count=1)[0]
 
 
 def sizes(_: str) -> Iterator[Case]:
-    """The demo scene in two sizes."""
+    """Yields the demo scene in two sizes."""
     scene = ls.demo_scene_lit()
     for width, height in (GROWTH_SIZE, SIZE):
         yield f"{width} x {height}", realtime(), scene, ls.demo_cameras(width, height, count=1)[0]
 
 
 def growth(name: str) -> Iterator[Case]:
-    """A generated capture, relit, with lamps and spheres around it, more and more of one of them."""
+    """Yields a relit synthetic capture with lights and spheres around it, in growing numbers of one of them."""
     from bench.presets import Preset, synthetic
 
     camera = Preset("", *GROWTH_SIZE, 1).camera()
@@ -77,13 +77,13 @@ def growth(name: str) -> Iterator[Case]:
 
 
 def ring(count: int, radius: float) -> np.ndarray:
-    """Points of a circle, shape (count, 3)."""
+    """Returns points of a circle, shape (count, 3)."""
     angles = 2.0 * np.pi * np.arange(count) / count + 0.3
     return np.stack([radius * np.cos(angles), radius * np.sin(angles), np.full(count, -0.8)], axis=1)
 
 
 def row(label: str, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera) -> str:
-    """A row of the table."""
+    """Returns a row of the table."""
     from lumisplat.runtime.launcher import Launcher
 
     launcher = Launcher("cpu")
@@ -107,7 +107,7 @@ def row(label: str, config: ls.RenderConfig, scene: ls.Scene, camera: ls.Camera)
 
 
 def cpu_ms(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> float:
-    """Processor time of a frame, its colours on the host, milliseconds."""
+    """Returns the CPU time of a frame with its colours on the host, milliseconds."""
     started = time.process_time()
     assert renderer.render(scene, camera).color.size
     return 1e3 * (time.process_time() - started)

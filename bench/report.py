@@ -1,4 +1,4 @@
-"""Writes the rows of `bench.run` as tables, on the terminal and into docs/benchmarks.md."""
+"""Writes the rows of `bench.run` as tables, to the terminal and to docs/benchmarks.md."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ BARS = {
 }
 """Largest ratio of a frame's time to that of an unlit raster frame."""
 DECIBELS_MIN, FASTER_MIN = 35.0, 2.0
-"""Of 64 stochastic shadow samples against the exact shadow, and of one of them."""
+"""Targets of stochastic shadows against exact ones: PSNR of 64 samples, and speed-up of one sample."""
 
 
 def tables(rows: list[dict]) -> list[str]:
-    """Markdown lines of the rasteriser's table and the ray tracer's."""
+    """Returns the Markdown tables of the rasteriser and of the ray tracer."""
     raster = [row for row in rows if not row["preset"].startswith("trace")]
     traced = [row for row in rows if row["preset"].startswith("trace")]
     lines = table(raster, RASTER_STAGES) if raster else []
@@ -29,7 +29,7 @@ def tables(rows: list[dict]) -> list[str]:
 
 
 def table(rows: list[dict], stages: tuple[str, ...]) -> list[str]:
-    """Markdown lines; times in milliseconds."""
+    """Returns a Markdown table with times in milliseconds."""
     head = ["preset", "Gaussians", "load", "first frame", "**frame**", *stages, "peak MiB", "Mitsuba", "times faster"]
     lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
     for row in rows:
@@ -50,7 +50,7 @@ def table(rows: list[dict], stages: tuple[str, ...]) -> list[str]:
 
 
 def light_lines(rows: list[dict], shadows: dict) -> list[str]:
-    """Markdown lines: the table, the targets, and how stochastic shadows converge."""
+    """Returns Markdown lines: the table of lit frames, the targets, and the convergence of stochastic shadows."""
     lines = [*light_table(rows), "", bars_line(rows)]
     for name, row in shadows.items():
         lines += ["", shadow_line(name, row)]
@@ -58,7 +58,7 @@ def light_lines(rows: list[dict], shadows: dict) -> list[str]:
 
 
 def light_table(rows: list[dict]) -> list[str]:
-    """Markdown lines; a cell has milliseconds, and in brackets the ratio to an unlit raster frame."""
+    """Returns a Markdown table of milliseconds with, in brackets, the ratio to an unlit raster frame."""
     found = {row["preset"]: row for row in rows}
     lines = ["| lit frames, ms | " + " | ".join(PIPELINES) + " |", "| --- |" + " ---: |" * len(PIPELINES)]
     for kind, label in KINDS.items():
@@ -72,7 +72,7 @@ def light_table(rows: list[dict]) -> list[str]:
 
 
 def bars_line(rows: list[dict]) -> str:
-    """The figures that have a target, as ratios to an unlit raster frame."""
+    """Returns the figures that have a target, as ratios to an unlit raster frame."""
     ratios = {row["preset"]: row["ratio"] for row in rows}
     figures = [
         f"{label} {ratios[name]:.2f} ({'below' if ratios[name] < most else 'NOT below'} the target of {most:g})"
@@ -83,12 +83,12 @@ def bars_line(rows: list[dict]) -> str:
 
 
 def shadow_line(name: str, row: dict) -> str:
-    """Decibels by samples, and how much faster one sample is."""
+    """Returns PSNR by number of samples, and the speed-up of one sample."""
     steps = ", ".join(f"{samples} samples {value:.1f} dB" for samples, value in row["psnr_db"].items())
     times = row["sample_ms"]
     faster = times["exact"] / times["stochastic"]
     return (
-        f"Stochastic shadows against exact ones, {name}, PSNR of the share of light that arrives: {steps}; "
+        f"Stochastic shadows against exact ones, {name}, PSNR of the shadow factor: {steps}; "
         f"one sample takes {times['stochastic']:.0f} ms, {faster:.1f} times faster than {times['exact']:.0f} ms. "
         f"Targets: {DECIBELS_MIN:g} dB with 64 samples, {FASTER_MIN:g} times faster."
     )
@@ -97,7 +97,7 @@ def shadow_line(name: str, row: dict) -> str:
 def write_document(
     path: Path, machine: dict, rows: list[dict], *, lit: list[dict], shadows: dict, quality: dict
 ) -> None:
-    """Replaces the text between the two marks of the document by the tables, and by the facts on the measurement."""
+    """Replaces the text between the two marks of the document by the tables and the facts of the measurement."""
     before, _, after = path.read_text().split(MARK)
     views = {(row["gaussians"], row["width"]): row for row in rows if "peer" in row}.values()
     psnr = ", ".join(
@@ -127,12 +127,12 @@ def write_document(
 
 
 def quality_lines(quality: dict) -> list[str]:
-    """How stochastic frames converge, and how long BVHs take to build and refit."""
+    """Returns the convergence of stochastic frames, and the times to build and refit BVHs."""
     lines = []
     for strategy, row in quality["psnr_db"].items():
         steps = ", ".join(f"{samples} samples {value:.1f} dB" for samples, value in row.items())
         lines += [f"Mean of `{strategy}` frames against the sorted one, biker 640x360, PSNR: {steps}.", ""]
-    # A rebuild takes the time of the refit that found the BVH too loose, and of the build.
+    # A rebuild includes the refit that found the BVH too loose.
     rebuilt = quality["strew_s"] > quality["build_s"]
     lines.append(
         f"BVH of 1,000,000 Gaussians: built in {quality['build_s']:.2f} s, refitted in {quality['refit_s']:.2f} s "

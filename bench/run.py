@@ -2,8 +2,8 @@
 
 ``python -m bench.run [NAME...] [--device cuda]``: a NAME is a preset or a group: raster, trace, light.
 
-Each preset runs in a process of its own, its peer right after it. Rows go to bench/results/<revision>.jsonl, and the
-tables of docs/benchmarks.md are written anew when all presets ran on the CPU; their peer runs nowhere else.
+Each preset runs in its own process, its peer right after it. Rows are appended to bench/results/<revision>.jsonl. The
+tables of docs/benchmarks.md are rewritten if all presets ran on the CPU, because the peer runs only there.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def run_light(presets: list[LitPreset], device: str) -> tuple[list[dict], dict]:
-    """Rows of the lit presets, and if all of them run, the figures of stochastic shadows."""
+    """Returns the rows of the lit presets and, if all of them run, the figures of stochastic shadows."""
     if not presets:
         return [], {}
     with tempfile.TemporaryDirectory() as folder:
@@ -89,7 +89,7 @@ WARM_UP = "import sys, warp; warp.config.quiet = True; import lumisplat; lumispl
 
 
 def run(preset: Preset, device: str, peers: dict) -> dict:
-    """One row: the preset's own figures and, where it has one, its peer's, which presets of one view share."""
+    """Returns a preset's row with that of its peer, if any; presets of one view share the peer's figures."""
     row = {"preset": preset.name, "width": preset.width, "height": preset.height} | child(
         "bench.case", device, preset.name
     )
@@ -105,7 +105,7 @@ def run(preset: Preset, device: str, peers: dict) -> dict:
 
 
 def command_times() -> dict[str, float]:
-    """Medians of whole processes, interpreter included: the help page, and loading the biker."""
+    """Returns medians of whole processes, interpreter included: the help page, and loading the biker."""
     commands = {"lumisplat --help": [sys.executable, "-m", "lumisplat", "--help"]}
     if BIKER.is_file():
         load = f"import lumisplat; lumisplat.load({str(BIKER)!r})"
@@ -114,26 +114,26 @@ def command_times() -> dict[str, float]:
 
 
 def process_ms(command: list[str]) -> float:
-    """Wall time of one process, milliseconds."""
+    """Returns the wall time of one process, milliseconds."""
     begun = time.perf_counter()
     subprocess.run(command, check=True, capture_output=True)
     return 1e3 * (time.perf_counter() - begun)
 
 
 def child(module: str, device: str, *arguments: str) -> dict:
-    """The JSON object that a module of this folder prints last, run on a device."""
+    """Runs a module of this folder on a device, and returns the JSON object that it prints last."""
     return last_object(module, *arguments, "--device", device)
 
 
 def last_object(module: str, *arguments: str) -> dict:
-    """The JSON object that a module of this folder prints last."""
+    """Runs a module of this folder, and returns the JSON object that it prints last."""
     command = [sys.executable, "-m", module, *arguments]
     done = subprocess.run(command, check=True, cwd=ROOT, capture_output=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def describe_machine(device: str) -> dict:
-    """What the figures were measured with."""
+    """Returns revision, date, hardware and versions of the measurement."""
     git = ["git", "-C", str(ROOT)]
     revision = subprocess.run([*git, "rev-parse", "--short", "HEAD"], capture_output=True, text=True, check=False)
     changed = subprocess.run([*git, "status", "--porcelain"], capture_output=True, text=True, check=False)
@@ -150,7 +150,7 @@ def describe_machine(device: str) -> dict:
 
 
 def cpu_name() -> str:
-    """The processor's model name, where the system reports it."""
+    """Returns the processor's model name, if the system reports it."""
     for line in Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []:
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()

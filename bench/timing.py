@@ -14,7 +14,7 @@ from bench.presets import stage_ms
 
 
 def parser(program: str, description: str | None) -> argparse.ArgumentParser:
-    """A parser of the option that all benchmarks have."""
+    """Returns a parser with the option that all benchmarks have."""
     given = argparse.ArgumentParser(
         prog=f"python -m bench.{program}", description=description, formatter_class=argparse.RawTextHelpFormatter
     )
@@ -33,7 +33,7 @@ def device_here(name: str) -> str:
 
 
 def quiet_warp() -> None:
-    """Leaves standard output to the results."""
+    """Silences Warp, so that standard output has only results."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
@@ -50,7 +50,7 @@ def print_row(*cells: object) -> None:
 
 
 def clock_of(device: str) -> Callable[[], float]:
-    """Returns the clock of a device, seconds: processor time of all threads, or wall time on a GPU."""
+    """Returns the clock of a device, seconds: CPU time of all threads, or wall time on a GPU."""
     return time.process_time if device == "cpu" else time.perf_counter
 
 
@@ -60,7 +60,7 @@ def medians(rows: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def peak_mib() -> float:
-    """Returns the most memory of this process; ``ru_maxrss`` would include its parent's when it was forked."""
+    """Returns the peak memory of this process, MiB; ``ru_maxrss`` would include that of the process that forked it."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) / 1024
@@ -68,7 +68,7 @@ def peak_mib() -> float:
 
 
 def device_name(device: str) -> str:
-    """What a GPU is called; empty for the CPU."""
+    """Returns the name of a GPU; empty for the CPU."""
     import warp as wp
 
     found = wp.get_device(device)
@@ -77,7 +77,7 @@ def device_name(device: str) -> str:
 
 @dataclass(frozen=True)
 class TimedFrame:
-    """A frame and what it took, milliseconds."""
+    """Frame with its times, milliseconds."""
 
     frame: ls.Frame
     wall_ms: float
@@ -85,10 +85,10 @@ class TimedFrame:
 
 
 class TimedRenderer:
-    """Renders frames and times them, each as a whole and stage by stage.
+    """Renders frames and times them, as a whole and stage by stage.
 
-    A GPU runs ahead of the program, and its stages are timed by waiting after each: there, a second renderer does so,
-    in frames of its own that are not timed as a whole.
+    A GPU runs asynchronously, and its stages are timed by waiting after each. A second renderer therefore does so, in
+    frames of its own that are not timed as a whole.
 
     Args:
         config: Settings.
@@ -101,7 +101,7 @@ class TimedRenderer:
         self._profiled: ls.Renderer | None = None
 
     def render(self, scene: ls.Scene, camera: ls.Camera) -> TimedFrame:
-        """One frame, its colours on the host; on a GPU two."""
+        """Renders one frame with its colours on the host; on a GPU two."""
         begun = time.perf_counter()
         frame = self._renderer.render(scene, camera)
         assert frame.color.size
@@ -109,7 +109,7 @@ class TimedRenderer:
         return TimedFrame(frame, wall_ms, stage_ms(frame) or self._stages(scene, camera))
 
     def _stages(self, scene: ls.Scene, camera: ls.Camera) -> dict[str, float]:
-        """What the stages of a frame take that waits after each."""
+        """Returns the stage times of a frame that waits after each stage."""
         if self._profiled is None:
             self._profiled = ls.create_renderer(self._config, self._device, profile=True)
         return stage_ms(self._profiled.render(scene, camera))

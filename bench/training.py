@@ -1,8 +1,8 @@
-"""Times the stages of a training step, or fits photographs and measures what was held out (cost: a minute).
+"""Times the stages of a training iteration, or trains on images and prints the held-out PSNR (cost: a minute).
 
-``python -m bench.training cost`` prints milliseconds of processor time of each stage of a step at 640 x 360, of sets
-made for it, or with ``cost CAPTURE`` of a thinned capture and the capture itself. ``python -m bench.training fit
-FOLDER`` fits photographs, and prints how it goes, and PSNR of those that were held out.
+``python -m bench.training cost`` prints milliseconds of CPU time of each stage of an iteration at 640 x 360, for
+synthetic sets, or with ``cost CAPTURE`` for a thinned capture and the whole capture. ``python -m bench.training fit
+FOLDER`` trains on images, and prints its progress and the PSNR of the held-out images.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lumisplat.training.views import TargetPixels, TrainingView
 
 SIZE = 640, 360
 COUNTS = (10_000, 50_000)
-"""Of a thinned capture."""
+"""Gaussians of a thinned capture."""
 MADE_COUNTS = (10_000, 100_000, 1_000_000)
 STEPS = 12
 WARM_UP = 3
@@ -36,25 +36,25 @@ def main() -> None:
     """Prints a table."""
     arguments = parser("training", __doc__)
     arguments.add_argument("what", choices=("cost", "fit"))
-    arguments.add_argument("path", type=Path, nargs="?", help="a capture, or a folder of photographs")
-    arguments.add_argument("--scale", type=float, default=0.5, help="of photographs")
+    arguments.add_argument("path", type=Path, nargs="?", help="a capture, or a folder of images")
+    arguments.add_argument("--scale", type=float, default=0.5, help="scale of the images")
     arguments.add_argument("--iterations", type=int, default=7000)
     arguments.add_argument("--cap", type=int, default=30_000)
     options = arguments.parse_args()
     quiet_warp()
-    print(f"load of the machine before: {os.getloadavg()[0]:.1f}\n")
+    print(f"machine load before: {os.getloadavg()[0]:.1f}\n")
     if options.what == "cost":
         print_cost(sets_of(options.path), options.device)
     elif options.path is None:
-        arguments.error("fit needs a folder of photographs")
+        arguments.error("fit needs a folder of images")
     else:
         config = ls.TrainConfig(iterations=options.iterations, cap=options.cap, sh_degree=2)
         print_fit(options.path, options.scale, config, options.device)
-    print(f"\nload of the machine after: {os.getloadavg()[0]:.1f}")
+    print(f"\nmachine load after: {os.getloadavg()[0]:.1f}")
 
 
 def sets_of(path: Path | None) -> Generator[ls.Gaussians]:
-    """What is drawn."""
+    """Yields the Gaussians that are timed."""
     if path is None:
         yield from map(synthetic, MADE_COUNTS)
         return
@@ -65,7 +65,7 @@ def sets_of(path: Path | None) -> Generator[ls.Gaussians]:
 
 
 def print_cost(sets: Iterable[ls.Gaussians], device: str) -> None:
-    """A row for each set."""
+    """Prints a row for each set."""
     print_head("Gaussians", *STAGES, "backward pixels / compositing", "backward / forward")
     for gaussians in sets:
         stages = stages_of(gaussians, device)
@@ -76,7 +76,10 @@ def print_cost(sets: Iterable[ls.Gaussians], device: str) -> None:
 
 
 def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
-    """Median time of each stage of a step, milliseconds: of processors, or on a GPU of a clock, stage after stage."""
+    """Returns the median time of each stage of an iteration, milliseconds.
+
+    On a CPU it is CPU time, on a GPU wall time stage by stage.
+    """
     width, height = SIZE
     scene = ls.Scene([gaussians])
     camera = ls.frame_camera(scene, width=width, height=height)
@@ -85,7 +88,7 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
     view = TrainingView("random", camera, lambda: TargetPixels(wanted))
     trainer = Trainer([view], config, points=gaussians.means, device=device)
     checkpoint = trainer.checkpoint
-    learnt = TrainedParameters.new(
+    parameters = TrainedParameters.new(
         {
             "means": gaussians.means,
             "rotations": gaussians.rotations_wxyz,
@@ -94,7 +97,7 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
             "sh": gaussians.sh[:, :1],
         }
     )
-    trainer.restore(type(checkpoint)(0, learnt, checkpoint.record))
+    trainer.restore(type(checkpoint)(0, parameters, checkpoint.record))
     trainer._launcher.profile = device != "cpu"
     if device == "cpu":
         trainer._launcher.clock = time.process_time
@@ -107,25 +110,25 @@ def stages_of(gaussians: ls.Gaussians, device: str) -> dict[str, float]:
 
 
 def print_fit(folder: Path, scale: float, config: ls.TrainConfig, device: str) -> None:
-    """A row for each thousand steps, and what came of it."""
-    photographs = ls.io.load_training_images(folder, scale=scale, background="black")
-    camera = photographs.training[0].camera
-    learnt, held_out = len(photographs.training), len(photographs.held_out)
-    print(f"{learnt} photographs of {camera.width} x {camera.height}, {held_out} held out")
+    """Prints the progress of a training every 30 seconds, and its held-out PSNR."""
+    images = ls.io.load_training_images(folder, scale=scale, background="black")
+    camera = images.training[0].camera
+    parameters, held_out = len(images.training), len(images.held_out)
+    print(f"{parameters} images of {camera.width} x {camera.height}, {held_out} held out")
     begun, processor = time.monotonic(), time.process_time()
-    told = 0.0
+    printed = 0.0
 
     def progress(label: str, fraction: float) -> None:
-        nonlocal told
-        if label.startswith("training, ") and time.monotonic() - told > 30.0:
-            told = time.monotonic()
-            print(f"{fraction:.0%} after {told - begun:.0f} s: {label.removeprefix('training, ')}", flush=True)
+        nonlocal printed
+        if label.startswith("training, ") and time.monotonic() - printed > 30.0:
+            printed = time.monotonic()
+            print(f"{fraction:.0%} after {printed - begun:.0f} s: {label.removeprefix('training, ')}", flush=True)
 
-    result = ls.train(photographs, config, device=device, progress=progress)
+    result = ls.train(images, config, device=device, progress=progress)
     assert result.score is not None
     print(
-        f"{result.score.psnr:.2f} dB over what was held out, {result.gaussians.count:,} Gaussians, "
-        f"{time.monotonic() - begun:.0f} s, {time.process_time() - processor:.0f} s of processor time"
+        f"{result.score.psnr:.2f} dB on held-out images, {result.gaussians.count:,} Gaussians, "
+        f"{time.monotonic() - begun:.0f} s, {time.process_time() - processor:.0f} s of CPU time"
     )
 
 

@@ -1,9 +1,9 @@
-"""Times the viewer from a page's camera to its picture, over a bare WebSocket without a browser (a minute).
+"""Times the viewer from a camera message to the frame that follows, over a WebSocket without a browser (a minute).
 
-``python -m bench.viewer CAPTURE`` starts the viewer in a process of its own, on the capture as captured and on the same
-relit by a lamp, and prints a table: seconds from the start to the address and to the first picture; milliseconds from a
-camera message to the picture that follows, while the camera moves in steps; what of these is not the frame itself; and
-pictures a second while it moves all the time. A picture of a view that moves keeps the budget, 40 milliseconds.
+``python -m bench.viewer CAPTURE`` starts the viewer in its own process, on the unlit capture and on the capture relit
+by a point light, and prints a table: seconds from the start to the address and to the first frame; milliseconds from a
+camera message to its frame while the camera moves in steps; the part of that outside of rendering; and frames per
+second while the camera moves continuously. A frame of a moving view keeps the budget of 40 milliseconds.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ WIDTH, HEIGHT = 640, 360
 STEPS = 60
 PAUSE_S = 0.05
 ORBIT_S = 5.0
-"""Time that the camera moves all the time."""
+"""Duration of the continuous camera motion, seconds."""
 
 
 def main() -> None:
-    """Prints the table, or with ``--serve`` is the viewer."""
+    """Prints the table, or with ``--serve`` runs the viewer."""
     arguments = parser("viewer", __doc__)
     arguments.add_argument("capture", type=Path)
-    arguments.add_argument("--serve", choices=("captured", "lit"), help="be the viewer; for this program itself")
+    arguments.add_argument("--serve", choices=("captured", "lit"), help="run the viewer; used internally")
     options = arguments.parse_args()
     if options.serve:
         serve(options.capture, options.serve, options.device)
         return
     print_head(
-        "", "address, s", "first picture, s", "median, ms", "best", "90 %", "beside the frame", "pictures a second"
+        "", "address, s", "first frame, s", "median, ms", "best", "90 %", "outside of rendering", "frames per second"
     )
     for kind in ("captured", "lit"):
         print_row(kind, *measure(options.capture, kind, options.device))
 
 
 def scene_of(capture: Path, kind: str) -> ls.Scene:
-    """The capture as captured, or relit by a lamp above it."""
+    """Returns the unlit capture, or the capture relit by a point light above it."""
     gaussians = ls.load(capture)
     assert isinstance(gaussians, ls.Gaussians)
     if kind == "captured":
@@ -55,12 +55,12 @@ def scene_of(capture: Path, kind: str) -> ls.Scene:
     scene = ls.Scene([ls.SplatInstance(gaussians, material=ls.MaterialPbr())])
     low, high = scene.bulk_bounds()
     size = float(np.linalg.norm(high - low))
-    lamp = 0.5 * (low + high) + 0.6 * size * np.array(scene.up_direction)
-    return replace(scene, lights=(ls.LightPoint(lamp, intensity=size**2),))
+    light = 0.5 * (low + high) + 0.6 * size * np.array(scene.up_direction)
+    return replace(scene, lights=(ls.LightPoint(light, intensity=size**2),))
 
 
 def serve(capture: Path, kind: str, device: str) -> None:
-    """Serves until standard input ends; prints the address, then for each frame when it was done, and its time."""
+    """Serves until standard input ends; prints the address, then the end time and the duration of each frame."""
     viewer = ls.view(scene_of(capture, kind), height=HEIGHT, device=device)
     print(viewer.url, flush=True)
     shown = viewer._loop._on_frame
@@ -76,13 +76,13 @@ def serve(capture: Path, kind: str, device: str) -> None:
 
 @dataclass
 class Served:
-    """A viewer in a process of its own, and the frames that it has rendered."""
+    """Viewer in its own process, and the frames that it has rendered."""
 
     process: subprocess.Popen[str]
     frames: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
 
     def read(self) -> None:
-        """Collects the lines of frames until there are no more."""
+        """Collects the lines of frames until the output ends."""
         assert self.process.stdout is not None
         for line in self.process.stdout:
             done, took = json.loads(line)
@@ -106,7 +106,7 @@ def measure(capture: Path, kind: str, device: str) -> tuple[str, ...]:
         page.look(cameras[0])
         page.picture()
         first_s = page.pictures[0][0] - started
-        time.sleep(5.0)  # levels are made
+        time.sleep(5.0)  # time to build levels of detail
         latencies, beside = stepped(page, served, cameras[1:])
         count, begun = len(page.pictures), time.monotonic()
         while time.monotonic() - begun < ORBIT_S:
@@ -123,7 +123,7 @@ def measure(capture: Path, kind: str, device: str) -> tuple[str, ...]:
 
 
 def stepped(page: PageClient, served: Served, cameras: list[ls.Camera]) -> tuple[list[float], list[float]]:
-    """Milliseconds from each camera to its picture, and what of them the frame did not take."""
+    """Returns milliseconds from each camera to its frame, and the part outside of rendering."""
     latencies: list[float] = []
     beside: list[float] = []
     for camera in cameras:

@@ -1,1 +1,1 @@
-"""Runs everything once, on a device that is new to us."""
+"""Checks and times everything once on a new device."""

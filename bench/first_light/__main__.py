@@ -1,11 +1,11 @@
-"""Runs everything once on a device that is new to us, checks before times (8 minutes at most).
+"""Checks and times everything once on a new device, checks first (8 minutes at most).
 
 ``python -m bench.first_light [--device cuda] [--out FOLDER]``
 
-Each step runs in a process of its own, since an error on a GPU poisons all that its process does later, and is ended
-after its time. After each, FOLDER has the report anew: first_light.jsonl, a line a step, and first_light.md, to be
-read. What a step found before it failed is kept. Frames are compared with the CPU's of the same run. ``--device cpu``
-rehearses it all, with the schedule of GPUs on the CPU.
+Each step runs in its own process, because an error on a GPU breaks everything that its process does later, and is
+stopped after its time limit. After each step, FOLDER has an updated report: first_light.jsonl, a line per step, and
+first_light.md, for reading. Findings before a failure are kept. Frames are compared with those of the CPU in the same
+run. ``--device cpu`` rehearses everything, with the schedule of GPUs on the CPU.
 
 The exit status is 0 if nothing is wrong. Timings are not judged.
 """
@@ -27,35 +27,35 @@ from bench.first_light.worker import Finding, Setting
 from bench.timing import parser
 
 BUDGET_S = 460.0
-"""Time of all steps: a machine that is lent for ten minutes has to start, too."""
+"""Time of all steps, seconds: a machine lent for ten minutes also has to start."""
 STEP_MIN_S = 10.0
-"""With less time left, a step is not begun."""
+"""Remaining time below which a step does not start, seconds."""
 LOG_CHARACTERS = 1500
-"""Of a failed step's output, its end."""
+"""Characters kept from the end of a failed step's output."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One thing to run."""
+    """Unit of work in its own process."""
 
     name: str
     work: str
     """``module:function``; the function takes a `Setting` and yields each `Finding` as soon as it has it."""
     limit_s: float
-    """It is ended after this time."""
+    """Time limit, seconds."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What became of a step."""
+    """Result of a step."""
 
     step: str
     status: str
-    """ok, wrong (it ended, and found what should not be), failed, timed out, or skipped."""
+    """ok, wrong (it ended with a wrong finding), failed, timed out, or skipped."""
     seconds: float = 0.0
     findings: list[Finding] = field(default_factory=list)
     problem: str = ""
-    """Why it failed or was skipped."""
+    """Reason of a failure or a skip."""
 
 
 CHECKS, TIMES, DERIVATIVES = (f"bench.first_light.{name}" for name in ("checks", "times", "derivatives"))
@@ -81,7 +81,7 @@ STEPS = (
     Step("sorts, times", f"{TIMES}:sort_times", 60.0),
     Step("copies, times", f"{TIMES}:copy_times", 60.0),
 )
-"""What is wrong matters more than how fast it is, and what is small comes before what is large."""
+"""All steps: correctness before speed, and small before large."""
 
 
 def main() -> int:
@@ -91,10 +91,12 @@ def main() -> int:
         "--out", type=Path, default=ROOT / "bench" / "results" / "first_light", help="folder of the report"
     )
     given.add_argument("--budget", type=float, default=BUDGET_S, metavar="S", help="seconds for all steps")
-    given.add_argument("--only", nargs="+", metavar="STEP", help="run these only: " + ", ".join(s.name for s in STEPS))
-    given.add_argument("--sizes", type=int, nargs="+", metavar="N", help="Gaussians of the sets that are timed")
-    given.add_argument("--width", type=int, metavar="PX", help="of the frames that are timed, 16:9")
-    given.add_argument("--every", type=int, default=1, metavar="N", help="each n-th small frame only, for sanitizers")
+    given.add_argument("--only", nargs="+", metavar="STEP", help="run only these: " + ", ".join(s.name for s in STEPS))
+    given.add_argument("--sizes", type=int, nargs="+", metavar="N", help="Gaussians of the timed sets")
+    given.add_argument("--width", type=int, metavar="PX", help="width of the timed frames, 16:9")
+    given.add_argument(
+        "--every", type=int, default=1, metavar="N", help="render only every n-th small frame, for sanitizers"
+    )
     options = given.parse_args()
     known = {step.name for step in STEPS}
     if unknown := set(options.only or ()) - known:
@@ -125,7 +127,7 @@ def run_steps(steps: Sequence[Step], setting: Setting, folder: Path, budget_s: f
 
 
 def run_step(step: Step, setting: Setting, left_s: float) -> Row:
-    """Runs a step in a process of its own, at most for its limit and the time that is left."""
+    """Runs a step in its own process, at most for its limit and the remaining time."""
     limit = min(step.limit_s, left_s)
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
@@ -154,17 +156,17 @@ def run_step(step: Step, setting: Setting, left_s: float) -> Row:
 
 
 def tail(log: Path) -> str:
-    """The end of a step's output."""
+    """Returns the end of a step's output."""
     return log.read_text(errors="replace").strip()[-LOG_CHARACTERS:]
 
 
 def whole_lines(path: Path) -> list[str]:
-    """Lines of a file; one that a process that died did not finish is left out."""
+    """Returns the complete lines of a file, without one that a dying process left unfinished."""
     return [line for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
 
 
 def write_report(folder: Path, setting: Setting, rows: list[Row]) -> None:
-    """Writes both files anew."""
+    """Writes both report files."""
     objects = [{**asdict(setting), **row.__dict__, "findings": [f._asdict() for f in row.findings]} for row in rows]
     (folder / "first_light.jsonl").write_text("".join(json.dumps(row) + "\n" for row in objects))
     lines = [

@@ -1,4 +1,4 @@
-"""Steps of `bench.first_light` that say what is wrong: frames, rays and shadows of a device against the CPU's."""
+"""Correctness steps of `bench.first_light`: frames, rays and shadows of a device against the CPU's."""
 
 from __future__ import annotations
 
@@ -25,24 +25,25 @@ from support.scenes import lit_scene, raster_scenes, trace_scenes
 
 LAYERS = ("color", "alpha", "normal", "depth", "captured", "light", "hits", "albedo")
 MOST_APART, MEAN_APART, SHARE = 1e-3, 2e-3, 0.98
-"""A frame is the CPU's if this share of its values are within the first, and their mean within the second: a decision
-that is rounding's may differ in a few pixels."""
+"""Tolerances against the CPU: largest difference of the given fraction of values, and largest mean difference.
+
+A decision that depends on rounding may differ in a few pixels."""
 
 FRAMES = 6
-"""Of a sequence in real time."""
+"""Frames of a real-time sequence."""
 
 Shot = tuple[str, ls.Scene, ls.Camera, ls.RenderConfig]
 
 
 def device_renderer(setting: Setting, config: ls.RenderConfig) -> ls.Renderer:
-    """A renderer on the device; on the CPU with the schedule of GPUs, replayed from graphs."""
+    """Returns a renderer on the device; on the CPU with the schedule of GPUs, replayed from graphs."""
     if setting.device == "cpu":
         return ls.Renderer(config, GraphLauncher())
     return ls.create_renderer(config, setting.device)
 
 
 def machine(setting: Setting) -> Iterator[Finding]:
-    """What the device is, and what drives it."""
+    """Reports the device, its driver and the versions."""
     device: Any = wp.get_device(setting.device)
     yield Finding("device", device.name)
     yield Finding("system", f"Python {platform.python_version()}, Warp {wp.__version__}, {platform.platform()}")
@@ -60,7 +61,7 @@ def machine(setting: Setting) -> Iterator[Finding]:
 
 
 def output_of(command: list[str]) -> str:
-    """What a program prints; empty where there is none of that name."""
+    """Returns the output of a program; empty if it is not installed."""
     try:
         return subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
     except OSError:
@@ -68,7 +69,7 @@ def output_of(command: list[str]) -> str:
 
 
 def kernels(setting: Setting) -> Iterator[Finding]:
-    """Compiles and loads every kernel that the device runs; on CUDA, what each takes of a multiprocessor."""
+    """Compiles and loads every kernel of the device; on CUDA, reports the resources of each."""
     is_cuda = setting.device != "cpu"
     modules = [*(cuda_modules() if is_cuda else package_modules()), *generated_modules(parallel=True)]
     begun = time.perf_counter()
@@ -82,7 +83,7 @@ def kernels(setting: Setting) -> Iterator[Finding]:
 
 
 def raster_frames(setting: Setting) -> Iterator[Finding]:
-    """Every kind of rasterised frame of the tests, unlit."""
+    """Checks every kind of unlit rasterised frame of the tests."""
     shots: list[Shot] = [(case.name, case.scene, case.camera, case.config) for case in raster_scenes.cases()]
     scene, camera = raster_scenes.cases()[3].scene, raster_scenes.cases()[3].camera
     for strategy in ls.config.RasterStrategy:
@@ -92,12 +93,12 @@ def raster_frames(setting: Setting) -> Iterator[Finding]:
 
 
 def traced_frames(setting: Setting) -> Iterator[Finding]:
-    """Every kind of traced frame of the tests, unlit."""
+    """Checks every kind of unlit ray-traced frame of the tests."""
     yield from compared(setting, [(c.name, c.scene, c.camera, c.config) for c in trace_scenes.cases()])
 
 
 def lit_frames(setting: Setting) -> Iterator[Finding]:
-    """Hard, soft and all methods of shadows in all pipelines, and captures that say how rough and metallic they are."""
+    """Checks hard and soft shadows, all shadow methods, and captures with roughness and metallic, in all pipelines."""
     shots: list[Shot] = []
     view = lit_scene.camera()
     for pipeline in ls.Pipeline:
@@ -114,7 +115,7 @@ def lit_frames(setting: Setting) -> Iterator[Finding]:
 
 
 def polished() -> tuple[ls.Scene, ls.Camera]:
-    """A lit capture that has roughness and metallic of its own."""
+    """Returns a lit capture with its own roughness and metallic."""
     ball = ls.gaussians_from_mesh(sphere(0.5, rows=10, columns=16), 900, seed=3)
     normals = ball.means / np.linalg.norm(ball.means, axis=1, keepdims=True)
     own: dict[str, Any] = {"normals": normals, "albedo": np.full((ball.count, 3), 0.7, np.float32)}
@@ -125,7 +126,7 @@ def polished() -> tuple[ls.Scene, ls.Camera]:
 
 
 def compared(setting: Setting, shots: Iterable[Shot]) -> Iterator[Finding]:
-    """The frames that are not the CPU's; a frame that fails does not end the others."""
+    """Reports frames that differ from the CPU's; a frame that fails does not stop the others."""
     count, worst, largest = 0, "none", 0.0
     for name, scene, camera, config in list(shots)[:: setting.every]:
         try:
@@ -138,20 +139,20 @@ def compared(setting: Setting, shots: Iterable[Shot]) -> Iterator[Finding]:
             if mean > largest:
                 worst, largest = f"{name}, {layer}", mean
             if near > MOST_APART or mean > MEAN_APART:
-                what = f"apart by {mean:.1e} on average, {near:.1e} at the {SHARE:.0%} quantile"
+                what = f"difference {mean:.1e} on average, {near:.1e} at the {SHARE:.0%} quantile"
                 yield Finding(f"{name}, {layer}", what, is_wrong=True)
     yield Finding(f"{count} frames, largest mean difference", f"{largest:.1e} ({worst})")
 
 
 def last_frame(renderer: ls.Renderer, scene: ls.Scene, camera: ls.Camera) -> ls.Frame:
-    """A frame; in real time the last of a few, in which light has found its way."""
+    """Returns a frame; in real time the last of a few, after the light has converged."""
     for _ in range(FRAMES - 1 if renderer.config.pipeline is ls.Pipeline.REALTIME else 0):
         renderer.render(scene, camera)
     return renderer.render(scene, camera)
 
 
 def differences(found: ls.Frame, expected: ls.Frame) -> Iterator[tuple[str, float, float]]:
-    """Layer, mean and quantile of how far two frames are apart, relative to values above 1."""
+    """Yields layer, mean and quantile of the difference of two frames, relative for values above 1."""
     for layer in LAYERS:
         image, truth = getattr(found, layer), getattr(expected, layer)
         if image is None or truth is None:
@@ -165,7 +166,7 @@ def differences(found: ls.Frame, expected: ls.Frame) -> Iterator[tuple[str, floa
 
 
 def repeats(setting: Setting) -> Iterator[Finding]:
-    """Frames of one renderer, which come from a graph from the third on, and of another one: the same bits."""
+    """Checks that frames have the same bits: replayed from a graph from the third on, and of another renderer."""
     cases = raster_scenes.cases()[:: setting.every]
     for case in cases:
         renderer = device_renderer(setting, case.config)
@@ -183,7 +184,7 @@ def repeats(setting: Setting) -> Iterator[Finding]:
 
 
 def moving_sets(setting: Setting) -> Iterator[Finding]:
-    """Sets that change from frame to frame, and lists that outgrow their memory, against new renderers on the CPU."""
+    """Checks Gaussians that change between frames, and lists that outgrow their memory, against new CPU renderers."""
     gaussians = raster_scenes.random_gaussians(5, 400)
     for pipeline in ls.Pipeline:
         config = ls.RenderConfig(pipeline=pipeline)
@@ -195,7 +196,7 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
                 scales=gaussians.scales * np.float32(size),
             )
             scene, camera = ls.Scene(splats=[moved]), raster_scenes.front_camera()
-            if pipeline is not ls.Pipeline.REALTIME:  # whose frames depend on those before
+            if pipeline is not ls.Pipeline.REALTIME:  # real-time frames depend on earlier ones
                 sequence = ls.create_renderer(config, "cpu")
             expected = sequence.render(scene, camera)
             for layer, mean, near in differences(renderer.render(scene, camera), expected):
@@ -205,7 +206,7 @@ def moving_sets(setting: Setting) -> Iterator[Finding]:
 
 
 def pictures(setting: Setting) -> Iterator[Finding]:
-    """Bytes that the device encodes, against the host's of the same frames; lit ones may be a step apart."""
+    """Checks bytes that the device encodes against those of the host; lit ones may differ by 1."""
     scene, view = lit_scene.scene(*lit_scene.LAMPS, lit_scene.SKY), lit_scene.camera()
     kinds: dict[str, dict[str, Any]] = {"unlit": {"lighting": False}}
     kinds |= {f"lit, {tone_map.value}": {"tone_map": tone_map} for tone_map in ls.ToneMap}
@@ -218,12 +219,14 @@ def pictures(setting: Setting) -> Iterator[Finding]:
             encoded = np.asarray(frame, np.uint8).astype(np.int32)
             apart = np.abs(encoded - to_bytes(frame.pixels_srgb(), name))
             most = 0 if name == "unlit" else 1
-            what = f"{name}, {'over a background' if background else 'transparent'}: bytes apart, and how far at most"
+            what = (
+                f"{name}, {'over a background' if background else 'transparent'}: differing bytes, largest difference"
+            )
             yield Finding(what, [int((apart > 0).sum()), int(apart.max())], is_wrong=int(apart.max()) > most)
 
 
 def rays(setting: Setting) -> Iterator[Finding]:
-    """Radiance, depth and transmittance along any rays."""
+    """Checks radiance, depth and transmittance along arbitrary rays."""
     scene = trace_scenes.placed_scene()
     random = np.random.default_rng(1)
     origins = random.uniform(-1.0, 1.0, (500, 3)) - [0.0, 0.0, 4.0]
@@ -233,11 +236,11 @@ def rays(setting: Setting) -> Iterator[Finding]:
     pairs = {name: [getattr(hits, name) for hits in seen] for name in ("radiance", "transmittance", "depth")}
     for name, (found, expected) in {**pairs, "up to a distance": passed}.items():
         near = np.isclose(found, expected, rtol=1e-3, atol=1e-3).mean()
-        yield Finding(f"{name}, share that is the CPU's", round(float(near), 4), is_wrong=bool(near < SHARE))
+        yield Finding(f"{name}, fraction equal to the CPU", round(float(near), 4), is_wrong=bool(near < SHARE))
 
 
 def deep_shadow_maps(setting: Setting) -> Iterator[Finding]:
-    """Maps of a point and of a parallel light, built and rebuilt."""
+    """Checks maps of a point and of a directional light, built and rebuilt."""
     casters = raster_scenes.random_gaussians(1, 200)
     receivers = raster_scenes.random_gaussians(2, 2000, extent=(4.0, 4.0, 4.0))
     moved = dataclasses.replace(casters, means=casters.means + np.float32(0.1))
@@ -252,7 +255,7 @@ def deep_shadow_maps(setting: Setting) -> Iterator[Finding]:
 
 
 def out_of_memory(setting: Setting) -> Iterator[Finding]:
-    """What does not fit is a DeviceError, and what does is drawn afterwards."""
+    """Checks that a scene too large for memory is a DeviceError, and that smaller ones render afterwards."""
     try:
         Buffers(setting.device).get("huge", wp.float64, 2**40)
         yield Finding("a huge buffer", "no error", is_wrong=True)
@@ -260,7 +263,7 @@ def out_of_memory(setting: Setting) -> Iterator[Finding]:
         yield Finding("a huge buffer", str(error)[:200])
     device: Any = wp.get_device(setting.device)
     if not device.is_cuda:
-        yield Finding("a full device", "not tried: a full CPU ends processes")
+        yield Finding("a full device", "not tried: a CPU without memory kills processes")
         return
     case = raster_scenes.cases()[3]
     renderer = ls.create_renderer(case.config, setting.device)
@@ -273,11 +276,11 @@ def out_of_memory(setting: Setting) -> Iterator[Finding]:
     yield Finding("free while full, MiB", device.free_memory / 2**20)
     try:
         renderer.render(large, case.camera)
-        yield Finding("a full device", "drawn, there was room", is_wrong=False)
+        yield Finding("a full device", "rendered, memory sufficed", is_wrong=False)
     except ls.DeviceError as error:
         yield Finding("a full device", str(error)[:200])
     except Exception as error:
         yield Finding("a full device", f"{type(error).__name__}: {error}"[:300], is_wrong=True)
     hoard.clear()
     after = renderer.render(case.scene, case.camera).color
-    yield Finding("drawn afterwards", "the same", is_wrong=not np.array_equal(before, after))
+    yield Finding("rendered afterwards", "the same", is_wrong=not np.array_equal(before, after))

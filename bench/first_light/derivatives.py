@@ -1,4 +1,4 @@
-"""Steps of `bench.first_light` about derivatives: against the CPU's and beside gsplat's; and the steps of training."""
+"""Gradient steps of `bench.first_light`: against the CPU and beside gsplat; and times of training."""
 
 from __future__ import annotations
 
@@ -17,53 +17,57 @@ from bench.training import stages_of
 from support.scenes import raster_scenes
 
 FAR_APART = 1e-3
-"""Derivatives are the CPU's if their difference is not longer than this share of them."""
+"""Largest norm of a gradient's difference from the CPU's, relative to its norm."""
 WARM, REPEATS = 3, 8
 TRAINED = (10_000, 100_000)
-WAYS = {
+BACKENDS = {
     "raster": ls.RenderConfig(),
     "raster, unscented": ls.RenderConfig(raster=ls.RasterConfig(projection=ls.config.Projection.UNSCENTED)),
     "trace": ls.RenderConfig(pipeline=ls.Pipeline.TRACE),
 }
-"""Frames that are differentiated."""
+"""Settings of the frames that are differentiated."""
 PARAMETERS = ("means", "rotations_wxyz", "scales", "opacities", "sh")
 
 
 def gradients(setting: Setting) -> Iterator[Finding]:
-    """Derivatives of random numbers of frames, rasterised, also along rays, and traced."""
-    for way, config in WAYS.items():
+    """Checks gradients of frames: rasterised, unscented and ray traced."""
+    for backend, config in BACKENDS.items():
         worst = 0.0
         for seed, degree in ((3, 2), (4, 0)):
             scene = ls.Scene([raster_scenes.random_gaussians(seed, 400, degree=degree)])
             camera = raster_scenes.front_camera()
-            pull = np.random.default_rng(seed).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
-            here, there = (derivatives(scene, camera, config, pull, device) for device in (setting.device, "cpu"))
+            pixel_weights = np.random.default_rng(seed).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
+            here, there = (
+                derivatives(scene, camera, config, pixel_weights, device) for device in (setting.device, "cpu")
+            )
             for name, expected in there.items():
                 apart = float(np.linalg.norm(here[name] - expected) / max(float(np.linalg.norm(expected)), 1e-20))
                 worst = max(worst, apart)
                 if not apart < FAR_APART:
-                    yield Finding(f"{way}, degree {degree}, {name}", f"apart by {apart:.1e}", is_wrong=True)
-        yield Finding(f"{way}: largest difference, a share", f"{worst:.1e}")
+                    yield Finding(
+                        f"{backend}, degree {degree}, {name}", f"relative difference {apart:.1e}", is_wrong=True
+                    )
+        yield Finding(f"{backend}: largest relative difference", f"{worst:.1e}")
 
 
 def derivatives(
-    scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig, pull: np.ndarray, device: str
+    scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig, pixel_weights: np.ndarray, device: str
 ) -> dict[str, np.ndarray]:
-    """Of a frame, by the parameters of its only set."""
+    """Returns the gradient of a frame by the parameters of its only Gaussian set."""
     renderer = ls.DifferentiableRenderer(config, device)
     renderer.render(scene, camera)
-    found = renderer.gradients(pull).sets[0]
+    found = renderer.gradients(pixel_weights).sets[0]
     return {name: np.asarray(getattr(found, name), np.float64) for name in PARAMETERS}
 
 
 def training_times(setting: Setting) -> Iterator[Finding]:
-    """Stages of a step at 640 x 360, which wait for each other."""
+    """Times the stages of an iteration at 640 x 360, waiting after each."""
     for count in TRAINED[:1] if setting.device == "cpu" else TRAINED:
         yield Finding(f"{count:,}: stages of a step, ms", rounded(stages_of(synthetic(count), setting.device)))
 
 
 def gradients_beside_gsplat(setting: Setting) -> Iterator[Finding]:
-    """Frames and their derivatives by gsplat's rasteriser and ours: milliseconds on the device, and how alike."""
+    """Times frames and gradients of gsplat's rasteriser and ours, and compares the gradients."""
     if setting.device == "cpu":
         yield Finding("skipped", "gsplat rasterises on CUDA only")
         return
@@ -78,9 +82,9 @@ def gradients_beside_gsplat(setting: Setting) -> Iterator[Finding]:
 
 
 def _turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
-    """One set, differentiated by both."""
+    """Times one set with both renderers."""
     gaussians, camera = synthetic(count), view(setting, count)
-    pull = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
+    pixel_weights = np.random.default_rng(0).normal(size=(camera.height, camera.width, 3)).astype(np.float32)
     leaves = {
         name: torch.tensor(np.ascontiguousarray(values), device=setting.device, requires_grad=True)
         for name, values in columns(gaussians).items()
@@ -88,7 +92,7 @@ def _turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iter
     pose = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
     lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
     lenses = torch.tensor([lens], dtype=torch.float32, device=setting.device)
-    weights = torch.tensor(pull, device=setting.device)[None]
+    weights = torch.tensor(pixel_weights, device=setting.device)[None]
     size: Any = {"width": camera.width, "height": camera.height}
     theirs: list[tuple[float, float]] = []
     for _ in range(WARM + REPEATS):
@@ -102,7 +106,7 @@ def _turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iter
         (image * weights).sum().backward()
         torch.cuda.synchronize()
         theirs.append((1e3 * (drawn - begun), 1e3 * (time.perf_counter() - drawn)))
-    ours, found = _ours(setting, ls.Scene([gaussians]), camera, pull)
+    ours, found = _ours(setting, ls.Scene([gaussians]), camera, pixel_weights)
     forward, backward = (statistics.median(row[k] for row in theirs[WARM:]) for k in (0, 1))
     yield Finding(f"{count:,}: gsplat's frame and derivatives, ms", [round(forward, 2), round(backward, 2)])
     yield Finding(f"{count:,}: our stages, ms", rounded(ours))
@@ -111,16 +115,16 @@ def _turns(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iter
 
 
 def _ours(
-    setting: Setting, scene: ls.Scene, camera: ls.Camera, pull: np.ndarray
+    setting: Setting, scene: ls.Scene, camera: ls.Camera, pixel_weights: np.ndarray
 ) -> tuple[dict[str, float], ls.gradients.SetGradient]:
-    """Stages of a frame and of its derivatives, and these."""
+    """Returns the stage times of our frame and its gradient, and the gradient."""
     renderer = ls.DifferentiableRenderer(None, setting.device)
     renderer._launcher.profile = True
     rows: list[dict[str, float]] = []
     found: list[ls.gradients.SetGradient] = []
     for _ in range(WARM + REPEATS):
         renderer.render(scene, camera)
-        found = [*renderer.gradients(pull).sets]
+        found = [*renderer.gradients(pixel_weights).sets]
         rows.append(dict(renderer._launcher.stage_ms))
     kept = [name for name in rows[-1] if name not in ("sync", "download")]
     return {name: statistics.median(row[name] for row in rows[WARM:]) for name in kept}, found[0]

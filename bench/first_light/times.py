@@ -1,4 +1,4 @@
-"""Steps of `bench.first_light` that say how long things take: stages of large frames, sorts, copies, beside gsplat."""
+"""Timing steps of `bench.first_light`: stages of large frames, sorts, copies, and frames beside gsplat."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ from lumisplat.runtime.buffers import DeviceArray
 from lumisplat.runtime.primitives import sort_pairs
 
 WARM, REPEATS = 3, 10
-"""Frames before those that are timed: buffers grow, then a graph is captured."""
-LAMP = ls.LightPoint((1.0, -3.0, -3.0), intensity=30.0)
+"""Frames before the timed ones, in which buffers grow and a graph is captured; number of timed frames."""
+LIGHT = ls.LightPoint((1.0, -3.0, -3.0), intensity=30.0)
 
 
 def view(setting: Setting, count: int) -> ls.Camera:
-    """The camera of the benchmarks' synthetic sets."""
+    """Returns the camera of the benchmarks' synthetic sets."""
     return Preset("first light", setting.width, setting.width * 9 // 16, count).camera()
 
 
 def raster_times(setting: Setting) -> Iterator[Finding]:
-    """Unlit frames, as they are used."""
+    """Times unlit rasterised frames."""
     for count in setting.sizes:
         yield from frame_times(setting, count, ls.RenderConfig(), ls.Scene(splats=[synthetic(count)]), REPEATS)
 
 
 def trace_times(setting: Setting) -> Iterator[Finding]:
-    """Unlit traced frames, with the time of their trees."""
+    """Times unlit ray-traced frames and their BVHs."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)
     for count in setting.sizes:
         yield from frame_times(setting, count, config, ls.Scene(splats=[synthetic(count)]), 3)
 
 
 def lit_times(setting: Setting) -> Iterator[Finding]:
-    """Hybrid frames with one shadowed light."""
+    """Times hybrid frames with one shadowed light."""
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID)
     for count in setting.sizes:
-        yield from frame_times(setting, count, config, ls.Scene(splats=[synthetic(count)], lights=[LAMP]), 3)
+        yield from frame_times(setting, count, config, ls.Scene(splats=[synthetic(count)], lights=[LIGHT]), 3)
 
 
 def frame_times(
     setting: Setting, count: int, config: ls.RenderConfig, scene: ls.Scene, repeats: int
 ) -> Iterator[Finding]:
-    """The first frame, the median of later ones, and the stages of one that waits after each."""
+    """Reports the first frame, the median of later ones, and the stages of a frame that waits after each."""
     renderer, camera = TimedRenderer(config, setting.device), view(setting, count)
     first = renderer.render(scene, camera)
     yield Finding(f"{count:,}: first frame, ms", round(first.wall_ms, 1))
@@ -75,12 +75,12 @@ def frame_times(
 
 
 def rounded(stage_ms: dict[str, float]) -> dict[str, float]:
-    """Milliseconds to be read."""
+    """Returns milliseconds with two decimals."""
     return {name: round(ms, 2) for name, ms in stage_ms.items()}
 
 
 def sort_times(setting: Setting) -> Iterator[Finding]:
-    """Sorts as the rasteriser asks for them: of depths, and of pairs by tile."""
+    """Times the sorts of the rasteriser: of depths, and of pairs by tile."""
     largest = max(setting.sizes)
     for count, bits in ((largest, 32), (2 * largest, 13)):
         values = np.random.default_rng(0).integers(0, 1 << min(bits, 30), 2 * count, dtype=np.int32)
@@ -94,7 +94,7 @@ def sort_times(setting: Setting) -> Iterator[Finding]:
 
 
 def copy_times(setting: Setting) -> Iterator[Finding]:
-    """The images of a frame, 10 words a pixel: to the host, and within the device."""
+    """Times copies of a frame's images, 10 words per pixel: to the host, and within the device."""
     words = 10 * setting.width * (setting.width * 9 // 16)
     source, target = (DeviceArray(shape=words, dtype=wp.float32, device=setting.device) for _ in range(2))
     yield Finding("MB", 4e-6 * words)
@@ -106,7 +106,7 @@ def copy_times(setting: Setting) -> Iterator[Finding]:
 
 
 def milliseconds(setting: Setting, work: Callable[[], object]) -> float:
-    """The median of some runs, waited for."""
+    """Returns the median time of some synchronised runs."""
     spans = []
     for _ in range(REPEATS + 1):
         begun = time.perf_counter()
@@ -117,7 +117,7 @@ def milliseconds(setting: Setting, work: Callable[[], object]) -> float:
 
 
 def beside_gsplat(setting: Setting) -> Iterator[Finding]:
-    """Frames of gsplat's rasteriser and ours in turns: milliseconds, and how alike they are."""
+    """Times alternating frames of gsplat's rasteriser and ours, and their PSNR."""
     if setting.device == "cpu":
         yield Finding("skipped", "gsplat rasterises on CUDA only")
         return
@@ -132,11 +132,11 @@ def beside_gsplat(setting: Setting) -> Iterator[Finding]:
 
 
 def turns_with_gsplat(setting: Setting, count: int, torch: Any, rasterization: Any) -> Iterator[Finding]:
-    """One set, drawn by both in turns.
+    """Times one set with both renderers, alternating.
 
     Args:
-        setting: Where, and how large.
-        count: Gaussians.
+        setting: Device and size.
+        count: Number of Gaussians.
         torch: The module.
         rasterization: gsplat's function.
     """
@@ -166,7 +166,7 @@ def turns_with_gsplat(setting: Setting, count: int, torch: Any, rasterization: A
 def gsplat_draw(
     setting: Setting, gaussians: ls.Gaussians, camera: ls.Camera, torch: Any, rasterization: Any
 ) -> Callable[[], Any]:
-    """A call of gsplat's rasteriser, on tensors that are on the device already."""
+    """Returns a call of gsplat's rasteriser with tensors that are already on the device."""
     given = {name: torch.tensor(values, device=setting.device) for name, values in columns(gaussians).items()}
     matrix = torch.tensor(camera.camera_from_world, dtype=torch.float32, device=setting.device)[None]
     lens = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
@@ -183,7 +183,7 @@ def gsplat_draw(
 
 
 def columns(gaussians: ls.Gaussians) -> dict[str, np.ndarray]:
-    """A set as gsplat takes it."""
+    """Returns the arguments of gsplat for a set."""
     return {
         "means": gaussians.means,
         "quats": gaussians.rotations_wxyz,

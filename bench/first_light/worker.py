@@ -1,4 +1,4 @@
-"""Runs one step of `bench.first_light` in this process, and writes what it finds at once, a line each."""
+"""Runs one step of `bench.first_light` in this process, and writes each finding at once, one per line."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 
 class Finding(NamedTuple):
-    """Something that a step has found; one called ``skipped`` ends it, and says why."""
+    """Result of a step; one named ``skipped`` ends the step and gives the reason."""
 
     name: str
     value: object
-    """For JSON."""
+    """JSON value."""
     is_wrong: bool = False
 
 
@@ -24,11 +24,11 @@ class Setting:
 
     device: str
     sizes: list[int]
-    """Gaussians of the sets that are timed."""
+    """Gaussians of the timed sets."""
     width: int
-    """Of the frames that are timed, pixels."""
+    """Width of the timed frames, pixels."""
     every: int = 1
-    """Each n-th small frame is rendered."""
+    """Only every n-th small frame is rendered."""
 
 
 def main(work: str, setting: str, found: str) -> None:

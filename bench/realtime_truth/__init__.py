@@ -1,4 +1,4 @@
-"""Measures what frames in real time must show: how near to paths they are, and how soon they follow what changes.
+"""Measures real-time frames against path tracing: bias in still scenes, and lag after changes.
 
-Each module is a command, ``python -m bench.realtime_truth.bias`` for instance, and prints a table with the bars.
+Each module is a command, ``python -m bench.realtime_truth.bias`` for instance, and prints a table with the targets.
 """

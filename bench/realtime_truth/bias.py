@@ -1,15 +1,15 @@
-"""Measures how far frames in real time are from paths, where nothing moves (10 minutes of processor time).
+"""Measures the bias of real-time frames against path tracing in still scenes (10 minutes of CPU time).
 
-``python -m bench.realtime_truth.bias`` prints, for rooms and the demo scene after 64 frames, by layer how far blocks of
-16 x 16 pixels are off, as shares of their light: 3 % of direct, 5 % of indirect and 10 % of glossy light are the bars
-on meshes, twice that on Gaussians. Then the PSNR of tone-mapped pictures (bars: 34 dB Cornell, 31 dB with Gaussians, 30
-dB demo scene), and furnaces, which have to be 1 within 0.5 %. Where captures keep their look, direct and indirect
-diffuse light are taken together: the two pipelines put the light of captures in different ones.
+``python -m bench.realtime_truth.bias`` prints, for rooms and the demo scene after 64 frames, the relative error of
+16 x 16 pixel tiles in each layer. The targets on meshes are 3 % of direct, 5 % of indirect and 10 % of glossy light,
+and twice that on Gaussians. Then the PSNR of tone-mapped frames (targets: 34 dB Cornell, 31 dB with Gaussians, 30 dB
+demo scene), and white furnaces, which have to be 1 within 0.5 %. Where captures are unlit, direct and indirect diffuse
+light are added, because the two pipelines assign captured radiance to different layers.
 
-What single frames are off is bias and noise; *32 frames* are the mean of the last half of them, whose bias it is. The
-truth's noise is left out of PSNR: it is the product of the errors beside two independent halves of the truth. Its share
-of a block's bias is the last column. Most of the time is for the truth; it takes seconds with ``--width 96 --samples 4
---frames 4 --only rooms``.
+The error of a single frame is bias and noise. *32 frames* is the mean of the last half of the frames, whose error is
+bias. The noise of the truth is removed from PSNR: the squared error is the product of the errors against two
+independent halves of the truth. Its part of a tile's error is the last column. Most of the time is for the truth; a
+quick run is ``--width 96 --samples 4 --frames 4 --only rooms``.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from bench.realtime_truth.frames import (
     blocks,
     frames_of,
     layer_of,
+    log,
     options,
     percent,
     realtime,
-    tell,
     truth_of,
 )
 from bench.realtime_truth.scenes import View, demo, furnaces, rooms
@@ -41,7 +41,7 @@ FURNACE_BAR = 0.005
 def main() -> None:
     """Prints the tables."""
     asked = options("bias", __doc__, samples=64)
-    asked.add_argument("--frames", type=int, default=64, help="of each sequence (default: 64)")
+    asked.add_argument("--frames", type=int, default=64, help="frames of each sequence (default: 64)")
     asked.add_argument("--only", default="rooms,demo,furnaces", help="some of rooms, demo, furnaces")
     add_quality(asked)
     given = asked.parse_args()
@@ -49,23 +49,23 @@ def main() -> None:
     views = [*(rooms(given.width) if "rooms" in chosen else ()), *([demo(given.width)] if "demo" in chosen else ())]
     pictures = list[str]()
     if views:
-        of = "mean", "rms of blocks", "largest", "beyond"
-        print_head("view", "layer", "bar", *of, *(f"32 frames: {name}" for name in of), "truth's noise")
+        of = "mean", "rms of tiles", "largest", "above target"
+        print_head("view", "layer", "target", *of, *(f"32 frames: {name}" for name in of), "truth's noise")
         for view in views:
             pictures.append(compared(view, given))
         print()
-        print_head("view", "PSNR, dB", "with the truth's noise", "bar")
+        print_head("view", "PSNR, dB", "with the truth's noise", "target")
         print("\n".join(pictures), flush=True)
     if "furnaces" in chosen:
         print()
-        print_head("furnace, farthest of three views", "mean", "block of 32 frames", "block of one", "bar")
+        print_head("furnace, farthest of three views", "mean", "worst tile of 32 frames", "worst tile of one", "target")
         print("\n".join(heated(given)))
 
 
 def compared(view: View, given: argparse.Namespace) -> str:
-    """Prints the rows of a view's layers, and returns that of its picture."""
+    """Prints the rows of a view's layers, and returns that of its tone-mapped frame."""
     truth = truth_of(view, given.samples, given.device, given.truths)
-    tell(f"{given.frames} frames: {view.name}")
+    log(f"{given.frames} frames: {view.name}")
     *_, frame = frames = list(
         frames_of(
             ls.create_renderer(realtime(realtime=ls.RealtimeConfig(quality=given.quality)), given.device),
@@ -73,7 +73,7 @@ def compared(view: View, given: argparse.Namespace) -> str:
             given.frames,
         )
     )
-    for name in ("diffuse", "glossy", "color") if view.keeps_look else ("direct", "indirect", "glossy", "color"):
+    for name in ("diffuse", "glossy", "color") if view.is_unlit else ("direct", "indirect", "glossy", "color"):
         if not truth.layer(name).any():
             continue
         bar = view.slack * BARS[name] if name in BARS else np.inf
@@ -91,10 +91,10 @@ def compared(view: View, given: argparse.Namespace) -> str:
 
 
 def heated(given: argparse.Namespace) -> list[str]:
-    """The rows of furnaces: means of the last half of the frames, and the farthest block of the last one."""
+    """Returns the rows of the furnaces: mean of the last half of the frames, and the worst tiles."""
     found: dict[str, list[tuple[float, float, float]]] = {}
     for view in furnaces(given.width // 2):
-        tell(f"{given.frames} frames: furnace, {view.name}")
+        log(f"{given.frames} frames: furnace, {view.name}")
         frames = list(frames_of(ls.create_renderer(realtime(aovs=()), given.device), view, given.frames))
         late = np.mean(np.stack([frame.color - 1.0 for frame in frames[given.frames // 2 :]]), axis=0)
         steady, last = (float(max(blocks(image).flat, key=abs)) for image in (late, frames[-1].color - 1.0))

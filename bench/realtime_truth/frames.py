@@ -1,4 +1,4 @@
-"""Renders sequences in real time and the paths that are their truth, and measures how far apart the two are."""
+"""Renders real-time sequences and their path-traced truth, and measures the difference."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from lumisplat.math.tone_map import lit_picture
 Doubles = npt.NDArray[np.float64]
 
 BLOCK = 16
-"""Side of the blocks whose means are compared, pixels."""
+"""Side of the tiles whose means are compared, pixels."""
 FAINT = 0.1
-"""Blocks with less than this share of their layer's mean are measured by this share of it: nothing is divided by 0."""
+"""Smallest value by which a tile's error is divided, as a fraction of the layer's mean."""
 BOUNCES = 16
-"""Of the truth: with 8, the default, white rooms lack 0.9 % of their light, with 32 nothing more."""
+"""Bounces of the truth: with 8, the default, white rooms lack 0.9 % of their light, with 32 nothing more."""
 BARS = {"direct": 0.03, "indirect": 0.05, "diffuse": 0.05, "glossy": 0.10}
-"""Most that a block of a layer may be off on meshes; twice that on Gaussians."""
+"""Largest relative error of a tile of a layer on meshes; twice that on Gaussians."""
 LAYERS = {
     "direct": ("direct_diffuse",),
     "indirect": ("indirect_diffuse",),
@@ -37,35 +37,37 @@ LAYERS = {
 
 
 def options(name: str, description: str | None, *, samples: int = 0, width: int = WIDTH) -> argparse.ArgumentParser:
-    """A parser of what the commands have in common; with ``samples`` for those that have paths as their truth."""
+    """Returns a parser of the common options; ``samples`` adds those of commands with a path-traced truth."""
     given = parser(f"realtime_truth.{name}", description)
-    given.add_argument("--width", type=int, default=width, help=f"of pictures, pixels (default: {width})")
+    given.add_argument("--width", type=int, default=width, help=f"width of frames, pixels (default: {width})")
     if samples:
-        given.add_argument("--samples", type=int, default=samples, help=f"of the truth (default: {samples})")
-        said = "keeps the truth's pictures there, and takes those that are there; empty it when paths change"
-        given.add_argument("--truths", type=Path, metavar="FOLDER", help=said)
+        given.add_argument(
+            "--samples", type=int, default=samples, help=f"samples per pixel of the truth (default: {samples})"
+        )
+        help_text = "stores and reuses path-traced frames there; empty it when the path tracer changes"
+        given.add_argument("--truths", type=Path, metavar="FOLDER", help=help_text)
     quiet_warp()
     return given
 
 
 def add_quality(asked: argparse.ArgumentParser) -> None:
-    """The option of those whose frames may be of another quality."""
+    """Adds the option of the real-time quality."""
     asked.add_argument("--quality", default="balanced", help="preview, balanced or high (default: balanced)")
 
 
-def tell(text: str) -> None:
-    """A line of what goes on, apart from the tables."""
+def log(text: str) -> None:
+    """Prints a line of progress to standard error, apart from the tables."""
     print(f"{time.strftime('%H:%M:%S')} {text}", file=sys.stderr, flush=True)
 
 
 def realtime(**settings: Any) -> ls.RenderConfig:
-    """Settings of a sequence, with its layers."""
+    """Returns settings of a real-time sequence with its layers."""
     given = {"aovs": PATH_PARTS, "tone_map": ls.ToneMap.NEUTRAL} | settings
     return ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, **given)
 
 
 def paths(samples: int, seed: int) -> ls.RenderConfig:
-    """Settings of a frame of paths whose first surface is that of real time."""
+    """Returns settings of a path-traced frame whose primary hits are those of real time."""
     return ls.RenderConfig(
         pipeline=ls.Pipeline.PATH,
         samples=samples,
@@ -78,49 +80,49 @@ def paths(samples: int, seed: int) -> ls.RenderConfig:
 
 
 def frames_of(renderer: ls.Renderer, view: View, count: int) -> Iterator[ls.Frame]:
-    """The next frames of a sequence that stands still."""
+    """Yields the next frames of a still sequence."""
     for _ in range(count):
         yield renderer.render(view.scene, view.camera)
 
 
 def last_of(renderer: ls.Renderer, view: View, count: int) -> ls.Frame:
-    """The last of so many frames."""
+    """Returns the last of ``count`` frames."""
     *_, frame = frames_of(renderer, view, count)
     return frame
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Two independent frames of paths: what they agree on is without their noise."""
+    """Two independent path-traced frames; the product of errors against both is free of their noise."""
 
     pictures: Doubles
-    """Tone-mapped, shape (2, H, W, 3)."""
+    """Tone-mapped frames, shape (2, H, W, 3)."""
     whole: Doubles
-    """That of both together, shape (H, W, 3)."""
+    """Tone-mapped mean of both frames, shape (H, W, 3)."""
     images: dict[str, Doubles]
     """``color`` and the layers, linear, each of shape (2, H, W, 3)."""
 
     def layer(self, name: str) -> Doubles:
-        """One of `LAYERS`, or ``diffuse``, or an image, shape (2, H, W, 3)."""
+        """Returns one of `LAYERS`, or ``diffuse``, or an image, shape (2, H, W, 3)."""
         return _layer(name, lambda part: self.images[part])
 
     def squared_error(self, picture: npt.NDArray[np.floating]) -> float:
-        """Mean squared error of a tone-mapped picture, without what is the truth's noise."""
+        """Returns the mean squared error of a tone-mapped frame, without the truth's noise."""
         first, second = (np.asarray(picture, np.float64) - half for half in self.pictures)
         return float(np.mean(first * second))
 
     def psnr(self, picture: npt.NDArray[np.floating]) -> float:
-        """The same in dB."""
+        """Returns the PSNR of a tone-mapped frame without the truth's noise, dB."""
         return decibels(self.squared_error(picture))
 
 
 def decibels(squared_error: float) -> float:
-    """PSNR."""
+    """Returns the PSNR of a mean squared error, dB."""
     return -10.0 * float(np.log10(max(squared_error, 1e-9)))
 
 
 def layer_of(frame: ls.Frame, name: str) -> Doubles:
-    """One of `LAYERS`, or ``diffuse``, or an image, shape (H, W, 3)."""
+    """Returns one of `LAYERS`, or ``diffuse``, or an image, shape (H, W, 3)."""
     return _layer(name, lambda part: np.asarray(getattr(frame, part), np.float64))
 
 
@@ -131,13 +133,13 @@ def _layer(name: str, image: Callable[[str], Doubles]) -> Doubles:
 
 
 def truth_of(view: View, samples: int, device: str, folder: Path | None) -> Truth:
-    """Paths of a view, half of the samples in each frame; kept in the folder if there is one."""
+    """Path traces a view, half of the samples in each frame; reads and stores it in the folder, if there is one."""
     size = f"{view.camera.width}x{view.camera.height}"
     stored = folder / f"{view.name.replace(' ', '_')}-{size}-{samples}.npz" if folder else None
     if stored and stored.is_file():
         images = {name: values.astype(np.float64) for name, values in np.load(stored).items()}
         return Truth(images.pop("pictures"), images.pop("whole"), images)
-    tell(f"{samples} paths a pixel: {view.name}, {size}")
+    log(f"{samples} paths a pixel: {view.name}, {size}")
     halves = [ls.create_renderer(paths(samples // 2, seed), device).render(view.scene, view.camera) for seed in (1, 2)]
     pictures = np.stack([half.pixels_srgb() for half in halves]).astype(np.float64)
     captured, weight, light = (
@@ -151,28 +153,28 @@ def truth_of(view: View, samples: int, device: str, folder: Path | None) -> Trut
     }
     if stored:
         stored.parent.mkdir(parents=True, exist_ok=True)
-        kept = {"pictures": pictures, "whole": whole, **images}
-        np.savez(stored, **{name: values.astype(np.float32) for name, values in kept.items()})  # pyright: ignore[reportArgumentType]
+        stored_arrays = {"pictures": pictures, "whole": whole, **images}
+        np.savez(stored, **{name: values.astype(np.float32) for name, values in stored_arrays.items()})  # pyright: ignore[reportArgumentType]
     return Truth(pictures, whole, images)
 
 
 class Bias(NamedTuple):
-    """How far means of blocks are off, as shares of the truth."""
+    """Errors of tile means, relative to the truth."""
 
     mean: float
-    """Signed, of the whole picture."""
+    """Signed error of the whole frame."""
     rms: float
-    """Root mean square over blocks."""
+    """Root mean square over tiles."""
     largest: float
-    """The largest block's, signed."""
+    """Signed error of the worst tile."""
     beyond: float
-    """Share of the blocks that are off by more than the bar."""
+    """Fraction of tiles whose error exceeds the target."""
     noise: float
-    """Root mean square of the truth's own standard errors."""
+    """Root mean square of the truth's standard errors."""
 
 
 def bias(image: Doubles, truth: Doubles, bar: float) -> Bias:
-    """Of an image, shape (H, W, 3), beside two frames of the truth, shape (2, H, W, 3)."""
+    """Returns the errors of an image, shape (H, W, 3), against two frames of the truth, shape (2, H, W, 3)."""
     ours, (first, second) = blocks(image), (blocks(half) for half in truth)
     expected = 0.5 * (first + second)
     scale = np.maximum(expected, FAINT * expected.mean())
@@ -187,17 +189,17 @@ def bias(image: Doubles, truth: Doubles, bar: float) -> Bias:
 
 
 def blocks(image: npt.NDArray[np.floating]) -> Doubles:
-    """Means over whole blocks of pixels, and over channels."""
+    """Returns means over complete tiles and over channels."""
     rows, columns = image.shape[0] // BLOCK, image.shape[1] // BLOCK
     whole = np.asarray(image[: rows * BLOCK, : columns * BLOCK], np.float64)
     return whole.reshape(rows, BLOCK, columns, BLOCK, 3).mean(axis=(1, 3, 4))
 
 
 def rms(values: Doubles) -> float:
-    """Root mean square."""
+    """Returns the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def percent(value: float, digits: int = 1) -> str:
-    """With a sign where it may have one."""
+    """Formats a fraction as percent."""
     return f"{100.0 * value:.{digits}f} %"

@@ -1,21 +1,22 @@
-"""Measures how soon frames in real time follow what changes, and how still they are otherwise (10 minutes).
+"""Measures how soon real-time frames follow changes, and how stable they are otherwise (10 minutes).
 
 ``python -m bench.realtime_truth.lag`` prints
 
-* which share of the light of a lamp that goes out is gone after so many frames, in a closed room, alone and beside
-  another lamp (bars: 90 % after 8 frames direct, after 24 indirect); *slowest* is what 95 % of the blocks of 16 x 16
-  pixels reach;
-* which share of the old shadow of a ball that has jumped aside is still there, and of the light where its new shadow
-  is; then by how much the light there, of which indirect light is a part, differs from what it will be (bars: 5 % after
+* the fraction of light that is gone some frames after a light was switched off, in a closed room, with and without
+  another light (targets: 90 % after 8 frames direct, after 24 indirect); *slowest* is the value that 95 % of the
+  16 x 16 pixel tiles reach;
+* the fraction of the old shadow of a ball that remains after it has jumped aside, and of the light at its new shadow;
+  then the relative difference of the light there, including indirect light, from its final value (targets: 5 % after
   24 frames);
-* the error of pixels that are newly seen, after the jump and after a step of the camera, over that of the same pixels
-  when the scene has stood still for 64 frames (bar: 2 after 8 frames), and how many of them are black;
-* the difference of a sequence whose camera was away for 16 frames from one that stood still, over that of two which
-  stood still with other random numbers (1: within the noise);
-* how many pixels of a still scene flicker by less than 1 %, standard deviation over mean of 32 frames (bar: 95 %).
+* the error of disoccluded pixels after the jump and after a step of the camera, over that of the same pixels after 64
+  still frames (target: 2 after 8 frames), and how many of them are black;
+* the difference of a sequence whose camera was away for 16 frames from a still one, over the difference of two still
+  ones with other random numbers (1: within the noise);
+* the fraction of pixels of a still scene that flicker by less than 1 %, as standard deviation over mean of 32 frames
+  (target: 95 %).
 
-Errors are root mean squares of tone-mapped pictures, those of new pixels beside paths, whose noise is left out. It
-takes seconds with ``--width 64 --samples 4 --only lamps,shadow,seen,trip``.
+Errors are root mean squares of tone-mapped frames; those of disoccluded pixels are against paths, without their noise.
+A quick run is ``--width 64 --samples 4 --only lamps,shadow,seen,trip``.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from bench.realtime_truth.frames import (
     frames_of,
     last_of,
     layer_of,
+    log,
     options,
     percent,
     realtime,
     rms,
-    tell,
     truth_of,
 )
 from bench.realtime_truth.scenes import View, aside, dark_room, demo, rooms, with_ball_at
@@ -50,12 +51,12 @@ from support.scenes.path_rooms import room_camera
 Mask = npt.NDArray[np.bool_]
 
 AFTER = (1, 2, 4, 8, 16, 24)
-"""Frames after a change, the first one that shows it counted."""
+"""Frames after a change, counting the first that shows it."""
 STEADY = 64
 JUMP, STEP = 1.5, 0.4
-"""Of the ball and of the camera, scene units."""
+"""Distances of the jump of the ball and of the step of the camera, scene units."""
 SHADED = 0.5
-"""Where a shadow leaves less than this share of the direct light is its inside."""
+"""Fraction of the direct light below which a pixel counts as inside a shadow."""
 FLICKER = 0.01
 PARTS = ("lamps", "shadow", "seen", "trip", "flicker")
 
@@ -67,23 +68,23 @@ def main() -> None:
     given = asked.parse_args()
     tables = {"lamps": lamps, "shadow": shadow, "seen": newly_seen, "trip": trip, "flicker": flicker}
     for name in given.only.split(","):
-        tell(name)
+        log(name)
         tables[name](given)
         print(flush=True)
 
 
 def camera_of(given: argparse.Namespace) -> ls.Camera:
-    """That of the closed room."""
+    """Returns the camera of the closed room."""
     return room_camera(given.width, 3 * given.width // 4)
 
 
 def row(name: str, values: Sequence[float], bar: str) -> None:
-    """A line of shares after so many frames."""
+    """Prints a line of fractions by number of frames."""
     print(f"| {name} | {' | '.join(percent(value) for value in values)} | {bar} |", flush=True)
 
 
 def lamps(given: argparse.Namespace) -> None:
-    """A lamp goes out."""
+    """Measures a light that is switched off."""
     print_head("gone after frames", *(str(count) for count in AFTER), "bar")
     lamp = ls.LightPoint((2.0, 2.5, 2.5), intensity=10.0)
     other = ls.LightPoint((0.8, 1.0, 4.2), intensity=3.0)
@@ -105,7 +106,7 @@ def lamps(given: argparse.Namespace) -> None:
 
 
 def shadow(given: argparse.Namespace) -> None:
-    """A ball jumps aside, and its shadow should do the same."""
+    """Measures the shadow of a ball that jumps aside."""
     print_head("left after frames", *(str(count) for count in AFTER), "bar")
     here, there = (View("ball", with_ball_at(x), camera_of(given)) for x in (0.0, JUMP))
     renderer = ls.create_renderer(realtime(), given.device)
@@ -114,21 +115,21 @@ def shadow(given: argparse.Namespace) -> None:
     after = list(frames_of(ls.create_renderer(realtime(), given.device), there, STEADY))[-16:]
     still = before.instance_index == after[0].instance_index
     start, end = layer_of(before, "direct"), np.mean([layer_of(frame, "direct") for frame in after], axis=0)
-    places = {
+    masks = {
         "old shadow": still & (start.mean(axis=2) < SHADED * end.mean(axis=2)),
         "light where the new shadow is": still & (end.mean(axis=2) < SHADED * start.mean(axis=2)),
     }
     steady = np.mean([frame.color for frame in after], axis=0)
-    for name, place in places.items():
-        whole = float((start - end)[place].mean())
-        left = [float((layer_of(frames[count - 1], "direct") - end)[place].mean()) / whole for count in AFTER]
-        row(f"{name}, {int(place.sum()):,} pixels: direct light", left, "5 % after 24")
-        off = [float(frames[count - 1].color[place].mean() / steady[place].mean()) - 1.0 for count in AFTER]
+    for name, mask in masks.items():
+        whole = float((start - end)[mask].mean())
+        left = [float((layer_of(frames[count - 1], "direct") - end)[mask].mean()) / whole for count in AFTER]
+        row(f"{name}, {int(mask.sum()):,} pixels: direct light", left, "5 % after 24")
+        off = [float(frames[count - 1].color[mask].mean() / steady[mask].mean()) - 1.0 for count in AFTER]
         row("all light there, too much", off, "5 % after 24")
 
 
 def newly_seen(given: argparse.Namespace) -> None:
-    """Pixels that nothing is known of."""
+    """Measures disoccluded pixels, which have no history."""
     counts = [count for count in AFTER if count <= 8]
     print_head("error over the steady one after frames", *(str(count) for count in counts), "steady", "black", "bar")
     here = View("ball", with_ball_at(0.0), camera_of(given))
@@ -152,24 +153,24 @@ def newly_seen(given: argparse.Namespace) -> None:
         print(f"| {name}, {int(is_new.sum()):,} pixels | {shown} | {expected:.4f} | {black} | 2 after 8 |", flush=True)
 
 
-def error_at(place: Mask, frame: ls.Frame, truth: Truth) -> float:
-    """Root mean square of a tone-mapped picture, the truth's noise left out."""
-    first, second = (frame.pixels_srgb()[place] - half[place] for half in truth.pictures)
+def error_at(mask: Mask, frame: ls.Frame, truth: Truth) -> float:
+    """Returns the root mean square error of a tone-mapped frame, without the truth's noise."""
+    first, second = (frame.pixels_srgb()[mask] - half[mask] for half in truth.pictures)
     return float(np.sqrt(max(np.mean(first * second), 1e-8)))
 
 
 def trip(given: argparse.Namespace) -> None:
-    """The camera goes away and comes back."""
+    """Measures a camera that goes away and comes back."""
     print_head("difference over noise after frames", *(str(count) for count in AFTER), "bar")
     here = View("ball", with_ball_at(0.0), camera_of(given))
-    way = np.sin(np.linspace(0.0, np.pi, 17))[1:-1]
+    path = np.sin(np.linspace(0.0, np.pi, 17))[1:-1]
     renderer = ls.create_renderer(realtime(), given.device)
     last_of(renderer, here, STEADY)
-    for share in way:
+    for share in path:
         renderer.render(here.scene, aside(here.camera, 2.0 * STEP * float(share)))
     back = list(frames_of(renderer, here, AFTER[-1]))
     first, second = (
-        list(frames_of(ls.create_renderer(realtime(seed=seed), given.device), here, STEADY + len(way) + AFTER[-1]))
+        list(frames_of(ls.create_renderer(realtime(seed=seed), given.device), here, STEADY + len(path) + AFTER[-1]))
         for seed in (1, 2)
     )
     ratios: list[float] = []
@@ -181,10 +182,10 @@ def trip(given: argparse.Namespace) -> None:
 
 
 def flicker(given: argparse.Namespace) -> None:
-    """Nothing moves."""
+    """Measures flicker while nothing moves."""
     print_head("flicker", "pixels below 1 %", "of blocks", "median", "95th percentile", "bar")
     for view in (*rooms(given.width), demo(given.width)):
-        tell(view.name)
+        log(view.name)
         renderer = ls.create_renderer(realtime(), given.device)
         last_of(renderer, view, STEADY)
         light = np.stack([frame.color for frame in frames_of(renderer, view, 32)]).astype(np.float64)
@@ -198,7 +199,7 @@ def flicker(given: argparse.Namespace) -> None:
 
 
 def deviation(values: Doubles) -> Doubles:
-    """Standard deviation over mean, of the first axis; faint places are measured by the picture's mean."""
+    """Returns standard deviation over mean along the first axis; faint pixels are divided by the frame's mean."""
     mean = values.mean(axis=0)
     return values.std(axis=0) / np.maximum(mean, FAINT**2 * mean.mean())
 

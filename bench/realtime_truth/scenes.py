@@ -1,4 +1,4 @@
-"""Builds what the commands look at: rooms of meshes and of Gaussians, furnaces, and the demo scene."""
+"""Scenes of the real-time measurements: rooms of meshes and of Gaussians, white furnaces, and the demo scene."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from support.scenes.path_rooms import PathRoom, path_rooms, room_camera, with_ga
 from support.scenes.path_scenes import as_splats
 
 WIDTH = 144
-"""Of pictures, unless the command says otherwise, pixels."""
+"""Default width of frames, pixels."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A scene, and from where it is seen."""
+    """Scene with a camera."""
 
     name: str
     scene: ls.Scene
     camera: ls.Camera
     psnr_min: float = 0.0
-    """Bar of the tone-mapped picture, dB; 0: there is none."""
+    """Target PSNR of the tone-mapped frame, dB; 0 for none."""
 
     @property
     def slack(self) -> float:
-        """How many times the bars of meshes hold."""
+        """Factor of the targets on meshes: 2 with Gaussians."""
         return 2.0 if self.scene.splats else 1.0
 
     @property
-    def keeps_look(self) -> bool:
-        """Whether captures shine as captured: their light is in other layers than in frames of paths."""
+    def is_unlit(self) -> bool:
+        """True if captures are unlit: their radiance is in other layers than in path-traced frames."""
         return any(instance.material is None for instance in self.scene.splats)
 
 
 def rooms(width: int = WIDTH) -> list[View]:
-    """Rooms of meshes, and the same ones with Gaussians in them."""
+    """Returns rooms of meshes, and the same ones with Gaussians in them."""
     cornell, metal = path_rooms()["cornell"], path_rooms()["metal_area"]
     askew = room_camera(width, 3 * width // 4)
     square = cornell.camera.scaled(width, width)
@@ -51,27 +51,27 @@ def rooms(width: int = WIDTH) -> list[View]:
 
 
 def cornell_of_gaussians(scene: ls.Scene) -> ls.Scene:
-    """With the end of the room and its two blocks as Gaussians."""
+    """Returns the room with its end wall and two blocks as Gaussians."""
     chosen = (2, 5, 6)
     meshes = [instance for number, instance in enumerate(scene.meshes) if number not in chosen]
     return ls.Scene([as_splats(scene.meshes[number].mesh) for number in chosen], meshes)
 
 
 def metal_of_gaussians(room: PathRoom) -> ls.Scene:
-    """With the end of the room and the ball as Gaussians; the ball is of its metal."""
+    """Returns the room with its end wall and the metal ball as Gaussians."""
     scene = with_gaussians(room).scene
     end, ball = scene.splats
     return replace(scene, splats=(end, replace(ball, material=ls.MaterialPbr())))
 
 
 def demo(width: int = WIDTH) -> View:
-    """The lit demo scene, 240 x 135 where rooms are 144 wide: it has finer detail."""
+    """Returns the lit demo scene, 240 x 135 if rooms are 144 wide, because it has finer detail."""
     wide = 5 * width // 3
     return View("demo scene", ls.demo_scene_lit(), ls.demo_cameras(wide, 9 * wide // 16, count=1)[0], 30.0)
 
 
 def dark_room() -> list[ls.MeshInstance]:
-    """The closed room, its lamp off: walls, then a ball and a tall box."""
+    """Returns the closed room with its light off: walls, then a ball and a tall box."""
     meshes = path_rooms()["diffuse_area"].scene.meshes
     return [
         replace(instance, mesh=replace(instance.mesh, material=matte(0.5)))
@@ -82,26 +82,26 @@ def dark_room() -> list[ls.MeshInstance]:
 
 
 def with_ball_at(offset: float) -> ls.Scene:
-    """The closed room in the light of a small lamp, its ball moved to the right, scene units."""
+    """Returns the closed room under a small light, with its ball moved to the right, scene units."""
     *walls, ball, tall = (instance for instance in dark_room())
     lamp = ls.LightPoint((2.0, 2.8, 2.5), intensity=6.0)
     return ls.Scene((), [*walls, tall, replace(ball, world_from_object=moved(offset) @ ball.transform)], [lamp])
 
 
 def moved(x: float) -> np.ndarray:
-    """A translation along x."""
+    """Returns a translation along x."""
     matrix = np.eye(4)
     matrix[0, 3] = x
     return matrix
 
 
 def aside(camera: ls.Camera, x: float) -> ls.Camera:
-    """The camera, moved to its right, scene units."""
+    """Returns the camera moved to its right, scene units."""
     return replace(camera, camera_from_world=moved(-x) @ camera.camera_from_world)
 
 
 def furnaces(width: int = WIDTH) -> Iterator[View]:
-    """Scenes in which every pixel is 1, each from three sides."""
+    """Yields scenes in which every pixel is 1, each from three sides."""
     sky = ls.LightEnvironment(np.ones((16, 32, 3), np.float32))
     glowing = replace(matte(0.5), emissive=(0.5, 0.5, 0.5))
     tall = ls.MeshInstance(box((0.5, 1.6, 0.5), glowing), position=(0.9, 0.3, 0.2))

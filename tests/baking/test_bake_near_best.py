@@ -84,7 +84,7 @@ def test_a_highlight_is_within_a_decibel_of_the_best_harmonics() -> None:
     learnt = views_around(scene)
     found: dict[int, float] = {}
     for degree in (0, 3):
-        known = bench.best_harmonics(learnt, np.zeros((scene.gaussian_count, (degree + 1) ** 2, 3)), 0.03)
+        known = bench.best_sh(learnt, np.zeros((scene.gaussian_count, (degree + 1) ** 2, 3)), 0.03)
         gaussians = replace(scene.splats[0].gaussians, sh=known.astype(np.float32))
         found[degree] = decibels(ls.Scene([ls.SplatInstance(gaussians)]), scene)
         baked = decibels(ls.bake(scene, TRACE, degree=degree, device="cpu"), scene)
@@ -132,8 +132,8 @@ def test_degree_three_comes_near_the_best_harmonics() -> None:
         for count, paths in ((LEARNT, PATHS // 2), (bench.VIEWS, 24))
     )
     options: Any = SimpleNamespace(samples=8, directions=32, device="cpu")
-    alone, sh = bench.harmonics(case.scene, 3, options)
-    best = max(bench.decibels(views, bench.best_harmonics(learnt, sh, ridge)) for ridge in (0.3, 1.0, 3.0))
+    alone, sh = bench.baked_sh(case.scene, 3, options)
+    best = max(bench.decibels(views, bench.best_sh(learnt, sh, ridge)) for ridge in (0.3, 1.0, 3.0))
     shown = bench.decibels(views, sh)
     print(f"alone {bench.decibels(views, alone)}, baked {shown}, best {best}")
     assert shown > bench.decibels(views, alone) + 2.0
