@@ -1,1 +1,1 @@
-"""The method: Warp structs and functions, callable from plain Python. No kernels, no host code."""
+"""Device code of the renderer: Warp structs and functions, callable from plain Python, without kernels or host code."""

@@ -1,4 +1,4 @@
-"""Data of training: parameters, steps, losses and images, and how much of an image counts."""
+"""Structs of training: parameters, optimiser steps, losses and images; and the weights of pixels."""
 
 import warp as wp
 
@@ -7,148 +7,155 @@ from lumisplat.device.structs import struct
 
 @struct
 class SplatParameters:
-    """Parameters of Gaussians as they are learnt, unbounded; or their moments. An element a Gaussian."""
+    """Trained parameters of Gaussians in unbounded form, or their optimiser moments; one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.vec4]
     """Quaternions wxyz of any length above 0."""
     log_scales: wp.array[wp.vec3]
     logits: wp.array[float]
-    """Of opacities."""
+    """Logits of the opacities."""
     sh: wp.array[wp.vec3]
-    """``sh_count`` consecutive ones a Gaussian."""
+    """SH coefficients, ``sh_count`` consecutive elements for each Gaussian."""
     sh_count: int
 
 
 @struct
 class StepRates:
-    """How far parameters move in one step (Adam, Kingma and Ba 2015)."""
+    """Step sizes and factors of one Adam step (Kingma and Ba 2015)."""
 
     means: float
     rotations: float
     log_scales: float
     logits: float
     sh: float
-    """Of the constant harmonic."""
+    """Step size of the SH coefficient of degree 0."""
     sh_rest: float
     sh_active: int
-    """Coefficients that are learnt by now."""
+    """Number of SH coefficients trained so far."""
     first_scale: float
-    """1 / (1 - beta1^step): undoes the bias of the first moment; likewise ``second_scale``."""
+    """Bias correction of the first moment, 1 / (1 - beta1^step); ``second_scale`` corrects the second moment."""
     second_scale: float
     by_opacity: float
-    """Derivative of the loss by each opacity besides that of pixels; likewise ``by_scale``."""
+    """Derivative of the opacity regulariser with respect to each opacity.
+
+    ``by_scale`` is that of the scale regulariser."""
     by_scale: float
 
 
 @struct
 class NoiseData:
-    """Noise that explores (Kheradmand et al. 2024, equation 9)."""
+    """Exploration noise added to positions (Kheradmand et al. 2024, equation 9)."""
 
     strength: float
-    """Times the covariance and a standard normal vector, for transparent Gaussians."""
+    """Factor of covariance times a standard normal vector, for transparent Gaussians."""
     iteration: int
     seed: wp.uint32
 
 
 @struct
 class SplatRecord:
-    """What is noted of each Gaussian between two changes of their number."""
+    """Statistics of each Gaussian collected between two densification steps."""
 
     motion: wp.array[float]
-    """Sum over frames of how strongly the loss pulls at its splat, in halves of the image."""
+    """Sum over frames of the image-space position gradient of the splat, in units of half the image size."""
     turns: wp.array[float]
-    """Sum over frames of how strongly terms on surfaces turn its normal: their derivative, times pixels that count."""
+    """Sum over frames of the gradient that rotates the Gaussian's normal, times the number of counted pixels.
+
+    The gradient is that of the surface losses."""
     frames: wp.array[float]
-    """In how many of them it was drawn."""
+    """Number of frames in which the Gaussian was drawn."""
 
 
 @struct
 class TargetImage:
-    """A photograph on the device, an element a pixel."""
+    """A training image on the device, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """Display-referred sRGB, over the background where it is transparent."""
+    """Display-referred sRGB, composited over the background where it is transparent."""
     weight: wp.array[float]
-    """0..1: what counts; without elements: all does."""
+    """Weight of each pixel in the loss, 0..1; empty: all pixels count fully."""
     alpha: wp.array[float]
-    """What the frame's alpha should be; without elements: nobody knows."""
+    """Target alpha of the frame; empty: unknown."""
 
 
 @struct
 class LossGrid:
-    """How the pixels of a picture are shared out."""
+    """Division of an image's pixels among the threads of loss kernels."""
 
     width: int
     height: int
     run: int
-    """Neighbours in a row that are one item."""
+    """Adjacent pixels of a row that one thread processes."""
 
 
 @struct
 class Exposure:
-    """How a photograph was exposed: what Gaussians show is mapped as ``matrix * color + alpha * offset``."""
+    """Exposure of a training image: rendered colours are mapped to ``matrix * color + alpha * offset``."""
 
     matrix: wp.mat33
     offset: wp.vec3
     background: wp.vec3
-    """Display-referred sRGB behind the Gaussians, which stays as it is."""
+    """Display-referred sRGB behind the Gaussians, which is not mapped."""
 
 
 @struct
 class SurfaceTerms:
-    """What counts how much on the surfaces of a frame; each is a share of a pixel."""
+    """Weights of the surface losses, each normalised by the number of pixels."""
 
     normals: float
     depth: float
     middle: float
-    """View depth that is 0 as a feature, scene units."""
+    """View depth that the depth feature encodes as 0, scene units."""
     per_unit: float
-    """Of features, in a scene unit."""
+    """Depth feature units per scene unit."""
 
 
 @struct
 class SurfaceMaps:
-    """What a frame's surfaces say, an element a pixel."""
+    """Surface losses of a frame and their derivatives, one element for each pixel."""
 
     terms: wp.array[wp.vec2]
-    """Of the loss: of normals, and of depths."""
+    """Loss terms of normals and of depths."""
     across: wp.array[wp.vec3]
-    """Derivatives by the vector from the surface to the left to that to the right; likewise ``down``."""
+    """Derivatives with respect to the vector from the left to the right neighbour's surface point.
+
+    ``down`` is the same from the upper to the lower neighbour.
+    """
     down: wp.array[wp.vec3]
     alpha: wp.array[float]
-    """Derivatives by alpha."""
+    """Derivatives with respect to alpha."""
 
 
 @struct
 class SmoothnessMaps:
-    """How normals change over a frame, an element a pixel."""
+    """Normal smoothness losses of a frame and their derivatives, one element for each pixel."""
 
     terms: wp.array[float]
-    """Of the loss."""
+    """Loss terms."""
     across: wp.array[wp.vec3]
-    """Derivatives by the difference along the row; likewise ``down``."""
+    """Derivatives with respect to the difference of normals along the row; ``down`` likewise."""
     down: wp.array[wp.vec3]
 
 
 @struct
 class LossMaps:
-    """Blurred maps, an element a pixel."""
+    """Blurred maps of the SSIM loss, one element for each pixel."""
 
     shown: wp.array[wp.vec3]
-    """Of the frame; then of the derivatives by its mean."""
+    """Blurred frame; later the derivatives with respect to the frame's local mean."""
     squared: wp.array[wp.vec3]
-    """Of its squares; then of the derivatives by these."""
+    """Blurred squares of the frame; later the derivatives with respect to them."""
     product: wp.array[wp.vec3]
-    """Of its products with the photograph; then of the derivatives by these."""
+    """Blurred products of frame and training image; later the derivatives with respect to them."""
     target: wp.array[wp.vec3]
-    """Of the photograph."""
+    """Blurred training image."""
     target_squared: wp.array[wp.vec3]
 
 
 @struct
 class LossWeights:
-    """What counts how much; each is a share of a pixel's channel."""
+    """Weights of the image losses, each normalised by the number of pixel channels."""
 
     l1: float
     ssim: float
@@ -158,51 +165,51 @@ class LossWeights:
 
 @struct
 class GaussianMaterials:
-    """What Gaussians are made of, none of it metal; an element a Gaussian."""
+    """Dielectric materials of Gaussians, one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
-    """Unit, towards the side that is lit and seen."""
+    """Unit normals, towards the lit and visible side."""
     albedo: wp.array[wp.vec3]
     """Base colour, linear, 0..1."""
     roughness: wp.array[float]
-    """Perceptual, above 0, at most 1."""
+    """Perceptual roughness, above 0, at most 1."""
 
 
 @struct
 class DirectionalLight:
-    """Light on N Gaussians from K directions that stand for the sphere, each with its share of it."""
+    """Incident light on N Gaussians from K directions that sample the sphere, each with its own solid angle."""
 
     directions: wp.array[wp.vec3]
-    """Unit, towards the light, shape (K,)."""
+    """Unit directions towards the light, shape (K,)."""
     solid_angle: float
-    """Of each, steradians."""
-    sky: wp.array[wp.vec3]
-    """Radiance of the surroundings around each direction, linear, shape (K,)."""
+    """Solid angle of each direction, steradians."""
+    environment: wp.array[wp.vec3]
+    """Environment radiance in each direction, linear, shape (K,)."""
     open: wp.array2d[float]
-    """Share of the sky that reaches a Gaussian, 0..1, shape (N, K)."""
+    """Fraction of the environment's light that reaches a Gaussian, 0..1, shape (N, K)."""
     seen: wp.array2d[wp.vec3]
-    """Radiance of what blocks the rest, linear, shape (N, K)."""
+    """Indirect radiance: light from surfaces that block the environment, linear, shape (N, K)."""
     spread: float
-    """What adds to the squared alpha of highlights, so that they are wider than directions are apart."""
+    """Value added to the squared alpha of highlights, so that they are wider than the spacing of the directions."""
 
 
 @struct
 class MaterialGradient:
-    """Derivatives of a loss by materials; an element a Gaussian."""
+    """Gradients of a loss with respect to materials, one element for each Gaussian."""
 
     albedo: wp.array[wp.vec3]
     roughness: wp.array[float]
     normals: wp.array[wp.vec3]
-    """As of a vector of any length."""
+    """Gradient with respect to the normal as a vector of any length."""
 
 
-# --- How much of an image counts ---
+# --- Weights of pixels, and incident light ---
 
 
 @wp.func
 def pixel_weight(target: TargetImage, i: int) -> float:
-    """How much a pixel counts, 0..1."""
+    """Returns the weight of a pixel in the loss, 0..1."""
     if target.weight.shape[0] > 0:
         return target.weight[i]
     return 1.0
@@ -210,11 +217,11 @@ def pixel_weight(target: TargetImage, i: int) -> float:
 
 @wp.func
 def masked_color(shown: wp.vec3, target: TargetImage, i: int) -> wp.vec3:
-    """What a frame shows where it counts, the target elsewhere."""
+    """Returns the rendered colour where the pixel counts, blended to the target colour where it does not."""
     return wp.lerp(target.color[i], shown, pixel_weight(target, i))
 
 
 @wp.func
 def incident_radiance(light: DirectionalLight, i: int, k: int) -> wp.vec3:
-    """Radiance that reaches Gaussian ``i`` from direction ``k``."""
-    return light.open[i, k] * light.sky[k] + light.seen[i, k]
+    """Returns the radiance that reaches Gaussian ``i`` from direction ``k``."""
+    return light.open[i, k] * light.environment[k] + light.seen[i, k]

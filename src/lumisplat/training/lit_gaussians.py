@@ -82,7 +82,7 @@ class LitGaussians:
         self._eye, on = wp.vec3(*eye), self._materials
         on.normals, on.albedo = self._vectors("normals", materials.normals), self._vectors("albedo", materials.albedo)
         on.roughness = self._buffers.upload("materials.roughness", wp.float32, _floats(materials.roughness))
-        self._light.sky = self._vectors("sky", materials.environment)
+        self._light.environment = self._vectors("sky", materials.environment)
         inputs = (self._eye, on, self._light, self._radiance, sh_out)
         with self._launcher.stage("materials"):
             self._launcher.run_banded(material_kernels.shade, self._count, *inputs)

@@ -1,1 +1,1 @@
-"""Nodes of bounding volume hierarchies, and packets of rays that traverse them."""
+"""Bounding volume hierarchies: nodes, and packets of rays that traverse them."""

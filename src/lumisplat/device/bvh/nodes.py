@@ -1,8 +1,8 @@
-"""Nodes of bounding volume hierarchies: where packets and single rays enter boxes, and how wide their footprints are.
+"""BVH nodes: slab tests of packets and single rays against child boxes, traversal stacks, and ray footprints.
 
-A packet is bounded by a box around the origins of its rays, which widens along each axis as its slowest and fastest
-ray go. Seen from there, a box's six planes move, and each bounds the distances at which the packet can be inside by a
-linear inequality. A single ray is a packet of no width.
+A packet is bounded by a box around its ray origins, which widens along each axis with the slowest and fastest ray. In
+this moving frame, each of a child box's six planes bounds the packet's distances by a linear inequality. A single ray
+is a packet of zero width.
 
 The equations are in docs/method/ray_tracing.md#traversal.
 """
@@ -14,17 +14,19 @@ from lumisplat.device.math.memory import aligned_load_of, storage_of
 from lumisplat.device.structs.bvh import FAR, HIT_MEAN, Children, Node, Slabs, TreeRay, WaitingLink
 
 TRAVERSE_MARGIN = 1e-6
-"""Rays widen by this share of the distance, and of their origin's coordinates: rounding must not lose a box."""
+"""Fraction of the distance and of the origin's coordinates by which rays are widened, so that rounding misses no box.
+"""
 
 FOOTPRINT_REACH = 3.7
-"""Widest canonical reach of a Gaussian of any degree and opacity."""
+"""Largest canonical radius of a Gaussian of any degree and opacity."""
 
 FOOTPRINT_LEAD = 1.1
-"""A Gaussian is widened by the footprint at its mean, but by at most this much of the footprint where its ellipsoid
-begins: nodes widen as their Gaussians do."""
+"""Largest ratio of the footprint that widens a Gaussian to the footprint where its ellipsoid begins.
+
+A Gaussian is widened by the footprint at its mean, limited by this ratio, so that nodes widen as their Gaussians do."""
 
 FOOTPRINT_MAX = 0.1
-"""Largest half width of a ray's footprint over the length of its path, beyond that of any sensible image."""
+"""Largest footprint half width over path length; no practical image exceeds it."""
 
 WIDTH = wp.constant(NODE_WIDTH)
 
@@ -35,22 +37,22 @@ SLOPE_MIN = wp.constant(wp.float32(1.0e-9))
 
 @wp.func
 def lesser(a: float, b: float) -> float:
-    """The smaller number, without the care for NaN that keeps ``wp.min`` from vectorising."""
+    """Returns the smaller number, without the NaN handling that keeps ``wp.min`` from vectorising."""
     return wp.where(a < b, a, b)
 
 
 @wp.func
 def larger(a: float, b: float) -> float:
-    """The larger number; see ``lesser``."""
+    """Returns the larger number; see ``lesser``."""
     return wp.where(a > b, a, b)
 
 
 @wp.func
 def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> Slabs:
-    """The planes' factors and terms: a plane of slope s, ``s t <= b``, says t <= b / s or, for s < 0, t >= b / s.
+    """Computes the plane factors and terms of a packet's bound.
 
-    ``low`` and ``high`` are corners of a box around the origins of rays, ``slow`` and ``fast`` the least and largest
-    components of their directions.
+    A plane of slope s, ``s t <= b``, means t <= b / s or, for s < 0, t >= b / s. ``low`` and ``high`` are the corners
+    of a box around the ray origins; ``slow`` and ``fast`` are the smallest and largest components of the directions.
     """
     slabs = Slabs()
     width = wp.vec3(MARGIN * wp.max(wp.max(wp.abs(low)), wp.max(wp.abs(high))))
@@ -78,11 +80,11 @@ def slabs_around(low: wp.vec3, high: wp.vec3, slow: wp.vec3, fast: wp.vec3) -> S
 
 @wp.func
 def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
-    """No ray of the packet is inside a child's box before these distances; 2 FAR: never, or only before ``begin``.
+    """Returns, for each child box, a lower bound of the distance at which a ray of the packet is inside the box.
 
-    -FAR where some may start inside: slabs are no bound of what lies behind rays.
-
-    The loop over the children becomes vector instructions; hence one local vector per side of the boxes.
+    2 FAR: no ray enters the box, or all leave it before ``begin``. -FAR: rays may start inside, because slabs do not
+    bound the space behind the origins. The loop over the children becomes vector instructions; hence one local vector
+    per side of the boxes.
     """
     entries = Children()
     low_x = node.low_x
@@ -123,9 +125,9 @@ def enter_children(node: Node, slabs: Slabs, begin: float) -> Children:
 
 @wp.func
 def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end: float) -> Children:
-    """No mean in a child's box projects onto a ray of the packet before these distances.
+    """Returns, for each child box, a lower bound of the distance at which a mean in the box projects onto a ray.
 
-    2 FAR: it is not entered before ``end``, by ``entries``, or all its means project before ``begin``.
+    2 FAR: by ``entries`` no ray enters the box before ``end``, or all means of the box project before ``begin``.
     """
     low_x = node.low_x
     low_y = node.low_y
@@ -153,11 +155,11 @@ def mean_entries(node: Node, slabs: Slabs, entries: Children, begin: float, end:
 
 @wp.func
 def least_product(a: float, b: float, c: float, d: float) -> float:
-    """The least product of a number between ``a`` and ``b`` and one between ``c`` and ``d``."""
+    """Returns the smallest product of a number in ``a``..``b`` and a number in ``c``..``d``."""
     return lesser(lesser(a * c, a * d), lesser(b * c, b * d))
 
 
-# --- Footprints: how wide rays are (docs/method/ray_tracing.md#footprints) ---
+# --- Ray footprints (docs/method/ray_tracing.md#footprints) ---
 
 LEAD = wp.constant(wp.float32(FOOTPRINT_LEAD))
 
@@ -168,28 +170,31 @@ WIDEST = wp.constant(wp.float32(FOOTPRINT_MAX))
 
 @wp.func
 def footprint_of_ray(footprint: float, spread: float, scale: float) -> float:
-    """Standard deviation by which a ray widens Gaussians, object space, over the length of its path.
+    """Returns the standard deviation by which a ray widens Gaussians, divided by the path length, object space.
 
-    ``footprint`` is that in widths of a pixel, ``spread`` the width of the pixel over the length of the path, and
-    ``scale`` world from object.
+    ``footprint`` is the standard deviation in pixel widths, ``spread`` the pixel width over the path length, and
+    ``scale`` the uniform scale from object to world.
     """
     return lesser(footprint * spread, WIDEST) / scale
 
 
 @wp.func
 def footprint_slope(footprint: float, length: float) -> float:
-    """Slope by which a ray, its direction of this ``length``, widens to be in all boxes whose Gaussians it hits."""
+    """Returns the slope by which a ray widens such that it enters the boxes of all Gaussians that it hits.
+
+    ``length`` is the length of the ray's direction.
+    """
     ahead = LEAD * REACH * footprint
     return ahead / (1.0 - ahead / length)
 
 
 @wp.func
 def footprint_variance(footprint: float, path: float, largest_scale: float) -> float:
-    """Variance by which a ray finds a Gaussian widened, object space: the square of its footprint at the mean.
+    """Returns the variance by which a ray widens a Gaussian, object space: the squared footprint at the mean.
 
-    ``footprint`` is a standard deviation over the length of the path, ``path`` the length to where the mean projects
-    onto the ray. Where an ellipsoid of ``largest_scale``, world space, may begin long before its mean, the footprint is
-    one that is nearer, so that nodes need not be wider than their rays' footprints there.
+    ``footprint`` is a standard deviation over the path length, ``path`` the path length to the projection of the mean.
+    If an ellipsoid of ``largest_scale``, world space, may begin long before its mean, a nearer and smaller footprint is
+    used, so that nodes need not be wider than the footprints of their rays.
     """
     width = footprint * larger(lesser(path, LEAD * (path - REACH * largest_scale)), 0.0)
     return width * width
@@ -197,7 +202,7 @@ def footprint_variance(footprint: float, path: float, largest_scale: float) -> f
 
 @wp.func
 def footprint_slopes(footprint: float, path: float, largest_scale: float) -> wp.vec2:
-    """Derivatives of ``footprint_variance`` by the path and by the largest scale, world space."""
+    """Returns the derivatives of ``footprint_variance`` with respect to the path and the largest scale, world space."""
     nearer = LEAD * (path - REACH * largest_scale)
     width = footprint * larger(lesser(path, nearer), 0.0)
     if path <= nearer:
@@ -208,8 +213,8 @@ def footprint_slopes(footprint: float, path: float, largest_scale: float) -> wp.
 
 # --- Single rays, with one lane for each child of a node ---
 #
-# Incoherent rays share no nodes: a packet of them visits what any of its rays does. The children of a node fill the
-# lanes of a vector register as well as rays do (Wald, Benthin and Boulos 2008).
+# Incoherent rays share no nodes: a packet of them would visit the union of all their nodes. The children of a node fill
+# the lanes of a vector register as well as rays do (Wald, Benthin and Boulos 2008).
 
 SHORTER = wp.constant(wp.float32(1.0 - TRAVERSE_MARGIN))
 
@@ -224,13 +229,13 @@ load_node = aligned_load_of(Node)
 
 @wp.func
 def link_stack(storage: wp.ref[LinkStackStorage]) -> wp.array[WaitingLink]:
-    """The stack whose links lie in a variable."""
+    """Returns the stack whose links are stored in a local variable."""
     return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingLink)
 
 
 @wp.func
 def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
-    """Makes a link the next one, wherever its box is."""
+    """Pushes a link as the next one to visit, with an entry distance that always passes."""
     waiting = WaitingLink()
     waiting.entry = -FAR
     waiting.link = link
@@ -240,7 +245,7 @@ def push_link(stack: wp.array[WaitingLink], top: wp.ref[int], link: int):
 
 @wp.func
 def inverse_or_large(v: wp.vec3) -> wp.vec3:
-    """``1 / x`` of each component, finite."""
+    """Returns ``1 / x`` of each component, limited to finite values."""
     return wp.vec3(
         wp.where(wp.abs(v[0]) > 1.0e-30, 1.0 / v[0], 1.0e30),
         wp.where(wp.abs(v[1]) > 1.0e-30, 1.0 / v[1], 1.0e30),
@@ -250,9 +255,9 @@ def inverse_or_large(v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
-    """Where a ray enters the boxes of a node's children, at least 0; 2 FAR: it does not.
+    """Returns the distance, at least 0, at which a ray enters each child box of a node; 2 FAR: the ray misses the box.
 
-    ``inverse`` is that of the components of the ray's direction, finite, in the space of the tree.
+    ``inverse`` holds the reciprocals of the direction's components, finite, in the space of the tree.
     """
     entries = Children()
     low_x = node.low_x
@@ -271,7 +276,7 @@ def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
         near = larger(larger(lesser(ax, bx), lesser(ay, by)), lesser(az, bz))
         far = lesser(lesser(larger(ax, bx), larger(ay, by)), larger(az, bz))
         entry = SHORTER * larger(near, 0.0)
-        # An empty child has an inverted box, which is told by its order of planes alone.
+        # An empty child has an inverted box, which only the order of its planes reveals.
         inside = lesser(LONGER * far - entry, high_x[c] - low_x[c])
         entries[c] = wp.where(inside >= 0.0, entry, 2.0 * FAR)
     return entries
@@ -279,7 +284,7 @@ def enter_boxes(node: Node, origin: wp.vec3, inverse: wp.vec3) -> Children:
 
 @wp.func
 def tree_ray(origin: wp.vec3, direction: wp.vec3, footprint: float, path_length: float, hit_distance: int) -> TreeRay:
-    """A ray of which the footprint, over the length of its path, is in the space of the tree."""
+    """Sets up a ray in the space of a tree; ``footprint`` is in that space, divided by the path length."""
     ray = TreeRay()
     ray.origin = origin
     ray.direction = direction
@@ -298,7 +303,10 @@ def tree_ray(origin: wp.vec3, direction: wp.vec3, footprint: float, path_length:
 
 @wp.func
 def enter_tree(node: Node, ray: TreeRay, hit_distance: int, end: float) -> Children:
-    """Distances before which no Gaussian of a node's children is hit; 2 FAR: none is before ``end``."""
+    """Returns, for each child of a node, a lower bound of the hit distances of its Gaussians.
+
+    The bound is 2 FAR if no hit lies before ``end``.
+    """
     entries = Children()
     if ray.footprint > 0.0:
         entries = enter_children(node, ray.slabs, 0.0)
@@ -311,12 +319,12 @@ def enter_tree(node: Node, ray: TreeRay, hit_distance: int, end: float) -> Child
 
 @wp.func
 def push_all_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
-    """Pushes the children that a ray enters up to ``reach``, as they come."""
+    """Pushes the children that a ray enters before ``reach``, in storage order."""
     links = node.link
     end = int(top)
     last = lesser(reach, FAR)
     for c in range(WIDTH):
-        # Written in any case, and overwritten: no branch to be mispredicted.
+        # Always written, and overwritten if skipped, so that no branch can be mispredicted.
         stack[end].entry = entries[c]
         stack[end].link = links[c]
         end += wp.where(entries[c] <= last, 1, 0)
@@ -325,7 +333,7 @@ def push_all_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node,
 
 @wp.func
 def push_entered(stack: wp.array[WaitingLink], top: wp.ref[int], node: Node, entries: Children, reach: float):
-    """The same, the nearest last, so that it is next."""
+    """Pushes the children that a ray enters before ``reach``, farthest first, so that the nearest is visited next."""
     base = int(top)
     push_all_entered(stack, top, node, entries, reach)
     for k in range(base + 1, top):

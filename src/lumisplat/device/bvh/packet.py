@@ -1,7 +1,7 @@
-"""Packets: rays side by side that traverse the trees together, the nodes that wait for them, and the hits they keep.
+"""Packets: coherent rays that traverse the BVH together, their traversal stack, and their hit lists.
 
 Loops over the lanes become vector instructions, so types and functions are made for a number of lanes: ``PACKET_RAYS``
-on the CPU; a CUDA thread has a single one.
+on the CPU; a CUDA thread has a single lane.
 """
 
 import functools
@@ -41,20 +41,20 @@ from lumisplat.device.structs.bvh import (
 from lumisplat.device.structs.rays import RayData
 
 COHERENT_SPREAD = 0.15
-"""Rays of a packet are not traced with its first one if their directions differ from that one's by more than this."""
+"""Largest difference between the unit directions of a packet's first ray and any other ray of the packet."""
 
-# --- The nearest hits of a ray, sorted as they are blended: by distance, then by index ---
+# --- The nearest hits of a ray in blending order: by distance, then by index ---
 
 
 @wp.func
 def is_before(t: float, index: int, other_t: float, other_index: int) -> bool:
-    """Whether a hit is nearer than another one; of two at the same distance, that of the lower index is."""
+    """Returns whether a hit precedes another one: by distance, or by index at equal distances."""
     return t < other_t or (t == other_t and index < other_index)
 
 
 @wp.func
 def empty_list(begin: int) -> HitList:
-    """A list without hits, whose first slot is ``begin``."""
+    """Returns a hit list without hits, whose first slot is ``begin``."""
     hit_list = HitList()
     hit_list.begin = begin
     hit_list.head = begin
@@ -64,12 +64,10 @@ def empty_list(begin: int) -> HitList:
 
 @wp.func
 def buffer_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], slots: int, hit: Hit) -> Hit:
-    """Adds a hit to a list; if that is full, the farthest hit is dropped.
-
-    ``slots``: how many hits the list may hold.
+    """Inserts a hit into a list of at most ``slots`` hits; a full list drops its farthest hit.
 
     Returns:
-        The hit that was dropped; its distance is FAR if none was.
+        The dropped hit; its distance is FAR if none was dropped.
     """
     if hit_list.tail == hit_list.begin + slots:
         move_to_begin(hits, hit_list)
@@ -97,7 +95,7 @@ def move_to_begin(hits: wp.array[Hit], hit_list: wp.ref[HitList]):
 
 @wp.func
 def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
-    """Puts a hit in its place in a list that has a free slot."""
+    """Inserts a hit at its sorted position in a list that has a free slot."""
     head = hit_list.head
     j = int(hit_list.tail)
     while j > head and is_before(hit.t, hit.index, hits[j - 1].t, hits[j - 1].index):
@@ -107,18 +105,18 @@ def insert_hit(hits: wp.array[Hit], hit_list: wp.ref[HitList], hit: Hit):
     hit_list.tail += 1
 
 
-# --- Threads of a CUDA warp that traverse the trees in step, as the lanes of a packet do on a CPU ---
+# --- Threads of a CUDA warp that traverse the BVH in step, as the lanes of a packet do on a CPU ---
 #
-# A group is a mask of the warp's lanes, of rays that start and point alike. Whatever its threads decide together
-# follows from numbers that they have agreed on here, so that all of them go the same way. A thread alone is the group
-# 0; on CPUs all are.
+# A group is a bit mask of the warp's lanes whose rays have similar origins and directions. Its threads decide by
+# numbers that are reduced over the group here, so that all of them take the same branches. A thread on its own has
+# group 0, as all threads on CPUs.
 
 GROUP_MIN = 8
-"""Fewer rays than these go alone: what they would visit together is more than what they share."""
+"""Smallest group of threads that traverses together; a smaller group would visit more extra nodes than it shares."""
 
 
 def _on_cuda(code: str, otherwise: str) -> str:
-    """A body for CUDA, and a statement for CPUs."""
+    """Returns C++ code with one body for CUDA and another for CPUs."""
     return f"#if defined(__CUDA_ARCH__)\n{code}\n#else\n{otherwise}\n#endif\n"
 
 
@@ -142,7 +140,7 @@ while (waiting) {
 return __popc(group) < GROUP_MIN ? 0 : static_cast<int>(group);
 """
 
-# Floats in the order of integers: the hardware finds the largest of these in one instruction, from sm_80 on.
+# Floats are mapped to integers of the same order, whose maximum is one hardware instruction from sm_80 on.
 _LARGEST = """
 if (group == 0) return number;
 #if __CUDA_ARCH__ >= 800
@@ -160,66 +158,67 @@ return most;
 
 @wp.func_native(_on_cuda(_GROUP.replace("GROUP_MIN", str(GROUP_MIN)), "return 0;"))
 def group_of(origin: wp.vec3, direction: wp.vec3, radius: float, spread: float) -> int:
-    """The group of a thread's ray: those of its warp of which a first one differs at most by these.
+    """Returns the group of a thread's ray: the threads of its warp whose rays are close to a common first ray.
 
-    All threads of the warp that have a ray call it together.
+    Origins differ by at most ``radius``, directions by at most ``spread``. All threads of the warp that have a ray call
+    the function together.
     """
     ...
 
 
 @wp.func_native(_on_cuda(_LARGEST, "return number;"))
 def largest_of(group: int, number: float) -> float:
-    """The largest of the numbers of a group's threads, which all call it."""
+    """Returns the largest number of a group's threads, all of which call the function."""
     ...
 
 
 @wp.func
 def least_of(group: int, number: float) -> float:
-    """The least of them."""
+    """Returns the smallest number of a group's threads."""
     return -largest_of(group, -number)
 
 
 @wp.func
 def largest_vector(group: int, numbers: wp.vec3) -> wp.vec3:
-    """The largest of them, component by component."""
+    """Returns the componentwise maximum over a group's threads."""
     return wp.vec3(largest_of(group, numbers[0]), largest_of(group, numbers[1]), largest_of(group, numbers[2]))
 
 
 @wp.func
 def least_vector(group: int, numbers: wp.vec3) -> wp.vec3:
-    """The least of them, component by component."""
+    """Returns the componentwise minimum over a group's threads."""
     return -largest_vector(group, -numbers)
 
 
-# --- The stack of nodes that a packet still has to visit, the next one on top ---
+# --- The traversal stack of a packet, with the next node on top ---
 
 WIDTH = wp.constant(NODE_WIDTH)
 
 NEAR_FIRST = wp.constant(wp.float32(1.0))
-"""Order of siblings: the one that is entered nearest is visited first."""
+"""Visiting order of siblings: the nearest entry first."""
 
 FAR_FIRST = wp.constant(wp.float32(-1.0))
-"""It is visited last."""
+"""Visiting order of siblings: the nearest entry last."""
 
 
 @dataclass(frozen=True, slots=True)
 class NodeStack:
-    """What stacks of a size need."""
+    """Type and constructor of a node stack of a certain size."""
 
     storage: Any
-    """The type of a variable in which the nodes lie."""
+    """Type of the local variable that stores the nodes."""
     node_stack: Any
 
 
 @functools.cache
 def node_stack_of(entries: int) -> NodeStack:
-    """What stacks of so many entries need."""
+    """Builds the type and constructor of stacks with this many entries."""
     ENTRIES = entries
     NodeStackStorage = storage_of(WaitingNode, entries)
 
     @wp.func
     def node_stack(storage: wp.ref[NodeStackStorage]) -> wp.array[WaitingNode]:
-        """The stack whose nodes lie in a variable."""
+        """Returns the stack whose nodes are stored in a local variable."""
         return wp.array(ptr=wp.address_of(storage), shape=(ENTRIES,), dtype=WaitingNode)
 
     return NodeStack(NodeStackStorage, node_stack)
@@ -227,7 +226,7 @@ def node_stack_of(entries: int) -> NodeStack:
 
 @wp.func
 def push_root(stack: wp.array[WaitingNode]) -> int:
-    """Makes the root of the tree over the instances all that waits; returns the height of the stack, 1."""
+    """Resets the stack to the root of the top-level tree; returns the stack height, 1."""
     root = WaitingNode()
     root.instance = WORLD
     stack[0] = root
@@ -245,10 +244,10 @@ def push_children(
     reach: float,
     order: float,
 ) -> int:
-    """Pushes the children of a node that are nodes, and collects those that are Gaussians.
+    """Pushes the child nodes of a node and collects its leaves.
 
-    ``leaves`` receives the places of the Gaussians among the particles of the asset. Children whose entries lie beyond
-    ``reach`` are left out; ``order`` is NEAR_FIRST or FAR_FIRST.
+    ``leaves`` receives the indices of Gaussians in the particle array of the asset. Children that the packet enters
+    beyond ``reach`` are skipped; ``order`` is NEAR_FIRST or FAR_FIRST.
 
     Returns:
         The number of leaves.
@@ -257,12 +256,12 @@ def push_children(
     base = int(top)
     leaf_count = int(0)
     for c in range(WIDTH):
-        # Rays without a direction enter all boxes, also those of no child.
+        # Rays without a direction enter all boxes, including those of empty children.
         if entries[c] <= reach and links[c] != NO_CHILD:
             if links[c] >= 0 or instance == WORLD:
                 child = WaitingNode()
                 child.entry = entries[c]
-                # An instance waits as the root of its tree.
+                # An instance is pushed as the root of its tree.
                 child.link = wp.max(links[c], 0)
                 child.instance = wp.where(links[c] < 0, ~links[c], instance)
                 insert_node(stack, base, top, child, order)
@@ -277,7 +276,7 @@ def push_children(
 
 @wp.func
 def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: WaitingNode, order: float):
-    """Puts a node in its place among its siblings, which lie from ``base`` up to ``top``."""
+    """Inserts a node among its siblings, which occupy the stack from ``base`` to ``top``."""
     j = int(top)
     while j > base and order * stack[j - 1].entry < order * node.entry:
         stack[j] = stack[j - 1]
@@ -287,7 +286,7 @@ def insert_node(stack: wp.array[WaitingNode], base: int, top: int, node: Waiting
 
 @wp.func
 def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
-    """Sets the floors of siblings, which lie from ``base`` up to ``top``."""
+    """Sets the floors of siblings, which occupy the stack from ``base`` to ``top``."""
     below = float(FAR)
     if base > 0:
         below = stack[base - 1].floor
@@ -295,15 +294,15 @@ def set_floors(stack: wp.array[WaitingNode], base: int, top: int):
         stack[j].floor = lesser(stack[j].entry, below)
 
 
-# --- Packets: which rays are traced together, and how they traverse the trees ---
+# --- Packets: selection of coherent rays, and traversal of the BVH ---
 
 PACKET_OPTIONS = {
     "enable_backward": False,
-    # Loops over lanes and children must stay loops for the vectoriser, and multiply-adds are to be fused.
+    # Loops over lanes and children must stay loops for the vectoriser, and multiply-adds must be fused.
     "max_unroll": 4,
     "cpu_compiler_flags": FUSED_FLAGS,
 }
-"""Of the modules that trace packets."""
+"""Module options of kernels that trace packets."""
 
 SPREAD_MAX = wp.constant(wp.float32(COHERENT_SPREAD))
 
@@ -311,15 +310,15 @@ load_node = aligned_load_of(Node)
 
 
 class RayPacket(NamedTuple):
-    """Types and functions for a number of lanes."""
+    """Packet types and functions for a certain number of lanes."""
 
     floats: Any
-    """Vector of a number a ray."""
+    """Vector type with one float for each ray."""
     ints: Any
     vec3s: Any
-    """Matrix of a 3-vector a ray, the rays being its columns."""
+    """Matrix type with one 3-vector for each ray, the rays being its columns."""
     rays_storage: Any
-    """The type of a variable in which PacketRays lie."""
+    """Type of the local variable that stores PacketRays."""
     packet_rays: Any
     ends_of: Any
     largest: Any
@@ -332,7 +331,7 @@ class RayPacket(NamedTuple):
 
 @functools.cache
 def packet_of(lanes: int) -> RayPacket:
-    """What packets of up to ``lanes`` rays need."""
+    """Builds the packet types and functions for up to ``lanes`` rays."""
     LANES = lanes
     Floats = wp.types.vector(length=lanes, dtype=wp.float32)
     Ints = wp.types.vector(length=lanes, dtype=wp.int32)
@@ -340,7 +339,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @struct
     class RaysStorage:
-        """The variable in which PacketRays lie."""
+        """Local variable that stores PacketRays."""
 
         origin: Vec3s
         direction: Vec3s
@@ -353,7 +352,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def packet_rays(storage: wp.ref[RaysStorage]) -> PacketRays:
-        """The rays that lie in a variable."""
+        """Returns the rays that are stored in a local variable."""
         packet = PacketRays()
         packet.origin = wp.array(ptr=wp.address_of(storage.origin), shape=(3, LANES), dtype=float)
         packet.direction = wp.array(ptr=wp.address_of(storage.direction), shape=(3, LANES), dtype=float)
@@ -367,7 +366,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def ends_of(rays: RayData, limits: wp.array[float], first: int) -> Floats:
-        """Where rays end, at most FAR; -FAR for those that are not active or end before they begin."""
+        """Returns the end distance of each ray, at most FAR; -FAR for rays that are inactive or empty."""
         ends = Floats(-FAR)
         for lane in range(LANES):
             if rays.is_active[first + lane] and limits[first + lane] > 0.0:
@@ -376,7 +375,7 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def largest(numbers: Any) -> float:
-        """The largest of a number a ray, in a vector or an array; at least -FAR."""
+        """Returns the largest element of a vector or array with one number for each ray; at least -FAR."""
         most = float(-FAR)
         for lane in range(LANES):
             most = larger(most, numbers[lane])
@@ -384,13 +383,13 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def take_coherent(rays: RayData, first: int, waiting: wp.ref[Floats], radius_max: float) -> Floats:
-        """Takes the first of the rays that wait, and those that start and point nearly as it does.
+        """Takes the first waiting ray and all waiting rays that are close to it in origin and direction.
 
-        ``waiting`` is positive for rays that wait, and becomes -FAR for those that are taken; ``radius_max``: how far
-        apart rays may start.
+        ``waiting`` is positive for waiting rays and becomes -FAR for those taken. ``radius_max`` is the largest
+        distance between origins.
 
         Returns:
-            The numbers of the rays that are taken, and -FAR for the others.
+            The numbers of the rays taken, and -FAR for all others.
         """
         numbers = waiting
         origin = wp.vec3()
@@ -413,7 +412,10 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def begin_packet(packet: PacketRays, waiting: wp.ref[Floats], rays: RayData, first: int, radius_max: float):
-        """Takes rays that wait, as ``take_coherent`` does; their numbers are where they end."""
+        """Starts a packet with the waiting rays that ``take_coherent`` selects.
+
+        The numbers of the rays are their end distances.
+        """
         ends = take_coherent(rays, first, waiting, radius_max)
         for lane in range(LANES):
             packet.t_min[lane] = rays.t_min[first + lane]
@@ -424,11 +426,10 @@ def packet_of(lanes: int) -> RayPacket:
 
     @wp.func
     def slabs_of(packet: PacketRays) -> Slabs:
-        """What bounds the rays whose limit is positive: a box around their origins, least and largest slopes.
+        """Bounds the rays whose limit is positive: a box around their origins and the smallest and largest slopes.
 
-        Those of the other threads of the group are bounded, too.
-
-        Footprints bound where the widened Gaussians of a box may be hit (docs/method/ray_tracing.md#footprints).
+        The bound includes the rays of the other threads of the group, and the widths of the footprints, within which
+        the widened Gaussians of a box may be hit (docs/method/ray_tracing.md#footprints).
         """
         low = wp.vec3(FAR)
         high = wp.vec3(-FAR)
@@ -470,10 +471,9 @@ def packet_of(lanes: int) -> RayPacket:
         rays: RayData,
         first: int,
     ):
-        """Goes on to another tree.
+        """Switches the packet to the tree of instance ``number``, or to the top-level tree for WORLD.
 
-        ``place`` becomes the tree of instance ``number``, or of WORLD, and ``packet`` receives the origins and
-        directions in its space.
+        ``tree`` receives the new tree, ``packet`` the origins and directions in its space.
         """
         tree.number = number
         object_from_world = wp.identity(n=3, dtype=wp.float32)
@@ -508,10 +508,10 @@ def packet_of(lanes: int) -> RayPacket:
         hit_distance: int,
         end: float,
     ) -> int:
-        """Pushes the children of the node just above the top of the stack, as ``push_children``.
+        """Pushes the children of the node just popped from the stack, as ``push_children``.
 
-        Children that the packet leaves before ``begin``, or enters beyond ``reach``, are left out. With HIT_MEAN,
-        ``end`` is where the last ray of the packet ends, and ``reach`` a distance of means.
+        Children that the packet leaves before ``begin`` or enters beyond ``reach`` are skipped. With HIT_MEAN, ``end``
+        is the distance at which the last ray of the packet ends, and ``reach`` is a distance of means.
 
         Returns:
             The number of leaves.

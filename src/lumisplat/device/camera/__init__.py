@@ -1,1 +1,1 @@
-"""Cameras, and the pixels of their images."""
+"""Camera models and pixel layouts."""

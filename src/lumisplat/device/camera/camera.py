@@ -1,6 +1,6 @@
-"""Cameras: rays of pinhole, fisheye and orthographic cameras, lens distortion, and the projection of points.
+"""Cameras: rays of pinhole, fisheye and orthographic cameras, lens distortion, and projection of points.
 
-A camera has a thin lens and a rolling shutter. The equations are in docs/method/ray_tracing.md#camera-rays.
+Cameras support a thin lens and a rolling shutter. The equations are in docs/method/ray_tracing.md#camera-rays.
 """
 
 import math
@@ -14,11 +14,12 @@ from lumisplat.device.structs.camera import CameraData, SampleData
 from lumisplat.device.structs.rays import Ray
 
 DISTORTION_RESIDUAL_FLOAT = 2e-6
-"""Largest error of the inverse of a distortion in float32, relative to one plus the radius: 16 roundings, a hundredth
-of a pixel of the largest images."""
+"""Largest error of the inverse distortion in float32, relative to one plus the radius.
+
+It corresponds to 16 roundings, a hundredth of a pixel of the largest images."""
 
 SHUTTER_STEPS = 5
-"""Steps in which the row that sees a point finds the time at which it is exposed. 3DGUT's number."""
+"""Fixed-point iterations that find the row, and so the time, at which a rolling shutter exposes a point (as 3DGUT)."""
 
 # --- Lens distortion, and its inverse by Newton's method (docs/method/ray_tracing.md#distortion) ---
 
@@ -29,7 +30,7 @@ RESIDUAL = wp.constant(wp.float32(DISTORTION_RESIDUAL_FLOAT))
 
 @wp.func
 def distorted(camera: CameraData, point: wp.vec2) -> wp.vec2:
-    """Where the lens shows a point, both in the coordinates of the camera's model."""
+    """Applies the lens distortion to a point in the coordinates of the camera's projection model."""
     k = camera.radial
     p = camera.tangential
     u = point[0]
@@ -44,7 +45,7 @@ def distorted(camera: CameraData, point: wp.vec2) -> wp.vec2:
 
 @wp.func
 def distortion_jacobian(camera: CameraData, point: wp.vec2) -> wp.mat22:
-    """Derivative of ``distorted``."""
+    """Returns the Jacobian of ``distorted``."""
     k = camera.radial
     p = camera.tangential
     u = point[0]
@@ -63,14 +64,14 @@ def distortion_jacobian(camera: CameraData, point: wp.vec2) -> wp.mat22:
 
 @wp.func
 def within_reach(camera: CameraData, point: wp.vec2) -> wp.vec2:
-    """A point, moved to where the polynomial still rises."""
+    """Clamps a point to the radius up to which the distortion polynomial is monotonic."""
     radius = wp.length(point)
     return wp.where(radius > camera.distortion_reach, point * (camera.distortion_reach / radius), point)
 
 
 @wp.func
 def undistorted(camera: CameraData, shown: wp.vec2) -> wp.vec2:
-    """What the lens shows at a point; NaN where it shows nothing."""
+    """Inverts the lens distortion at a point by Newton's method; NaN where no point maps there."""
     found = within_reach(camera, shown)
     for _ in range(STEPS):
         step = wp.inverse(distortion_jacobian(camera, found)) * (distorted(camera, found) - shown)
@@ -94,14 +95,14 @@ PI = wp.constant(wp.float32(math.pi))
 
 @wp.func
 def disk_point(u: float, v: float) -> wp.vec2:
-    """A point of the unit disk, uniform over its area for uniform ``u`` and ``v`` in [0, 1)."""
+    """Returns a point of the unit disk, uniform in area for uniform ``u`` and ``v`` in [0, 1)."""
     radius = wp.sqrt(u)
     return wp.vec2(radius * wp.cos(2.0 * PI * v), radius * wp.sin(2.0 * PI * v))
 
 
 @wp.func
 def rotated(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
-    """A vector rotated about a unit axis by an angle in radians (Rodrigues); exactly the vector for an angle of 0."""
+    """Rotates a vector about a unit axis by an angle in radians (Rodrigues); exact for an angle of 0."""
     across = wp.cross(axis, vector)
     half = wp.sin(0.5 * angle)
     return vector + wp.sin(angle) * across + 2.0 * half * half * wp.cross(axis, across)
@@ -109,7 +110,10 @@ def rotated(vector: wp.vec3, axis: wp.vec3, angle: float) -> wp.vec3:
 
 @wp.func
 def pixel_spread(camera: CameraData, u: float, v: float) -> float:
-    """Root of the solid angle of a pixel at a point of the undistorted image plane, radians; 0 for parallel rays."""
+    """Returns the square root of a pixel's solid angle at a point of the undistorted image plane.
+
+    The result is in radians, and 0 for parallel rays.
+    """
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
         return float(0.0)
@@ -124,11 +128,11 @@ def pixel_spread(camera: CameraData, u: float, v: float) -> float:
 
 @wp.func
 def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
-    """The ray of a sample through a pixel; its direction is zero where a fisheye or a distorting lens sees nothing.
+    """Generates the ray of a sample through a pixel; the direction is zero outside the view of a fisheye or a lens.
 
-    With an aperture it starts on the lens and crosses the ray through the lens's centre where that is in focus: on a
-    plane perpendicular to the axis; for a fisheye, which may see behind itself, on a sphere, with the lens
-    perpendicular to that ray.
+    With an aperture, the ray starts on the lens and crosses the central ray where it is in focus: on a plane
+    perpendicular to the axis. For a fisheye, which may see behind itself, the focus surface is a sphere and the lens is
+    perpendicular to the central ray.
     """
     ray = Ray()
     u = (float(x) + camera.offset[0] - camera.center[0]) / camera.focal[0]
@@ -191,9 +195,9 @@ def camera_ray(camera: CameraData, sample: SampleData, x: int, y: int) -> Ray:
 
 @wp.func
 def pixel_of_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
-    """Where a camera sees a point of the world, pixels; NaN where it does not.
+    """Projects a world-space point to pixel coordinates; NaN if it is not visible.
 
-    Through the centre of its lens, and with a rolling shutter as the first row sees it.
+    It projects through the lens centre and, with a rolling shutter, at the time of the first row.
     """
     nowhere = wp.vec2(wp.nan, wp.nan)
     view = wp.transpose(camera.world_from_camera) * (point - camera.eye)
@@ -213,17 +217,18 @@ def pixel_of_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
     return wp.cw_mul(camera.focal, plane) + camera.center
 
 
-# --- Projection beyond the image's edge, at the time of the rolling shutter (docs/method/unscented.md#projection) ---
+# --- Projection beyond the image's edge, with a rolling shutter (docs/method/unscented.md#projection) ---
 
 ROW_STEPS = wp.constant(SHUTTER_STEPS)
 
 
 @wp.func
 def image_point(camera: CameraData, field: float, view: wp.vec3) -> wp.vec2:
-    """Where a pinhole's or a fisheye's image has a point of camera space, pixels; never inside if it is not seen.
+    """Projects a camera-space point of a pinhole or fisheye to pixels, extended beyond the field of view.
 
-    It moves outwards with the angle from the axis everywhere: beyond ``field``, the tangent of an angle, a pinhole's
-    points do so by the angle, and beyond where a lens's polynomial rises, all do so as without distortion.
+    The extension moves outwards with the angle from the axis everywhere, so that invisible points never fall inside the
+    image. Beyond ``field``, the tangent of an angle, a pinhole is linear in the angle. Beyond the monotonic radius of
+    the lens polynomial, points are displaced without further distortion.
     """
     plane = wp.vec2(view[0], view[1])
     across = wp.length(plane)
@@ -249,13 +254,16 @@ def image_point(camera: CameraData, field: float, view: wp.vec3) -> wp.vec2:
 
 @wp.func
 def row_time(camera: CameraData, y: float) -> float:
-    """When a place of the image is exposed, as a share of the time from the first row to the last."""
+    """Returns the exposure time of an image row as a fraction of the time from the first row to the last."""
     return wp.clamp(y / float(camera.full_height), 0.0, 1.0)
 
 
 @wp.func
 def view_at(camera: CameraData, point: wp.vec3, time: float) -> wp.vec3:
-    """A point in camera space, given from where the eye is at the start of the first row, world space."""
+    """Transforms a point to camera space at a time of the shutter.
+
+    ``point`` is relative to the eye at the start of the first row, in world orientation.
+    """
     if camera.shutter != 0:
         point = rotated(point - time * camera.motion, camera.rotation_axis, -time * camera.rotation_angle)
     return wp.transpose(camera.world_from_camera) * point
@@ -263,11 +271,11 @@ def view_at(camera: CameraData, point: wp.vec3, time: float) -> wp.vec3:
 
 @wp.func
 def pixel_at_row_time(camera: CameraData, field: float, point: wp.vec3) -> wp.vec3:
-    """Where the image has a point, pixels, and by how much its row has moved in the last step.
+    """Projects a point to the row that exposes it; returns x and y in pixels and the change of the last iteration.
 
-    With a rolling shutter each row sees it elsewhere: it is where the row that it is in sees it.
+    With a rolling shutter, each row sees the point at another position, so the row is found by fixed-point iteration.
 
-    ``field`` is as of ``image_point``, ``point`` as of ``view_at``.
+    ``field`` is as for ``image_point``, ``point`` as for ``view_at``.
     """
     at = image_point(camera, field, view_at(camera, point, 0.5))
     error = float(0.0)

@@ -1,4 +1,4 @@
-"""Pixels of an image: their order as rays, in windows of a picture, in tiles and strips, and in squares of a warp."""
+"""Pixel layouts: ray order, windows of a full frame, tiles and strips, and pixel squares of CUDA warps."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from lumisplat.constants import RAY_BLOCK_PX, STRIP_PX, TILE_PX
 from lumisplat.device.structs.camera import CameraData
 from lumisplat.device.structs.raster import TileRect
 
-# --- Rays: square blocks of pixels row by row, and row by row within a block ---
+# --- Ray order: square groups of pixels row by row, and row by row within a group ---
 
 BLOCK = wp.constant(RAY_BLOCK_PX)
 
@@ -17,7 +17,7 @@ BLOCK_RAYS = wp.constant(RAY_BLOCK_PX * RAY_BLOCK_PX)
 
 @wp.func
 def pixel_of_ray(width: int, ray: int) -> wp.vec2i:
-    """Pixel (x, y) of a ray of an image of that width; it may lie outside the image, to the right or below."""
+    """Returns the pixel (x, y) of a ray in an image of this width; the pixel may lie outside, to the right or below."""
     blocks_x = (width + BLOCK - 1) // BLOCK
     block = ray // BLOCK_RAYS
     within = ray % BLOCK_RAYS
@@ -26,7 +26,7 @@ def pixel_of_ray(width: int, ray: int) -> wp.vec2i:
 
 @wp.func
 def ray_of_pixel(width: int, x: int, y: int) -> int:
-    """The ray of a pixel inside the image."""
+    """Returns the ray index of a pixel inside the image."""
     blocks_x = (width + BLOCK - 1) // BLOCK
     block = (y // BLOCK) * blocks_x + x // BLOCK
     return block * BLOCK_RAYS + (y % BLOCK) * BLOCK + x % BLOCK
@@ -34,54 +34,54 @@ def ray_of_pixel(width: int, x: int, y: int) -> int:
 
 @wp.func
 def pixel_number(ray: int, camera: wp.array[CameraData]) -> int:
-    """Number of a ray's pixel, row by row; -1: it lies outside the image."""
+    """Returns the row-major index of a ray's pixel; -1: the pixel lies outside the image."""
     at = pixel_of_ray(camera[0].width, ray)
     if at[0] >= camera[0].width or at[1] >= camera[0].height:
         return -1
     return at[1] * camera[0].width + at[0]
 
 
-# --- Windows of a picture ---
+# --- Windows of a full frame ---
 
 
 @wp.func
 def is_in_window(camera: CameraData, x: int, y: int) -> bool:
-    """Whether a pixel, which is not left of the window or above it, is in it."""
+    """Returns whether a pixel that is not left of or above the window lies in it."""
     return x < camera.left + camera.width and y < camera.top + camera.height
 
 
 @wp.func
 def image_index(camera: CameraData, x: int, y: int) -> int:
-    """Where the image has a pixel of the picture, row by row."""
+    """Returns the row-major index, in the window's image, of a pixel of the full frame."""
     return (y - camera.top) * camera.width + x - camera.left
 
 
 @wp.func
 def ray_index(camera: CameraData, x: int, y: int) -> int:
-    """The ray of a pixel of the picture."""
+    """Returns the ray index of a pixel of the full frame."""
     return ray_of_pixel(camera.width, x - camera.left, y - camera.top)
 
 
 @wp.func
 def full_pixel_of_index(camera: CameraData, index: int) -> wp.vec2i:
-    """The pixel of the picture at a place of the image."""
+    """Returns the full-frame pixel at a row-major index of the window's image."""
     return wp.vec2i(camera.left + index % camera.width, camera.top + index // camera.width)
 
 
 @wp.func
 def full_pixel_of_ray(camera: CameraData, ray: int) -> wp.vec2i:
-    """The pixel of the picture that a ray is of; it may lie outside the window, to the right or below."""
+    """Returns the full-frame pixel of a ray; it may lie outside the window, to the right or below."""
     at = pixel_of_ray(camera.width, ray)
     return wp.vec2i(camera.left + at[0], camera.top + at[1])
 
 
 @wp.func
 def full_image_index(camera: CameraData, x: int, y: int) -> int:
-    """Number of a pixel in the picture, from which its random numbers follow."""
+    """Returns the row-major index of a pixel in the full frame, which seeds its random numbers."""
     return y * camera.full_width + x
 
 
-# --- Tiles, and the strips of their rows ---
+# --- Tiles, and strips of their rows ---
 
 TILE = wp.constant(TILE_PX)
 
@@ -103,10 +103,10 @@ RowFloats = wp.types.vector(length=TILE_PX, dtype=wp.float32)
 
 
 def elements_of(vector: Any) -> tuple[Any, Any, Any]:
-    """Returns functions that read, set and add to element ``i`` of a vector through a reference.
+    """Builds functions that read, set and add to element ``i`` of a vector through a reference.
 
-    Warp would copy the whole vector to read one, and would allow for negative indices when it writes one, which keeps
-    loops over pixels from being vectorised.
+    Warp would copy the whole vector to read one element, and would handle negative indices when it writes one, which
+    keeps loops over pixels from being vectorised.
     """
     number = vector._wp_scalar_type_
 
@@ -129,42 +129,42 @@ int_at, set_int_at, add_int_at = elements_of(TileInts)
 
 @wp.func
 def tile_corner(camera: CameraData, tile: int) -> wp.vec2i:
-    """Upper left pixel of a tile of the window, in the picture."""
+    """Returns the upper left pixel of a tile of the window, in full-frame coordinates."""
     return wp.vec2i(camera.left + (tile % camera.tiles_x) * TILE, camera.top + (tile // camera.tiles_x) * TILE)
 
 
 @wp.func
 def tile_pixel(camera: CameraData, item: int) -> wp.vec2i:
-    """Pixel of an item, tile after tile and row after row within; it may lie outside the window."""
+    """Returns the pixel of an item, where items are ordered tile by tile, row by row; it may lie outside the window."""
     corner = tile_corner(camera, item // TILE_PIXELS)
     return wp.vec2i(corner[0] + item % TILE, corner[1] + (item // TILE) % TILE)
 
 
 @wp.func
 def is_listed(rect: TileRect) -> bool:
-    """Whether a splat is in any tile; what is culled is in none."""
+    """Returns whether a splat touches any tile; culled splats touch none."""
     return rect.x0 < rect.x1
 
 
 @wp.func
 def rect_area(rect: TileRect) -> int:
-    """Tiles in a rectangle."""
+    """Returns the number of tiles in a rectangle."""
     return (int(rect.x1) - int(rect.x0)) * (int(rect.y1) - int(rect.y0))
 
 
 @wp.func
 def pair_slot(rect: TileRect, first: int, tile_x: int, tile_y: int) -> int:
-    """Where the record of a splat and one of its tiles is, if those of the splat start at ``first``."""
+    """Returns the slot of the record of a splat and one of its tiles, if the splat's records start at ``first``."""
     return first + (tile_y - int(rect.y0)) * (int(rect.x1) - int(rect.x0)) + tile_x - int(rect.x0)
 
 
-# --- Tiles that the warps of a CUDA block share, a square each ---
+# --- Tiles divided into squares, one for each warp of a CUDA thread block ---
 
 WARP_THREADS = 32
-"""Threads that add up without a barrier. Of all NVIDIA GPUs."""
+"""Threads of a warp, which sum values without a barrier; the same on all NVIDIA GPUs."""
 
 TILE_WARPS = 4
-"""Warps of a tile."""
+"""Warps that process a tile."""
 
 TILE_THREADS = WARP_THREADS * TILE_WARPS
 
@@ -173,21 +173,21 @@ THREADS = wp.constant(TILE_THREADS)
 _LANES = wp.constant(WARP_THREADS)
 
 _SIDE = wp.constant(TILE_PX // 2)
-"""Pixels along the square of a warp."""
+"""Side of the pixel square of a warp."""
 
 ROWS = wp.constant(TILE_PX * TILE_PX // TILE_THREADS)
 """Pixels of a thread: one in each fourth row of the square."""
 
 STRIDE = wp.constant(WARP_THREADS // (TILE_PX // 2))
-"""Rows from one of them to the next."""
+"""Rows between two pixels of a thread."""
 
 ThreadFloats = wp.types.vector(length=TILE_PX * TILE_PX // TILE_THREADS, dtype=wp.float32)
-"""A number of each of them."""
+"""Vector type with one float for each pixel of a thread."""
 
 
 @wp.func
 def first_pixel(thread: int) -> wp.vec2i:
-    """The uppermost pixel of a thread of a tile, from the tile's corner."""
+    """Returns the topmost pixel of a thread, relative to the corner of its tile."""
     warp = thread // _LANES
     lane = thread % _LANES
     return wp.vec2i((warp % 2) * _SIDE + lane % _SIDE, (warp // 2) * _SIDE + lane // _SIDE)

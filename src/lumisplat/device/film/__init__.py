@@ -1,1 +1,1 @@
-"""From the samples of rays to the images of a frame."""
+"""Film: accumulation of ray samples in the images of a frame, and tone mapping."""

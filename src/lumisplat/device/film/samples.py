@@ -1,7 +1,7 @@
-"""Samples of pixels: their sums, and what follows from them: means, variances, the linear colour of lit pixels.
+"""Accumulation of pixel samples: sums, means, variances, and the linear colour of lit pixels.
 
-Captured colours and light are kept apart: docs/method/lighting.md#captured-and-added-light. The equations of variance
-are in docs/method/samples.md.
+Captured colours and light are kept separate: docs/method/lighting.md#captured-and-added-light. The equations of
+variance are in docs/method/samples.md.
 """
 
 import warp as wp
@@ -22,7 +22,10 @@ from lumisplat.device.structs.shading import CatcherLight, ShadingScene, WaveDat
 
 @wp.func
 def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> FirstSurface:
-    """The iso-opacity surface of the Gaussians or, if it is not reached, the mesh behind them; normals blend."""
+    """Returns the iso-opacity surface of the Gaussians or, if it is not reached, the mesh behind.
+
+    The normals of Gaussians and mesh are blended.
+    """
     surface = FirstSurface()
     surface.depth = wave[0].gaussians.depth[i]
     surface.gaussian = -1
@@ -57,12 +60,12 @@ def first_surface(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
     return surface
 
 
-# --- Running means: sample n moves a mean by 1 / (n + 1) of the way ---
+# --- Running means: sample n moves a mean by 1 / (n + 1) of the difference ---
 
 
 @wp.func
 def add_color(pixel: int, sample: int, color: wp.vec3, image: wp.array[wp.vec3]):
-    """Adds a sample of any colour to an image's pixel."""
+    """Updates an image's pixel, a running mean, with a sample of any colour."""
     if sample == 0:
         image[pixel] = color
     else:
@@ -76,13 +79,13 @@ LUMINANCE_WEIGHTS = wp.constant(wp.vec3d(*LUMINANCE))
 
 @wp.func
 def is_finite(color: wp.vec3) -> bool:
-    """No NaN or infinity in any channel."""
+    """Returns whether no channel is NaN or infinite."""
     return wp.isfinite(color[0] + color[1] + color[2])
 
 
 @wp.func
 def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> bool:
-    """Whether the sample of ray ``i`` counts: none of its values is NaN or infinite."""
+    """Returns whether the sample of ray ``i`` is valid: none of its values is NaN or infinite."""
     finite = is_finite(wave[0].radiance.captured[i]) and wp.isfinite(wave[0].radiance.alpha[i])
     if finite and film[0].lit.light:
         finite = is_finite(wave[0].radiance.light[i]) and wp.isfinite(wave[0].radiance.captured_weight[i])
@@ -98,7 +101,7 @@ def is_finite_sample(i: int, film: wp.array[FilmData], wave: wp.array[WaveData])
 
 @wp.func
 def straight_radiance(color: wp.vec3, weight: float) -> wp.vec3:
-    """Linear radiance of a captured colour, display-referred, premultiplied by its weight."""
+    """Decodes a captured colour, display-referred and premultiplied by its weight, to linear radiance."""
     if weight <= 0.0:
         return wp.vec3(0.0)
     return decode_srgb_color(color / weight)
@@ -115,11 +118,11 @@ def captured_factor(
     blocked: wp.vec3,
     film: wp.array[FilmData],
 ) -> wp.vec3:
-    """What is left of a captured colour, or more than that, by what its surface receives, per channel.
+    """Returns the factor of a captured colour by the change of light on its shadow catcher, per channel.
 
-    ``part`` of ``whole``, the captured colour of the pixel, is the surface's; ``radiance`` is its straight colour,
-    linear. ``change`` is that of the irradiance by lights, ``own_change`` of that by captures, and ``blocked`` is the
-    ambient irradiance that was taken.
+    ``part`` of ``whole``, the captured colour of the pixel, belongs to the catcher; ``radiance`` is its linear,
+    non-premultiplied colour. ``change`` is the change of the irradiance by lights, ``emitted_change`` of the irradiance
+    by captures, and ``blocked`` the ambient irradiance that added objects block.
     """
     factor = wp.vec3(1.0)
     for channel in range(3):
@@ -139,7 +142,7 @@ def captured_factor(
 
 @wp.func
 def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[WaveData]) -> PixelSample:
-    """What ray ``i`` sees, of a pixel."""
+    """Returns the sample of a pixel that ray ``i`` carries."""
     sample = PixelSample()
     sample.color = wave[0].radiance.captured[i]
     sample.alpha = wave[0].radiance.alpha[i]
@@ -165,7 +168,7 @@ def sample_of_ray(i: int, pixel: int, film: wp.array[FilmData], wave: wp.array[W
 
 @wp.func
 def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
-    """The only sample of a pixel, from its images."""
+    """Returns the only sample of a pixel, read from its images."""
     sample = PixelSample()
     sample.color = film[0].pixels.color[pixel]
     sample.alpha = film[0].pixels.alpha[pixel]
@@ -178,7 +181,7 @@ def sample_of_pixel(pixel: int, film: wp.array[FilmData]) -> PixelSample:
 
 @wp.func
 def radiance_of(sample: PixelSample, film: wp.array[FilmData]) -> wp.vec3:
-    """The linear radiance of a sample; of an unlit frame its display-referred colour."""
+    """Returns the linear radiance of a sample, or its display-referred colour in an unlit frame."""
     if not film[0].lit.light:
         return sample.color
     captured = captured_color(sample.color, sample.captured_weight)
@@ -187,7 +190,7 @@ def radiance_of(sample: PixelSample, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def add_to_sums(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
-    """Adds a sample, which is counted already, to the sums of a pixel."""
+    """Adds a sample, already included in the count, to the sums of a pixel."""
     radiance = wp.vec3d(radiance_of(sample, film))
     before = wp.float64(film[0].count[pixel] - 1)
     total = film[0].sums.radiance[pixel]
@@ -216,7 +219,7 @@ def store_sample(pixel: int, sample: PixelSample, film: wp.array[FilmData]):
 
 @wp.func
 def store_surface(pixel: int, surface: FirstSurface, film: wp.array[FilmData]):
-    """Writes the surface that the first sample of a pixel sees."""
+    """Writes the surface that the first sample of a pixel hits."""
     film[0].pixels.depth[pixel] = surface.depth
     film[0].pixels.normal[pixel] = surface.normal
     film[0].pixels.gaussian[pixel] = surface.gaussian
@@ -225,7 +228,7 @@ def store_surface(pixel: int, surface: FirstSurface, film: wp.array[FilmData]):
 
 @wp.func
 def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
-    """The mean of the samples of a pixel; zero if there are none."""
+    """Returns the mean of the samples of a pixel; zero if there are none."""
     mean = PixelSample()
     if film[0].count[pixel] == 0:
         return mean
@@ -240,7 +243,7 @@ def mean_sample(pixel: int, film: wp.array[FilmData]) -> PixelSample:
 
 @wp.func
 def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
-    """What shadows leave of the captured part of a pixel, or light makes of it: 1 where nothing changes it."""
+    """Returns the factor of a pixel's captured colour by shadows and added light; 1 where nothing changes it."""
     weight = film[0].lit.captured_weight[pixel]
     if film[0].capture_factor:
         return straight_factor(film[0].capture_factor[pixel], weight)
@@ -260,10 +263,10 @@ def captured_ratio(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
-    """What shadows take from the captured part of a pixel, or light adds to it, linear.
+    """Returns the linear change of a pixel's captured colour by shadows and added light.
 
-    It is a share of the mean, with a mean of its own: means of display-referred colours and of linear ones do not
-    subtract.
+    The change is the mean colour times a ratio with its own mean, because means of display-referred and of linear
+    colours cannot be subtracted.
     """
     if not film[0].ratio:
         return wp.vec3(0.0)
@@ -273,7 +276,10 @@ def captured_change(pixel: int, film: wp.array[FilmData]) -> wp.vec3:
 
 @wp.func
 def develop(pixel: int, film: wp.array[FilmData]):
-    """Makes the linear colour of a lit pixel from what was captured and light; changes of the former are light."""
+    """Computes the linear colour of a lit pixel from captured colour and light.
+
+    Changes of the captured colour by shadows and added light count as light.
+    """
     captured = captured_color(film[0].pixels.color[pixel], film[0].lit.captured_weight[pixel])
     film[0].lit.light[pixel] += captured_change(pixel, film)
     film[0].lit.color[pixel] = wp.max(captured + film[0].lit.light[pixel], wp.vec3(0.0))
@@ -281,13 +287,13 @@ def develop(pixel: int, film: wp.array[FilmData]):
 
 @wp.func
 def sample_variance(pixel: int, film: wp.array[FilmData]) -> wp.vec3d:
-    """Variance of one sample of a pixel, which has two or more."""
+    """Returns the variance of one sample of a pixel that has two or more samples."""
     return film[0].sums.squares[pixel] / wp.float64(film[0].count[pixel] - 1)
 
 
 @wp.func
 def relative_variance(pixel: int, least: float, film: wp.array[FilmData]) -> float:
-    """Variance of one sample of a pixel over the square of its luminance, or of ``least`` where it is darker.
+    """Returns the variance of one sample over the squared luminance of the pixel, or over ``least`` squared if darker.
 
     inf: the pixel has fewer than two samples.
     """

@@ -1,4 +1,4 @@
-"""Tone mapping on the device, as `lumisplat.math.tone_map` does it on the host, and pixels as bytes.
+"""Tone mapping on the device, equal to `lumisplat.math.tone_map` on the host, and conversion of pixels to bytes.
 
 The equations are in docs/method/lighting.md#pictures.
 """
@@ -51,7 +51,7 @@ GAMMA = wp.constant(wp.float32(AGX_GAMMA))
 
 
 def curve_scale(run: float, rise: float, power: float) -> float:
-    """Distance of AgX's asymptote from the pivot for which a side of the curve passes its end point."""
+    """Returns the distance of AgX's asymptote from the pivot such that one side of the curve passes its end point."""
     return AGX_SLOPE * run / ((AGX_SLOPE * run / rise) ** power - 1.0) ** (1.0 / power)
 
 
@@ -62,13 +62,13 @@ SCALE_ABOVE = wp.constant(wp.float32(curve_scale(1.0 - AGX_PIVOT[0], 1.0 - AGX_P
 
 @wp.func
 def clamped(color: wp.vec3, high: float) -> wp.vec3:
-    """A colour with all channels in 0..high."""
+    """Clamps all channels of a colour to 0..high."""
     return wp.vec3(wp.clamp(color[0], 0.0, high), wp.clamp(color[1], 0.0, high), wp.clamp(color[2], 0.0, high))
 
 
 @wp.func
 def neutral(light: wp.vec3) -> wp.vec3:
-    """Khronos PBR Neutral, linear to linear."""
+    """Applies the Khronos PBR Neutral tone map, linear to linear."""
     least = wp.min(wp.min(light), 2.0 * TOE)
     color = light - wp.vec3(least - least * least / (4.0 * TOE))
     peak = wp.max(color)
@@ -83,7 +83,7 @@ def neutral(light: wp.vec3) -> wp.vec3:
 
 @wp.func
 def agx_curve(light: float) -> float:
-    """AgX's sigmoid of the logarithm of a channel."""
+    """Applies AgX's sigmoid to the logarithm of a channel."""
     stops = wp.log2(wp.max(light, DARKEST))
     x = wp.clamp((stops - STOPS_LOW) / STOPS_RANGE, 0.0, 1.0)
     scale = wp.where(x < PIVOT_X, SCALE_BELOW, SCALE_ABOVE)
@@ -94,7 +94,7 @@ def agx_curve(light: float) -> float:
 
 @wp.func
 def agx(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
-    """AgX, linear to linear."""
+    """Applies the AgX tone map, linear to linear."""
     inset = settings.agx_from_rec709 * light
     shown = settings.rec2020_from_agx * wp.vec3(agx_curve(inset[0]), agx_curve(inset[1]), agx_curve(inset[2]))
     for k in range(3):
@@ -104,7 +104,7 @@ def agx(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
 
 @wp.func
 def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
-    """Display colour of linear light, 0 to the brightest."""
+    """Tone maps linear light, 0 to the brightest, to a display-referred colour."""
     color = light
     if settings.tone_map == TONE_NEUTRAL:
         color = neutral(light)
@@ -115,7 +115,10 @@ def tone_mapped(light: wp.vec3, settings: ToneMapData) -> wp.vec3:
 
 @wp.func
 def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMapData) -> wp.vec3:
-    """Display colour of a pixel that shows a capture, light, or both: ``lit_picture`` of the host."""
+    """Returns the display-referred colour of a pixel with captured colour, light, or both.
+
+    The host function ``lit_picture`` computes the same.
+    """
     if settings.gain == 1.0 and weight >= WHOLE and is_black(light):
         return captured
     radiance = captured_color(captured, weight)
@@ -127,7 +130,7 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMa
     captured_part = 1.0 - wp.max(wp.abs(lit - before)) / largest
     before_color = encode_srgb_color(before)
     shown = tone_mapped(lit, settings)
-    if captured_part > 0.0:  # else all is light: the curve is not needed twice
+    if captured_part > 0.0:  # else all is light, and the curve is evaluated once
         shown += captured_part * (before_color - tone_mapped(before, settings))
     for k in range(3):
         if lit[k] >= before[k]:
@@ -142,13 +145,13 @@ def lit_color(captured: wp.vec3, weight: float, light: wp.vec3, settings: ToneMa
 
 @wp.func
 def channels_finite(color: wp.vec3) -> bool:
-    """Whether no channel is NaN or infinite; their sum may be."""
+    """Returns whether no channel is NaN or infinite; their sum may still overflow."""
     return wp.isfinite(color[0]) and wp.isfinite(color[1]) and wp.isfinite(color[2])
 
 
 @wp.func
 def straightened(color: wp.vec3, alpha: float) -> wp.vec3:
-    """A premultiplied colour divided by its alpha; black where that is not above 0."""
+    """Divides a premultiplied colour by its alpha; black where alpha is not above 0."""
     if not alpha > 0.0:
         return wp.vec3(0.0)
     return wp.vec3(color[0] / alpha, color[1] / alpha, color[2] / alpha)
@@ -156,12 +159,12 @@ def straightened(color: wp.vec3, alpha: float) -> wp.vec3:
 
 @wp.func
 def byte_of(value: float) -> wp.uint32:
-    """A display-referred value as 8 bits, clamped to 0..1 and rounded half up."""
+    """Converts a display-referred value to 8 bits, clamped to 0..1 and rounded half up."""
     return wp.uint32(wp.clamp(value, 0.0, 1.0) * 255.0 + 0.5)
 
 
 @wp.func
 def packed_rgba(color: wp.vec3, alpha: float) -> wp.uint32:
-    """A pixel in one word, red in the low byte."""
+    """Packs a pixel into one word, red in the low byte."""
     word = byte_of(color[0]) | (byte_of(color[1]) << wp.uint32(8)) | (byte_of(color[2]) << wp.uint32(16))
     return word | (byte_of(alpha) << wp.uint32(24))

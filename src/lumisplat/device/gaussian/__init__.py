@@ -1,1 +1,1 @@
-"""One Gaussian: its projection, its response along a ray, and how it is blended."""
+"""Gaussians along rays: response, intersection, blending and gradients."""

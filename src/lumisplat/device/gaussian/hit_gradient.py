@@ -1,4 +1,4 @@
-"""Derivatives of a ray's hit by its Gaussian: of alpha by distance, of distance by mean, rotation and scales.
+"""Derivatives of ray hits: of alpha with respect to the distance, and of the distance with respect to the Gaussian.
 
 The equations are in docs/method/gradients.md#hits.
 """
@@ -17,51 +17,52 @@ from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstan
 
 @struct
 class RayMotion:
-    """By where the rays are that hit a Gaussian of an instance, object space."""
+    """Gradient of the loss with respect to a rigid motion of all rays that hit a Gaussian, object space."""
 
     shift: wp.vec3
-    """By a shift of all of them."""
+    """Gradient with respect to a translation of the rays."""
     turn: wp.vec3
-    """By a turn of all of them about the origin."""
+    """Gradient with respect to a rotation of the rays about the origin."""
 
 
 @struct
 class HitMoments:
-    """Sums over the hits of one Gaussian, of which its derivatives are made; along its own axes if not said otherwise.
+    """Sums over the hits of one Gaussian from which its gradients follow, along its own axes unless stated otherwise.
 
-    Beside the derivative by the squared canonical distance, the terms are those of docs/method/gradients.md#hits.
+    Each term is multiplied by the derivative with respect to the squared canonical distance; the terms are those of
+    docs/method/gradients.md#hits.
     """
 
     log_opacity: float
     pull: wp.vec3
-    """Of the canonical offset of the ray from the mean, over the scales."""
+    """Canonical offset of the ray from the mean, over the scales."""
     turn: wp.vec3
-    """The torque of that about the mean."""
+    """Torque of ``pull`` about the mean."""
     spread: wp.vec3
-    """Of the squares of that offset, over the scales."""
+    """Squares of the canonical offset, over the scales."""
     path: wp.vec3
-    """By the mean's place along the ray, which says how wide the ray is there; object space."""
+    """Gradient with respect to the mean's position along the ray, which sets the footprint width; object space."""
     largest: float
-    """By the largest scale, which does so, too; object space."""
+    """Gradient with respect to the largest scale, which limits the footprint width; object space."""
 
 
 NEAREST2 = wp.constant(wp.float32(1.0e-30))
-"""Squared canonical distance below which a ray goes through the mean: degrees 0 and 1 have a kink there."""
+"""Squared canonical distance below which a ray counts as hitting the mean, where degrees 0 and 1 have a kink."""
 
 
 @wp.func
 def log_alpha_gradient(alpha: float, before: float, shown: float, behind: float) -> float:
-    """Derivative by the logarithm of a hit's alpha; 0 where that is at its limit.
+    """Returns the derivative of the loss with respect to the logarithm of a hit's alpha; 0 where alpha is clamped.
 
-    ``before`` is the transmittance before the hit, ``shown`` the derivative by what the pixel shows times the hit's
-    colour, and ``behind`` what of the loss is still to come, this hit included.
+    ``before`` is the transmittance in front of the hit, ``shown`` the gradient of the pixel's colour times the hit's
+    colour, and ``behind`` the loss contribution of this hit and all behind it.
     """
     return wp.where(alpha < ALPHA_LIMIT, alpha * (before * shown - behind) / (1.0 - alpha), 0.0)
 
 
 @wp.func
 def log_response_slope(kernel: KernelData, distance2: float) -> float:
-    """Derivative of the logarithm of a response by the squared canonical distance, within reach."""
+    """Returns the derivative of a response's logarithm with respect to the squared canonical distance, within reach."""
     if kernel.degree == 2:
         return -0.5
     near2 = wp.max(distance2, NEAREST2)
@@ -74,7 +75,7 @@ def log_response_slope(kernel: KernelData, distance2: float) -> float:
 
 @wp.func
 def ray_in_object(instance: SplatInstanceData, ray: Ray) -> Ray:
-    """The same ray with origin and direction in the space of an instance."""
+    """Transforms a ray's origin and direction to the space of an instance."""
     ray.origin = instance.object_from_world * ray.origin + instance.object_from_world_offset
     ray.direction = instance.object_from_world * ray.direction
     return ray
@@ -90,10 +91,10 @@ def add_hit(
     ray: Ray,
     by_log_alpha: float,
 ) -> HitMoments:
-    """Adds a hit to those of its Gaussian.
+    """Adds a hit to the sums of its Gaussian.
 
-    ``axes`` of the Gaussian are columns, ``scale`` its standard deviations along them; the ray is in object space, and
-    ``by_log_alpha`` the derivative by the logarithm of the hit's alpha.
+    ``axes`` are the Gaussian's axes as columns, ``scale`` the standard deviations along them. The ray is in object
+    space, and ``by_log_alpha`` is the derivative with respect to the logarithm of the hit's alpha.
     """
     away = ray.origin - mean
     footprint = footprint_of_ray(instance.footprint, ray.spread, instance.scale)
@@ -126,9 +127,9 @@ def add_hit(
 def add_moments(
     gaussians: GaussianData, i: int, axes: wp.mat33, moments: HitMoments, out: GaussianGradient
 ) -> RayMotion:
-    """Adds the derivatives by Gaussian ``i`` that follow from its hits; returns those by its rays.
+    """Adds the gradients of Gaussian ``i`` that follow from its hits; returns the gradient of its rays.
 
-    These move against it: what changes if all of them are moved is what would if the Gaussian were moved back.
+    A motion of all rays has the same effect as the opposite motion of the Gaussian.
     """
     scale = gaussians.scales[i]
     by_scale = -2.0 * moments.spread
@@ -163,9 +164,9 @@ def add_color(
     motion: RayMotion,
     out: GaussianGradient,
 ) -> RayMotion:
-    """Adds the derivatives by the harmonics and the mean of Gaussian ``i``, whose colour an eye sees.
+    """Adds the gradients of the SH and the mean of Gaussian ``i`` through its view-dependent colour.
 
-    Returns ``motion`` with those by the rays: their eye moves with them.
+    Returns ``motion`` with the gradient of the rays added, because their eye moves with them.
     """
     if instance.shows_albedo != 0:
         return motion

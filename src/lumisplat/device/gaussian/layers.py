@@ -1,4 +1,4 @@
-"""Whether a Gaussian near the surface that a ray leaves is of another layer (docs/method/shadows.md#layers)."""
+"""Test whether a Gaussian near the origin of a ray belongs to another surface layer (docs/method/shadows.md#layers)."""
 
 import warp as wp
 
@@ -7,21 +7,23 @@ from lumisplat.device.structs.rays import RayData
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 LAYER_FLATNESS = 0.15
-"""Smallest over middle scale of a Gaussian up to which its thin axis tells the layer that it is of (docs/adr/0088)."""
+"""Largest ratio of smallest to middle scale for which a Gaussian's thin axis is its layer normal (docs/adr/0088)."""
 
 LAYER_COSINE = 0.35
-"""Cosine between the normals of two layers up to which only their order decides: 70 degrees apart and more."""
+"""Cosine between two layer normals below which only their order decides: 70 degrees apart and more."""
 
 LAYER_HEIGHT = 0.0625
-"""How far before a surface the mean of a Gaussian of another layer stands at least, and how far before its plane the
-surface, in shadow offsets: a quarter of a scale."""
+"""Smallest height of another layer's mean above a surface, and of the surface above its plane, in shadow offsets.
+
+It is a quarter of a scale."""
 
 LAYER_RISE = 1.0
-"""By how much that rises with the cosine beyond ``LAYER_COSINE``: to 2.85 scales between parallel layers."""
+"""Increase of that height with the cosine beyond ``LAYER_COSINE``: up to 2.85 scales between parallel layers."""
 
 LAYER_LIFT = 0.0625
-"""How far above a surface of Gaussians rays begin that bounce there, in shadow offsets: a quarter of a scale. From
-within a layer, those along it come out below and see what lights its other side (docs/adr/0088)."""
+"""Height above a surface of Gaussians at which bounced rays start, in shadow offsets: a quarter of a scale.
+
+From inside a layer, rays along it would leave below and see the light of its other side (docs/adr/0088)."""
 
 COSINE = wp.constant(wp.float32(LAYER_COSINE))
 FLATNESS = wp.constant(wp.float32(LAYER_FLATNESS))
@@ -32,7 +34,7 @@ RISE = wp.constant(wp.float32(LAYER_RISE))
 
 @wp.func
 def is_flat(scales: wp.vec3) -> bool:
-    """Whether the thin axis of a Gaussian with these scales is the normal of its layer."""
+    """Returns whether the thin axis of a Gaussian with these scales is the normal of its layer."""
     thin = wp.min(scales)
     middle = wp.max(wp.min(scales[0], scales[1]), wp.min(wp.max(scales[0], scales[1]), scales[2]))
     return thin < FLATNESS * middle
@@ -40,17 +42,17 @@ def is_flat(scales: wp.vec3) -> bool:
 
 @wp.func
 def above_layer(point: wp.vec3, normal: wp.vec3, near: float) -> wp.vec3:
-    """Returns where a ray begins that bounces at a surface of Gaussians: a little above it, not to come out below.
+    """Returns the origin of a ray that bounces at a surface of Gaussians, lifted so that the ray does not leave below.
 
-    ``normal`` of the layer is unit, on the side to which the ray goes; where it is zero, the ray begins at the point.
-    ``near``: the offset within which Gaussians of that layer do not block the ray, scene units; 0 for meshes.
+    ``normal`` of the layer is unit, on the ray's side; with a zero normal the ray starts at the point. ``near`` is the
+    offset within which Gaussians of the same layer do not block the ray, scene units; 0 for meshes.
     """
     return point + LIFT * near * normal
 
 
 @wp.func
 def thin_axis(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
-    """Unit normal of a flat Gaussian, of either sign, world space; zero unless ``is_flat`` holds."""
+    """Returns the unit normal of a flat Gaussian, of either sign, world space; zero unless ``is_flat`` holds."""
     rows = particle.canonical_from_object
     sharp = wp.vec3(wp.length_sq(rows[0]), wp.length_sq(rows[1]), wp.length_sq(rows[2]))
     thinnest = int(0)
@@ -66,7 +68,7 @@ def thin_axis(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
 
 @wp.func
 def world_mean(particle: Particle, instance: SplatInstanceData) -> wp.vec3:
-    """Mean of a Gaussian of an instance, world space."""
+    """Returns the world-space mean of a Gaussian of an instance."""
     return instance.scale * (instance.world_from_object * (particle.mean - instance.object_from_world_offset))
 
 
@@ -81,18 +83,19 @@ def is_other_layer(
     gaussians: GaussianData,
     rays: RayData,
 ) -> bool:
-    """Whether a Gaussian that ray ``i`` meets within the offset is of another layer than the surface that it leaves.
+    """Returns whether a Gaussian that ray ``i`` hits near its origin belongs to another layer than the ray's surface.
 
-    Two flat Gaussians can tell: its mean stands before that surface, by little if it is turned away from it, by more
-    if the two are parallel; and the ray meets it from the front, or comes from well before its plane.
+    Both must be flat Gaussians. The hit Gaussian's mean must lie above the ray's surface, by little if the layers are
+    inclined to each other and by more if they are parallel. The ray must hit it from the front, or come from well in
+    front of its plane.
 
-    ``near`` is the offset within which Gaussians of the ray's own layer do not block it, scene units; ``mean`` of the
-    Gaussian is in world space, and ``axis`` its ``thin_axis``.
+    ``near`` is the offset within which Gaussians of the ray's own layer do not block it, scene units; ``mean`` is in
+    world space, and ``axis`` is the Gaussian's ``thin_axis``.
     """
     normal = rays.normal[i]
     away = mean - rays.origin[i]
     height = wp.dot(normal, away)
-    # Most Gaussians near a surface are not flat, or of its own layer.
+    # Most Gaussians near a surface are not flat, or belong to its own layer.
     if not height > HEIGHT * near or wp.length_sq(axis) == 0.0:
         return False
     beyond = wp.max(wp.abs(wp.dot(normal, axis)) - COSINE, 0.0)
@@ -101,5 +104,5 @@ def is_other_layer(
     if gaussians.normals:
         if wp.dot(gaussians.normals[particle.index], instance.object_from_world * rays.direction[i]) < 0.0:
             return True
-    # A surface reaches a little through the one that it ends at: from there, that is not in the way.
+    # A surface extends slightly through the one that it meets, which does not block rays from there.
     return wp.abs(wp.dot(axis, away)) > HEIGHT * near

@@ -1,7 +1,7 @@
-"""Tracing of a packet: where its rays hit a Gaussian, the hits that they keep, and how final hits are blended.
+"""Packet tracing: intersection of rays with a Gaussian, hit lists, and blending of final hits.
 
-The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one; and a
-stochastic pass is drawn whenever k hits were blended (docs/method/ray_tracing.md#strategies).
+The strategies differ in two places: a stochastic hit is drawn before it enters the list, which then holds one hit; and
+a stochastic pass is drawn after every k blended hits (docs/method/ray_tracing.md#strategies).
 """
 
 import functools
@@ -39,19 +39,19 @@ from lumisplat.device.structs.scene import KernelData, SplatInstanceData
 
 HIT_NONE: int = wp.constant(0)
 HIT_FAR: int = wp.constant(1)
-"""A Gaussian is hit beyond the offset of the ray."""
+"""The ray hits a Gaussian beyond the shadow offset."""
 
 HIT_NEAR: int = wp.constant(2)
-"""It is hit within: it counts if it is of another layer."""
+"""The ray hits a Gaussian within the shadow offset; the hit counts only if it is of another layer."""
 
 PASS_REWIND = 1e-4
-"""A new pass starts earlier by this share of the distance: rounding may put the hits of a box outside of it."""
+"""Fraction of the distance by which a new pass starts earlier, because rounding may place hits outside their box."""
 
-# --- Hits, and how much each absorbs (docs/method/ray_tracing.md#hits) ---
+# --- Intersection, and alpha of each hit (docs/method/ray_tracing.md#hits) ---
 
 
 class PacketHits(NamedTuple):
-    """Functions for a number of lanes."""
+    """Intersection functions for a certain number of lanes."""
 
     hit_distances: Any
     hit_responses: Any
@@ -61,17 +61,17 @@ class PacketHits(NamedTuple):
 
 @functools.cache
 def packet_hits_of(lanes: int) -> PacketHits:
-    """What hits of packets of up to ``lanes`` rays need."""
+    """Builds the intersection functions for packets of up to ``lanes`` rays."""
     LANES = lanes
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
 
     @wp.func
     def hit_distances(particle: Particle, scale: float, hit_distance: int, begin: float, packet: PacketRays):
-        """Where each ray hits a Gaussian, widened by the ray's footprint.
+        """Intersects each ray with a Gaussian, widened by the ray's footprint.
 
-        Returns the distance by which hits are ordered, FAR where there is none, the squared canonical distance at the
-        peak of the response, and what the hit is: HIT_NONE, HIT_FAR, or HIT_NEAR. The peak of a hit lies before
-        ``t_max``; that of a near one not beyond ``t_min``, or ``begin`` if that is nearer.
+        Returns the distance that orders hits (FAR without a hit), the squared canonical distance at the peak of the
+        response, and HIT_NONE, HIT_FAR or HIT_NEAR. The peak of a hit lies before ``t_max``. The peak of a near hit
+        lies not beyond ``t_min``, or ``begin`` if that is nearer.
         """
         origin = packet.origin
         direction = packet.direction
@@ -107,11 +107,11 @@ def packet_hits_of(lanes: int) -> PacketHits:
             ex = ex * per_unit
             ey = ey * per_unit
             ez = ez * per_unit
-            # A cross product: c + t e would cancel for thin Gaussians.
+            # By a cross product, because c + t e would cancel for thin Gaussians.
             kx = cy * ez - cz * ey
             ky = cz * ex - cx * ez
             kz = cx * ey - cy * ex
-            # In this order: products of two factors of thin axes leave float32.
+            # In this order, because products of two factors of thin axes leave float32.
             d2 = (fy * kx) * (fz * kx) + (fz * ky) * (fx * ky) + (fx * kz) * (fy * kz)
             peak = -(fx * cx * ex + fy * cy * ey + fz * cz * ez) * per_unit
             inside = particle.reach2 - d2
@@ -125,10 +125,10 @@ def packet_hits_of(lanes: int) -> PacketHits:
 
     @wp.func
     def hit_responses(particle: Particle, begin: float, packet: PacketRays):
-        """Whether each ray hits a Gaussian, as ``hit_distances`` has it, without the distance.
+        """Intersects each ray with a Gaussian as ``hit_distances`` does, but without the distance.
 
-        Returns what the hit is, and two numbers whose quotient is the squared canonical distance: most rays do not need
-        it.
+        Returns the kind of hit, and numerator and denominator of the squared canonical distance, which most rays do not
+        need.
         """
         origin = packet.origin
         direction = packet.direction
@@ -162,7 +162,7 @@ def packet_hits_of(lanes: int) -> PacketHits:
 
     @wp.func
     def alphas_at(kernel: KernelData, particle: Particle, distance2: Floats) -> Floats:
-        """Alphas of a Gaussian at squared canonical distances within its reach."""
+        """Returns the alphas of a Gaussian at squared canonical distances within its reach."""
         alpha = Floats()
         for lane in range(LANES):
             alpha[lane] = alpha_from_log(particle.log_opacity - 0.5 * distance2[lane])
@@ -182,9 +182,9 @@ def packet_hits_of(lanes: int) -> PacketHits:
         rays: RayData,
         first: int,
     ) -> int:
-        """Leaves of near hits those on Gaussians of another layer; returns 0 if no hit is left.
+        """Drops near hits except those of Gaussians of another layer; returns 0 if no hit is left.
 
-        ``kind`` of the hits and ``begin`` are as of ``hit_distances``.
+        ``kind`` and ``begin`` are as for ``hit_distances``.
         """
         found = int(0)
         for lane in range(LANES):
@@ -221,17 +221,17 @@ REWIND = wp.constant(wp.float32(PASS_REWIND))
 
 @struct
 class RayProgress:
-    """How far a ray has been blended."""
+    """Progress of blending along a ray."""
 
     hit_list: HitList
     """Hits that are not final yet."""
     next_t: float
-    """Distance of the first of them; FAR: there is none."""
+    """Distance of the first of these hits; FAR: there is none."""
     start_t: float
     """Hits up to (start_t, start_index) were blended in earlier passes."""
     start_index: int
     last_t: float
-    """The farthest hit that was blended."""
+    """Distance of the farthest blended hit."""
     last_index: int
     blended: int
     """Hits blended in the current stochastic pass."""
@@ -239,11 +239,11 @@ class RayProgress:
 
 @struct
 class TracedPacket:
-    """A packet while it is traced, one lane a ray; local arrays of the kernel."""
+    """State of a packet during tracing, one lane for each ray; local arrays of the kernel."""
 
     rays: wp.array[RayProgress]
     hits: wp.array[Hit]
-    """The slots of the lists of all rays."""
+    """Slots of the hit lists of all rays."""
     cut_t: wp.array[float]
     """Hits from (cut_t, cut_index) on are left to another pass."""
     cut_index: wp.array[int]
@@ -251,7 +251,7 @@ class TracedPacket:
 
 @wp.func
 def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
-    """Empties the list; hits count from behind the last one that was blended."""
+    """Empties the hit list; the new pass starts behind the last blended hit."""
     progress.hit_list = empty_list(first_slot)
     progress.next_t = FAR
     progress.start_t = progress.last_t
@@ -260,7 +260,7 @@ def begin_ray_pass(progress: wp.ref[RayProgress], first_slot: int):
 
 @wp.func
 def ray_of(rays: RayData, i: int) -> Ray:
-    """Ray ``i``."""
+    """Returns ray ``i`` of the arrays."""
     ray = Ray()
     ray.origin = rays.origin[i]
     ray.direction = rays.direction[i]
@@ -272,7 +272,7 @@ def ray_of(rays: RayData, i: int) -> Ray:
 
 @wp.func
 def surface_distance(scene: SceneBvh, ray: Ray, t_max: float, index: int, t: float) -> float:
-    """Distance of the surface of the Gaussian ``index`` of the scene, which a ray hits at ``t``; at least 0."""
+    """Returns the surface distance, at least 0, of Gaussian ``index`` of the scene, which a ray hits at ``t``."""
     instance = scene.instances[instance_of(scene.instances, index)]
     if instance.hit_distance == HIT_HULL:
         return larger(t, 0.0)
@@ -300,10 +300,10 @@ def blend_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> bool:
-    """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether it is opaque then."""
+    """Blends the hits of ray ``i`` that are nearer than ``bound``; returns whether the ray is opaque afterwards."""
     ray = ray_of(rays, i)
     if config.offset < FAR:
-        ray.t_min = 0.0  # small Gaussians count before it
+        ray.t_min = 0.0  # small Gaussians count even before it
     pixel = load_pixel(radiance, i)
     is_opaque = bool(False)
     head = int(progress.hit_list.head)
@@ -321,7 +321,7 @@ def blend_hits(
             add_relit(radiance, i, scene.instances, before, pixel, index)
         if pixel.surface == index:
             radiance.depth[i] = surface_distance(scene, ray, t_max, index, t)
-        # Rounding may deliver a hit after one that is farther.
+        # Rounding may deliver a hit after a farther one.
         if is_before(progress.last_t, progress.last_index, t, index):
             progress.last_t = t
             progress.last_index = index
@@ -346,7 +346,7 @@ def blend_hits(
 
 @wp.func
 def begin_rays(traced: TracedPacket):
-    """Nothing blended yet."""
+    """Resets the blending progress of all rays."""
     for lane in range(traced.rays.shape[0]):
         traced.rays[lane].last_t = -FAR
         traced.rays[lane].last_index = -1
@@ -355,13 +355,19 @@ def begin_rays(traced: TracedPacket):
 
 @wp.func
 def end_of_hits(limit: float, scene: SceneBvh) -> float:
-    """The distance before which a ray's hits are ordered; a mean may lie behind the limit before which it responds."""
+    """Returns the upper bound of a ray's hit distances.
+
+    A mean may lie behind the limit in front of which it responds.
+    """
     return wp.where(scene.hit_distance == HIT_MEAN and limit > 0.0, FAR, limit)
 
 
 @wp.func
 def begin_pass(traced: TracedPacket, packet: PacketRays, config: TraceData, scene: SceneBvh) -> float:
-    """Begins a pass of all rays, also those of the group; returns the least distance at which a hit may count."""
+    """Begins a pass of all rays, including those of the group.
+
+    Returns the smallest distance at which a hit may count.
+    """
     begin = float(FAR)
     slots = traced.hits.shape[0] // traced.rays.shape[0]
     for lane in range(traced.rays.shape[0]):
@@ -392,7 +398,7 @@ def blend_final_hits(
     radiance: GaussianHits,
     profiles: wp.array[HitProfiles],
 ) -> float:
-    """Blends the hits that are nearer than ``bound``; returns the distance of the nearest of the others."""
+    """Blends the hits of all rays that are nearer than ``bound``; returns the distance of the nearest remaining hit."""
     nearest = float(FAR)
     for lane in range(traced.rays.shape[0]):
         if traced.rays[lane].next_t < bound:
@@ -407,7 +413,7 @@ def blend_final_hits(
 
 @wp.func
 def is_cut(traced: TracedPacket, packet: PacketRays, scene: SceneBvh) -> bool:
-    """Whether a ray, also one of the group, has hits that are left to another pass."""
+    """Returns whether any ray, including those of the group, has hits left for another pass."""
     found = float(0.0)
     for lane in range(traced.rays.shape[0]):
         found = larger(found, wp.where(traced.cut_t[lane] < end_of_hits(packet.limit[lane], scene), 1.0, 0.0))
@@ -423,7 +429,7 @@ def close_last_pass(
     i: int,
     radiance: GaussianHits,
 ):
-    """Draws the last stochastic pass of ray ``i``, which has fewer hits."""
+    """Draws the last stochastic pass of ray ``i``, which has fewer hits than a full pass."""
     if progress.blended > 0:
         index = progress.last_index
         depth = surface_distance(scene, ray_of(rays, i), t_max, index, progress.last_t)
@@ -432,17 +438,17 @@ def close_last_pass(
 
 
 class PacketTracing(NamedTuple):
-    """Types and functions for a number of lanes."""
+    """Tracing types and functions for a certain number of lanes."""
 
     storage: Any
-    """The type of a variable in which a TracedPacket lies."""
+    """Type of the local variable that stores a TracedPacket."""
     traced_packet: Any
     buffer_hits: Any
 
 
 @functools.cache
 def packet_tracing_of(lanes: int) -> PacketTracing:
-    """What tracing packets of up to ``lanes`` rays needs."""
+    """Builds the tracing types and functions for packets of up to ``lanes`` rays."""
     LANES = lanes
     HITS = lanes * (HIT_BUFFER_CUDA if lanes == 1 else HIT_BUFFER_CPU)
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
@@ -451,7 +457,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @struct
     class TracedStorage:
-        """The variable in which a TracedPacket lies."""
+        """Local variable that stores a TracedPacket."""
 
         rays: storage_of(RayProgress, lanes)
         hits: storage_of(Hit, HITS)
@@ -460,7 +466,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def traced_packet(storage: wp.ref[TracedStorage]) -> TracedPacket:
-        """The packet that lies in a variable."""
+        """Returns the packet that is stored in a local variable."""
         traced = TracedPacket()
         traced.rays = wp.array(ptr=wp.address_of(storage.rays), shape=(LANES,), dtype=RayProgress)
         traced.hits = wp.array(ptr=wp.address_of(storage.hits), shape=(HITS,), dtype=Hit)
@@ -470,7 +476,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def hits_before_cut(traced: TracedPacket, t: wp.ref[Floats], kind: Ints, index: int) -> int:
-        """Replaces distances of hits that do not count, or lie behind their ray's cut, by FAR; whether any is left."""
+        """Sets distances of invalid hits and of hits behind their ray's cut to FAR; returns whether any hit is left."""
         found = int(0)
         distances = t
         for lane in range(LANES):
@@ -483,7 +489,7 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
 
     @wp.func
     def accepted_hits(t: Floats, index: int, alpha: Floats, config: TraceData, rays: RayData, first: int) -> Floats:
-        """Stochastic hits that are drawn with probability alpha, FAR for the others."""
+        """Accepts each hit with probability alpha; returns its distance, or FAR if rejected."""
         dimension = mix(wp.uint32(index))
         for lane in range(LANES):
             number = draw_mixed(rays.sample_key[first + lane], dimension)
@@ -501,7 +507,10 @@ def packet_tracing_of(lanes: int) -> PacketTracing:
         rays: RayData,
         first: int,
     ) -> float:
-        """Adds the hits of a Gaussian to the lists of their rays; returns the distance of the nearest first hit."""
+        """Inserts the hits of a Gaussian into the lists of their rays.
+
+        Returns the distance of the nearest first hit.
+        """
         index = instance.first + particle.index
         begin = float(FAR)
         if config.offset < FAR:

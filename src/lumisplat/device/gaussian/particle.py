@@ -1,4 +1,4 @@
-"""A Gaussian as rays hit it: its canonical space, its response by degree, where it ends, and where a ray hits it.
+"""Gaussians as rays hit them: canonical space, response by degree, extent, and intersection of single rays.
 
 Moenne-Loccoz et al. 2024, 3D Gaussian Ray Tracing, section 4. The equations are in docs/method/gaussians.md.
 """
@@ -19,19 +19,20 @@ from lumisplat.device.structs.scene import GaussianData, KernelData, SplatInstan
 
 @struct
 class ParticleHit:
-    """Where a single ray hits a Gaussian."""
+    """Intersection of a single ray with a Gaussian."""
 
     t: float
-    """The distance by which hits are ordered; FAR: it does not."""
+    """Distance by which hits are ordered; FAR: no hit."""
     distance2: float
     """Squared canonical distance at the peak of the response."""
     is_near: bool
-    """It is within the offset of the ray: it counts if the Gaussian is of another layer."""
+    """Whether the hit lies within the ray's offset, where it counts only if the Gaussian is of another layer."""
 
 
 SURFACE_DEPTH_SCALES = 3.0
-"""How far from its mean a Gaussian's surface may lie on a ray, in its largest scales: where a Gaussian ends. Only
-Gaussians smaller than a pixel, which its footprint shows where they are not, come that far."""
+"""Largest distance of a Gaussian's surface from its mean along a ray, in largest scales: the end of the Gaussian.
+
+Only Gaussians smaller than a pixel reach this limit, where the pixel's footprint shows them beyond their own extent."""
 
 load_particle = aligned_load_of(Particle)
 
@@ -42,7 +43,10 @@ TINY = wp.constant(wp.float32(1.0e-30))
 
 @wp.func
 def distance_squared(kernel: KernelData, log_response: float) -> float:
-    """Squared canonical distance at which a Gaussian's response has this logarithm, which is at most 0."""
+    """Returns the squared canonical distance at which a Gaussian's response has the logarithm ``log_response``.
+
+    ``log_response`` is at most 0.
+    """
     if kernel.degree == 0:
         distance = (1.0 - wp.exp(log_response)) / kernel.falloff
         return distance * distance
@@ -54,9 +58,9 @@ def distance_squared(kernel: KernelData, log_response: float) -> float:
 
 @wp.func
 def reach_squared(kernel: KernelData, opacity: float) -> float:
-    """Squared canonical distance beyond which a Gaussian is ignored; negative: it is ignored everywhere.
+    """Returns the squared canonical distance beyond which a Gaussian is ignored; negative: always ignored.
 
-    It ends where its alpha falls to 1/255, or its response to the minimum if that is nearer.
+    A Gaussian ends where its alpha falls to 1/255, or its response to the minimum if that is nearer.
     """
     least = OPACITY_MIN / wp.max(opacity, TINY)
     if kernel.adaptive != 0:
@@ -70,7 +74,7 @@ def reach_squared(kernel: KernelData, opacity: float) -> float:
 
 @wp.func
 def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) -> float:
-    """Alpha at a squared canonical distance within reach."""
+    """Returns alpha at a squared canonical distance within reach."""
     if kernel.degree == 0:
         return wp.min(wp.exp(log_opacity) * wp.max(1.0 - kernel.falloff * wp.sqrt(distance2), 0.0), ALPHA_LIMIT)
     return alpha_from_log(log_opacity - kernel.falloff * wp.pow(distance2, 0.5 * float(kernel.degree)))
@@ -78,7 +82,7 @@ def alpha_of_degree(kernel: KernelData, log_opacity: float, distance2: float) ->
 
 @wp.func
 def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
-    """Inverse of rotation times scale."""
+    """Returns the inverse of rotation times scale."""
     axes = wp.quat_to_matrix(rotation)
     return wp.matrix_from_rows(
         wp.vec3(axes[0, 0], axes[1, 0], axes[2, 0]) / scale[0],
@@ -89,7 +93,7 @@ def canonical_from_object(rotation: wp.quat, scale: wp.vec3) -> wp.mat33:
 
 @wp.func
 def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle:
-    """The record of Gaussian ``i`` in a BVH."""
+    """Builds the BVH record of Gaussian ``i``."""
     particle = Particle()
     particle.canonical_from_object = canonical_from_object(gaussians.rotations[i], gaussians.scales[i])
     particle.mean = gaussians.means[i]
@@ -102,9 +106,9 @@ def particle_of(kernel: KernelData, gaussians: GaussianData, i: int) -> Particle
 
 @wp.func
 def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
-    """The tightest axis-aligned box of the ellipsoid at which Gaussian ``i`` ends; inverted if it is always ignored.
+    """Returns the tightest axis-aligned box of Gaussian ``i``'s bounding ellipsoid; inverted if it is always ignored.
 
-    Grown by a few units in the last place of its longest side, as rotation, box and ray are rounded.
+    The box grows by a few units in the last place of its longest side to cover rounding of rotation, box and ray.
     """
     box = Box()
     box.low = wp.vec3(FAR)
@@ -124,9 +128,11 @@ def particle_box(kernel: KernelData, gaussians: GaussianData, i: int) -> Box:
 def ellipsoid_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, origin: wp.vec3, direction: wp.vec3, ray: Ray
 ) -> wp.vec3:
-    """Unit normal, against the ray, where it enters the ellipsoid at which Gaussian ``i`` ends; object space.
+    """Returns the unit normal, facing the ray, where the ray enters the bounding ellipsoid of Gaussian ``i``.
 
-    ``origin`` and ``direction`` of the ray are in object space, ``ray`` itself in world space.
+    The normal is in object space.
+
+    ``origin`` and ``direction`` of the ray are in object space, ``ray`` itself is in world space.
     """
     scales = gaussians.scales[i]
     reach2 = reach_squared(instance.kernel, gaussians.opacities[i])
@@ -148,31 +154,31 @@ def ellipsoid_normal(
 
 @wp.func
 def gaussian_color(gaussians: GaussianData, i: int, eye: wp.vec3, sh_degree: int) -> wp.vec3:
-    """Display-referred colour of Gaussian ``i`` from an eye in object space."""
+    """Returns the display-referred colour of Gaussian ``i`` for an eye in object space."""
     degree = wp.min(sh_degree, int(wp.sqrt(float(gaussians.sh_count))) - 1)
     return sh_color(gaussians.sh, i * gaussians.sh_count, degree, wp.normalize(gaussians.means[i] - eye))
 
 
 @wp.func
 def gaussian_facing(gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """Normal of the plane of largest density of Gaussian ``i`` from an eye in object space."""
+    """Returns the normal of Gaussian ``i``'s max-density plane for an eye in object space."""
     rotation = wp.quat_to_matrix(gaussians.rotations[i])
     return gaussian_normal(rotation, gaussians.scales[i], eye - gaussians.means[i])
 
 
-# --- Hits of single rays, as packets have them (docs/method/ray_tracing.md#hits) ---
+# --- Intersection of single rays, equal to that of packets (docs/method/ray_tracing.md#hits) ---
 
 
 @wp.func
 def world_ray(i: int, footprint: float, rays: RayData) -> TreeRay:
-    """Ray ``i`` in the space of the tree over the instances, whose widest footprint is this one."""
+    """Sets up ray ``i`` for the top-level tree, whose widest footprint is ``footprint``."""
     width = footprint_of_ray(footprint, rays.spread[i], 1.0)
     return tree_ray(rays.origin[i], rays.direction[i], width, rays.path_length[i], HIT_PEAK)
 
 
 @wp.func
 def ray_in_instance(i: int, instance: SplatInstanceData, hit_distance: int, rays: RayData) -> TreeRay:
-    """Ray ``i`` in the space of an instance, whose Gaussians it hits at one of HIT_PEAK, HIT_HULL, HIT_MEAN."""
+    """Sets up ray ``i`` in an instance's space; ``hit_distance`` is HIT_PEAK, HIT_HULL or HIT_MEAN."""
     origin = instance.object_from_world * rays.origin[i] + instance.object_from_world_offset
     direction = instance.object_from_world * rays.direction[i]
     footprint = footprint_of_ray(instance.footprint, rays.spread[i], instance.scale)
@@ -183,10 +189,10 @@ def ray_in_instance(i: int, instance: SplatInstanceData, hit_distance: int, rays
 def hit_particle(
     particle: Particle, ray: TreeRay, scale: float, hit_distance: int, begin: float, end: float
 ) -> ParticleHit:
-    """Where a ray hits a Gaussian, widened by the ray's footprint.
+    """Intersects a ray with a Gaussian, widened by the ray's footprint.
 
-    ``scale`` is world from the space of the ray and the Gaussian. Hits whose response peaks up to ``begin`` are near
-    ones; the peak must lie before ``end``.
+    ``scale`` is the scale from the ray's space to world. Hits whose response peaks up to ``begin`` are near ones; the
+    peak must lie before ``end``.
     """
     hit = ParticleHit()
     hit.t = FAR
@@ -221,7 +227,7 @@ def hit_particle(
 
 @wp.func
 def alpha_at(kernel: KernelData, particle: Particle, distance2: float) -> float:
-    """Alpha of a Gaussian at a squared canonical distance within its reach."""
+    """Returns the alpha of a Gaussian at a squared canonical distance within its reach."""
     if kernel.degree == 2:
         return alpha_from_log(particle.log_opacity - 0.5 * distance2)
     return alpha_of_degree(kernel, particle.log_opacity, distance2)
@@ -229,7 +235,7 @@ def alpha_at(kernel: KernelData, particle: Particle, distance2: float) -> float:
 
 @wp.func
 def begin_past(t_min: float, offset: float, offset_absolute: float, particle: Particle, scale: float) -> float:
-    """From where on a Gaussian counts: ``t_min``, or nearer if it is small."""
+    """Returns the distance from which a Gaussian counts: ``t_min``, or less for a small Gaussian."""
     return lesser(t_min, offset * scale * particle.largest_scale + offset_absolute)
 
 
@@ -242,12 +248,13 @@ SCALES_MAX = wp.constant(wp.float32(SURFACE_DEPTH_SCALES))
 def surface_peak(
     rotation: wp.quat, scale: wp.vec3, away: wp.vec3, along: wp.vec3, middle: float, largest_scale: float
 ) -> float:
-    """Where a Gaussian responds most on a ray, no farther from its mean than it reaches: footprints show it beyond.
+    """Returns the distance of a Gaussian's peak response along a ray, limited to its extent around the mean.
 
-    ``away`` is the mean from the ray's origin and ``along`` the direction, object space, whose length is the unit of
-    distance: of ``middle``, where the mean is, and of ``largest_scale``.
+    The limit matters where footprints show a Gaussian beyond its extent. ``away`` is the mean relative to the ray's
+    origin and ``along`` the direction, object space. The length of ``along`` is the unit of ``middle``, the distance of
+    the mean, and of ``largest_scale``.
     """
-    # Canonical space times the smallest scale: flat Gaussians stay inside float32.
+    # Canonical space times the smallest scale, so that flat Gaussians stay inside float32.
     ratio = wp.cw_div(wp.vec3(wp.min(scale)), scale)
     canonical = wp.cw_mul(ratio, wp.quat_rotate_inv(rotation, along))
     start = wp.cw_mul(ratio, wp.quat_rotate_inv(rotation, away))
@@ -269,12 +276,12 @@ def surface_distance(
     distance: float,
     mesh_z: float,
 ) -> float:
-    """Distance along a pixel's ray at which a Gaussian responds most, before the mesh behind it.
+    """Returns the distance along a pixel's ray at which a Gaussian responds most, in front of the mesh behind it.
 
-    ``ray`` of the pixel is in camera space with z = 1, ``distance`` along it that at the view depth of the mean, and
-    ``mesh_z`` the view depth of the mesh in the pixel; inf: none.
+    ``ray`` is in camera space with z = 1, ``distance`` is the distance along it at the mean's view depth, and
+    ``mesh_z`` is the view depth of the mesh in the pixel; inf: none.
     """
-    # Fields are read one by one: copying these structs for each pixel would cost more than the depth.
+    # Fields are read one by one, because copying these structs for each pixel would cost more than the depth.
     asset = instances[number].asset
     scale = assets[asset].scales[i]
     along = instances[number].object_from_world * (camera[0].world_from_camera * ray)

@@ -1,4 +1,4 @@
-"""Blending of the Gaussians on a ray, and the random choice of a stochastic pass.
+"""Blending of the Gaussians along a ray, and the random decision of a stochastic pass.
 
 The equations are in docs/method/ray_tracing.md#strategies.
 """
@@ -17,7 +17,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 @wp.func
 def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
-    """What a ray has blended so far."""
+    """Returns the blending state of a ray."""
     pixel = BlendState()
     pixel.color = hits.color[ray]
     pixel.normal = hits.normal[ray]
@@ -30,7 +30,7 @@ def load_pixel(hits: GaussianHits, ray: int) -> BlendState:
 
 @wp.func
 def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
-    """Keeps what a ray has blended so far, but for the depth of its surface."""
+    """Stores the blending state of a ray, except for the depth of its surface."""
     hits.color[ray] = pixel.color
     hits.normal[ray] = pixel.normal
     hits.transmittance[ray] = pixel.transmittance
@@ -40,7 +40,7 @@ def store_pixel(hits: GaussianHits, ray: int, pixel: BlendState):
 
 @wp.func
 def hit_color(view: TraceData, instance: SplatInstanceData, gaussians: GaussianData, i: int, eye: wp.vec3) -> wp.vec3:
-    """What Gaussian ``i`` of an instance shows to an eye in object space."""
+    """Returns the colour of Gaussian ``i`` of an instance for an eye in object space."""
     if instance.shows_albedo != 0:
         return gaussians.albedo[i]
     return gaussian_color(gaussians, i, eye, wp.min(view.sh_degree, instance.sh_degree))
@@ -56,9 +56,9 @@ def blend_hit(
     index: int,
     alpha: float,
 ) -> BlendState:
-    """Adds the Gaussian ``index`` of the scene behind those already there.
+    """Blends Gaussian ``index`` of the scene behind the Gaussians already blended.
 
-    Its colour and plane are those that the unfolded eye sees: a plane mirror shows what a mirrored camera would.
+    Its colour and plane are evaluated for the unfolded eye: a plane mirror shows what a mirrored camera would see.
     """
     number = instance_of(instances, index)
     instance = instances[number]
@@ -81,10 +81,9 @@ def blend_hit(
 
 @wp.func
 def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: float, index: int, alpha: float):
-    """Writes the hit of the Gaussian ``index``, which ``pixel`` has blended last, into the profile of its ray.
+    """Writes the hit of Gaussian ``index``, which ``pixel`` blended last, to the profile of its ray.
 
-    A ray never writes beyond its own rows, also if it were followed in other company than it was counted in, with
-    which rounding differs.
+    A ray never writes beyond its own rows, even if another packet's rounding gives it more hits than were counted.
     """
     row = profiles[0].first[ray] + pixel.hits - 1
     if row < profiles[0].first[ray + 1]:
@@ -96,11 +95,11 @@ def record_hit(profiles: wp.array[HitProfiles], ray: int, pixel: BlendState, t: 
 
 @wp.func
 def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
-    """Decides about a stochastic pass whose farthest Gaussian is ``last``, by what its own Gaussians hide.
+    """Decides by the opacity of a stochastic pass whether its Gaussians are shown; ``last`` is the farthest of them.
 
-    Chosen, it is shown for all passes: its transmittance is 0, its surface ``last`` unless it has one. Otherwise the
-    next one starts from nothing. The expectation is that of blending all: a pass is reached with the probability that
-    what lies before lets through, chosen with that of what it hides, and shown divided by that.
+    A chosen pass stands for all passes: its transmittance becomes 0 and its surface ``last`` unless it has one.
+    Otherwise the next pass starts empty. The expectation equals full blending: a pass is reached with the transmittance
+    of the passes before it, chosen with its opacity, and divided by that opacity.
     """
     opacity = 1.0 - pixel.transmittance
     if draw(sample_key, wp.uint32(last)) >= opacity:
@@ -117,7 +116,7 @@ def end_pass(pixel: BlendState, sample_key: wp.uint32, last: int) -> BlendState:
 def close_pass(
     pixel: BlendState, hits: GaussianHits, ray: int, sample_key: wp.uint32, depth: float, last: int
 ) -> BlendState:
-    """``end_pass`` of a ray, whose depth follows the pixel's surface.
+    """Ends a stochastic pass of a ray as ``end_pass``, and updates the depth of its surface.
 
     ``depth`` is the distance of the surface of ``last``, the farthest Gaussian of the pass.
     """

@@ -1,1 +1,1 @@
-"""Global illumination in real time: octahedral maps, probes, caches and filters."""
+"""Real-time global illumination: screen probes, radiance cache, light grid, secondary rays and reprojection."""

@@ -1,7 +1,8 @@
-"""Captures as lights: directions towards the boxes around their Gaussians, and the density of such directions.
+"""Captures as lights: sampled directions towards boxes around their Gaussians, and the pdf of such directions.
 
-A point is sampled evenly in one of the boxes. Its direction has the density of all points on the ray in all boxes, so
-that the light of a ray counts whole, whichever Gaussians it meets (docs/method/realtime.md#captured-emitters).
+A point is sampled uniformly in one of the boxes. The pdf of its direction integrates over all points of the ray in all
+boxes, so that the radiance of a ray counts fully whichever Gaussians it hits
+(docs/method/realtime.md#captured-emitters).
 """
 
 import warp as wp
@@ -11,15 +12,15 @@ from lumisplat.device.structs import struct
 
 @struct
 class EmitterBox:
-    """A box around Gaussians of a capture that is sampled as a light, world space."""
+    """Box around Gaussians of a capture that is sampled as a light, world space."""
 
     center: wp.vec3
     box_from_world: wp.mat33
     """Rotation."""
     half: wp.vec3
-    """Half its edges, scene units."""
+    """Half edge lengths, scene units."""
     power: float
-    """About the luminance times the area of what is in it; above 0."""
+    """Approximate luminance times area of the Gaussians in the box; above 0."""
 
 
 TINY = wp.constant(wp.float32(1e-30))
@@ -27,7 +28,7 @@ TINY = wp.constant(wp.float32(1e-30))
 
 @wp.func
 def box_weight(box: EmitterBox, point: wp.vec3) -> float:
-    """Returns about the irradiance that what is in a box gives a point, without a common factor."""
+    """Returns the approximate irradiance of a point by the Gaussians in a box, up to a common factor."""
     away = box.center - point
     return box.power / wp.max(wp.max(wp.dot(away, away), wp.dot(box.half, box.half)), TINY)
 
@@ -43,7 +44,10 @@ def total_weight(point: wp.vec3, boxes: wp.array[EmitterBox]) -> float:
 
 @wp.func
 def chosen_box(u: float, total: float, point: wp.vec3, boxes: wp.array[EmitterBox]) -> int:
-    """Returns a box, chosen in proportion to its weight at a point; ``u``: random, 0..1; ``total``: of all weights."""
+    """Chooses a box in proportion to its weight at a point.
+
+    ``u`` is random, 0..1, and ``total`` the sum of all weights.
+    """
     chosen = int(0)
     rest = u * total
     for k in range(boxes.shape[0]):
@@ -56,14 +60,17 @@ def chosen_box(u: float, total: float, point: wp.vec3, boxes: wp.array[EmitterBo
 
 @wp.func
 def point_in(box: EmitterBox, u: wp.vec2, v: float) -> wp.vec3:
-    """Returns a point of a box, evenly distributed by random numbers in 0..1."""
+    """Returns a point in a box, uniformly distributed for random numbers in 0..1."""
     local = wp.cw_mul(box.half, wp.vec3(2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0, 2.0 * v - 1.0))
     return box.center + wp.transpose(box.box_from_world) * local
 
 
 @wp.func
 def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
-    """Returns where a ray enters and leaves a box, not before it starts; the second is not above the first: nowhere."""
+    """Returns the distances at which a ray enters and leaves a box, at least 0.
+
+    The ray misses if the second is not larger.
+    """
     start = box.box_from_world * (point - box.center)
     along = box.box_from_world * direction
     near = float(0.0)
@@ -81,9 +88,9 @@ def crossing(box: EmitterBox, point: wp.vec3, direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def direction_pdf(point: wp.vec3, direction: wp.vec3, total: float, boxes: wp.array[EmitterBox]) -> wp.vec2:
-    """Returns the density of a direction, per steradian, and where its ray leaves the last box.
+    """Returns the pdf of a direction, per steradian, and the distance at which its ray leaves the last box.
 
-    In a box of volume V, the points between distances a and b have the density (b^3 - a^3) / (3 V).
+    In a box of volume V, the points between distances a and b have the pdf (b^3 - a^3) / (3 V).
     """
     pdf = float(0.0)
     end = float(0.0)

@@ -1,6 +1,6 @@
-"""The light grid: cells of the world with some of many lights each, among which their surfaces choose one.
+"""Light grid: world-space cells that each store a few of many lights, among which surfaces choose one.
 
-Without a grid, surfaces in real time choose as paths do. docs/method/realtime.md#light-grid
+Without a grid, real-time surfaces choose lights as paths do. See docs/method/realtime.md#light-grid.
 """
 
 import warp as wp
@@ -32,50 +32,52 @@ from lumisplat.device.structs.shading import (
 )
 
 GRID_CELL_SIZE = 1.0 / 4.0
-"""Largest width of a cell as a share of its distance from the eye; widths are powers of two."""
+"""Largest width of a cell as a fraction of its distance from the eye; widths are powers of two."""
 
 GRID_CHOICES = 4
-"""Independent choices for each cell, of which each surface takes one: with the eight cells that it may take, more than
-the 25 pixels whose noise is taken for independent where light changes."""
+"""Independent light selections stored for each cell, of which each surface uses one.
+
+With the eight cells that a surface may use, this exceeds the 25 pixels whose noise is assumed independent where light
+changes."""
 
 
 @struct
 class LightGrid:
-    """Of many lights, the few among which the surfaces of a cell of the world choose (docs/method/realtime.md)."""
+    """The few lights, of many, among which the surfaces of each world-space cell choose (docs/method/realtime.md)."""
 
     cell_of: wp.array[int]
-    """The cell of each ray's surface, -1: it has none, or ``ALL_LIGHTS``; without elements: that for all of them."""
+    """Cell of each ray's surface; -1: none; ``ALL_LIGHTS``: all lights. Empty: all surfaces choose among all lights."""
     numbers: wp.array[int]
-    """Numbers of the lights of each cell, `GRID_LIGHTS` and one more; -1: there are no more."""
+    """Light indices of each cell, `GRID_LIGHTS` plus one; -1: no further light."""
     chances: wp.array[float]
-    """The probability of each to be among those of its cell; of the one more 0: nothing chooses it."""
+    """Probability of each light to be among those of its cell; 0 for the additional light, which is never chosen."""
 
 
-# Branches of a ray's key.
+# Random branches of a ray's key.
 SURFACE_BRANCH = wp.constant(7)
-"""Which surface of the ray."""
+"""Random branch that selects the surface of the ray."""
 
 CELL_BRANCH = wp.constant(8)
-"""Which cell."""
+"""Random branch that selects the cell."""
 
 SLOTS = wp.constant(GRID_LIGHTS + 1)
-"""Lights of a cell, and the one whose rank says how probable they were."""
+"""Lights stored for each cell, plus one whose rank determines the probabilities of the others."""
 
 CHOICES = wp.constant(wp.float32(GRID_CHOICES))
 
 CELL_SIZE = wp.constant(wp.float32(GRID_CELL_SIZE))
 
 ALL_LIGHTS = wp.constant(-2)
-"""In place of a cell: the surface chooses among all lights."""
+"""Stands for a cell: the surface chooses among all lights."""
 
 NO_CELL = wp.constant(wp.int64(2**63 - 1))
-"""Key of what is nowhere; the last one."""
+"""Key of surfaces without a cell; larger than all other keys."""
 
 LEVEL_LAST = wp.constant(100)
-"""Largest and, negative, smallest level of cells: they are 2^level wide."""
+"""Largest absolute level; cells are 2^level wide."""
 
 COORDINATES = wp.constant(2**17)
-"""Cells to each side of the origin."""
+"""Number of cells on each side of the origin along an axis."""
 
 BITS_18 = wp.constant(wp.int64(18))
 
@@ -92,27 +94,28 @@ LEAST = wp.constant(wp.float32(1e-30))
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
 
 FEW = wp.constant(wp.float32(0.01))
-"""Below it, logarithms and exponentials near 1 are sums of powers."""
+"""Limit below which logarithms and exponentials near 1 are evaluated as power series."""
 
 grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
-"""A number for each light of a cell."""
+"""Vector type with one number for each light of a cell."""
 
 
 @wp.struct
 class GridCell:
-    """Where a cell is."""
+    """Location of a cell."""
 
     center: wp.vec3
-    """World space."""
+    """Centre, world space."""
     half: float
-    """Half its diagonal: surfaces that choose among its lights are within twice that of its centre."""
+    """Half the diagonal; surfaces that use the cell's lights are within twice this distance of its centre."""
 
 
 @wp.func
 def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.int64:
-    """The cell whose lights a surface chooses among: that of a point in a cube around it, as wide as a cell.
+    """Returns the key of the cell whose lights a surface uses.
 
-    ``u`` and ``v`` are random, 0..1 each; ``v[1]`` selects one of the choices of the cell.
+    It is the cell of a random point in a cell-sized cube around the surface. ``u`` and ``v`` are random, 0..1 each;
+    ``v[1]`` selects one of the cell's light selections.
     """
     width = wp.max(CELL_SIZE * from_eye, 2.0 * wp.max(wp.abs(position)) / float(COORDINATES))
     if not (width < wp.inf and wp.isfinite(position)):
@@ -132,7 +135,7 @@ def grid_key(position: wp.vec3, from_eye: float, u: wp.vec2, v: wp.vec2) -> wp.i
 
 @wp.func
 def grid_cell(key: wp.int64) -> GridCell:
-    """Where the cell of a key is."""
+    """Returns the location of the cell with a key."""
     width = width_of(int(key >> (wp.int64(3) * BITS_18 + BITS_2)) - LEVEL_LAST)
     cell = GridCell()
     for axis in range(3):
@@ -144,9 +147,11 @@ def grid_cell(key: wp.int64) -> GridCell:
 
 @wp.func
 def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> float:
-    """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
+    """Estimates the irradiance by a light of a surface in a cell that faces it.
 
-    ``environment_mean``: mean luminance of the environment.
+    The estimate is above 0 if any surface there receives light.
+
+    ``environment_mean`` is the mean luminance of the environment.
     """
     if light.kind == LIGHT_ENVIRONMENT:
         return PI * environment_mean
@@ -155,7 +160,7 @@ def light_weight(light: LightData, environment_mean: float, cell: GridCell) -> f
 
 @wp.func
 def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
-    """The same of the triangles that shine."""
+    """Estimates the irradiance by all emissive triangles of a surface in a cell that faces them."""
     away = emitters.center - cell.center
     nearest2 = wp.max(wp.dot(away, away), wp.max(cell.half * cell.half, emitters.radius * emitters.radius))
     return emitters.power / wp.max(nearest2, LEAST)
@@ -163,7 +168,7 @@ def emitter_weight(emitters: EmitterData, cell: GridCell) -> float:
 
 @wp.func
 def bounded(weight: float) -> float:
-    """A weight, within bounds if it is above 0, so that ranks are finite."""
+    """Clamps a positive weight, so that ranks are finite; 0 stays 0."""
     if weight > 0.0:
         return wp.clamp(weight, LEAST, MOST)
     return 0.0
@@ -171,7 +176,7 @@ def bounded(weight: float) -> float:
 
 @wp.func
 def exponential_draw(word: wp.uint32, number: int) -> float:
-    """A random number of an exponential distribution of mean 1: -log(1 - x), x in the middle of one of 2^24 steps."""
+    """Draws an exponentially distributed number with mean 1: -log(1 - x), with x at the centre of one of 2^24 steps."""
     x = (float(int(wp.rshift(mix(word + mix(wp.uint32(number))), BITS_8))) + 0.5) * UNIT
     if x < FEW:
         return x * (1.0 + x * (0.5 + x * (1.0 / 3.0 + 0.25 * x)))
@@ -180,7 +185,7 @@ def exponential_draw(word: wp.uint32, number: int) -> float:
 
 @wp.func
 def chance_below(limit: float) -> float:
-    """The probability of such a number below a limit: 1 - exp(-limit)."""
+    """Returns the probability that such a number is below a limit: 1 - exp(-limit)."""
     if limit < FEW:
         return limit * (1.0 - limit * (0.5 - limit * (1.0 / 6.0 - limit / 24.0)))
     return 1.0 - wp.exp(-limit)
@@ -190,9 +195,9 @@ def chance_below(limit: float) -> float:
 def grid_light(
     u: float, cell: int, interaction: Interaction, grid: LightGrid, scene: wp.array[ShadingScene]
 ) -> LightChoice:
-    """One of the lights of a cell, in proportion to what each sends to a surface over its chance to be among them.
+    """Chooses a light of a cell in proportion to its importance over its probability to be stored in the cell.
 
-    ``u`` is random, 0..1; without a cell, -1, there is no light.
+    The importance is that at the surface. ``u`` is random, 0..1; without a cell, -1, there is no light.
     """
     choice = LightChoice()
     choice.number = -1
@@ -221,7 +226,10 @@ def grid_light(
 
 @wp.func
 def lit_surface(i: int, wave: wp.array[WaveData]) -> Branch:
-    """Which of the surfaces on ray ``i`` is lit, in proportion to what about each reflects: its kind is its slot."""
+    """Chooses which surface of ray ``i`` is lit, in proportion to its approximate reflected light.
+
+    The kind of the returned branch is the slot of the surface.
+    """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], SURFACE_BRANCH), wave[0].rays.sample[i])
     return branch_of(i, u[0], False, Bounce(), wave)
 
@@ -237,7 +245,10 @@ def sample_light_of(
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """As ``sample_choice``, of a light that is chosen by what each sends there; ``grid``: of the wave."""
+    """Chooses a light by importance and samples it as ``sample_choice`` does.
+
+    The light comes from the ``grid`` of the wave if there is one, else from all lights.
+    """
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     cell = int(ALL_LIGHTS)
     if grid.cell_of.shape[0] > 0:

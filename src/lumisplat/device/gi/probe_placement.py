@@ -1,4 +1,4 @@
-"""Screen probes: their data, where they are, and which of the frame before they continue.
+"""Screen probes: their data, their placement, and reprojection of probes of the previous frame.
 
 The equations are in docs/method/realtime.md#screen-probes.
 """
@@ -14,9 +14,9 @@ from lumisplat.device.structs.camera import CameraData
 
 @struct
 class ProbeGrid:
-    """How probes lie on the pixels of a frame. Lives in a 1-element array.
+    """Layout of probes on the pixels of a frame, in a 1-element array.
 
-    Probe ``t`` is that of tile ``t``, row by row; those behind the tiles' are adaptive ones.
+    Probe ``t`` belongs to tile ``t``, in row order; adaptive probes follow those of the tiles.
     """
 
     width: int
@@ -26,133 +26,133 @@ class ProbeGrid:
     tiles_x: int
     tiles_y: int
     adaptive: int
-    """Most adaptive probes."""
+    """Largest number of adaptive probes."""
     cells: int
-    """Cells along a side of a probe's map."""
+    """Cells along a side of a probe's octahedral map."""
     history: float
-    """Most samples that a cell's mean counts for."""
+    """Largest number of samples for which a cell's mean counts."""
     offset: float
-    """Scales of a Gaussian within which Gaussians do not block the rays of its probe."""
+    """Offset in scales of a Gaussian within which Gaussians do not block the rays of its probe."""
     frame: int
     has_history: int
-    """0: the frame before is another sequence's."""
+    """0: the previous frame belongs to another sequence."""
     seed: wp.uint32
 
 
 @struct
 class ProbeData:
-    """Probes: where they are, and what is known of them; one element each."""
+    """Positions and refresh history of probes, one element for each probe."""
 
     is_placed: wp.array[int]
     """1: the probe exists; 0: the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """World space."""
+    """Position, world space."""
     pixel: wp.array[wp.vec2]
-    """Where the frame shows it: the centre of a pixel."""
+    """Position in the image: a pixel centre."""
     normal: wp.array[wp.vec3]
-    """Of the surface, unit, towards the viewer."""
+    """Surface normal, unit, towards the viewer."""
     distance: wp.array[float]
-    """From the eye, scene units."""
+    """Distance from the eye, scene units."""
     extent: wp.array[float]
-    """As of `SurfacePixels`: 0 for meshes."""
+    """Extent of the surface's Gaussian as in `SurfacePixels`; 0 for meshes."""
     source: wp.array[int]
-    """Probe of the frame before that it continues; -1: none."""
+    """Probe of the previous frame that the probe continues; -1: none."""
     refresh_count: wp.array[int]
-    """How often it has been refreshed."""
+    """Number of times the probe was refreshed."""
     refreshed: wp.array[int]
-    """Last frame in which it was; undefined if never."""
+    """Last frame in which the probe was refreshed; undefined if never."""
 
 
 @struct
 class ProbeCells:
-    """The cells of all probes, probe after probe, each row by row."""
+    """Directional cells of all probes, probe by probe, each in row order."""
 
     radiance: wp.array[wp.vec3]
-    """Mean, linear."""
+    """Mean radiance, linear."""
     nearness: wp.array[float]
-    """Mean of one over the distance to what is seen; 0: the sky."""
+    """Mean inverse hit distance; 0: the rays escape."""
     samples: wp.array[float]
-    """How many samples the means count for; 0: they are undefined."""
+    """Number of samples for which the means count; 0: undefined."""
 
 
 @struct
 class ProbeLight:
-    """What pixels look up: the cells of probes, filtered and without gaps, and their harmonics."""
+    """Probe light that pixels look up: filtered cells without gaps, and their SH coefficients."""
 
     exists: wp.array[int]
-    """1: the probe has light; one element a probe."""
+    """1: the probe has light; one element for each probe."""
     radiance: wp.array[wp.vec3]
-    """Of cells, as `ProbeCells`."""
+    """Radiance of the cells, ordered as in `ProbeCells`."""
     sh: wp.array[wp.vec3]
-    """Nine coefficients a probe, of the order of ``lumisplat.math.sh``."""
+    """Nine SH coefficients for each probe, in the order of ``lumisplat.math.sh``."""
 
 
 @struct
 class TileNeeds:
-    """The pixels of a tile that no probe covers, and where another one should be; one element a tile."""
+    """Pixels of each tile that no probe covers, and where an adaptive probe should go."""
 
     uncovered: wp.array[int]
-    """How many of the pixels that are looked at."""
+    """Number of uncovered pixels among those tested."""
     pixel: wp.array[int]
-    """Where it should be."""
+    """Pixel for the adaptive probe."""
     source: wp.array[int]
-    """As of `ProbeData`."""
+    """Previous probe to continue, as in `ProbeData`."""
 
 
 @struct
 class ProbePlacement:
-    """A pixel for a probe."""
+    """Pixel chosen for a probe."""
 
     pixel: int
-    """-1: there is none."""
+    """Index of the pixel; -1: none."""
     source: int
-    """As of `ProbeData`."""
+    """Previous probe to continue, as in `ProbeData`."""
     uncovered: int
-    """As of `TileNeeds`; 0 where nobody asks."""
+    """Number of candidate pixels; for adaptive probes the uncovered ones, as in `TileNeeds`."""
 
 
 @struct
 class Match:
-    """A probe of the frame before, and how far a point is from it."""
+    """A probe of the previous frame that matches a pixel."""
 
     probe: int
-    """-1: none."""
+    """Index of the probe; -1: none."""
     distance: float
-    """Scene units; more for one that should rather not be continued."""
+    """Image distance to the probe, pixels, plus a penalty for probes that should rather not be continued."""
 
 
 SEARCH_ROWS = wp.constant(8)
-"""Rows and columns of a tile whose pixels are looked at."""
+"""Rows and columns of a tile whose pixels are tested."""
 
 COSINE_MIN_SPLATS = wp.constant(wp.float32(0.5))
-"""Normals of Gaussians that differ by less agree: they are noisy."""
+"""Smallest cosine between matching normals of Gaussians, whose normals are noisy."""
 
 COSINE_MIN_MESHES = wp.constant(wp.float32(0.95))
 
 SHARE_MIN = wp.constant(wp.float32(0.5))
-"""A surface that is less of its pixel gets a probe only where there is no better one."""
+"""Pixel coverage below which a surface gets a probe only if no better pixel exists."""
 
 POORER = wp.constant(wp.float32(1e12))
-"""Added to what is compared for such surfaces."""
+"""Penalty added to the cost of such surfaces."""
 
 SECOND = wp.constant(wp.float32(1e6))
-"""Added to the distance of an adaptive probe that a tile's own would continue: the two must not change places."""
+"""Penalty if a tile's own probe would continue an adaptive one, so that the two do not swap."""
 
 CUT_OFF_STEPS = wp.constant(4)
-"""Parts of the way from a pixel to a probe, between which it is looked whether a nearer surface cuts the probe off."""
+"""Steps from a pixel to a probe in the image, between which occlusion of the probe is tested."""
 
 NEARER = wp.constant(wp.float32(0.95))
-"""How far away such a surface is at most, as a share of the nearer of the two."""
+"""Largest distance of an occluding surface, as a fraction of the smaller of the two distances from the eye."""
 
 AS_FAR = wp.constant(wp.float32(0.85))
-"""Least share of the larger distance from the eye: a tile of a floor that is seen at a slant may be metres long."""
+"""Smallest ratio of two distances from the eye that may share a probe; at grazing angles, a tile may be metres long."""
 
 UNIT_32 = wp.constant(wp.float32(2.0**-32))
 
 
 @wp.func
 def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
-    """How wide a tile is at a distance, scene units: points of one plane, to this, may share a probe."""
+    """Returns the width of a tile at a distance, scene units: points this close to one plane may share a probe."""
     width = float(grid.tile) / wp.min(camera.focal[0], camera.focal[1])
     if camera.model == ORTHOGRAPHIC:
         return width
@@ -161,7 +161,7 @@ def reach_of(grid: ProbeGrid, camera: CameraData, distance: float) -> float:
 
 @wp.func
 def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: float, extent: float) -> bool:
-    """Whether probe ``i`` is on the surface of a point: near its plane, and facing as it does."""
+    """Returns whether probe ``i`` lies on the surface of a point: near its plane and with a similar normal."""
     if i < 0:
         return False
     if probes.is_placed[i] == 0:
@@ -175,7 +175,7 @@ def fits(probes: ProbeData, i: int, position: wp.vec3, normal: wp.vec3, reach: f
 
 @wp.func
 def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels, probes: ProbeData) -> bool:
-    """Whether a nearer surface, such as the end of a wall, is between a pixel and a probe in the image."""
+    """Returns whether a nearer surface, such as the end of a wall, lies between a pixel and a probe in the image."""
     start = wp.vec2(float(pixel % grid.width) + 0.5, float(pixel // grid.width) + 0.5)
     to_probe = probes.pixel[probe] - start
     nearer = NEARER * wp.min(surfaces.distance[pixel], probes.distance[probe])
@@ -189,7 +189,7 @@ def is_cut_off(pixel: int, probe: int, grid: ProbeGrid, surfaces: SurfacePixels,
 
 @wp.func
 def tile_of(grid: ProbeGrid, x: int, y: int) -> int:
-    """The tile at a column and row of tiles; -1: there is none."""
+    """Returns the tile at a column and row of tiles; -1: outside the image."""
     if x < 0 or y < 0 or x >= grid.tiles_x or y >= grid.tiles_y:
         return -1
     return y * grid.tiles_x + x
@@ -197,7 +197,7 @@ def tile_of(grid: ProbeGrid, x: int, y: int) -> int:
 
 @wp.func
 def probe_of_tile(tile: int, adaptive: int, adaptive_of: wp.array[int]) -> int:
-    """The tile's own probe (``adaptive`` 0) or its adaptive one (1); -1: there is none."""
+    """Returns the tile's own probe (``adaptive`` 0) or its adaptive one (1); -1: none."""
     if tile < 0 or adaptive == 0:
         return tile
     return adaptive_of[tile]
@@ -205,7 +205,7 @@ def probe_of_tile(tile: int, adaptive: int, adaptive_of: wp.array[int]) -> int:
 
 @wp.func
 def radical_inverse_3(number: int) -> float:
-    """The digits of a number to the base 3, mirrored at the point."""
+    """Returns the radical inverse of a number in base 3."""
     value = float(0.0)
     digit = float(1.0 / 3.0)
     while number > 0:
@@ -218,11 +218,14 @@ def radical_inverse_3(number: int) -> float:
 
 @wp.func
 def wanted_pixel(grid: ProbeGrid, tile: int) -> wp.vec2:
-    """Where in a tile a new probe of this frame would be best, 0..1: Halton points, shifted from tile to tile."""
+    """Returns the preferred position, 0..1, of a new probe in a tile for this frame.
+
+    The positions are Halton points, shifted from tile to tile.
+    """
     number = grid.frame % 4096 + 1
     x = float(wp.rshift(reversed_bits(wp.uint32(number)), wp.uint32(8))) * 256.0 * UNIT_32
     y = radical_inverse_3(number)
-    x += 0.7548776662466927 * float(tile % 1024)  # 1 over the plastic number, and over its square: spread evenly
+    x += 0.7548776662466927 * float(tile % 1024)  # the inverse plastic number and its square give evenly spread shifts
     y += 0.5698402909980532 * float(tile % 1024)
     return wp.vec2(x - wp.floor(x), y - wp.floor(y))
 
@@ -237,10 +240,11 @@ def match_of(
     probes: ProbeData,
     adaptive_of: wp.array[int],
 ) -> Match:
-    """The nearest probe of the frame before on the surface of a pixel, in the tile that showed it then.
+    """Finds the nearest probe of the previous frame on a pixel's surface, in the tile that showed the surface then.
 
-    It is the nearest one in the image: in space, of a floor that is seen at a slant, near rows would always win.
-    Camera, probes and ``adaptive_of`` are those of the frame before; ``of_adaptive``: for an adaptive probe.
+    Nearness is measured in the image: in space, nearer rows of a floor seen at a grazing angle would always win.
+    Camera, probes and ``adaptive_of`` are those of the previous frame; ``of_adaptive`` selects matches for an adaptive
+    probe.
     """
     match = Match()
     match.probe = -1
@@ -265,13 +269,13 @@ def match_of(
 
 @wp.func
 def is_as_far(distance: float, other: float) -> bool:
-    """Whether two points of one surface are so near to each other that one probe is enough, by how far they are."""
+    """Returns whether two points of one surface have similar enough distances from the eye to share a probe."""
     return wp.min(distance, other) > AS_FAR * wp.max(distance, other)
 
 
 @wp.func
 def is_covered(grid: ProbeGrid, camera: CameraData, x: int, y: int, surfaces: SurfacePixels, probes: ProbeData) -> bool:
-    """Whether one of the four tiles around a pixel has a probe on its surface; adaptive ones do not count."""
+    """Returns whether one of the four tiles around a pixel has a probe on its surface, not counting adaptive probes."""
     pixel = y * grid.width + x
     reach = reach_of(grid, camera, surfaces.distance[pixel])
     left = (x + grid.tile // 2) // grid.tile - 1
@@ -299,10 +303,10 @@ def choose_pixel_among(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """The pixel of a tile for a probe: nearest to one of the frame before, else to where a new one is wanted.
+    """Chooses the pixel of a tile for a probe: nearest to a previous probe, else nearest to the preferred position.
 
-    ``rows`` x ``rows`` pixels of the tile are looked at; with ``only_uncovered``, those count that no probe of this
-    frame covers.
+    ``rows`` x ``rows`` pixels of the tile are tested; with ``only_uncovered``, only pixels that no probe of this frame
+    covers. A previous probe is one of the previous frame.
     """
     placement = ProbePlacement()
     placement.pixel = -1
@@ -352,7 +356,10 @@ def choose_pixel_in_tile(
     probes_before: ProbeData,
     adaptive_before: wp.array[int],
 ) -> ProbePlacement:
-    """The pixel for a tile's own probe, as ``place_among``: if those looked at show nothing, one of all others."""
+    """Chooses the pixel for a tile's own probe as ``choose_pixel_among``.
+
+    If the tested pixels show no surface, all pixels of the tile are tested.
+    """
     placement = choose_pixel_among(
         SEARCH_ROWS, tile, False, grid, camera, camera_before, surfaces, probes_before, probes_before, adaptive_before
     )

@@ -1,7 +1,7 @@
-"""The cache of radiance in world space: its data, which cell a hit is in, and the radiance that is stored there.
+"""World-space radiance cache: its data, the cell of a hit, and lookup of the stored radiance.
 
-Cells are squares in the plane of one of six faces, one cell thick; 8 x 8 of them are a tile. A tile's means are 85: of
-its cells row by row, then of squares of 2 x 2, 4 x 4 and 8 x 8 cells. docs/method/realtime.md#radiance-cache
+Cells are squares in the plane of one of six faces, one cell thick; 8 x 8 cells form a tile. Each tile stores 85 means:
+of its cells in row order, then of squares of 2 x 2, 4 x 4 and 8 x 8 cells. See docs/method/realtime.md#radiance-cache.
 """
 
 import warp as wp
@@ -11,175 +11,178 @@ from lumisplat.device.math.sorting import first_not_below
 from lumisplat.device.structs import struct
 
 LAYER_SHIFT = 0.382
-"""Where, in cells, layers of cells begin: walls lie at whole numbers, halves or quarters, where rounding would put
-their points into two layers."""
+"""Offset, in cells, of the boundaries between layers of cells.
+
+Walls often lie at whole numbers, halves or quarters, where rounding would put their points into two layers."""
 
 TILE_CELLS: int = wp.constant(64)
 """Cells of a tile."""
 
 TILE_MEANS: int = wp.constant(85)
-"""Its means: 64 + 16 + 4 + 1."""
+"""Means of a tile: 64 + 16 + 4 + 1."""
 
 TILE_MIPS: int = wp.constant(4)
-"""Sizes of the squares that means are over: 1, 2, 4 and 8 cells wide."""
+"""Mip levels of the means: squares 1, 2, 4 and 8 cells wide."""
 
 NO_TILE: wp.int64 = wp.constant(wp.int64(2**63 - 1))
-"""Key where there is no tile: greater than all others."""
+"""Key for the absence of a tile: larger than all other keys."""
 
 LEVEL_LAST: int = wp.constant(16)
-"""Widths of cells are 2^-LEVEL_LAST to 2^(LEVEL_LAST - 1) scene units: 5 bits of the key."""
+"""Cell widths range from 2^-LEVEL_LAST to 2^(LEVEL_LAST - 1) scene units: 5 bits of the key."""
 
 NEAR_LEVELS: int = wp.constant(3)
-"""Cells of short rays are finer by so many levels: a tile of them is as wide as one cell of long rays."""
+"""Levels by which cells of short rays are finer: a tile of them is as wide as one cell of long rays."""
 
 COORDINATE_BITS: int = wp.constant(18)
 """Bits of the key for each coordinate of a tile."""
 
 CELLS_REACH: float = wp.constant(8191.0)
-"""Cells are no smaller than the largest coordinate of a position divided by this, nor finer ones by 1/16 of it: their
-coordinates then fit."""
+"""Smallest cell width is a position's largest coordinate over this number (1/16 of it for fine cells).
+
+Cell coordinates then fit the key."""
 
 REFLECTANCE_MAX: float = wp.constant(0.99)
-"""Albedo above which surfaces do not reflect what cells receive: light between white walls must die out."""
+"""Upper limit of the albedo for cached light, so that interreflection between white walls converges."""
 
 AGE_LAST: int = wp.constant(2**31 - 1)
-"""Greater than all frames: where there is no tile."""
+"""Frame number for the absence of a tile: larger than all frames."""
 
 COUNT_LIVE: int = wp.constant(0)
-"""Index of the number of tiles there are."""
+"""Index of the number of live tiles."""
 
 COUNT_NEW: int = wp.constant(1)
 """Index of the number of tiles that an insertion adds."""
 
 COUNT_EXCESS: int = wp.constant(2)
-"""Index of the number of tiles that it would add beyond the capacity."""
+"""Index of the number of tiles that an insertion would add beyond the capacity."""
 
 COUNT_EVICTED: int = wp.constant(3)
-"""Index of the number of tiles that went before their time, since the start."""
+"""Index of the number of tiles evicted early since the start."""
 
 COUNT_DROPPED: int = wp.constant(4)
-"""Index of the number of tiles that found no room, since the start."""
+"""Index of the number of tiles dropped for lack of room since the start."""
 
 COUNTS: int = wp.constant(5)
-"""Length of the array of these."""
+"""Length of the array of these counts."""
 
 
 @struct
 class CacheSamples:
-    """What rays have hit, one element a ray."""
+    """Ray hits that sample the cache, one element for each ray."""
 
     is_active: wp.array[bool]
-    """False: the ray hit nothing; the other fields are undefined."""
+    """False: the ray hit nothing, and the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """World space."""
+    """Hit position, world space."""
     normal: wp.array[wp.vec3]
-    """Of the surface, unit, towards where the ray came from, world space."""
+    """Surface normal, unit, towards the ray's origin, world space."""
     direction: wp.array[wp.vec3]
-    """Of the ray, unit, world space."""
+    """Ray direction, unit, world space."""
     distance: wp.array[float]
     """Length of the ray, scene units."""
     from_eye: wp.array[float]
-    """Distance of the position from the camera's eye, scene units: cells are larger farther away."""
+    """Distance of the hit from the eye, scene units; cells grow with it."""
     albedo: wp.array[wp.vec3]
-    """Share of irradiance that the surface reflects diffusely, linear."""
+    """Diffuse albedo, linear."""
     radiance: wp.array[wp.vec3]
-    """Linear radiance that it reflects of the light of lamps and sky, without what it emits."""
+    """Linear reflected direct radiance from lights and environment, without emission."""
     extent: wp.array[float]
-    """How far the surface may be from where it is said to be, scene units: the largest scale of its Gaussian; 0 for
-    meshes."""
+    """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
 
 
 @struct
 class CachePoints:
-    """Points of cells from which rays look for the light that the cells receive, one element a ray.
+    """Points of cells from which rays gather indirect light, one element for each ray.
 
-    Points of one cell are neighbours, and those of one tile.
+    Points of one cell are adjacent, as are those of one tile.
     """
 
     is_active: wp.array[bool]
-    """False: there is none; the other fields are undefined."""
+    """False: there is no point, and the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """World space."""
+    """Position, world space."""
     normal: wp.array[wp.vec3]
-    """Unit, world space."""
+    """Normal, unit, world space."""
     extent: wp.array[float]
-    """As in the sample that the point is of, scene units."""
+    """Position uncertainty of the sample that the point comes from, scene units."""
     key: wp.array[wp.uint32]
-    """Key of the random numbers of the cell's rays, see ``device/math/random.py``: of cell and frame, whatever the
-    tile's slot is."""
+    """Key of the random numbers of the cell's rays, see ``device/math/random.py``.
+
+    The key depends on cell and frame, but not on the slot of the tile."""
     ray: wp.array[int]
-    """Number of the ray among those of the cell, from 0."""
+    """Index of the ray among those of the cell, from 0."""
     rays: wp.array[int]
-    """How many the cell has."""
+    """Number of rays of the cell."""
     slot: wp.array[int]
-    """Of the tile; -1: there is no point."""
+    """Slot of the tile; -1: there is no point."""
     cell: wp.array[int]
-    """Of the tile, row by row."""
+    """Cell of the tile, in row order."""
 
 
 @struct
 class CacheGrid:
-    """Settings of the cache, as kernels read them."""
+    """Settings of the cache for kernels."""
 
     cell_size: float
-    """Largest width of a cell as a share of its distance from the eye."""
+    """Largest cell width as a fraction of its distance from the eye."""
     history: float
-    """Frames that a mean of direct light is taken over."""
+    """Frames over which direct light is averaged."""
     bounce_history: float
-    """Rays that a mean of indirect light is taken over."""
+    """Rays over which indirect light is averaged."""
     samples_min: float
-    """Samples below which a mean counts as noisy."""
+    """Number of samples below which a mean counts as noisy."""
     tiles: int
-    """Capacity."""
+    """Capacity in tiles."""
 
 
 @struct
 class CacheTiles:
-    """The tiles that there are.
+    """Live tiles of the cache.
 
-    Their keys are sorted; what they hold stays in a slot each. ``slots`` is a permutation: those behind the live tiles'
-    are free.
+    Their keys are sorted; their contents stay in a fixed slot each. ``slots`` is a permutation whose elements behind
+    the live tiles are the free slots.
     """
 
     counts: wp.array[int]
-    """``COUNT_LIVE`` to ``COUNT_DROPPED``."""
+    """Counts with indices ``COUNT_LIVE`` to ``COUNT_DROPPED``."""
     keys: wp.array[wp.int64]
-    """Ascending; ``NO_TILE`` behind the live ones."""
+    """Keys in ascending order; ``NO_TILE`` behind the live ones."""
     slots: wp.array[int]
     """Slot of the tile with each key."""
     used: wp.array[int]
-    """By slot: the last frame in which a ray hit it."""
+    """Last frame in which a ray hit the tile, by slot."""
     bounced: wp.array[int]
-    """By slot: one more than the last frame in which rays left from its cells; 0: none yet."""
+    """One more than the last frame in which the tile's cells sent rays, by slot; 0: never."""
     filled: wp.array[int]
-    """By slot: its cells with samples."""
+    """Number of the tile's cells with samples, by slot."""
     direct: wp.array[wp.vec4]
-    """By slot, ``TILE_MEANS`` each: mean radiance reflected of lamps and sky, linear, and the samples it is of."""
+    """Mean reflected direct radiance, linear, and its number of samples; ``TILE_MEANS`` for each slot."""
     indirect: wp.array[wp.vec4]
-    """Mean radiance that rays see along the cosine of the normal, linear: irradiance over pi, from other surfaces;
-    samples are these rays. Surfaces of a cell may differ: each reflects its own share."""
+    """Mean incident indirect radiance, cosine-weighted and linear (irradiance over pi), and its number of rays.
+
+    Surfaces of a cell may differ, so that each applies its own albedo."""
     frames: wp.array[int]
-    """By slot, ``TILE_CELLS`` each: frames with samples, at most ``history``; 0: the cell is empty."""
+    """Number of frames with samples, at most ``history``; 0: empty cell. ``TILE_CELLS`` for each slot."""
     updated: wp.array[int]
-    """By slot and cell: the last of these frames."""
+    """Last frame with samples, by slot and cell."""
     position: wp.array[wp.vec3]
-    """By slot and cell: one of the samples of that frame, world space."""
+    """Position of one sample of that frame, world space, by slot and cell."""
     normal: wp.array[wp.vec3]
-    """Of that sample."""
+    """Normal of that sample."""
     extent: wp.array[float]
-    """Of that sample, scene units."""
+    """Position uncertainty of that sample, scene units."""
 
 
 @struct
 class SortedSamples:
-    """Samples by tile, cell and index."""
+    """Samples sorted by tile, cell and index."""
 
     keys: wp.array[wp.int64]
-    """Of tiles, ascending; ``NO_TILE`` behind those that have one. Twice as long as there are samples, for the sort."""
+    """Tile keys, ascending; ``NO_TILE`` for samples without a tile. Twice the number of samples, for the sort."""
     order: wp.array[int]
-    """Indices of the samples; twice as long as there are."""
+    """Indices of the samples; twice the number of samples."""
     cells: wp.array[int]
-    """Cell of its tile, by index."""
+    """Cell of each sample in its tile, by sample index."""
 
 
 SHIFT = wp.constant(wp.float32(LAYER_SHIFT))
@@ -189,55 +192,55 @@ COORDINATE_MASK = wp.constant(2**18 - 1)
 BITS_32 = wp.constant(wp.int64(32))
 
 KEY_ORIGIN = wp.constant(wp.uint32(0x63616368))
-"""First state of the random numbers of cells, so that they share none with pixels."""
+"""Initial state of the cells' random numbers, distinct from that of pixels."""
 
 
 @wp.struct
 class CacheCell:
-    """Where a sample is."""
+    """Cell of a sample."""
 
     key: wp.int64
-    """Of its tile; ``NO_TILE``: it has none."""
+    """Key of the tile; ``NO_TILE``: none."""
     cell: int
-    """Of the tile, row by row."""
+    """Cell of the tile, in row order."""
 
 
 @wp.struct
 class CellLight:
-    """What is known where a sample is: linear radiance that leaves the surface."""
+    """Cached linear radiance leaving a sample's surface."""
 
     direct: wp.vec3
-    """Of lamps and sky."""
+    """Reflected light of lights and environment."""
     indirect: wp.vec3
-    """Of other surfaces."""
+    """Reflected light of other surfaces."""
     is_valid: bool
-    """Whether anything is known of that."""
+    """Whether the indirect light is based on any rays."""
 
 
 @wp.func
 def exponent_of(value: float) -> int:
-    """floor(log2(value)) of a positive number, without rounding: the same on every device."""
+    """Returns floor(log2(value)) of a positive number, exactly and the same on every device."""
     return ((wp.cast(value, wp.int32) >> 23) & 255) - 127
 
 
 @wp.func
 def width_of(level: int) -> float:
-    """Width of the cells of a level, scene units: 2^level."""
+    """Returns the cell width of a level, 2^level scene units."""
     return wp.cast((level + 127) << 23, wp.float32)
 
 
 @wp.func
 def level_of(grid: CacheGrid, position: wp.vec3, from_eye: float) -> int:
-    """Level of the cells of long rays at a position."""
+    """Returns the level of the cells of long rays at a position."""
     reach = wp.max(wp.abs(position))
     width = wp.max(grid.cell_size * from_eye, reach / CELLS_REACH)
-    # One coarser, one finer and the cells of short rays have levels, too.
+    # One coarser, one finer and the levels of short rays must exist, too.
     return wp.clamp(exponent_of(width), NEAR_LEVELS - LEVEL_LAST, LEVEL_LAST - 2)
 
 
 @wp.func
 def face_of(normal: wp.vec3) -> int:
-    """Twice the dominant axis of a normal, plus 1 if it points down it."""
+    """Returns twice the dominant axis of a normal, plus 1 if the normal points in its negative direction."""
     axis = int(2)
     if wp.abs(normal[0]) >= wp.abs(normal[1]) and wp.abs(normal[0]) >= wp.abs(normal[2]):
         axis = 0
@@ -248,17 +251,17 @@ def face_of(normal: wp.vec3) -> int:
 
 @wp.func
 def with_coordinate(key: wp.int64, coordinate: int) -> wp.int64:
-    """A key with one more coordinate behind."""
+    """Appends a coordinate to a key."""
     return (key << wp.int64(COORDINATE_BITS)) | wp.int64(coordinate & COORDINATE_MASK)
 
 
 @wp.func
 def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> CacheCell:
-    """The cell of a level at a position on a surface with this normal; ``is_near``: of short rays."""
+    """Returns the cell of a level at a position with a surface normal; ``is_near`` selects the cells of short rays."""
     cell = CacheCell()
     cell.key = NO_TILE
     scaled = position / width_of(level)
-    # False for infinities and NaN, too.
+    # Also false for infinities and NaN.
     if wp.max(wp.abs(scaled)) < float(COORDINATE_MASK // 2) and wp.isfinite(normal):
         face = face_of(normal)
         axis = face // 2
@@ -273,19 +276,22 @@ def cell_at(position: wp.vec3, normal: wp.vec3, level: int, is_near: bool) -> Ca
 
 @wp.func
 def is_of_short_rays(key: wp.int64) -> bool:
-    """Whether the cells of a tile are those of short rays; the bit before the three coordinates."""
+    """Returns whether a tile's cells are those of short rays, by the key bit before the three coordinates."""
     return ((key >> wp.int64(3 * COORDINATE_BITS)) & wp.int64(1)) != wp.int64(0)
 
 
 @wp.func
 def is_near(samples: CacheSamples, i: int, level: int) -> bool:
-    """Whether a ray is shorter than a cell: what it left may be on the other side of a wall from the rest of that."""
+    """Returns whether a ray is shorter than a cell.
+
+    The ray's origin may then lie on the other side of a wall from the rest of the cell.
+    """
     return samples.distance[i] < width_of(level) + samples.extent[i]
 
 
 @wp.func
 def cell_of_sample(grid: CacheGrid, samples: CacheSamples, i: int) -> CacheCell:
-    """The cell that a sample goes into."""
+    """Returns the cell that a sample is stored in."""
     level = level_of(grid, samples.position[i], samples.from_eye[i])
     near = is_near(samples, i, level)
     if near:
@@ -295,7 +301,7 @@ def cell_of_sample(grid: CacheGrid, samples: CacheSamples, i: int) -> CacheCell:
 
 @wp.func
 def slot_of(tiles: CacheTiles, key: wp.int64) -> int:
-    """The slot of a tile; -1: there is no such tile."""
+    """Returns the slot of the tile with a key; -1: there is none."""
     live = tiles.counts[COUNT_LIVE]
     rank = first_not_below(tiles.keys, live, key)
     if rank < live:
@@ -306,7 +312,7 @@ def slot_of(tiles: CacheTiles, key: wp.int64) -> int:
 
 @wp.func
 def mean_index(slot: int, cell: int, mip: int) -> int:
-    """Index of the mean over the square of 2^mip x 2^mip cells that a cell is in."""
+    """Returns the index of the mean over the square of 2^mip x 2^mip cells that contains a cell."""
     side = 8 >> mip
     before = (4 * (TILE_CELLS - side * side)) // 3
     return slot * TILE_MEANS + before + ((cell >> 3) >> mip) * side + ((cell & 7) >> mip)
@@ -314,7 +320,10 @@ def mean_index(slot: int, cell: int, mip: int) -> int:
 
 @wp.func
 def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: float, best: wp.vec4) -> wp.vec4:
-    """What is known, if it is of enough samples; else the finest mean around a cell that is, or that of the most."""
+    """Returns ``best`` if it has enough samples, else the finest mean around a cell that has enough.
+
+    If none has enough, the mean with the most samples is returned.
+    """
     if best[3] >= samples_min or slot < 0:
         return best
     for mip in range(TILE_MIPS):
@@ -328,13 +337,13 @@ def reliable_mean(means: wp.array[wp.vec4], slot: int, cell: int, samples_min: f
 
 @wp.func
 def color_of(mean: wp.vec4) -> wp.vec3:
-    """The radiance of a mean, without its number of samples."""
+    """Returns the radiance of a mean, without its number of samples."""
     return wp.vec3(mean[0], mean[1], mean[2])
 
 
 @wp.func
 def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3:
-    """What a sample's surface reflects of a cell's mean of light from other surfaces."""
+    """Returns the radiance that a sample's surface reflects of a cell's mean indirect light."""
     return wp.cw_mul(wp.min(samples.albedo[i], wp.vec3(REFLECTANCE_MAX)), color_of(indirect))
 
 
@@ -342,17 +351,16 @@ def reflected_light(samples: CacheSamples, i: int, indirect: wp.vec4) -> wp.vec3
 def long_ray_radiance(
     tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int, position: wp.vec3, level: int
 ) -> CellLight:
-    """Direct and indirect radiance of a sample, at a place that is its own or in its plane beside it.
+    """Looks up direct and indirect radiance of a sample of a long ray at a position in the sample's plane.
 
-    It is from a level, else from the next coarser, else the next finer.
-
-    Neighbouring levels know what is there when the camera has come nearer or gone.
+    If a level has too few samples, the next coarser and then the next finer level are used: they hold values from
+    before the camera moved closer or away.
     """
     direct = wp.vec4()
     indirect = wp.vec4()
     for step in range(3):
         if direct[3] < grid.samples_min or indirect[3] < grid.samples_min:
-            # 0, 1, -1
+            # Level offsets 0, 1, -1.
             cell = cell_at(position, samples.normal[i], level + (step & 1) - (step >> 1), False)
             slot = slot_of(tiles, cell.key)
             direct = reliable_mean(tiles.direct, slot, cell.cell, grid.samples_min, direct)
@@ -368,10 +376,10 @@ def long_ray_radiance(
 
 @wp.func
 def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i: int) -> wp.vec3:
-    """Linear radiance that leaves a sample's surface, of light of all bounces, without what it emits.
+    """Returns the linear radiance leaving a sample's surface, over all bounces, without emission.
 
-    A short ray takes the sample's own direct radiance, and the indirect one of the fine cells of short rays: no mean
-    over a cell that may reach through a wall.
+    A short ray uses the sample's own direct radiance and the indirect radiance of the fine cells of short rays, because
+    a mean over a larger cell may leak through a wall.
     """
     level = level_of(grid, samples.position[i], samples.from_eye[i])
     if is_near(samples, i, level):
@@ -386,7 +394,7 @@ def cached_radiance(tiles: CacheTiles, grid: CacheGrid, samples: CacheSamples, i
 
 @wp.func
 def cell_key(key: wp.int64, cell: int, frame: int) -> wp.uint32:
-    """Key of the random numbers of a cell in a frame."""
+    """Returns the key of a cell's random numbers in a frame."""
     low = wp.uint32(key & wp.int64(0xFFFFFFFF))
     high = wp.uint32(key >> BITS_32)
     word = mix(mix(KEY_ORIGIN + mix(low)) + mix(high))
@@ -395,7 +403,7 @@ def cell_key(key: wp.int64, cell: int, frame: int) -> wp.uint32:
 
 @wp.func
 def is_first_of_tile(samples: SortedSamples, i: int) -> bool:
-    """Whether a sorted sample is the first of its tile."""
+    """Returns whether a sorted sample is the first one of its tile."""
     if samples.keys[i] == NO_TILE:
         return False
     return i == 0 or samples.keys[i] != samples.keys[wp.max(i - 1, 0)]
@@ -403,7 +411,7 @@ def is_first_of_tile(samples: SortedSamples, i: int) -> bool:
 
 @wp.func
 def is_first_of_cell(samples: SortedSamples, i: int) -> bool:
-    """Whether a sorted sample is the first of its cell."""
+    """Returns whether a sorted sample is the first one of its cell."""
     if samples.keys[i] == NO_TILE:
         return False
     before = wp.max(i - 1, 0)

@@ -1,4 +1,4 @@
-"""Light of screen probes: irradiance and radiance at pixels, the probes' rays, and how their cells agree.
+"""Light of screen probes: irradiance and radiance at pixels, the probes' rays, and filtering between probes.
 
 The equations are in docs/method/realtime.md#screen-probes.
 """
@@ -31,7 +31,7 @@ from lumisplat.device.structs.rays import RayData
 
 @struct
 class ProbeSum:
-    """What probes say of a pixel, weighted."""
+    """Weighted sum of probe values at a pixel."""
 
     total: wp.vec3
     weight: float
@@ -42,25 +42,25 @@ SH_COUNT = wp.constant(9)
 C0 = wp.constant(wp.float32(SH_C0))
 
 COSINE_0 = wp.constant(wp.float32(math.pi))
-"""What convolution with the clamped cosine makes of degree 0 (Ramamoorthi and Hanrahan 2001)."""
+"""Factor of SH degree 0 in a convolution with the clamped cosine (Ramamoorthi and Hanrahan 2001)."""
 
 COSINE_1 = wp.constant(wp.float32(2.0 * math.pi / 3.0))
 
 COSINE_2 = wp.constant(wp.float32(math.pi / 4.0))
 
 APART_MIN = wp.constant(wp.float32(0.05))
-"""Added to the squared distance of a pixel from a probe, in tiles, over which the probe is weighed."""
+"""Value added to the squared distance, in tiles, between pixel and probe, by which the probe's weight is divided."""
 
 CUT_OFF_WEIGHT = wp.constant(wp.float32(1e-3))
-"""What is left of the weight of a probe that is cut off: it counts where all are."""
+"""Weight factor of occluded probes, which matter only if all probes are occluded."""
 
 WEIGHT_MIN = wp.constant(wp.float32(1e-6))
-"""Probes that weigh less together say nothing of a pixel."""
+"""Total weight below which the probes around a pixel are ignored."""
 
 
 @wp.func
 def probe_irradiance(light: ProbeLight, i: int, normal: wp.vec3) -> wp.vec3:
-    """Irradiance of a surface at probe ``i``, from its harmonics to degree 2; may be a little below zero."""
+    """Returns the irradiance of a surface at probe ``i`` from SH up to degree 2; it may be slightly negative."""
     x = normal[0]
     y = normal[1]
     z = normal[2]
@@ -77,7 +77,7 @@ def probe_irradiance(light: ProbeLight, i: int, normal: wp.vec3) -> wp.vec3:
 
 @wp.func
 def probe_radiance(light: ProbeLight, i: int, cells: int, direction: wp.vec3) -> wp.vec3:
-    """Radiance that probe ``i`` sees along a unit direction, between the centres of its cells."""
+    """Returns the radiance of probe ``i`` along a unit direction, interpolated between its cells."""
     point = square_of_direction(direction) * float(cells) - wp.vec2(0.5, 0.5)
     left = wp.floor(point[0])
     above = wp.floor(point[1])
@@ -95,7 +95,7 @@ def probe_radiance(light: ProbeLight, i: int, cells: int, direction: wp.vec3) ->
 
 @wp.func
 def nearness_weight(distance: float, other: float) -> float:
-    """How much two points count for each other by their distances from the eye, 0..1."""
+    """Returns a weight, 0..1, by the ratio of two points' distances from the eye."""
     ratio = wp.min(distance, other) / wp.max(wp.max(distance, other), 1e-20)
     ratio *= ratio
     ratio *= ratio
@@ -104,7 +104,7 @@ def nearness_weight(distance: float, other: float) -> float:
 
 @wp.func
 def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
-    """How much two surfaces count for each other by their normals, 0..1."""
+    """Returns a weight, 0..1, by the angle between two normals."""
     cosine = wp.max(wp.dot(normal, other), 0.0)
     cosine *= cosine
     cosine *= cosine
@@ -115,7 +115,7 @@ def facing_weight(normal: wp.vec3, other: wp.vec3) -> float:
 def add_probe(
     probe_sum: ProbeSum, weight: float, i: int, cells: int, direction: wp.vec3, glossy: bool, light: ProbeLight
 ):
-    """Adds what a probe says: radiance along ``direction`` or, not ``glossy``, irradiance of a surface facing it."""
+    """Adds a probe's weighted value: radiance along ``direction`` if ``glossy``, else irradiance for that normal."""
     if glossy:
         probe_sum.total += weight * probe_radiance(light, i, cells, direction)
     else:
@@ -137,7 +137,7 @@ def near_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """What the probes on a pixel's surface say, of the four tiles around ``point``."""
+    """Sums the probes on a pixel's surface in the four tiles around ``point``."""
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     distance = surfaces.distance[pixel]
@@ -170,7 +170,7 @@ def wider_probes(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """What all probes of the pixel's tile and of the eight around it say that face the same side."""
+    """Sums all probes that face the same side, in the pixel's tile and the eight tiles around it."""
     probe_sum = ProbeSum()
     normal = surfaces.normal[pixel]
     column = pixel % grid.width // grid.tile
@@ -202,11 +202,11 @@ def gathered_light(
     adaptive_of: wp.array[int],
     light: ProbeLight,
 ) -> ProbeSum:
-    """What probes say of a pixel's surface, as a mean; without weight where none says anything.
+    """Returns the weighted mean of the probes at a pixel's surface; its weight is 0 if no probe applies.
 
-    ``point`` is where the nearest tiles are looked up, pixels: in the pixel, or jittered by up to half a tile.
-    ``direction`` is the surface's normal or, ``glossy``, the unit direction whose radiance is asked for instead of
-    irradiance.
+    ``point`` is the image position, pixels, around which tiles are looked up: in the pixel, or jittered by up to half a
+    tile. ``direction`` is the surface normal or, if ``glossy``, the unit direction whose radiance is returned instead
+    of irradiance.
     """
     probe_sum = near_probes(pixel, point, direction, glossy, grid, camera, surfaces, probes, adaptive_of, light)
     if not probe_sum.weight > WEIGHT_MIN:
@@ -217,29 +217,33 @@ def gathered_light(
     return probe_sum
 
 
-# --- Rays of probes, and how the cells of neighbouring probes agree ---
+# --- Rays of probes, and filtering between neighbouring probes ---
 
 RISE = wp.constant(wp.float32(1e-4))
-"""How far above a mesh rays begin, as a share of the largest of its coordinates and its distance from the eye."""
+"""Height above a mesh at which probe rays start, as a fraction of the larger of coordinates and distance from the eye.
+"""
 
 NEVER = wp.constant(2**31 - 1)
 
 STALEST = wp.constant(1 << 20)
-"""Frames after which a probe's age no longer counts."""
+"""Largest age of a probe in frames that affects its priority."""
 
 BAYER = wp.constant(wp.types.vector(length=16, dtype=wp.int32)(0, 8, 2, 10, 12, 4, 14, 6, 3, 11, 1, 9, 15, 7, 13, 5))
-"""Order of the tiles of a block of 4 x 4 in which any few are spread evenly."""
+"""Order of the tiles of a 4 x 4 block such that any first few are evenly spread."""
 
 ANGLE_MAX = wp.constant(wp.float32(0.2))
-"""Largest angle between the directions in which two probes see what a cell shows, as a share of a cell's width."""
+"""Largest angle, in cell widths, between two probes' directions to the hit of a cell for the cells to be averaged."""
 
 PROBE_SEED = wp.constant(wp.uint32(0x70726F62))
-"""Mixed into the seed: other numbers than those of camera rays."""
+"""Value mixed into the seed so that probe rays use other random numbers than camera rays."""
 
 
 @wp.func
 def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
-    """Probes with lower keys are refreshed sooner: those that never were, then the oldest, some of each region."""
+    """Returns the refresh priority of a probe; lower keys are refreshed first.
+
+    New probes come before old ones, and probes of equal age are spread over the image.
+    """
     if probes.is_placed[i] == 0:
         return NEVER
     tile = i % (grid.tiles_x * grid.tiles_y)
@@ -251,7 +255,10 @@ def refresh_key(i: int, grid: ProbeGrid, probes: ProbeData) -> int:
 
 @wp.func
 def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeData, rays_out: RayData):
-    """The ray of a cell of probe ``i``, through a point that is uniform in the cell; none into a mesh itself."""
+    """Starts the ray of a cell of probe ``i`` through a uniform point of the cell.
+
+    Rays into the probe's own mesh are not started.
+    """
     seed = wp.bit_xor(grid.seed, PROBE_SEED)
     number = i * grid.cells * grid.cells + cell
     key = pixel_key_of(number, seed)
@@ -279,7 +286,7 @@ def start_probe_ray(ray: int, i: int, cell: int, grid: ProbeGrid, probes: ProbeD
 
 @wp.func
 def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes: ProbeData) -> float:
-    """How much probe ``j`` counts for probe ``i``: 0 off its plane."""
+    """Returns the filter weight of probe ``j`` for probe ``i``: 0 off its plane."""
     reach = reach_of(grid, camera, probes.distance[i])
     if not fits(probes, j, probes.position[i], probes.normal[i], reach, probes.extent[i]):
         return float(0.0)
@@ -288,9 +295,11 @@ def neighbour_weight(i: int, j: int, grid: ProbeGrid, camera: CameraData, probes
 
 @wp.func
 def shows_the_same(i: int, j: int, cell: int, grid: ProbeGrid, probes: ProbeData, cells: ProbeCells) -> bool:
-    """Whether a cell of two probes shows the same: the hit of ``j``, no further than that of ``i``, seen from ``i``.
+    """Returns whether a cell of two probes shows the same surface.
 
-    So nothing that ``i`` sees near is blurred with what is behind it; what ``i`` has not seen yet is taken as it is.
+    The hit of ``j`` must lie in the cell's direction as seen from ``i``. Hit distances are limited to those of ``i``,
+    so that near surfaces are not blurred with what lies behind them. A cell of ``i`` without samples accepts any
+    neighbour.
     """
     count = grid.cells * grid.cells
     if cells.samples[i * count + cell] == 0.0:

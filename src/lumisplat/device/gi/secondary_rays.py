@@ -1,4 +1,4 @@
-"""Rays that leave surfaces in real time: within highlights, straight through glass, or mirrored."""
+"""Secondary rays of real-time rendering: within highlights, straight through glass, or mirrored."""
 
 import warp as wp
 
@@ -20,61 +20,63 @@ from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 MIRRORED_SOLID_ANGLE = 0.02
-"""Least solid angle, steradians, as which a light counts that a mirror shows: a tenth of a probe's cell. Without it one
-ray in thousands would be thousands of times too bright."""
+"""Smallest effective solid angle, steradians, of a light seen in a mirror: a tenth of a probe's cell.
+
+Without this limit, one ray in thousands would be thousands of times too bright."""
 
 LOBE_ALPHA_FROM = 0.16
-"""Width of highlights (GGX, roughness 0.4) from which on their rays count less beside what screen probes see: their
-cells are 0.4 wide. GI-1.1 follows rays to a roughness of 0.2, and probes take over without a blend."""
+"""GGX alpha (roughness 0.4) from which highlight rays fade to the light of screen probes, whose cells are 0.4 wide.
+
+GI-1.1 traces rays up to a roughness of 0.2, and switches to probes without a blend."""
 
 LOBE_ALPHA_TO = 0.25
-"""Width (roughness 0.5) from which on highlights send no rays."""
+"""GGX alpha (roughness 0.5) from which highlights send no rays."""
 
 
 @struct
 class LobeRays:
-    """Rays within the highlights of what pixels show, at most one a square of 2 x 2 pixels; squares row by row."""
+    """Rays within the highlights of pixels, at most one for each square of 2 x 2 pixels; squares are in row order."""
 
     pixel: wp.array[int]
-    """The pixel of the square whose surface sends a ray."""
+    """Pixel of the square whose surface sends the ray."""
     slot: wp.array[int]
-    """Which of its surfaces: 0, Gaussians, or 1, a mesh; -1: there is no ray."""
+    """Surface of the pixel: 0 for Gaussians, 1 for a mesh; -1: no ray."""
     ray: wp.array[int]
-    """Number of the ray."""
+    """Index of the ray."""
     weight: wp.array[wp.vec3]
-    """Of what the ray sees, in what the highlight reflects over its albedo."""
+    """Factor from the ray's radiance to the highlight's reflected radiance over its albedo."""
     radiance: wp.array[wp.vec3]
-    """Radiance, one element a ray; linear."""
+    """Radiance along each ray, linear; one element for each ray."""
 
 
 @struct
 class BouncedRays:
-    """What rays that leave surfaces see, but for the light that the surfaces which they meet reflect."""
+    """Radiance along secondary rays, without the light that the surfaces they hit reflect."""
 
     emitted: wp.array[wp.vec3]
-    """Radiance of captures, and of what shines and is no light; linear."""
+    """Radiance of captures and of emission that is not sampled as a light; linear."""
     share: wp.array[wp.vec3]
-    """Of the surface that the ray meets, in the radiance of the ray; 0: it meets none."""
+    """Weight of the hit surface in the ray's radiance; 0: no surface."""
     sampled: wp.array[wp.vec3]
     """Radiance that this surface reflects of a sampled light, unshadowed; linear."""
 
 
 @struct
 class OnwardRays:
-    """Rays of `BouncedRays` that go on at smooth surfaces; without elements where there are none."""
+    """Rays of `BouncedRays` that continue at smooth surfaces; empty where there are none."""
 
     rays: RayData
-    """Where the next wave begins; a ray that has met its surface is not active."""
+    """Rays of the next wave; a ray that has hit a rough surface is inactive."""
     goes_on: wp.array[int]
     """1: the ray is active."""
     length_before: wp.array[float]
-    """Its length before, scene units."""
+    """Length of the path before the ray, scene units."""
     mirrored: wp.array[int]
-    """1: a mirror has reflected it, in whose light it sees lamps."""
+    """1: a mirror reflected the ray, so that it sees lights directly."""
     weights: wp.array[wp.vec3]
-    """Share of what it sees in the radiance of the first one."""
+    """Weight of the ray in the radiance of the first ray."""
     media: wp.array[wp.vec4i]
-    """The media that it has entered, as ``Boundary``; without elements: none."""
+    """Media that the ray has entered, as in ``Boundary``; empty: none."""
 
 
 # --- Rays within highlights, one for four pixels (docs/method/realtime.md#glossy) ---
@@ -86,19 +88,19 @@ ALPHA_TO = wp.constant(wp.float32(LOBE_ALPHA_TO))
 
 @wp.func
 def squares_across(width: int) -> int:
-    """Squares of 2 x 2 pixels beside each other in an image."""
+    """Returns the number of 2 x 2 pixel squares in a row of an image."""
     return (width + 1) // 2
 
 
 @wp.func
 def square_of(pixel: int, width: int) -> int:
-    """The square that a pixel is in."""
+    """Returns the square that contains a pixel."""
     return (pixel // width // 2) * squares_across(width) + pixel % width // 2
 
 
 @wp.func
 def followed_pixel(square: int, frame: int, width: int) -> wp.vec2i:
-    """The pixel of a square that may send a ray in this frame, of four in turn, and not beside the one before."""
+    """Returns the pixel of a square that may send a ray this frame; the four pixels alternate, diagonally."""
     turn = frame % 4
     across = turn % 2
     down = (turn // 2) ^ across
@@ -107,7 +109,7 @@ def followed_pixel(square: int, frame: int, width: int) -> wp.vec2i:
 
 @wp.func
 def lobe_share(alpha: float) -> float:
-    """Share of rays in what a highlight of that width reflects; probes have the rest."""
+    """Returns the weight of rays in a highlight of this GGX alpha; screen probes have the rest."""
     return wp.clamp((ALPHA_TO - alpha) / (ALPHA_TO - ALPHA_FROM), 0.0, 1.0)
 
 
@@ -115,9 +117,11 @@ def lobe_share(alpha: float) -> float:
 def lobe_radiance(
     pixel: int, slot: int, camera: wp.array[CameraData], surfaces: SurfacePixels, lobes: LobeRays
 ) -> wp.vec4:
-    """What a pixel's highlight reflects over its albedo by the ray of its square, linear; and 1, or 0 if it has none.
+    """Returns a highlight's linear reflected radiance over its albedo by the ray of its square, and 1.
 
-    ``slot``: which of the pixel's surfaces; ``surfaces`` are those of that kind.
+    Without a ray, all components are 0.
+
+    ``slot`` is the pixel's surface, and ``surfaces`` are those of its kind.
     """
     square = square_of(pixel, camera[0].width)
     if lobes.slot[square] != slot:
@@ -132,19 +136,19 @@ def lobe_radiance(
     return wp.vec4(light[0], light[1], light[2], 1.0)
 
 
-# --- Rays that go on at smooth surfaces (docs/method/realtime.md#rays) ---
+# --- Rays that continue at smooth surfaces (docs/method/realtime.md#rays) ---
 #
-# The samples of lights pass glass straight on, too, so that rays which it lets through do not count them again. Mirrors
-# block these samples: what shines by a mirror is seen by rays alone.
+# Light samples pass straight through glass, so that rays passing glass do not count lights again. Mirrors block light
+# samples, so that only rays find lights in a mirror.
 
 SMALLEST = wp.constant(wp.float32(MIRRORED_SOLID_ANGLE))
 
 
 @wp.func
 def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """Reflection by the mesh that ray ``i`` hits, and what passes it straight on; none, if that is not smooth.
+    """Returns reflection and straight transmission at the mesh that ray ``i`` hits; zero if the mesh is not smooth.
 
-    As for shadow rays, both sides count as air: what leaves glass is mirrored as what enters it.
+    As for shadow rays, both sides count as air: light leaving glass is reflected as light entering it.
     """
     bounce = Bounce()
     if wave[0].meshes.face[i] >= 0 and wave[0].gaussians.transmittance[i] > 0.0:
@@ -159,7 +163,7 @@ def straight_bounce(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 def straight_step(
     i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> PathStep:
-    """How ray ``i`` goes on, if it is reflected or passes; the weight is over the probability of this branch."""
+    """Continues ray ``i`` by reflection or straight transmission; the weight is divided by the branch's probability."""
     step = PathStep()
     side = -bounce.side
     step.direction = wave[0].rays.direction[i]
@@ -179,7 +183,7 @@ def straight_step(
 
 @wp.func
 def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts the ray with which ray ``i`` goes on; the two may have the same arrays."""
+    """Starts the continuation of ray ``i``; input and output arrays may be the same."""
     sample_key = branch_key(wave[0].rays.sample_key[i], kind)
     pixel_key = branch_key(wave[0].rays.pixel_key[i], kind)
     sample = wave[0].rays.sample[i]
@@ -198,7 +202,7 @@ def start_onward(i: int, kind: int, step: PathStep, wave: wp.array[WaveData], ra
 
 @wp.func
 def at_most(radiance: wp.vec3, most: float) -> wp.vec3:
-    """A radiance, darkened where its luminance is above a bound."""
+    """Scales a radiance down to a maximum luminance."""
     brightness = luminance(radiance)
     if brightness > most:
         return (most / brightness) * radiance
@@ -209,11 +213,12 @@ def at_most(radiance: wp.vec3, most: float) -> wp.vec3:
 def mirrored_light(
     i: int, length_before: float, no_shadows: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Linear radiance of lights that paths meet, too, of ray ``i`` that a mirror has reflected.
+    """Returns the linear radiance of lights that ray ``i``, reflected by a mirror, hits itself.
 
-    What is small and bright is met seldom: it counts as if it was as wide as ``MIRRORED_SOLID_ANGLE``, no brighter.
+    Small bright lights are hit rarely, so they are treated as if they covered ``MIRRORED_SOLID_ANGLE``, and no
+    brighter.
 
-    ``way`` is the ray's length before, scene units; ``no_shadows``: samples of lights pass mirrors.
+    ``length_before`` is the path length before the ray, scene units; ``no_shadows``: light samples pass mirrors.
     """
     origin = wave[0].rays.origin[i]
     direction = wave[0].rays.direction[i]
@@ -228,7 +233,9 @@ def mirrored_light(
                 total += at_most(environment_radiance(scene[0].environment, direction), most)
     elif scene[0].emitters.ends.shape[0] > 0 and uses_mis(count, no_shadows, scene):
         if scene[0].emitters.first[wave[0].meshes.instance[i]] >= 0:
-            start = origin - length_before * direction  # as far from the light as where the ray left a surface
+            start = (
+                origin - length_before * direction
+            )  # as far from the light as the point where the path left a surface
             total += at_most(mesh_emission(i, scene, wave), light_importance(count, start, direction, scene) / SMALLEST)
     for number in range(count):
         if scene[0].lights[number].visible != 0 and uses_mis(number, no_shadows, scene):

@@ -1,4 +1,4 @@
-"""Surfaces that pixels show in real time: their data, where they were in the frame before, and their albedo."""
+"""Surfaces that pixels show in real time: G-buffer, reprojection to the previous frame, and albedo."""
 
 import warp as wp
 
@@ -23,87 +23,84 @@ from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf
 # Reprojection and filters (Schied et al. 2017, Spatiotemporal Variance-Guided Filtering)
 
 SAME_SURFACE_PX = 8.0
-"""Two points are on one surface if neither is farther from the other's plane than this many pixels are wide there;
-GI-1.1's size of a tile."""
+"""Largest distance of two points of one surface from each other's planes, in pixel widths; GI-1.1's tile size."""
 
 SAME_NORMAL_MESH = 0.9
-"""Least cosine between the normals of one mesh surface in two frames: what turns faster loses its history."""
+"""Smallest cosine between the normals of one mesh surface in two frames; faster rotation loses its history."""
 
 SAME_NORMAL_SPLATS = 0.5
-"""The same of Gaussians, whose normals are noisy."""
+"""Smallest cosine between the normals of one surface of Gaussians in two frames; their normals are noisy."""
 
 YOUNG_SHARE = 0.5
-"""Share of its rays so far for which a young mean counts when one more is added: what is found later has bounced more
-often, and is nearer to the truth. The variance is a third higher than that of plain means."""
+"""Fraction of its samples for which a young mean counts when a sample is added.
+
+Later samples include more bounces and are closer to the converged value. The variance is a third higher than that of
+plain means."""
 
 
 @struct
 class SurfacePixels:
-    """The surfaces of one kind, Gaussians' or meshes', that the pixels of a frame show: its G-buffer.
-
-    One element a pixel, row by row.
-    """
+    """G-buffer of the surfaces of one kind, Gaussians or meshes; one element for each pixel, in row order."""
 
     share: wp.array[float]
-    """How much of the pixel they are, 0..1; 0: there is none, and the other fields are undefined."""
+    """Coverage of the pixel, 0..1; 0: no surface, and the other fields are undefined."""
     position: wp.array[wp.vec3]
-    """World space."""
+    """Position, world space."""
     normal: wp.array[wp.vec3]
     """Shading normal, unit, towards the viewer."""
     distance: wp.array[float]
-    """From the eye, scene units."""
+    """Distance from the eye, scene units."""
     extent: wp.array[float]
-    """How far the surface may be from where it is said to be, scene units: the largest scale of its Gaussian; 0 for
-    meshes."""
+    """Position uncertainty of the surface, scene units: the largest scale of its Gaussian; 0 for meshes."""
     albedo: wp.array[wp.vec3]
-    """Share of even light that it reflects diffusely to the viewer, linear."""
+    """Diffuse albedo towards the viewer under constant illumination, linear."""
     glossy_albedo: wp.array[wp.vec3]
-    """Share that its highlight reflects."""
+    """Albedo of the highlight towards the viewer."""
     alpha: wp.array[float]
-    """Width of the highlight, as of ``Bsdf``."""
+    """GGX alpha of the highlight, as in ``Bsdf``."""
     previous: wp.array[wp.vec3]
-    """Where the point of the surface was in the frame before, world space; NaN: it was not there."""
+    """Position of the surface point in the previous frame, world space; NaN: it did not exist."""
 
 
 @struct
 class InstanceMotion:
-    """Where an instance was in the frame before: one a splat or mesh instance, in the order of the scene's."""
+    """Motion of an instance since the previous frame; one for each splat or mesh instance, in scene order."""
 
     existed: int
-    """0: it was not there."""
+    """0: the instance did not exist in the previous frame."""
     deforms: int
-    """1: its Gaussians or vertices have moved on their own."""
+    """1: its Gaussians or vertices moved individually."""
     before_from_now: wp.mat33
-    """Where points of the world that move with it were; linear part."""
+    """World-space transform from current to previous positions; linear part."""
     before_from_now_offset: wp.vec3
     before_from_object: wp.mat33
-    """World of the frame before from object; linear part."""
+    """Transform from object space to the world space of the previous frame; linear part."""
     before_from_object_offset: wp.vec3
     means: wp.array[wp.vec3]
-    """Those of its Gaussians then, object space; like the next two without elements unless it deforms."""
+    """Previous means of its Gaussians, object space; this and the next two arrays are empty unless it deforms."""
     rotations: wp.array[wp.quat]
     positions: wp.array[wp.vec3]
-    """Those of the vertices then, where ``MeshData`` has those of now."""
+    """Previous vertex positions, indexed as in ``MeshData``."""
 
 
 @struct
 class PixelLight:
-    """One light sample a ray of the first wave, for one of its two surfaces."""
+    """One light sample for each ray of the first wave, for one of its two surfaces."""
 
     slot: wp.array[int]
-    """Which of the ray's interactions it lights: 0, Gaussians, or 1, a mesh; -1: neither."""
+    """Surface that is lit: 0 for Gaussians, 1 for a mesh; -1: none."""
     diffuse: wp.array[wp.vec3]
-    """Unshadowed radiance that the surface, as if it were all of the pixel, reflects diffusely; linear."""
+    """Unshadowed diffusely reflected radiance, as if the surface covered the whole pixel; linear."""
     glossy: wp.array[wp.vec3]
-    """The rest of what it reflects."""
+    """Remaining reflected radiance."""
 
 
 @struct
 class SurfaceLight:
-    """What surfaces of one kind receive and reflect, one element a pixel, row by row."""
+    """Reflected light of surfaces of one kind, one element for each pixel, in row order."""
 
     is_sampled: wp.array[wp.bool]
-    """Whether there is a sample in this frame; if not, the other fields are undefined."""
+    """Whether the pixel has a sample in this frame; if not, the other fields are undefined."""
     diffuse: wp.array[wp.vec3]
     """Diffusely reflected radiance over the albedo, linear."""
     glossy: wp.array[wp.vec3]
@@ -112,13 +109,13 @@ class SurfaceLight:
 
 @struct
 class LightHistory:
-    """Light of surfaces of one kind as means over frames, one element a pixel, row by row.
+    """Temporal means of the light of surfaces of one kind, one element for each pixel, in row order.
 
-    Each surface has two values, diffuse and glossy as ``SurfaceLight``: moments are those of two luminances.
+    Each surface has a diffuse and a glossy value as in ``SurfaceLight``; the moments are those of the two luminances.
     """
 
     frames: wp.array[float]
-    """In the means; 0: there is no history."""
+    """Number of frames in the means; 0: no history."""
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     moments: wp.array[wp.vec4]
@@ -127,54 +124,59 @@ class LightHistory:
 
 @struct
 class FilteredLight:
-    """Light of surfaces of one kind as means over pixels, one element a pixel, row by row."""
+    """Spatially filtered light of surfaces of one kind, one element for each pixel, in row order."""
 
     diffuse: wp.array[wp.vec3]
     glossy: wp.array[wp.vec3]
     variance: wp.array[wp.vec2]
-    """Of the luminance of each."""
+    """Variances of the diffuse and glossy luminance."""
 
 
 @struct
 class TemporalPixels:
-    """What the pixels of a frame show, before and while it is averaged with the frames before; row by row."""
+    """Current pixels that temporal antialiasing averages with previous frames, in row order."""
 
     color: wp.array[wp.vec3]
     """Linear radiance."""
     motion: wp.array[wp.vec3]
-    """In pixels, of the surface that ends the pixel or of the background, and its distance; NaN: it was not there."""
+    """Motion in pixels and in distance of the surface that ends the pixel, or of the background; NaN: new surface."""
     instance: wp.array[int]
-    """Of that surface, as ``FirstSurface``; -1: the background."""
+    """Instance of that surface, as in ``FirstSurface``; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
-    """Where the pixel was in the frame before, in pixels from the centre of the first."""
+    """Position of the pixel in the previous frame, in pixels from the centre of the first pixel."""
     weight: wp.array[float]
-    """Of this frame in the mean, 0..1; 1: there is no history."""
+    """Weight of this frame in the mean, 0..1; 1: no history."""
 
 
 @struct
 class TemporalHistory:
-    """What pixels have shown as means over frames, one element a pixel, row by row."""
+    """Temporal means of pixels over frames, one element for each pixel, in row order."""
 
     frames: wp.array[float]
-    """In the mean; 0: there is no history."""
+    """Number of frames in the mean; 0: no history."""
     color: wp.array[wp.vec3]
     """Linear radiance."""
     sample: wp.array[float]
     """Luminance of the last frame's sample."""
     change: wp.array[float]
-    """Mean of the squared differences between the luminances of successive samples."""
+    """Mean squared difference between the luminances of successive samples."""
     instance: wp.array[int]
-    """Of the nearest surface that the 3 x 3 pixels around showed in the last frame, as ``FirstSurface``; -1: none."""
+    """Instance of the nearest surface in the surrounding 3 x 3 pixels of the last frame, as in ``FirstSurface``.
+
+    The value is -1 if there was none."""
 
 
-# --- Turns of pixels (``RealtimeConfig.light_interval``), and means of what depends on other means ---
+# --- Pixels sampled in each frame (``RealtimeConfig.light_interval``), and weights of young means ---
 
 BLOCK = wp.constant(RAY_BLOCK_PX)
 
 
 @wp.func
 def is_sampled_in_frame(x: int, y: int, interval: int, frame: int) -> bool:
-    """Whether a pixel has samples in this frame: all have in the first one, then every ``interval``-th block."""
+    """Returns whether a pixel is sampled in this frame.
+
+    All pixels are sampled in the first frame, then every ``interval``-th block of pixels in turn.
+    """
     return frame == 0 or (x // BLOCK + y // BLOCK + frame) % interval == 0
 
 
@@ -183,9 +185,11 @@ SHARE = wp.constant(wp.float32(YOUNG_SHARE))
 
 @wp.func
 def mean_weight(count: float, history: float) -> float:
-    """For how many samples a mean of ``count`` counts when one more is added; less than all of them while it is young.
+    """Returns the number of samples for which a mean of ``count`` samples counts when one is added.
 
-    ``history``: samples that a mean goes back.
+    A young mean counts for less than its number of samples.
+
+    ``history`` is the largest number of samples in a mean.
     """
     if count < history:
         return SHARE * count
@@ -195,18 +199,18 @@ def mean_weight(count: float, history: float) -> float:
 # --- Motion (docs/method/realtime.md#motion) ---
 
 UNMOVED = -1
-"""In place of the number of an instance: it is where it was."""
+"""Stands for an instance number: the instance did not move."""
 
 GONE = -2
-"""It is not there any more."""
+"""Stands for an instance number: the instance was removed."""
 
 
 @wp.func
 def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
-    """Whether an instance that a pixel showed has moved, and is not the one that it shows now.
+    """Returns whether the instance that a pixel showed has moved and is not the one that the pixel shows now.
 
-    ``before`` is its number in the frame before, splats first; -1: the background. ``moved_to`` has, by these numbers,
-    those in this frame of what has moved, ``STANDS`` or ``GONE``.
+    ``before`` is its index in the previous frame, splats first; -1: the background. ``moved_to`` maps these indices to
+    current ones, or to ``UNMOVED`` or ``GONE``.
     """
     if before < 0:
         return False
@@ -215,7 +219,7 @@ def has_left(before: int, now: int, moved_to: wp.array[int]) -> bool:
 
 @wp.func
 def no_position() -> wp.vec3:
-    """In place of a position: the surface is new."""
+    """Returns NaN coordinates, which mark a surface without a previous position."""
     return wp.vec3(wp.nan)
 
 
@@ -228,10 +232,7 @@ def splat_before(
     assets: wp.array[GaussianData],
     motions: wp.array[InstanceMotion],
 ) -> wp.vec3:
-    """Where a point was that moves with a Gaussian.
-
-    ``number``: the Gaussian's instance, whose asset has it.
-    """
+    """Returns the previous position of a point that moves with a Gaussian; ``number`` is the Gaussian's instance."""
     if motions[number].existed == 0:
         return no_position()
     if motions[number].deforms == 0:
@@ -247,9 +248,9 @@ def splat_before(
 def mesh_before(
     position: wp.vec3, number: int, face: int, weights: wp.vec2, meshes: MeshData, motions: wp.array[InstanceMotion]
 ) -> wp.vec3:
-    """Where a point of a mesh was.
+    """Returns the previous position of a point of a mesh.
 
-    ``face`` counts among those of all meshes, ``weights`` are barycentric, of its second and third corner.
+    ``face`` is an index over all meshes; ``weights`` are the barycentric weights of its second and third corner.
     """
     if motions[number].existed == 0:
         return no_position()
@@ -264,7 +265,7 @@ def mesh_before(
 
 @wp.func
 def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
-    """Where a pinhole camera showed a point: x and y in pixels, centres at +0.5, and its distance; 0: nowhere."""
+    """Projects a point with a pinhole camera: x and y in pixels, centres at +0.5, and its distance; 0: not visible."""
     from_eye = position - camera[0].eye
     view = wp.transpose(camera[0].world_from_camera) * from_eye
     if not view[2] > camera[0].near:
@@ -278,11 +279,11 @@ def pixel_before(position: wp.vec3, camera: wp.array[CameraData]) -> wp.vec3:
 def motion_of(
     position: wp.vec3, previous: wp.vec3, camera: wp.array[CameraData], camera_before: wp.array[CameraData]
 ) -> wp.vec3:
-    """How a point has moved as the camera shows it: x and y in pixels, and its distance; NaN: it was not there.
+    """Returns a point's motion in the image: current minus previous x, y in pixels and distance.
 
-    Each is that of now minus that of the frame before.
+    The result is NaN if the point had no previous position or was not visible.
 
-    ``previous``: where the point was then; NaN: nowhere.
+    ``previous`` is the point's position in the previous frame; NaN: none.
     """
     if wp.isnan(previous[0]):
         return no_position()
@@ -292,7 +293,7 @@ def motion_of(
     return pixel_before(position, camera) - before
 
 
-# --- Reprojection: which pixels of the frame before show the same surface (docs/method/realtime.md#reprojection) ---
+# --- Reprojection: pixels of the previous frame that show the same surface (docs/method/realtime.md#reprojection) ---
 
 SURFACE_PX = wp.constant(wp.float32(SAME_SURFACE_PX))
 
@@ -305,19 +306,19 @@ STILL = wp.constant(wp.float32(STILL_PX))
 
 @wp.func
 def snapped(x: float) -> float:
-    """A coordinate in pixels; that of the pixel's centre, if it is there but for rounding."""
+    """Rounds a pixel coordinate to the pixel's centre if it differs only by rounding."""
     return wp.where(wp.abs(x - wp.round(x)) < STILL, wp.round(x), x)
 
 
 @wp.func
 def least_cosine(extent: float) -> float:
-    """Between the normals of one surface; ``extent`` is above 0 for Gaussians."""
+    """Returns the smallest cosine between normals of one surface; ``extent`` is above 0 for Gaussians."""
     return wp.where(extent > 0.0, NORMAL_SPLATS, NORMAL_MESH)
 
 
 @wp.func
 def tolerance(distance: float, extent: float, camera: wp.array[CameraData]) -> float:
-    """How far points of one surface may be from each other's planes, scene units."""
+    """Returns the largest distance of points of one surface from each other's planes, scene units."""
     return wp.max(SURFACE_PX * distance / camera[0].focal[0], extent)
 
 
@@ -330,9 +331,9 @@ def is_near(
     other_position: wp.vec3,
     other_normal: wp.vec3,
 ) -> bool:
-    """Whether two points with normals are on one surface.
+    """Returns whether two points with normals lie on one surface.
 
-    ``tolerated``: distance between each and the plane of the other, scene units.
+    ``tolerated`` is the largest distance of each point from the plane of the other, scene units.
     """
     if wp.dot(normal, other_normal) < cosine_min:
         return False
@@ -350,21 +351,21 @@ def is_same_surface(
     pixel: int,
     surfaces: SurfacePixels,
 ) -> bool:
-    """Whether a point with a normal is on the surface that a pixel shows: as `is_near`, with that of its image."""
+    """Returns whether a point with a normal lies on the surface that a pixel shows, by the test of `is_near`."""
     if surfaces.share[pixel] <= 0.0:
         return False
     return is_near(position, normal, tolerated, cosine_min, surfaces.position[pixel], surfaces.normal[pixel])
 
 
-# --- Albedo: the share of a constant environment's light that is reflected (docs/method/realtime.md#surfaces) ---
+# --- Albedo: reflected fraction of a constant environment (docs/method/realtime.md#surfaces) ---
 
 MEAN_COSINE = wp.constant(wp.float32(2.0 / 3.0))
-"""Of even light, weighted by the cosine."""
+"""Mean cosine of constant illumination, weighted by the cosine."""
 
 
 @wp.func
 def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
-    """Share of even light that layers leave to what is below, as if all of it came at its mean cosine."""
+    """Returns the transmittance of the layers for constant illumination, approximated at its mean cosine."""
     if not has_layers(bsdf):
         return 1.0
     return left_by_coat(bsdf, cosine, MEAN_COSINE) * left_by_sheen(bsdf, cosine, MEAN_COSINE)
@@ -372,7 +373,7 @@ def left_by_layers(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Share of a white sky that the diffuse part reflects to a view at that cosine."""
+    """Returns the diffuse albedo for a view at a cosine under a constant environment."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.cw_mul(simple_scale(bsdf), bsdf.diffuse)
     if bsdf.dielectric <= 0.0:
@@ -382,7 +383,7 @@ def diffuse_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def base_highlight(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Share of a white sky that the highlight below layers reflects; a smooth surface, which has none, 0."""
+    """Returns the albedo of the highlight below the layers; 0 for smooth surfaces, which have none."""
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
         return wp.vec3(0.0)
     return view_albedo(bsdf, cosine) + lost_share(cosine, bsdf.alpha) * bsdf.rescattered
@@ -390,7 +391,7 @@ def base_highlight(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def glossy_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Share of a white sky that all but the diffuse part reflects, except what smooth surfaces mirror."""
+    """Returns the albedo of everything but the diffuse part, without the mirror reflection of smooth surfaces."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.cw_mul(simple_scale(bsdf), bsdf.specular)
     albedo = base_highlight(bsdf, cosine)
@@ -403,7 +404,7 @@ def glossy_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def transmitted_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Share of a white sky behind a rough surface that comes through to a view."""
+    """Returns the fraction of a constant environment behind a rough surface that is transmitted to a view."""
     if bsdf.model == BSDF_SIMPLE or not transmits(bsdf):
         return wp.vec3(0.0)
     return left_by_layers(bsdf, cosine) * (1.0 - mirrored_share(bsdf, cosine)) * bsdf.transmitted
@@ -411,7 +412,7 @@ def transmitted_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def highlight_width(bsdf: Bsdf) -> float:
-    """Width of the highlight, as alpha of GGX; that of Phong's exponent by Walter et al. 2007."""
+    """Returns the GGX alpha of the highlight; for a Phong exponent the equivalent of Walter et al. 2007."""
     if bsdf.model == BSDF_SIMPLE:
         return wp.sqrt(2.0 / (bsdf.shininess + 2.0))
     return bsdf.alpha
@@ -419,6 +420,6 @@ def highlight_width(bsdf: Bsdf) -> float:
 
 @wp.func
 def matte_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Share of light from all around that a surface sends to a view, by reflection or through it, at most 1."""
+    """Returns the total albedo for a view under constant illumination, by reflection and transmission, at most 1."""
     albedo = diffuse_albedo(bsdf, cosine) + glossy_albedo(bsdf, cosine) + transmitted_albedo(bsdf, cosine)
     return wp.min(albedo, wp.vec3(1.0))

@@ -1,1 +1,1 @@
-"""Lights: sampling, interactions with surfaces, direct light, attenuation of shadow rays."""
+"""Lights: sampling, interactions with surfaces, direct light, and attenuation of shadow rays."""

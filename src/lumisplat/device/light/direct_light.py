@@ -1,11 +1,12 @@
-"""Direct light at a surface: choose a light, sample it, weight the sample against others, and start its shadow ray.
+"""Direct light at a surface: selection of a light, sampling, MIS weights, and shadow rays.
 
-All integrators estimate direct light by these functions; they differ in which lights they ask:
+All integrators estimate direct light with these functions; they differ in the lights that they sample:
 
-- Whitted's asks all, each by its centre or a random point of its extent, and the environment twice, by its radiance and
-  by the BSDF (``light_contribution``).
-- Paths choose one by about what each sends (``chosen_light``, ``sample_chosen``); their own rays meet some, too.
-- In real time, one is chosen likewise or from a cell of the light grid (``sample_choice``).
+- The Whitted integrator samples every light, at its centre or at a random point of its extent. It samples the
+  environment twice, by radiance and by the BSDF (``light_contribution``).
+- The path integrator selects one light by importance (``chosen_light``, ``sample_chosen``); its own rays also hit some
+  lights.
+- Real-time rendering selects one light likewise, or from a cell of the light grid (``sample_choice``).
 
 The equations are in docs/method/lighting.md and docs/method/paths.md#lights.
 """
@@ -43,32 +44,32 @@ from lumisplat.device.structs.shading import (
 
 @struct
 class SampledLight:
-    """What one sample of a light contributes at a surface of a path."""
+    """Contribution of one light sample at a surface of a path."""
 
     contribution: Contribution
-    """Weighted against what the path's own ray meets of the light."""
+    """Contribution with the MIS weight against path rays that hit the light."""
     unweighted: wp.vec3
-    """Its colour, unweighted."""
+    """Contribution's colour without the MIS weight."""
 
 
 LIGHT_COSINE_MIN = 0.1
-"""Lights are chosen as if they were at least this cosine above the horizon: parts of them may be."""
+"""Smallest cosine assumed when a light is selected, because parts of an extended light may be above the horizon."""
 
 LIGHT_BRANCHES = wp.constant(2)
-"""First branch of a ray's key for the random numbers of all lights: 0 and 1 are the reflected and the refracted ray."""
+"""First branch of a ray's key for random numbers of lights; 0 and 1 are the reflected and the refracted ray."""
 
 BSDF_BRANCHES = wp.constant(2)
-"""First branch of a light's key for its shadow rays: 0 and 1 are samples of the BSDF."""
+"""First branch of a light's key for its shadow rays; 0 and 1 are samples of the BSDF."""
 
-# Branches of a ray's key where one light is chosen.
+# Random branches of a ray's key where one light is selected.
 POINT_BRANCH = wp.constant(2)
-"""Which point of the light."""
+"""Random branch that selects the point of the light."""
 
 CHOICE_BRANCH = wp.constant(3)
-"""Which light, and which triangle of those that shine."""
+"""Random branch that selects the light and the emissive triangle."""
 
 SHADOW_BRANCH = wp.constant(5)
-"""How Gaussians hide it: not by the numbers that chose its point."""
+"""Random branch of shadow rays, independent of the branch that selected the point of the light."""
 
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
@@ -76,18 +77,18 @@ COSINE_MIN = wp.constant(wp.float32(LIGHT_COSINE_MIN))
 
 TINY = wp.constant(wp.float32(1e-30))
 
-# --- Which light: the triangles that shine are one light more, after all others ---
+# --- Selection of a light; emissive triangles are one more light after all others ---
 
 
 @wp.func
 def choice_count(scene: wp.array[ShadingScene]) -> int:
-    """Lights among which paths choose."""
+    """Returns the number of lights that paths select from; emissive triangles together count as one."""
     return scene[0].settings[0].light_count + wp.where(scene[0].emitters.ends.shape[0] > 0, 1, 0)
 
 
 @wp.func
 def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Whether this light is the environment; the triangles that shine are one light more, after all others."""
+    """Returns whether light ``number`` is the environment; emissive triangles are one more light after all others."""
     if number == scene[0].settings[0].light_count:
         return False
     return scene[0].lights[number].kind == LIGHT_ENVIRONMENT
@@ -95,7 +96,7 @@ def is_environment(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 @wp.func
 def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
-    """Whether what is in the way of light ``number`` blocks it: always, if it is that of meshes."""
+    """Returns whether objects block light ``number``; emissive meshes always cast shadows."""
     if number == scene[0].settings[0].light_count:
         return True
     return scene[0].lights[number].casts_shadow != 0
@@ -103,9 +104,10 @@ def casts_shadow(number: int, scene: wp.array[ShadingScene]) -> bool:
 
 @wp.func
 def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bool:
-    """Whether rays that surfaces scatter show light ``number``, and its samples are weighted against them.
+    """Returns whether rays scattered at surfaces also find light ``number``, so that its samples need MIS weights.
 
-    Not those whose samples pass what would block the rays, or are shadowed otherwise, and those that have no extent.
+    That excludes lights without extent, and lights whose samples pass objects that would block rays or are shadowed
+    differently.
     """
     if no_shadows or scene[0].settings[0].changes_shadows != 0:
         return False
@@ -121,7 +123,7 @@ def uses_mis(number: int, no_shadows: bool, scene: wp.array[ShadingScene]) -> bo
 
 @wp.func
 def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """About the irradiance that light ``number`` gives a surface; above 0 wherever it gives any."""
+    """Estimates the irradiance of a surface by light ``number``; above 0 wherever the light contributes."""
     if number == scene[0].settings[0].light_count:
         emitters = scene[0].emitters
         away = emitters.center - position
@@ -130,13 +132,13 @@ def light_importance(number: int, position: wp.vec3, normal: wp.vec3, scene: wp.
     if light.kind == LIGHT_ENVIRONMENT:
         return PI * scene[0].environment.mean
     sample = sample_light(light, position, 0, wp.vec2(0.5))
-    cosine = wp.max(wp.dot(normal, sample.direction), COSINE_MIN)  # soft lights reach above the horizon
+    cosine = wp.max(wp.dot(normal, sample.direction), COSINE_MIN)  # parts of soft lights may be above the horizon
     return cosine * wp.dot(WEIGHTS, sample.irradiance)
 
 
 @wp.func
 def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[ShadingScene]) -> float:
-    """About the irradiance that all lights give a surface."""
+    """Estimates the irradiance of a surface by all lights."""
     total = float(0.0)
     for number in range(choice_count(scene)):
         total += light_importance(number, position, normal, scene)
@@ -145,18 +147,18 @@ def total_importance(position: wp.vec3, normal: wp.vec3, scene: wp.array[Shading
 
 @wp.func
 def vertex_without_importance(interaction: Interaction) -> PathVertex:
-    """An interaction as the choice of a light reads it, but for what the lights send there."""
+    """Returns an interaction as a vertex for light selection, without its importance."""
     vertex = PathVertex()
     vertex.position = interaction.position
     vertex.normal = interaction.normal
     if transmits(interaction.bsdf):
-        vertex.normal = wp.vec3(0.0)  # light counts from both sides
+        vertex.normal = wp.vec3(0.0)  # light from both sides counts
     return vertex
 
 
 @wp.func
 def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVertex:
-    """An interaction as the choice of a light reads it."""
+    """Returns an interaction as a vertex for light selection."""
     vertex = vertex_without_importance(interaction)
     vertex.importance = total_importance(vertex.position, vertex.normal, scene)
     return vertex
@@ -164,10 +166,7 @@ def vertex_at(interaction: Interaction, scene: wp.array[ShadingScene]) -> PathVe
 
 @wp.func
 def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) -> LightChoice:
-    """The light to be sampled at a surface.
-
-    ``u``: random, 0..1.
-    """
+    """Selects a light for a surface in proportion to its importance; ``u`` is random, 0..1."""
     choice = LightChoice()
     choice.number = -1
     if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
@@ -184,7 +183,7 @@ def chosen_light(u: float, vertex: PathVertex, scene: wp.array[ShadingScene]) ->
 
 @wp.func
 def choice_probability(number: int, vertex: PathVertex, scene: wp.array[ShadingScene]) -> float:
-    """Probability with which ``chosen_light`` chooses light ``number`` at a surface."""
+    """Returns the probability with which ``chosen_light`` selects light ``number`` at a surface."""
     if not (vertex.importance > 0.0 and vertex.importance < wp.inf):
         return 0.0
     return light_importance(number, vertex.position, vertex.normal, scene) / vertex.importance
@@ -192,19 +191,19 @@ def choice_probability(number: int, vertex: PathVertex, scene: wp.array[ShadingS
 
 @wp.func
 def environment_number(scene: wp.array[ShadingScene]) -> int:
-    """Number of the light that is the environment; -1: there is none."""
+    """Returns the index of the light that is the environment; -1: none."""
     for number in range(scene[0].settings[0].light_count):
         if scene[0].lights[number].kind == LIGHT_ENVIRONMENT:
             return number
     return -1
 
 
-# --- One sample of a light, and what it adds ---
+# --- Light samples and their contributions ---
 
 
 @wp.func
 def arrives(interaction: Interaction, direction: wp.vec3) -> bool:
-    """Whether light from there arrives at an interaction: from above, or, at rough glass, from below."""
+    """Returns whether light from a direction arrives at an interaction: from above or, at rough glass, from below."""
     cosine = wp.dot(interaction.normal, direction)
     above = wp.dot(interaction.horizon_normal, direction)
     if cosine < 0.0 and above < 0.0:
@@ -214,7 +213,7 @@ def arrives(interaction: Interaction, direction: wp.vec3) -> bool:
 
 @wp.func
 def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
-    """Unshadowed irradiance at an interaction by a sample of a light."""
+    """Returns the unshadowed irradiance at an interaction by a light sample."""
     if not arrives(interaction, sample.direction):
         return wp.vec3(0.0)
     return wp.abs(wp.dot(interaction.normal, sample.direction)) * sample.irradiance
@@ -222,7 +221,10 @@ def irradiance_of(interaction: Interaction, sample: LightSample) -> wp.vec3:
 
 @wp.func
 def contribution_of(interaction: Interaction, sample: LightSample, share: float) -> Contribution:
-    """Contribution of ``share`` of a light sample to the ray's radiance; of a shadow-only surface, its irradiance."""
+    """Returns the contribution of ``share`` of a light sample to the ray's radiance.
+
+    For a shadow catcher, the contribution is irradiance.
+    """
     irradiance = share * irradiance_of(interaction, sample)
     result = Contribution()
     if is_black(irradiance):
@@ -238,7 +240,7 @@ def contribution_of(interaction: Interaction, sample: LightSample, share: float)
 
 @wp.func
 def power_heuristic(pdf: float, other: float) -> float:
-    """Weight of a sample of this density, if the direction might have been sampled with the other one as well."""
+    """Returns the MIS weight of a sample with this pdf if the direction could also be sampled with the other pdf."""
     if pdf <= 0.0:
         return 0.0
     ratio = other / pdf
@@ -254,12 +256,11 @@ def environment_sample(
     choice: float,
     scene: wp.array[ShadingScene],
 ) -> LightSample:
-    """One of two samples of the environment, of its radiance or of a BSDF.
+    """Draws one of two samples of the environment: by its radiance, or by a BSDF.
 
     The balance heuristic (Veach and Guibas 1995) makes the sum of both samples an unbiased estimate.
 
-    ``bsdf`` is that of the surface, or a part of it; ``u`` and ``choice``, which decides between its parts, are random,
-    0..1.
+    ``bsdf`` is the BSDF of the surface or a part of it. ``u`` and ``choice``, which selects a lobe, are random, 0..1.
     """
     sample = LightSample()
     environment = scene[0].environment
@@ -278,24 +279,24 @@ def environment_sample(
     return sample
 
 
-# --- All lights, one by one ---
+# --- Every light in turn ---
 
 
 @wp.func
 def light_key(pixel_key: wp.uint32, number: int) -> wp.uint32:
-    """Key of the random sequence that samples light ``number``."""
+    """Returns the key of the random sequence that samples light ``number``."""
     return branch_key(pixel_key, LIGHT_BRANCHES + number)
 
 
 @wp.func
 def shadow_ray_key(key: wp.uint32, number: int, samples_bsdf: bool, slot: int) -> wp.uint32:
-    """Key of the shadow ray from interaction ``slot`` of a ray of this key towards light ``number``."""
+    """Returns the key of the shadow ray from a ray's interaction ``slot`` towards light ``number``."""
     return branch_key(light_key(key, number), BSDF_BRANCHES + slot + 2 * int(samples_bsdf))
 
 
 @wp.func
 def light_center_contribution(number: int, interaction: Interaction, scene: wp.array[ShadingScene]) -> Contribution:
-    """Contribution of light ``number``, not the environment, sampled at its centre."""
+    """Returns the contribution of light ``number``, not the environment, sampled at its centre."""
     sample = sample_light(scene[0].lights[number], interaction.position, 0, wp.vec2(0.5))
     return contribution_of(interaction, sample, 1.0)
 
@@ -304,9 +305,9 @@ def light_center_contribution(number: int, interaction: Interaction, scene: wp.a
 def light_sample_contribution(
     number: int, interaction: Interaction, pixel_key: wp.uint32, index: int, scene: wp.array[ShadingScene]
 ) -> Contribution:
-    """Contribution of light ``number``, not the environment, sampled at a random point of its extent.
+    """Returns the contribution of light ``number``, not the environment, sampled at a random point of its extent.
 
-    ``index``: number of the ray's sample.
+    ``index`` is the index of the ray's sample.
     """
     u = sobol_2d(light_key(pixel_key, number), index)
     sample = sample_light(scene[0].lights[number], interaction.position, 1, u)
@@ -322,7 +323,7 @@ def environment_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Contribution of the environment, light ``number``, by one of its two samples."""
+    """Returns the contribution of the environment, light ``number``, by one of its two samples."""
     key = light_key(pixel_key, number)
     u = sobol_2d(key, index)
     choice = float(0.0)
@@ -342,9 +343,9 @@ def light_contribution(
     index: int,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Contribution of light ``number`` for a shadow ray.
+    """Returns the contribution of light ``number`` for a shadow ray.
 
-    Of the environment by one of its two samples; of others by a random point for soft shadows, by the centre for hard
+    The environment uses one of its two samples. Other lights use a random point for soft shadows, their centre for hard
     ones.
     """
     contribution = Contribution()
@@ -357,7 +358,7 @@ def light_contribution(
     return contribution
 
 
-# --- One light, chosen at random ---
+# --- One randomly selected light ---
 
 
 @wp.func
@@ -369,10 +370,10 @@ def sample_chosen(
     with_mis: bool,
     scene: wp.array[ShadingScene],
 ) -> SampledLight:
-    """Contribution of the chosen light at an interaction, over the probability of the choice.
+    """Samples the selected light at an interaction; the contribution is divided by the selection probability.
 
-    ``u`` and ``which`` are random, 0..1; ``is_met``: whether rays that the surface scatters show this light, see
-    ``meets_rays``.
+    ``u`` and ``which`` are random, 0..1; ``with_mis``: whether rays scattered at the surface find the light too, see
+    ``uses_mis``.
     """
     sample = LightSample()
     if choice.number == scene[0].settings[0].light_count:
@@ -396,9 +397,9 @@ def sample_chosen(
 
 @wp.func
 def half_highlight(bsdf: Bsdf, cos_view: float) -> Bsdf:
-    """The BSDF with no more of its diffuse part than of its highlight: half of its samples are of that.
+    """Returns the BSDF with its diffuse part reduced to at most the highlight.
 
-    They would be rare and bright among those of the BSDF itself.
+    Half of its samples are then of the highlight; otherwise they would be rare and bright.
     """
     half = bsdf
     mirrored = bsdf.specular
@@ -418,11 +419,9 @@ def sample_chosen_environment(
     which: float,
     scene: wp.array[ShadingScene],
 ) -> Contribution:
-    """Contribution of the environment, over the probability of its choice, by one of two samples.
+    """Samples the selected environment, by its radiance or by the surface's BSDF, over the selection probability.
 
-    One is of its radiance, the other one of the surface.
-
-    ``u`` and ``which`` are random, 0..1; ``u[0]`` decides between the samples, so that all are stratified together.
+    ``u`` and ``which`` are random, 0..1; ``u[0]`` selects between the two samples, so that all are stratified together.
     """
     lobe = half_highlight(interaction.bsdf, wp.dot(interaction.normal, interaction.wo))
     samples_lobe = u[0] >= 0.5
@@ -441,7 +440,7 @@ def start_chosen_ray(
     wave: wp.array[WaveData],
     rays: RayData,
 ):
-    """Starts shadow ray ``i`` to the light that is sampled at the surface ``slot`` of ray ``i``."""
+    """Starts shadow ray ``i`` from surface ``slot`` of ray ``i`` towards its sampled light."""
     j = slot * wave[0].rays.is_active.shape[0] + i
     start_shadow_ray(i, j, number, contribution, scene, wave, rays)
     rays.pixel_key[i] = branch_key(wave[0].rays.pixel_key[i], SHADOW_BRANCH)
@@ -460,9 +459,9 @@ def sample_choice(
     wave: wp.array[WaveData],
     rays: RayData,
 ) -> Contribution:
-    """One sample of a light that was chosen in real time; starts shadow ray ``i``, unless what it brings needs none.
+    """Samples a light selected in real time, and starts shadow ray ``i`` unless the contribution needs none.
 
-    ``slot``: which of the ray's surfaces is lit, 0, Gaussians, or 1, a mesh; shadow ray ``i`` is not active before.
+    ``slot`` is the lit surface of the ray: 0 for Gaussians, 1 for a mesh. Shadow ray ``i`` must be inactive before.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]

@@ -1,4 +1,4 @@
-"""Lights that are sampled by tables: the environment by its brightness, emissive triangles by their power."""
+"""Lights sampled by tables: the environment by brightness, emissive triangles by power."""
 
 import warp as wp
 
@@ -9,13 +9,13 @@ from lumisplat.device.mesh.mesh_surface import surface_alpha
 from lumisplat.device.structs.shading import EmitterTriangle, EnvironmentData, LightSample, ShadingScene
 
 EMITTER_MARGIN = 1e-5
-"""Shadow rays to triangles that shine end before them by this share of the way."""
+"""Fraction of the distance by which shadow rays end before emissive triangles."""
 
 # --- The environment ---
 #
-# Its image is interpolated bilinearly, so a texel's light reaches into its neighbours' cells. A cell is sampled in
-# proportion to the mean of the interpolated image over it, a direction within the cell uniformly in solid angle: every
-# direction from which light comes has a density above 0 (docs/method/lighting.md#environment).
+# The image is interpolated bilinearly, so a texel's light extends into its neighbours' cells. A cell is sampled in
+# proportion to the mean of the interpolated image over it, and a direction within the cell uniformly in solid angle:
+# every direction with light has a pdf above 0 (docs/method/lighting.md#environment).
 
 BELOW_ONE = wp.constant(wp.float32(1.0 - 1.0 / ENVIRONMENT_SHARE_STEPS))
 
@@ -24,17 +24,17 @@ BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MA
 
 @wp.func
 def image_coordinates(environment: EnvironmentData, direction: wp.vec3) -> wp.vec2:
-    """Image coordinates of a world-space direction, 0..1 each, from the left and from the top."""
+    """Returns the image coordinates of a world-space direction, 0..1 each, from the left and from the top."""
     local = wp.transpose(environment.world_from_environment) * direction
     u = 0.5 + INV_TWO_PI * angle_of(local[0], -local[2])
-    # Not the arc cosine of y, which loses digits near the poles.
+    # The arc cosine of y would lose digits near the poles.
     v = INV_PI * angle_of(wp.sqrt(local[0] * local[0] + local[2] * local[2]), local[1])
     return wp.vec2(u, v)
 
 
 @wp.func
 def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
-    """Radiance at image coordinates: bilinear, left and right edges joined."""
+    """Returns the radiance at image coordinates, bilinear, with left and right edges joined."""
     x = at[0] * float(environment.width) - 0.5
     y = wp.clamp(at[1] * float(environment.height) - 0.5, 0.0, float(environment.height - 1))
     left = wp.floor(x)
@@ -55,7 +55,10 @@ def interpolate(environment: EnvironmentData, at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def first_above(ends: wp.array[float], first: int, count: int, value: float) -> int:
-    """Which of ``count`` ascending numbers, from element ``first`` on, first exceeds ``value``; the last one does."""
+    """Returns which of ``count`` ascending numbers, from element ``first`` on, first exceeds ``value``.
+
+    If none does, the last one is returned.
+    """
     low = int(0)
     high = count - 1
     while low < high:
@@ -69,7 +72,7 @@ def first_above(ends: wp.array[float], first: int, count: int, value: float) -> 
 
 @wp.func
 def start_of(ends: wp.array[float], first: int, index: int) -> float:
-    """Cumulative share before entry ``index``: the end of the previous one."""
+    """Returns the cumulative fraction before entry ``index``: the end of the previous entry."""
     if index == 0:
         return 0.0
     return ends[first + index - 1]
@@ -77,9 +80,9 @@ def start_of(ends: wp.array[float], first: int, index: int) -> float:
 
 @wp.func
 def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
-    """``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the two edges of a row, without cancellation.
+    """Returns ``sin^2 (theta / 2) = (1 - cos theta) / 2`` at the two edges of a row, without cancellation.
 
-    theta is the angle from the nearer pole: in the upper half from the top, in the lower from the bottom.
+    theta is the angle from the nearer pole: from the top in the upper half, from the bottom in the lower half.
     """
     step = 0.5 * PI / float(environment.height)
     upper = row
@@ -94,13 +97,13 @@ def cell_height(environment: EnvironmentData, row: int) -> wp.vec2:
 
 @wp.func
 def cell_size(environment: EnvironmentData, height: wp.vec2) -> float:
-    """Solid angle of a texel's cell."""
+    """Returns the solid angle of a texel's cell."""
     return 2.0 * TWO_PI * wp.abs(height[1] - height[0]) / float(environment.width)
 
 
 @wp.func
 def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp.vec3:
-    """Radiance from a world-space direction; black without an environment."""
+    """Returns the environment's radiance from a world-space direction; black without an environment."""
     if environment.exists == 0:
         return wp.vec3(0.0)
     return interpolate(environment, image_coordinates(environment, direction))
@@ -108,7 +111,7 @@ def environment_radiance(environment: EnvironmentData, direction: wp.vec3) -> wp
 
 @wp.func
 def environment_pdf(environment: EnvironmentData, direction: wp.vec3) -> float:
-    """Density with which ``sample_environment`` samples a direction, per steradian."""
+    """Returns the pdf with which ``sample_environment`` samples a direction, per steradian."""
     if environment.exists == 0:
         return 0.0
     at = image_coordinates(environment, direction)
@@ -122,9 +125,9 @@ def environment_pdf(environment: EnvironmentData, direction: wp.vec3) -> float:
 
 @wp.func
 def sample_environment(environment: EnvironmentData, u: wp.vec2) -> LightSample:
-    """A direction towards the environment, sampled in proportion to its brightness.
+    """Samples a direction towards the environment in proportion to its brightness.
 
-    Without light, the sample has no irradiance; ``u`` is random, 0..1 each.
+    A black environment gives a sample without irradiance; ``u`` is random, 0..1 each.
     """
     sample = LightSample()
     sample.direction = wp.vec3(0.0, 0.0, 1.0)
@@ -169,16 +172,16 @@ NEARER = wp.constant(wp.float32(1.0 - EMITTER_MARGIN))
 
 @wp.func
 def emitter_share(k: int, scene: wp.array[ShadingScene]) -> float:
-    """Probability with which triangle ``k`` of those that shine is sampled."""
+    """Returns the probability with which emissive triangle ``k`` is sampled."""
     return scene[0].emitters.ends[k] - start_of(scene[0].emitters.ends, 0, k)
 
 
 @wp.func
 def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float) -> float:
-    """Density, per steradian, of a point of a triangle that is sampled with probability ``share``.
+    """Returns the pdf, per steradian, of a point on a triangle that is sampled with probability ``share``.
 
-    ``across``: cross product of two of its edges, world space; ``direction`` and ``distance2``, squared, lead to the
-    point.
+    ``across`` is the cross product of two of its edges, world space; ``direction`` and ``distance2``, squared, lead to
+    the point.
     """
     projected = 0.5 * wp.abs(wp.dot(across, direction))
     if projected <= 0.0:
@@ -188,9 +191,9 @@ def area_pdf(share: float, across: wp.vec3, direction: wp.vec3, distance2: float
 
 @wp.func
 def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> wp.vec3:
-    """A point of a triangle, lifted so far to the side of ``point`` that a ray from there does not hit the triangle.
+    """Returns a point of a triangle, lifted towards ``point`` so that a ray from there does not hit the triangle.
 
-    Barycentric ``weights`` say which. As ``spawn_point``, with the largest rounding error on the triangle.
+    ``weights`` are barycentric. The lift is that of ``spawn_point`` with the largest rounding error on the triangle.
     """
     inner = wp.vec3(
         wp.max(weights[0], triangle.inside[0]),
@@ -205,9 +208,9 @@ def point_above(triangle: EmitterTriangle, weights: wp.vec3, point: wp.vec3) -> 
 
 @wp.func
 def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[ShadingScene]) -> LightSample:
-    """A point of the triangles that shine, as ``point`` sees it.
+    """Samples a point on the emissive triangles as a light for ``point``.
 
-    ``u``, where on a triangle, and ``which``, on which one, are random, 0..1.
+    ``which`` selects the triangle and ``u`` the position on it; both are random, 0..1.
     """
     sample = LightSample()
     emitters = scene[0].emitters
@@ -222,7 +225,7 @@ def sample_emitter(point: wp.vec3, u: wp.vec2, which: float, scene: wp.array[Sha
         return sample
     sample.distance = wp.sqrt(distance2)
     sample.direction = to_light / sample.distance
-    sample.distance *= NEARER  # a shadow ray to there ends before the triangle, however its hit is rounded
+    sample.distance *= NEARER  # a shadow ray ends before the triangle, despite rounding of its hit
     sample.pdf = area_pdf(emitter_share(k, scene), triangle.across, sample.direction, distance2)
     if sample.pdf > 0.0:
         instance = scene[0].mesh_instances[number]

@@ -1,6 +1,6 @@
-"""Rays within the highlights of rough surfaces: of which surface, how often, and where to.
+"""Rays within the highlights of rough surfaces: choice of the surface, probability, and direction.
 
-They see surfaces only: the light of lamps and of the environment in highlights is sampled by direct light. The
+These rays only find surfaces: light from lights and environment in highlights is sampled by direct light. The
 equations are in docs/method/materials.md#glossy-reflections.
 """
 
@@ -17,8 +17,10 @@ from lumisplat.device.structs import struct
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, WaveData
 
 GLOSSY_SHARE_FOLLOWED = 0.25
-"""Share of a ray in a highlight from which on it sends a ray on in every sample; with less of it in fewer samples,
-whose rays count for more: of a dielectric, that reflects 0.04, in one of six."""
+"""Weight of a highlight in its ray from which every sample sends a ray.
+
+Highlights of less weight send rays in fewer samples, which count for more: a dielectric, which reflects 0.04, in one
+of six."""
 
 FOLLOWED = wp.constant(wp.float32(GLOSSY_SHARE_FOLLOWED))
 
@@ -36,19 +38,21 @@ class LobeRay:
     """A ray within a highlight."""
 
     slot: int
-    """0: of the surface of Gaussians, 1: of the mesh; -1: there is none."""
+    """Surface that sends the ray: 0 for Gaussians, 1 for a mesh; -1: no ray."""
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
     normal: wp.vec3
-    """Of its layer, as of ``RayData``."""
+    """Normal of the ray's layer, as in ``RayData``."""
     weight: wp.vec3
-    """Share of what it sees in what the surface reflects; of `lobe_ray`, in the colour of the ray it branches off."""
+    """Weight of the ray's radiance in the surface's reflected radiance.
+
+    In the result of `lobe_ray`, it is the weight in the colour of the parent ray."""
 
 
 @wp.func
 def highlight_of(bsdf: Bsdf) -> Bsdf:
-    """The highlights of a BSDF alone, with those of layers on it, and what these leave of the others."""
+    """Returns the highlights of a BSDF alone, including those of its layers."""
     alone = bsdf
     if bsdf.model == BSDF_SIMPLE:
         alone.specular = wp.cw_mul(simple_scale(bsdf), bsdf.specular)
@@ -59,7 +63,10 @@ def highlight_of(bsdf: Bsdf) -> Bsdf:
 
 @wp.func
 def highlight_share(interaction: Interaction) -> float:
-    """About the share of a ray that the highlight of an interaction reflects; above 0 wherever it reflects any."""
+    """Estimates the fraction of a ray that an interaction's highlight reflects.
+
+    The estimate is above 0 wherever the highlight reflects any light.
+    """
     if not interaction.exists or interaction.shadow_only:
         return 0.0
     bsdf = interaction.bsdf
@@ -74,7 +81,7 @@ def highlight_share(interaction: Interaction) -> float:
 
 @wp.func
 def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
-    """The interaction whose highlight sends a ray on, in proportion to what it reflects; -1: none."""
+    """Selects the interaction whose highlight sends a ray, in proportion to its reflection; -1: none."""
     first = highlight_share(splats)
     total = first + highlight_share(mesh)
     if not (u * wp.max(total, FOLLOWED) < total):
@@ -84,14 +91,14 @@ def chosen_slot(u: float, splats: Interaction, mesh: Interaction) -> int:
 
 @wp.func
 def lobe_slot(i: int, splats: Interaction, mesh: Interaction, wave: wp.array[WaveData]) -> int:
-    """The interaction of ray ``i`` whose highlight sends a ray on; -1: none."""
+    """Selects the interaction of ray ``i`` whose highlight sends a ray; -1: none."""
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], CHOICE_BRANCH), wave[0].rays.sample[i])
     return chosen_slot(u[0], splats, mesh)
 
 
 @wp.func
 def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
-    """Interaction ``j``, which need not exist."""
+    """Returns interaction ``j``, which need not exist."""
     interaction = Interaction()
     if wave[0].interactions.exists[j]:
         interaction = load_interaction(j, wave)
@@ -100,7 +107,7 @@ def interaction_of(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData]) -> LobeRay:
-    """A ray within the highlight of one interaction of ray ``i``, sampled by it (of GGX by visible normals)."""
+    """Samples a ray within the highlight of one interaction of ray ``i`` (GGX by visible normals)."""
     ray = LobeRay()
     ray.slot = slot
     u = sobol_2d(branch_key(wave[0].rays.pixel_key[i], DIRECTION_BRANCH), wave[0].rays.sample[i])
@@ -119,7 +126,7 @@ def lobe_of(i: int, slot: int, interaction: Interaction, wave: wp.array[WaveData
 
 @wp.func
 def lobe_ray(i: int, wave: wp.array[WaveData]) -> LobeRay:
-    """The ray within a highlight on ray ``i``."""
+    """Samples the highlight ray of ray ``i``."""
     splats = interaction_of(i, wave)
     mesh = interaction_of(wave[0].interactions.exists.shape[0] // 2 + i, wave)
     slot = lobe_slot(i, splats, mesh, wave)

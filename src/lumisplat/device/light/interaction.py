@@ -34,16 +34,17 @@ from lumisplat.device.structs.shading import (
 )
 
 SMOOTH_HEIGHT_MIN = 1.0e-5
-"""Height of a smooth surface over its triangle, as a share of its sides, below which it is rounding: there is none."""
+"""Height of a smooth surface over its triangle, as a fraction of its sides, below which it counts as rounding error."""
 
 SMOOTH_START_COSINE = 0.1
-"""Cosine of the light on a triangle of a smooth mesh, from which on shadow rays start at the triangle itself. Where it
-is less or negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-terminators.md)."""
+"""Cosine of the light on a triangle of a smooth mesh above which shadow rays start at the triangle itself.
 
-# --- Shadow rays from triangles that stand for a smooth surface (docs/method/shadows.md#smooth-meshes) ---
+Below it, also if negative, they start higher, up to the smooth surface (docs/adr/0019-smooth-terminators.md)."""
+
+# --- Shadow rays from triangles that approximate a smooth surface (docs/method/shadows.md#smooth-meshes) ---
 #
-# Where the surface of the vertex normals still faces a light, its flat triangles may face away already, and would cast
-# their outline as a jagged edge of light and shadow. Rays to such lights start on the smooth surface.
+# Where the smooth surface of the vertex normals still faces a light, its flat triangles may already face away and would
+# cast a jagged shadow edge. Rays to such lights start on the smooth surface.
 
 HEIGHT_MIN = wp.constant(wp.float32(SMOOTH_HEIGHT_MIN))
 
@@ -52,9 +53,9 @@ START_COSINE = wp.constant(wp.float32(SMOOTH_START_COSINE))
 
 @wp.func
 def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vertex: wp.vec3, normal: wp.vec3) -> float:
-    """Height above a point, along ``normal``, of the plane through a vertex across the vertex normal.
+    """Returns the height above a point, along ``normal``, of the plane through a vertex across its vertex normal.
 
-    ``to_vertex`` is the vector from the point to the vertex, world space.
+    ``to_vertex`` leads from the point to the vertex, world space.
     """
     across = wp.normalize(instance.world_from_object_normal * meshes.normals[vertex])
     return wp.dot(across, to_vertex) * wp.dot(across, normal)
@@ -64,12 +65,14 @@ def height_at(instance: MeshInstanceData, meshes: MeshData, vertex: int, to_vert
 def smooth_height(
     instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
 ) -> float:
-    """How far above a point of its triangle the smooth surface is (after Hanika 2021), scene units; 0 where it is not.
+    """Returns the height of the smooth surface above a point of its triangle (after Hanika 2021), scene units.
 
-    The smooth surface is the mean of the planes through the corners across their normals, weighted as the corners are.
-    Normals that lean one way without spreading make no such surface.
+    The height is 0 where there is no smooth surface.
 
-    ``normal``: shading normal there, world space, unit, on the side from which the triangle is seen.
+    The smooth surface is the weighted mean of the planes through the corners orthogonal to the vertex normals. Normals
+    that lean one way without spreading form no such surface.
+
+    ``normal`` is the shading normal there, world space, unit, on the visible side of the triangle.
     """
     if instance.has_normals == 0:
         return 0.0
@@ -87,9 +90,9 @@ def smooth_height(
 
 @wp.func
 def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contribution:
-    """Returns ``contribution`` with the way to the same point of the light from a start that is moved by ``lift``.
+    """Returns ``contribution`` aimed at the same point of the light from a start that is moved by ``lift``.
 
-    With the old length, the ray would end behind a triangle that shines.
+    With the old length, the ray would end behind an emissive triangle.
     """
     if contribution.distance < wp.inf and wp.length_sq(lift) > 0.0:
         to_light = contribution.distance * contribution.direction - lift
@@ -100,10 +103,10 @@ def aimed_from_lifted_start(contribution: Contribution, lift: wp.vec3) -> Contri
 
 @wp.func
 def lift_of(height: float, normal: wp.vec3, geometric_normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
-    """From the triangle to where a shadow ray begins: on the smooth surface, if the triangle does not face the light.
+    """Returns the vector from a triangle to the origin of a shadow ray on the smooth surface.
 
-    Triangles that face it by a cosine of ``SMOOTH_START_COSINE`` or more hide no convex surface from it, and keep their
-    contact with what stands on them; between, the ray starts in proportion.
+    Triangles that face the light by a cosine of ``SMOOTH_START_COSINE`` or more shadow no convex surface: rays start on
+    them, which keeps contact shadows. Below that, the origin moves proportionally up to the smooth surface.
     """
     share = wp.clamp(1.0 - wp.dot(geometric_normal, direction) / START_COSINE, 0.0, 1.0)
     return share * height * normal
@@ -115,12 +118,12 @@ SHADE_OPTIONS = {
     "enable_backward": False,
     "fuse_fp": False,
 }
-"""Module options of the kernels that shade surfaces."""
+"""Module options of kernels that shade surfaces."""
 
 
 @wp.func
 def unit_or(vector: wp.vec3, least: float, otherwise: wp.vec3) -> wp.vec3:
-    """The normalised vector; ``otherwise`` if it is no longer than ``least``."""
+    """Normalises a vector; returns ``otherwise`` if it is not longer than ``least``."""
     if wp.length(vector) > least:
         return wp.normalize(vector)
     return otherwise
@@ -136,10 +139,10 @@ def bsdf_of(
     transmission: float,
     eta: float,
 ) -> Bsdf:
-    """The BSDF of a material at a point (docs/adr/0009).
+    """Returns the BSDF of a material at a point (docs/adr/0009).
 
-    ``color`` is the base colour, linear, and ``eta`` the index of refraction on the side of the viewer over that behind
-    the surface.
+    ``color`` is the linear base colour, ``eta`` the index of refraction on the viewer's side over the index behind the
+    surface.
     """
     bsdf = Bsdf()
     bsdf.model = materials[number].model
@@ -167,7 +170,7 @@ def bsdf_of(
         bsdf.sheen_curve = materials[number].sheen_curve
         fresnel_mean = materials[number].fresnel_mean
         if smooth_alpha <= 0.0 and eta != 1.0 / ior and eta != ior:
-            fresnel_mean = mean_fresnel(eta)  # beside a medium
+            fresnel_mean = mean_fresnel(eta)  # next to another medium
         bsdf.mean_mirrored = mean_mirrored_share(bsdf.dielectric, bsdf.eta, smooth_alpha, fresnel_mean)
     else:
         bsdf.diffuse = wp.cw_mul(materials[number].diffuse, color)
@@ -214,7 +217,7 @@ def load_interaction(j: int, wave: wp.array[WaveData]) -> Interaction:
 
 @wp.func
 def store_interaction(j: int, interaction: Interaction, wave: wp.array[WaveData]):
-    """Writes interaction ``j``, except for what its shadow rays begin with."""
+    """Writes interaction ``j``, except for the start of its shadow rays."""
     wave[0].interactions.exists[j] = interaction.exists
     if not interaction.exists:
         return
@@ -255,7 +258,7 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 @wp.func
 def texel(meshes: MeshData, values: wp.array[float], texture: TextureData, uv: wp.vec2) -> wp.vec3:
-    """A texture's colour at ``uv``; ``values`` maps its bytes to colours."""
+    """Returns a texture's colour at ``uv``; ``values`` maps its bytes to colours."""
     return sample_texture(meshes.texels, values, texture, uv)
 
 
@@ -268,7 +271,7 @@ def mapped_normal(
     uv: wp.vec2,
     normal: wp.vec3,
 ) -> wp.vec3:
-    """A shading normal perturbed by a normal map; both point out of the mesh.
+    """Perturbs a shading normal by a normal map; both normals point out of the mesh.
 
     Tangents follow from the gradients of the texture coordinates over the triangle.
     """
@@ -284,7 +287,7 @@ def mapped_normal(
     if not wp.length(tangent) > 0.0:
         return normal
     tangent = wp.normalize(tangent)
-    # v runs down the image, y of the map up.
+    # v runs down the image, y of the normal map up.
     across = wp.normalize(across)
     if wp.dot(across, upwards) < 0.0:
         across = -across
@@ -298,9 +301,9 @@ def mapped_normal(
 def mesh_interaction(
     i: int, transmittance: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """The interaction of ray ``i`` with the mesh that it hits, behind Gaussians of this transmittance.
+    """Returns the interaction of ray ``i`` with the mesh that it hits, behind Gaussians of this transmittance.
 
-    It does not exist if the mesh reflects nothing, or only as a mirror does.
+    The interaction does not exist if the mesh reflects nothing, or only as a mirror.
     """
     interaction = Interaction()
     number = wave[0].meshes.instance[i]
@@ -319,7 +322,7 @@ def mesh_interaction(
         uv = hit_uv(meshes, corners, weights)
         if material.metallic_roughness_texture.width > 0:
             factors = texel(meshes, meshes.unit_from_byte, material.metallic_roughness_texture, uv)
-            # Only smooth materials mirror: a texel of 0 is a narrow highlight, not none.
+            # Only smooth materials reflect as mirrors: a texel of 0 makes a narrow highlight.
             roughness = wp.max(roughness * factors[1], wp.min(roughness, ROUGHNESS_MIN))
             metallic *= factors[2]
         if material.normal_texture.width > 0:
@@ -327,7 +330,7 @@ def mesh_interaction(
         if material.occlusion_texture.width > 0:
             arriving = texel(meshes, meshes.unit_from_byte, material.occlusion_texture, uv)
             interaction.occlusion = 1.0 + material.occlusion_strength * (arriving[0] - 1.0)
-    # Light comes through rough surfaces by paths only: else what they do not reflect specularly is scattered back.
+    # Only paths transmit through rough surfaces; elsewhere, the transmitted light is scattered back diffusely.
     lets_through = material.roughness == 0.0 or wave[0].traces_paths != 0
     transmission = wp.where(lets_through, material.transmission, 0.0)
     layers = Layers()
@@ -354,7 +357,7 @@ def mesh_interaction(
         interaction.geometric_normal = -interaction.geometric_normal
         interaction.horizon_normal = -interaction.horizon_normal
         normal = -normal
-    # At a silhouette, a shading normal may face away from the viewer: the geometric one replaces it.
+    # At a silhouette, a shading normal may face away from the viewer; the geometric normal replaces it.
     facing = wp.dot(normal, interaction.wo) > 0.0
     interaction.normal = wp.where(facing, normal, interaction.geometric_normal)
     interaction.smooth_height = smooth_height(instance, meshes, corners, weights, interaction.horizon_normal)
@@ -367,7 +370,7 @@ def mesh_interaction(
 
 @wp.func
 def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Origin of rays that leave the mesh which ray ``i`` hits, on the side to which ``side`` points."""
+    """Returns the origin of rays leaving the mesh that ray ``i`` hits, on the side to which ``side`` points."""
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     return spawn_point(instance, scene[0].meshes, corners, hit_weights(wave[0].meshes.weights[i]), side)
@@ -377,9 +380,9 @@ def mesh_spawn_point(i: int, side: wp.vec3, scene: wp.array[ShadingScene], wave:
 def emission_at(
     number: int, corners: wp.vec3i, weights: wp.vec3, direction: wp.vec3, scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Linear radiance, without lights, of a point of a mesh: emission and reflected ambient light.
+    """Returns the linear radiance of a mesh point without lights: emission and reflected ambient light.
 
-    ``direction``: of the ray that meets it, world space; some materials emit from the front of triangles alone.
+    ``direction`` is that of the ray hitting the point, world space; some materials emit only from front sides.
     """
     material = scene[0].materials[scene[0].splats.shape[0] + number]
     meshes = scene[0].meshes
@@ -400,7 +403,7 @@ def emission_at(
 
 @wp.func
 def mesh_emission(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """The same where ray ``i`` hits a mesh."""
+    """Returns the emission and reflected ambient light where ray ``i`` hits a mesh."""
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     weights = hit_weights(wave[0].meshes.weights[i])
     return emission_at(wave[0].meshes.instance[i], corners, weights, wave[0].rays.direction[i], scene)

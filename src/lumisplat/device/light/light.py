@@ -1,7 +1,7 @@
-"""Every type of light: its samples from a point of a surface, where rays cross it, and what it gives a cell at most.
+"""All light types except the environment: samples from a surface point, ray intersection, and bounds for a cell.
 
-A hard light is sampled at its centre. A soft one has an extent, and ``u`` samples a direction within it: the mean of
-irradiance times cosine over ``u`` is the irradiance by the whole light. The environment has a file of its own.
+A hard light is sampled at its centre. A soft light has an extent, and ``u`` samples a direction within it: the mean of
+irradiance times cosine over ``u`` is the irradiance by the whole light. The environment has its own module.
 
 The equations are in docs/method/lighting.md#lights.
 """
@@ -13,25 +13,25 @@ from lumisplat.device.math.directions import PI, TWO_PI, around
 from lumisplat.device.structs.shading import LightCrossing, LightData, LightSample
 
 LIGHT_POINT: int = wp.constant(0)
-"""Also a sphere."""
+"""Point light or sphere."""
 LIGHT_SPOT: int = wp.constant(1)
 LIGHT_DIRECTIONAL: int = wp.constant(2)
 LIGHT_RECT: int = wp.constant(3)
 LIGHT_ENVIRONMENT: int = wp.constant(4)
 LIGHT_DISK: int = wp.constant(6)
 LIGHT_HEADLIGHT: int = wp.constant(5)
-"""At the eye of the camera, without falloff or shadow: a white surface that faces it looks white."""
+"""Light at the camera's eye without falloff or shadow; a white surface facing it looks white."""
 
 NEAREST2 = wp.constant(wp.float32(LIGHT_DISTANCE_MIN**2))
 BRIGHTEST = wp.constant(wp.vec3(LIGHT_POWER_MAX, LIGHT_POWER_MAX, LIGHT_POWER_MAX))
 WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 TINY = wp.constant(wp.float32(1e-30))
-"""Smallest divisor, and squared distance below which a light is at the point itself and has no direction."""
+"""Smallest divisor, and squared distance below which a light coincides with the point and has no direction."""
 
 
 @wp.func
 def window(light: LightData, distance2: float) -> float:
-    """Attenuation of a light towards the end of its range (glTF, KHR_lights_punctual)."""
+    """Returns the attenuation of a light towards the end of its range (glTF, KHR_lights_punctual)."""
     if light.range == wp.inf:
         return 1.0
     share2 = distance2 / (light.range * light.range)
@@ -40,9 +40,9 @@ def window(light: LightData, distance2: float) -> float:
 
 @wp.func
 def cone(light: LightData, direction: wp.vec3) -> float:
-    """Angular attenuation of a spot at a point that sees it in ``direction``.
+    """Returns the angular attenuation of a spot at a point that sees it in ``direction``.
 
-    ``1 - cosine`` is half the squared distance of the two unit vectors, which keeps its digits in small cones.
+    ``1 - cosine`` is half the squared distance of the two unit vectors, which keeps its digits for narrow cones.
     """
     off = direction + light.direction
     share = (light.outer - 0.5 * wp.dot(off, off)) / wp.max(light.outer - light.inner, TINY)
@@ -52,7 +52,7 @@ def cone(light: LightData, direction: wp.vec3) -> float:
 
 @wp.func
 def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """A point or spot; soft, a sphere of the same candela, sampled in the cone that it subtends."""
+    """Samples a point light or spot; if soft, as a sphere of the same candela, in the cone that it subtends."""
     sample = LightSample()
     offset = light.position - point
     distance2 = wp.dot(offset, offset)
@@ -71,7 +71,7 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
         ratio = light.radius / distance
         if ratio < 1.0:
             cosine = wp.sqrt((1.0 - ratio) * (1.0 + ratio))
-            # 1 - cosine of the cone's edge, and of the direction in it.
+            # ``edge`` is 1 - cosine of the cone's edge, ``lift`` of the direction in it.
             edge = ratio * ratio / (1.0 + cosine)
             lift = u[0] * edge
             sine2 = lift * (2.0 - lift)
@@ -92,7 +92,7 @@ def sample_point(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
 
 @wp.func
 def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
-    """Parallel light; soft, a disc of its angular radius in the sky."""
+    """Samples a directional light; if soft, as a disk of its angular radius."""
     sample = LightSample()
     sample.direction = -light.direction
     sample.distance = wp.inf
@@ -110,13 +110,13 @@ def sample_directional(light: LightData, soft: int, u: wp.vec2) -> LightSample:
 
 @wp.func
 def is_flat(light: LightData) -> bool:
-    """Whether a light shines from one side of a plane."""
+    """Returns whether a light is planar and one-sided (rectangle or disk)."""
     return light.kind == LIGHT_RECT or light.kind == LIGHT_DISK  # noqa: PLR1714
 
 
 @wp.func
 def flat_area(light: LightData) -> float:
-    """Area of a flat light."""
+    """Returns the area of a planar light."""
     if light.kind == LIGHT_DISK:
         return PI * light.radius * light.radius
     return wp.length(wp.cross(light.edge_u, light.edge_v))
@@ -124,7 +124,7 @@ def flat_area(light: LightData) -> float:
 
 @wp.func
 def flat_point(light: LightData, u: wp.vec2) -> wp.vec3:
-    """A random point of a flat light, uniform in area, from its centre."""
+    """Returns a random point of a planar light relative to its centre, uniform in area."""
     if light.kind == LIGHT_DISK:
         return light.radius * wp.sqrt(u[0]) * around(light.direction, 0.0, 1.0, u[1])
     return (u[0] - 0.5) * light.edge_u + (u[1] - 0.5) * light.edge_v
@@ -132,7 +132,7 @@ def flat_point(light: LightData, u: wp.vec2) -> wp.vec3:
 
 @wp.func
 def flat_covers(light: LightData, offset: wp.vec3) -> bool:
-    """Whether a flat light reaches a point of its plane, which is given from its centre."""
+    """Returns whether a point of a planar light's plane, relative to its centre, lies on the light."""
     if light.kind == LIGHT_DISK:
         return wp.dot(offset, offset) <= light.radius * light.radius
     across = wp.cross(light.edge_u, light.edge_v)
@@ -144,7 +144,7 @@ def flat_covers(light: LightData, offset: wp.vec3) -> bool:
 
 @wp.func
 def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """A flat light: all of it at its centre; soft, at a random point of it."""
+    """Samples a planar light: its whole power from its centre or, if soft, a random point."""
     sample = LightSample()
     offset = light.position - point
     if soft != 0:
@@ -162,7 +162,7 @@ def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
     if soft != 0:
         sample.pdf = 1.0 / wp.max(solid_angle, TINY)
     else:
-        # A hard light gives no more irradiance than a whole sky of its radiance.
+        # A hard light gives no more irradiance than a whole hemisphere of its radiance.
         solid_angle = wp.min(solid_angle, PI)
     sample.irradiance = wp.min(solid_angle * light.power, BRIGHTEST)
     return sample
@@ -170,10 +170,9 @@ def sample_flat(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Ligh
 
 @wp.func
 def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> LightSample:
-    """A sample of a light, as ``point`` sees it.
+    """Samples any light but the environment for ``point``.
 
-    ``soft`` 0: all of the light is at its centre; 1: it has an extent, sampled by ``u``, random, 0..1 each. It is any
-    light but the environment.
+    ``soft`` 0: the whole light is at its centre; 1: its extent is sampled by ``u``, random, 0..1 each.
     """
     if light.kind == LIGHT_POINT or light.kind == LIGHT_SPOT:  # noqa: PLR1714
         return sample_point(light, point, soft, u)
@@ -194,7 +193,7 @@ def sample_light(light: LightData, point: wp.vec3, soft: int, u: wp.vec2) -> Lig
 
 @wp.func
 def flat_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
-    """Where a ray reaches the side of a flat light that shines."""
+    """Intersects a ray with the emitting side of a planar light."""
     crossing = LightCrossing()
     crossing.t = wp.inf
     cosine = -wp.dot(direction, light.direction)
@@ -211,7 +210,7 @@ def flat_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Ligh
 
 @wp.func
 def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
-    """Where a ray from outside enters a sphere."""
+    """Intersects a ray that starts outside with a spherical light."""
     crossing = LightCrossing()
     crossing.t = wp.inf
     offset = light.position - origin
@@ -231,7 +230,10 @@ def sphere_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Li
 
 @wp.func
 def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> LightCrossing:
-    """Where a ray crosses a light that is visible, its radiance, and the density of its samples there."""
+    """Intersects a ray with a visible light.
+
+    Returns distance, radiance, and the pdf of light samples in its direction.
+    """
     if is_flat(light):
         return flat_crossing(light, origin, direction)
     return sphere_crossing(light, origin, direction)
@@ -239,7 +241,7 @@ def light_crossing(light: LightData, origin: wp.vec3, direction: wp.vec3) -> Lig
 
 @wp.func
 def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: float) -> float:
-    """The most that the cone of a spot leaves of it anywhere within ``reach`` of a point.
+    """Returns the largest angular attenuation factor of a spot anywhere within ``reach`` of a point.
 
     ``to_light`` and ``distance`` lead from the point to the spot.
     """
@@ -254,9 +256,11 @@ def widest_cone(light: LightData, to_light: wp.vec3, distance: float, reach: flo
 
 @wp.func
 def light_bound(light: LightData, center: wp.vec3, half: float) -> float:
-    """About the irradiance that a light gives what faces it in a cell; above 0 if it gives any surface there some.
+    """Estimates the irradiance by a light of a surface in a cell that faces it.
 
-    The light is any but the environment; ``half``: half the cell's diagonal.
+    The estimate is above 0 if any surface there receives light.
+
+    The light is not the environment; ``half`` is half the cell's diagonal.
     """
     power = wp.dot(WEIGHTS, light.power)
     if light.kind == LIGHT_DIRECTIONAL or light.kind == LIGHT_HEADLIGHT:  # noqa: PLR1714

@@ -1,4 +1,4 @@
-"""Shadow rays: how they leave interactions, and how much light surfaces and Gaussians on them absorb.
+"""Shadow rays: their start at interactions, and attenuation by surfaces and Gaussians.
 
 The equations are in docs/method/shadows.md.
 """
@@ -43,7 +43,7 @@ from lumisplat.device.structs.shading import Contribution, ShadingScene, WaveDat
 
 @wp.func
 def leaves_below(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> bool:
-    """Whether a ray from interaction ``j`` leaves through its surface."""
+    """Returns whether a ray from interaction ``j`` leaves through its surface."""
     if not wave[0].interactions.transmitted:
         return False
     through = wp.dot(direction, wave[0].interactions.geometric_normal[j]) < 0.0
@@ -54,7 +54,10 @@ def leaves_below(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> bool:
 def spawn_origin(
     j: int, direction: wp.vec3, lift: wp.vec3, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Where a ray from interaction ``j`` begins, on the side to which it leaves; ``lift`` as ``spawn_lift``."""
+    """Returns the origin of a ray from interaction ``j``, on the side to which it leaves.
+
+    ``lift`` is the result of ``spawn_lift``.
+    """
     if leaves_below(j, direction, wave):
         stride = wave[0].interactions.exists.shape[0] // 2
         return mesh_spawn_point(j - stride, -wave[0].interactions.geometric_normal[j], scene, wave)
@@ -63,7 +66,10 @@ def spawn_origin(
 
 @wp.func
 def spawn_lift(j: int, direction: wp.vec3, wave: wp.array[WaveData]) -> wp.vec3:
-    """From the spawn point of interaction ``j`` to where a ray begins: on the smooth surface, where that is above."""
+    """Returns the vector from the spawn point of interaction ``j`` to the origin of a ray in a direction.
+
+    The origin lies on the smooth surface where that is higher than the triangle.
+    """
     height = wave[0].interactions.smooth_height[j]
     if height <= 0.0 or leaves_below(j, direction, wave):
         return wp.vec3(0.0)
@@ -81,7 +87,7 @@ def start_shadow_ray(
     wave: wp.array[WaveData],
     rays_out: RayData,
 ):
-    """Starts a shadow ray from interaction ``j`` towards light ``number``; its keys are left to the caller."""
+    """Starts a shadow ray from interaction ``j`` towards light ``number``; the caller sets its random keys."""
     origin = spawn_origin(j, contribution.direction, spawn_lift(j, contribution.direction, wave), scene, wave)
     contribution = aimed_from_lifted_start(contribution, origin - wave[0].interactions.position[j])
     rays_out.is_active[ray] = True
@@ -90,24 +96,27 @@ def start_shadow_ray(
     rays_out.t_min[ray] = wave[0].interactions.spawn_t_min[j]
     rays_out.normal[ray] = wave[0].interactions.geometric_normal[j]
     rays_out.t_max[ray] = contribution.distance
-    if number < scene[0].settings[0].light_count:  # else it is one of triangles that shine
+    if number < scene[0].settings[0].light_count:  # else it is an emissive triangle
         rays_out.t_max[ray] = wp.min(contribution.distance, scene[0].lights[number].range)
     rays_out.path_length[ray] = 0.0
     rays_out.spread[ray] = 0.0
 
 
-# --- Attenuation of light on a shadow ray ---
+# --- Attenuation along a shadow ray ---
 
 
 @wp.func
 def shadow_key(settings: ShadowData) -> wp.uint32:
-    """Key of the random numbers that all rays of a stochastic sample share."""
+    """Returns the key of the random numbers that all rays of a stochastic sample share."""
     return sample_key_of(-1, settings.sample // 16, settings.seed)
 
 
 @wp.func
 def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> float:
-    """Transmittance down to which a ray is followed: where it counts as black; by a number a ray, that number."""
+    """Returns the transmittance at which a shadow ray ends.
+
+    It is the transmittance that counts as black or, with DRAWS_PER_RAY, the ray's random number.
+    """
     if settings.draws == DRAWS_PER_RAY:
         return sobol_2d(pixel_key, sample)[0]
     if settings.draws == DRAWS_SHARED:
@@ -117,7 +126,7 @@ def shadow_floor(settings: ShadowData, pixel_key: wp.uint32, sample: int) -> flo
 
 @wp.func
 def passed_share(settings: ShadowData, transmittance: float) -> float:
-    """The transmittance of a ray that came through; 1 or 0 if it was blocked wholly or not at all."""
+    """Returns the transmittance of a finished shadow ray; with random blocking it is 0 or 1."""
     if settings.draws == DRAWS_NONE:
         return transmittance
     return wp.where(transmittance > 0.0, 1.0, 0.0)
@@ -125,9 +134,9 @@ def passed_share(settings: ShadowData, transmittance: float) -> float:
 
 @wp.func
 def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> wp.vec3:
-    """Share of light that crosses a surface, linear; 0 unless it is smooth and transmits.
+    """Returns the transmittance of a surface for shadow rays, linear; 0 unless the surface is smooth and transmits.
 
-    The ray goes straight on, without refraction. Both sides therefore count as air: light that leaves the mesh has the
+    The ray passes straight, without refraction. Both sides therefore count as air: light that leaves the mesh has the
     Fresnel reflectance of light that enters it, and total internal reflection does not occur.
     """
     if material.smooth == 0:
@@ -138,15 +147,15 @@ def pass_straight(material: SmoothData, base_color: wp.vec3, cosine: float) -> w
 
 @wp.func
 def tint_of(gaussians: GaussianData, i: int) -> wp.vec3:
-    """Linear, view-independent colour of Gaussian ``i``: its SH of degree 0."""
+    """Returns the linear, view-independent colour of Gaussian ``i``: its SH of degree 0."""
     return decode_srgb_color(sh_color(gaussians.sh, i * gaussians.sh_count, 0, wp.vec3(0.0)))
 
 
 @wp.func
 def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.vec3:
-    """Visibility of a light through Gaussians: the factor of each channel.
+    """Returns the visibility of a light through Gaussians, per channel.
 
-    ``tint``: sum of their linear colours, weighted by alpha; its scale is irrelevant.
+    ``tint`` is the alpha-weighted sum of their linear colours; its scale is irrelevant.
     """
     if transmittance <= wp.max(settings.transmittance_min, settings.threshold):
         return wp.vec3(0.0)
@@ -158,28 +167,28 @@ def shadow_of(settings: ShadowData, transmittance: float, tint: wp.vec3) -> wp.v
     return bright * wp.lerp(wp.vec3(1.0), tint / largest, share)
 
 
-# --- Shadows of a packet: what Gaussians absorb, all of them or only the first hits ---
+# --- Shadows of a packet: attenuation by all Gaussians, or by the first hits only ---
 
 
 @struct
 class Absorption:
-    """What a packet has passed so far, one lane a ray; local arrays of the kernel."""
+    """Accumulated attenuation of a packet, one lane for each ray; local arrays of the kernel."""
 
     transmittance: wp.array[float]
-    """0 for rays that are blocked, and for those that are not of the packet."""
+    """Transmittance so far; 0 for blocked rays and for rays outside the packet."""
     floor: wp.array[float]
-    """A ray is blocked as soon as its transmittance falls to this; FAR for rays that are not of the packet."""
+    """Transmittance at which a ray is blocked; FAR for rays outside the packet."""
     tint: wp.array(dtype=float, ndim=2)
-    """Sum of linear colours, weighted by alpha: red, green and blue by lane."""
+    """Alpha-weighted sums of linear colours: rows red, green and blue, one column for each lane."""
 
 
 @struct
 class FirstHits:
-    """The nearest hits of a packet, one lane a ray; local arrays of the kernel."""
+    """Nearest hits of a packet, one lane for each ray; local arrays of the kernel."""
 
     lists: wp.array[HitList]
     hits: wp.array[Hit]
-    """The slots of the lists of all rays."""
+    """Slots of the hit lists of all rays."""
     cut_t: wp.array[float]
     """Hits from (cut_t, cut_index) on do not count."""
     cut_index: wp.array[int]
@@ -187,7 +196,7 @@ class FirstHits:
 
 @wp.func
 def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowData, rays: RayData, first: int):
-    """Nothing absorbed yet."""
+    """Resets the attenuation of all rays."""
     for lane in range(absorption.transmittance.shape[0]):
         is_taken = packet.limit[lane] > 0.0
         absorption.transmittance[lane] = wp.where(is_taken, 1.0, 0.0)
@@ -200,7 +209,7 @@ def begin_absorption(absorption: Absorption, packet: PacketRays, config: ShadowD
 
 @wp.func
 def begin_first_hits(first_hits: FirstHits):
-    """No hits yet."""
+    """Empties the hit lists of all rays."""
     lanes = first_hits.lists.shape[0]
     for lane in range(lanes):
         first_hits.lists[lane] = empty_list(lane * (first_hits.hits.shape[0] // lanes))
@@ -210,9 +219,9 @@ def begin_first_hits(first_hits: FirstHits):
 
 @wp.func
 def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], first: int) -> float:
-    """Lets the Gaussians of a tree count up to the rays' limits; on rays that skip its instance, none of them does.
+    """Sets how far Gaussians of a tree count: up to the rays' limits, or nowhere on rays that skip a shadow catcher.
 
-    Returns the farthest distance at which one counts, at least -FAR: nodes farther away need not be visited.
+    Returns the farthest of these distances, at least -FAR; nodes farther away need not be visited.
     """
     is_shadow_only = tree.number != WORLD and tree.instance.shadow_only != 0
     reach = float(-FAR)
@@ -225,13 +234,13 @@ def end_rays(packet: PacketRays, tree: PacketTree, skips: wp.array[wp.bool], fir
 
 @wp.func
 def shadow_begin(config: ShadowData, particle: Particle, instance: SplatInstanceData) -> float:
-    """The distance from which on a Gaussian shadows a surface of wider Gaussians."""
+    """Returns the distance from which a Gaussian shadows a surface of wider Gaussians."""
     return config.offset * instance.scale * particle.largest_scale + config.offset_absolute
 
 
 @wp.func
 def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
-    """The largest distance at which a hit may count."""
+    """Returns the largest distance at which a hit may count."""
     reach = float(-FAR)
     for lane in range(first_hits.cut_t.shape[0]):
         reach = larger(reach, lesser(first_hits.cut_t[lane], packet.limit[lane]))
@@ -240,7 +249,7 @@ def farthest_reach(first_hits: FirstHits, packet: PacketRays) -> float:
 
 @wp.func
 def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit_list: HitList) -> wp.vec3:
-    """Factor of the light that comes through the hits of a list."""
+    """Returns the visibility of the light through the hits of a list."""
     transmittance = float(1.0)
     tint = wp.vec3()
     for j in range(hit_list.head, hit_list.tail):
@@ -254,26 +263,26 @@ def shadow_of_list(config: ShadowData, scene: SceneBvh, hits: wp.array[Hit], hit
 
 
 class PacketAbsorption(NamedTuple):
-    """Types and functions for a number of lanes."""
+    """Attenuation types and functions for a certain number of lanes."""
 
     storage: Any
-    """The type of a variable in which an Absorption lies."""
+    """Type of the local variable that stores an Absorption."""
     absorption_of: Any
     absorb: Any
 
 
 class PacketFirstHits(NamedTuple):
-    """Types and functions for a number of lanes."""
+    """First-hit types and functions for a certain number of lanes."""
 
     storage: Any
-    """The type of a variable in which FirstHits lie."""
+    """Type of the local variable that stores FirstHits."""
     first_hits_of: Any
     buffer_first_hits: Any
 
 
 @functools.cache
 def packet_absorption_of(lanes: int) -> PacketAbsorption:
-    """What shadows by all Gaussians on packets of up to ``lanes`` rays need."""
+    """Builds types and functions for shadows by all Gaussians on packets of up to ``lanes`` rays."""
     LANES = lanes
     Floats, Vec3s = packet_of(lanes).floats, packet_of(lanes).vec3s
     hit_responses, alphas_at = packet_hits_of(lanes).hit_responses, packet_hits_of(lanes).alphas_at
@@ -281,7 +290,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
     @struct
     class AbsorptionStorage:
-        """The variable in which an Absorption lies."""
+        """Local variable that stores an Absorption."""
 
         transmittance: Floats
         floor: Floats
@@ -289,7 +298,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
     @wp.func
     def absorption_of(storage: wp.ref[AbsorptionStorage]) -> Absorption:
-        """What lies in a variable."""
+        """Returns the Absorption that is stored in a local variable."""
         absorption = Absorption()
         absorption.transmittance = wp.array(ptr=wp.address_of(storage.transmittance), shape=(LANES,), dtype=float)
         absorption.floor = wp.array(ptr=wp.address_of(storage.floor), shape=(LANES,), dtype=float)
@@ -308,7 +317,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
         first: int,
         key: wp.uint32,
     ) -> int:
-        """Adds what a Gaussian absorbs, and ends the rays that it blocks; returns 1 if a ray hits it, else 0."""
+        """Attenuates the rays by a Gaussian and ends those that it blocks; returns 1 if any ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
         kind, across2, along2 = hit_responses(particle, begin, packet)
         found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)
@@ -344,7 +353,7 @@ def packet_absorption_of(lanes: int) -> PacketAbsorption:
 
 @functools.cache
 def packet_first_hits_of(lanes: int) -> PacketFirstHits:
-    """What shadows by the nearest Gaussians on packets of up to ``lanes`` rays need."""
+    """Builds types and functions for shadows by the nearest Gaussians on packets of up to ``lanes`` rays."""
     LANES = lanes
     HITS = lanes * HIT_COUNTS[-1]
     Floats, Ints = packet_of(lanes).floats, packet_of(lanes).ints
@@ -353,7 +362,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
 
     @struct
     class FirstHitsStorage:
-        """The variable in which FirstHits lie."""
+        """Local variable that stores FirstHits."""
 
         lists: storage_of(HitList, lanes)
         hits: storage_of(Hit, HITS)
@@ -362,7 +371,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
 
     @wp.func
     def first_hits_of(storage: wp.ref[FirstHitsStorage]) -> FirstHits:
-        """The hits that lie in a variable."""
+        """Returns the FirstHits that are stored in a local variable."""
         first_hits = FirstHits()
         first_hits.lists = wp.array(ptr=wp.address_of(storage.lists), shape=(LANES,), dtype=HitList)
         first_hits.hits = wp.array(ptr=wp.address_of(storage.hits), shape=(HITS,), dtype=Hit)
@@ -381,7 +390,7 @@ def packet_first_hits_of(lanes: int) -> PacketFirstHits:
         rays: RayData,
         first: int,
     ) -> int:
-        """Adds the hits of a Gaussian to the lists of their rays; returns 1 if a ray hits it, else 0."""
+        """Inserts the hits of a Gaussian into the lists of their rays; returns 1 if any ray hits it, else 0."""
         begin = shadow_begin(config, particle, instance)
         t, distance2, kind = hit_distances(particle, instance.scale, config.hit_distance, begin, packet)
         found = counted_hits(kind, begin, packet, particle, instance, scene, rays, first)

@@ -1,4 +1,4 @@
-"""The surface of the Gaussians on a ray, and what lights change of shadow catchers.
+"""Surface of the Gaussians on a ray, and the effect of lights on shadow catchers.
 
 The equations are in docs/method/lighting.md#surfaces.
 """
@@ -24,12 +24,12 @@ from lumisplat.device.structs.shading import (
 )
 
 CAPTURED_SHARE_MIN = 1.0e-6
-"""Share of a ray of Gaussians that keep their captured colour, below which it is rounding beside relit ones."""
+"""Weight of captured colours on a ray below which they count as rounding error beside relit Gaussians."""
 
 CAPTURED_MIN = wp.constant(wp.float32(CAPTURED_SHARE_MIN))
 
 NEAR_MESH = wp.constant(wp.float32(0.999))
-"""Share of the way to a mesh below which a point is certainly before it, however both are rounded."""
+"""Fraction of the distance to a mesh below which a point is certainly in front of it despite rounding."""
 
 NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
@@ -38,7 +38,7 @@ ROUGHNESS_MIN = wp.constant(wp.float32(SPLAT_ROUGHNESS_MIN))
 
 @wp.func
 def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
-    """Whether ray ``i`` sees the environment and the background: those within highlights do not."""
+    """Returns whether ray ``i`` sees the environment and the background; highlight rays do not."""
     if wave[0].sees_environment:
         return wave[0].sees_environment[i]
     return True
@@ -46,7 +46,10 @@ def sees_environment(i: int, wave: wp.array[WaveData]) -> bool:
 
 @wp.func
 def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Whether a mesh, the environment or nothing is behind the Gaussians: linear light, and not the background."""
+    """Returns whether linear light is behind the Gaussians instead of the background.
+
+    A mesh, the environment or nothing counts as linear light.
+    """
     if wave[0].meshes.face[i] >= 0:
         return True
     if wave[0].from_camera != 0:
@@ -56,7 +59,7 @@ def is_over_light(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """Distance along ray ``i`` to where it passes the mean of the surface's Gaussian."""
+    """Returns the distance along ray ``i`` to the projection of the mean of the surface's Gaussian."""
     instance = scene[0].splats[surface.instance]
     mean = scene[0].attributes[instance.asset].means[surface.gaussian] - instance.object_from_world_offset
     to_mean = instance.scale * (instance.world_from_object * mean) - wave[0].rays.origin[i]
@@ -65,7 +68,10 @@ def distance_to_mean(i: int, surface: SplatSurface, scene: wp.array[ShadingScene
 
 @wp.func
 def reflects_as_captured(surface: SplatSurface, scene: wp.array[ShadingScene]) -> bool:
-    """Whether the iso-opacity surface is there, and of a kept set that lights change: shadow-only, or reflecting."""
+    """Returns whether the iso-opacity surface exists and belongs to an unrelit set that lights change.
+
+    Such sets are shadow catchers, or emit their captured colour and reflect light.
+    """
     if not surface.depth < wp.inf:
         return False
     instance = surface.instance
@@ -74,11 +80,11 @@ def reflects_as_captured(surface: SplatSurface, scene: wp.array[ShadingScene]) -
 
 @wp.func
 def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> SplatSurface:
-    """The surface of the Gaussians before the nearest mesh on ray ``i``, and their captured colours.
+    """Returns the surface of the Gaussians in front of the nearest mesh on ray ``i``, and their captured colours.
 
-    What relit sets show is apart from what others do (docs/method/lighting.md#surfaces).
+    Contributions of relit sets are kept separate from those of others (docs/method/lighting.md#surfaces).
 
-    ``over_light``: whether linear light is behind them, not the background that colours were captured over.
+    ``over_light``: whether linear light is behind them instead of the background over which colours were captured.
     """
     surface = SplatSurface()
     surface.instance = -1
@@ -98,7 +104,7 @@ def splat_surface(i: int, over_light: bool, scene: wp.array[ShadingScene], wave:
             relit_color = wave[0].gaussians.relit_color[i]
             relit_index = wave[0].gaussians.relit_gaussian[i]
             if captured_surface and relit <= alpha - relit:
-                # One surface a ray is lit: this one, and the few relit Gaussians on it show as captured.
+                # Only one surface of a ray is lit: this one, and the few relit Gaussians on the ray show as captured.
                 relit = float(0.0)
         elif scene[0].materials[surface.instance].keeps_capture == 0:
             relit = alpha
@@ -130,10 +136,10 @@ def with_captured(
     over_light: bool,
     scene: wp.array[ShadingScene],
 ) -> SplatSurface:
-    """The surface with the captured colours that the ray shows, and their weight.
+    """Adds to a surface the captured colours on the ray and their weight.
 
-    ``color`` is that of all Gaussians on the ray, ``relit_color`` that of relit sets, whose share is ``relit``;
-    ``over_light`` as for ``splat_surface``.
+    ``color`` is the colour of all Gaussians on the ray, ``relit_color`` that of relit sets with weight ``relit``;
+    ``over_light`` is as for ``splat_surface``.
     """
     if relit > 0.0:
         color = color - relit_color
@@ -151,15 +157,15 @@ def with_captured(
 
 @wp.func
 def reflects_light(surface: SplatSurface) -> bool:
-    """Whether lights change what Gaussians show: they do not only emit their captured colour."""
+    """Returns whether lights change the Gaussians' appearance, which then do not only emit captured colour."""
     return surface.gaussian >= 0
 
 
 @wp.func
 def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Share, per channel, of a ray's decoded captured colour that is not the background's.
+    """Returns the fraction, per channel, of a ray's decoded captured colour that is not the background's.
 
-    ``over_light`` as for ``splat_surface``.
+    ``over_light`` is as for ``splat_surface``.
     """
     shown = captured_color(surface.captured, surface.weight)
     behind = wp.vec3(0.0)
@@ -174,8 +180,8 @@ def shown_share(surface: SplatSurface, over_light: bool, scene: wp.array[Shading
 
 @wp.func
 def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp.vec2:
-    """Roughness and metallic of a Gaussian of an instance."""
-    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    """Returns roughness and metallic of a Gaussian of an instance."""
+    # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     asset = scene[0].splats[instance].asset
     roughness = scene[0].materials[instance].roughness
     metallic = scene[0].materials[instance].metallic
@@ -189,10 +195,10 @@ def finish_of(instance: int, gaussian: int, scene: wp.array[ShadingScene]) -> wp
 
 @wp.func
 def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Returns the point of ray ``i`` at a depth, world space; where a mesh is as near, the point just before that.
+    """Returns the point of ray ``i`` at a depth, world space; close to a mesh, the point just in front of the mesh.
 
-    Splats are wider in the image than their Gaussians: on a ray that meets a wall before it reaches the floor, the
-    floor's surface would be on the far side of the wall, and lit from there.
+    Splats are wider in the image than their Gaussians. On a ray that hits a wall in front of the floor, the floor's
+    surface would lie on the far side of the wall and be lit from there.
     """
     point = wave[0].rays.origin[i] + depth * wave[0].rays.direction[i]
     if wave[0].meshes.face[i] >= 0 and depth > NEAR_MESH * wave[0].meshes.t[i]:
@@ -210,14 +216,14 @@ def before_mesh(i: int, depth: float, scene: wp.array[ShadingScene], wave: wp.ar
 def splat_interaction(
     i: int, surface: SplatSurface, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Interaction:
-    """The interaction of ray ``i`` with the surface of its Gaussians, which must pass ``reflects_light``."""
+    """Returns the interaction of ray ``i`` with the surface of its Gaussians, which must pass ``reflects_light``."""
     interaction = Interaction()
-    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     interaction.exists = True
     to_eye = -wave[0].rays.direction[i]
     interaction.position = before_mesh(i, surface.depth, scene, wave)
     interaction.normal = unit_or(wave[0].gaussians.normal[i], NORMAL_MIN * (1.0 - surface.transmittance), to_eye)
-    # What bends away at a silhouette is lit by its own normal, and seen from its own side.
+    # A surface that curves away at a silhouette is lit by its own normal, and viewed from its own side.
     interaction.wo = flipped_to_front(to_eye, interaction.normal)
     interaction.horizon_normal = interaction.normal
     interaction.geometric_normal = interaction.normal
@@ -235,7 +241,10 @@ def splat_interaction(
 
 @wp.func
 def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float:
-    """Distance from the Gaussians' surface within which Gaussians as large cast no shadow on it, scene units."""
+    """Returns the distance from the Gaussians' surface within which equally large Gaussians cast no shadow on it.
+
+    The distance is in scene units.
+    """
     asset = scene[0].splats[surface.instance].asset
     largest = scene[0].splats[surface.instance].scale * wp.max(scene[0].attributes[asset].scales[surface.gaussian])
     return scene[0].settings[0].shadow_offset * largest + scene[0].settings[0].shadow_offset_absolute
@@ -243,12 +252,12 @@ def shadow_offset(surface: SplatSurface, scene: wp.array[ShadingScene]) -> float
 
 @wp.func
 def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[ShadingScene]) -> wp.vec3:
-    """Normal of the layer that the surface's Gaussian is of: its shading normal; zero if it does not tell one.
+    """Returns the normal of the layer of the surface's Gaussian: its shading normal; zero if no layer is identifiable.
 
-    It must be flat and, by its own normal, seen from the front: silhouettes show some Gaussians from behind, from where
-    all others of their layer stand before them.
+    The Gaussian must be flat and, by its own normal, seen from the front: silhouettes show some Gaussians from behind,
+    where the others of their layer lie in front of them.
     """
-    # Fields are read one by one: copying these structs for each ray would cost more than the shading.
+    # Fields are read one by one, because copying these structs for each ray would cost more than the shading.
     instance = surface.instance
     asset = scene[0].splats[instance].asset
     if not is_flat(scene[0].attributes[asset].scales[surface.gaussian]):
@@ -265,14 +274,14 @@ def layer_normal(surface: SplatSurface, normal: wp.vec3, scene: wp.array[Shading
 
 @wp.func
 def catcher_received(light: CatcherLight) -> float:
-    """Irradiance of a shadow catcher without anything that was added, in one channel."""
+    """Returns the irradiance of a shadow catcher without added objects, in one channel."""
     rest = wp.where(light.ambient > 0.0, light.ambient, light.emitted_unshadowed)
     return light.unshadowed + wp.max(rest, light.least - light.unshadowed)
 
 
 @wp.func
 def catcher_change(light: CatcherLight) -> float:
-    """Relative change of the light on a shadow catcher by all that was added to its place, in one channel.
+    """Returns the relative change of a shadow catcher's irradiance by all added objects, in one channel.
 
     `lumisplat.baking.gaussian_views.CatcherLight` is the same in NumPy.
     """
@@ -293,13 +302,13 @@ def catcher_change(light: CatcherLight) -> float:
 
 @wp.func
 def weighted_factor(factor: float, weight: float) -> float:
-    """The factor of a captured colour, as one of a pixel of which it has the share ``weight``."""
+    """Converts the factor of a captured colour to that of a pixel in which it has the weight ``weight``."""
     return 1.0 + weight * (factor - 1.0)
 
 
 @wp.func
 def straight_factor(factor: wp.vec3, weight: float) -> wp.vec3:
-    """The inverse of ``weighted_factor``, of three channels; 1 where nothing was captured."""
+    """Inverts ``weighted_factor`` for three channels; 1 where there is no captured colour."""
     if weight <= 0.0:
         return wp.vec3(1.0)
     return wp.max(wp.vec3(1.0) + (factor - wp.vec3(1.0)) / weight, wp.vec3(0.0))

@@ -1,1 +1,1 @@
-"""Materials: BSDFs, Fresnel, and what mirrors and glass do with a ray."""
+"""Materials: BSDFs, Fresnel reflection and refraction, media, and specular bounces."""

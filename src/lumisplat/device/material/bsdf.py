@@ -1,7 +1,7 @@
-"""BSDFs: evaluated, sampled, and the densities of samples.
+"""BSDFs: evaluation, sampling, and pdfs.
 
-Directions are unit vectors away from the surface, ``view`` on the side of ``normal``: below it, nothing is reflected,
-but rough glass transmits. The two models are reciprocal, and no more light leaves than arrives.
+Directions are unit vectors away from the surface, ``view`` on the side of ``normal``. Below the surface, nothing is
+reflected, but rough glass transmits. Both models are reciprocal and conserve energy.
 
 The equations are in docs/method/materials.md.
 """
@@ -39,19 +39,22 @@ class BsdfSample:
     """A direction sampled from a BSDF."""
 
     direction: wp.vec3
-    """Unit, away from the surface."""
+    """Unit direction away from the surface."""
     weight: wp.vec3
-    """BSDF times cosine over density; zero: no direction was found."""
+    """BSDF times cosine over pdf; zero: no direction was found."""
     pdf: float
-    """Per steradian."""
+    """Pdf per steradian."""
 
 
-# --- The diffuse part: directions by the cosine, from inside a body only those in which it lets light through ---
+# --- Diffuse lobe: cosine-weighted directions; from inside a body, only those without total reflection ---
 
 
 @wp.func
 def scattered_sine2(bsdf: Bsdf) -> float:
-    """Squared sine of the widest angle at which light comes by the diffuse part: beyond it, all is mirrored."""
+    """Returns the squared sine of the largest angle at which diffuse light leaves.
+
+    Beyond this angle, light is totally reflected.
+    """
     if bsdf.model == BSDF_SIMPLE or bsdf.dielectric <= 0.0 or bsdf.eta <= 1.0:
         return 1.0
     if bsdf.alpha > 0.0 and not transmits(bsdf):
@@ -61,7 +64,7 @@ def scattered_sine2(bsdf: Bsdf) -> float:
 
 @wp.func
 def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
-    """Density with which ``diffuse_direction`` samples a direction of that cosine, per steradian."""
+    """Returns the pdf with which ``diffuse_direction`` samples a direction of this cosine, per steradian."""
     sine2 = scattered_sine2(bsdf)
     if (1.0 - cos_light) * (1.0 + cos_light) > sine2:
         return 0.0
@@ -70,15 +73,15 @@ def diffuse_pdf(bsdf: Bsdf, cos_light: float) -> float:
 
 @wp.func
 def diffuse_direction(bsdf: Bsdf, normal: wp.vec3, u: wp.vec2) -> wp.vec3:
-    """A direction by its cosine, from where light comes by the diffuse part."""
+    """Samples a cosine-weighted direction from which diffuse light arrives."""
     sine2 = u[0] * scattered_sine2(bsdf)
     return around(normal, wp.sqrt(1.0 - sine2), wp.sqrt(sine2), u[1])
 
 
 # --- Layers: clearcoat, and sheen below it (docs/method/materials.md#layers) ---
 #
-# What a layer reflects is missing below it: light there is multiplied by what the layer leaves of that from the view or
-# from the light, whichever is less. Both layers are reciprocal, and no more light leaves than arrives.
+# Light that a layer reflects is missing below it: light there is multiplied by the transmittance of the layer for the
+# view or for the light, whichever is less. Both layers are reciprocal and conserve energy.
 
 HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
 
@@ -87,26 +90,26 @@ SINE2_MIN = wp.constant(wp.float32(1e-12))
 
 @wp.func
 def has_layers(bsdf: Bsdf) -> bool:
-    """Whether there is clearcoat or sheen."""
+    """Returns whether there is clearcoat or sheen."""
     return bsdf.coat > 0.0 or not is_black(bsdf.sheen)
 
 
 @wp.func
 def coat_share(coat: float, alpha: float, cosine: float) -> float:
-    """Share of a white sky that clearcoat reflects to a view at that cosine."""
+    """Returns the albedo of the clearcoat for a view at a cosine."""
     rising = rising_share(cosine, alpha)
     return coat * (HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising)
 
 
 @wp.func
 def sheen_share(curve: wp.vec4, cosine: float) -> float:
-    """The same of white sheen, at least; above 1 where that is."""
+    """Returns a lower bound of the albedo of white sheen for a view at a cosine; it may exceed 1."""
     return wp.exp(curve[0] + cosine * (curve[1] + cosine * (curve[2] + cosine * curve[3])))
 
 
 @wp.func
 def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
-    """Share of light that clearcoat leaves to what is below."""
+    """Returns the fraction of light that the clearcoat passes to the layers below."""
     if bsdf.coat <= 0.0:
         return 1.0
     from_view = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
@@ -115,7 +118,7 @@ def left_by_coat(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 
 @wp.func
 def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
-    """Share of light that sheen leaves to what is below."""
+    """Returns the fraction of light that the sheen passes to the layers below."""
     if is_black(bsdf.sheen):
         return 1.0
     largest = wp.max(sheen_share(bsdf.sheen_curve, cos_view), sheen_share(bsdf.sheen_curve, cos_light))
@@ -124,7 +127,7 @@ def left_by_sheen(bsdf: Bsdf, cos_view: float, cos_light: float) -> float:
 
 @wp.func
 def coat_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Reflection by clearcoat, above the horizon: as a highlight of F0 = 0.04."""
+    """Evaluates the clearcoat above the horizon: a GGX highlight with F0 = 0.04."""
     half = view + light
     length2 = wp.dot(half, half)
     if bsdf.coat <= 0.0 or length2 <= SINE2_MIN:
@@ -137,7 +140,7 @@ def coat_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def coat_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Density of directions mirrored by visible facets of the clearcoat, per steradian."""
+    """Returns the pdf of directions reflected at visible microfacets of the clearcoat, per steradian."""
     half = view + light
     if wp.dot(half, half) <= SINE2_MIN:
         return 0.0
@@ -146,7 +149,7 @@ def coat_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def sheen_masking_exponent(x: float, alpha: float) -> float:
-    """Exponent of the fit of masking (Estevez and Kulla 2017)."""
+    """Returns the exponent of the masking fit (Estevez and Kulla 2017)."""
     smooth = (1.0 - alpha) * (1.0 - alpha)
     a = 21.5473 + smooth * (25.3245 - 21.5473)
     b = 3.82987 + smooth * (3.32435 - 3.82987)
@@ -158,7 +161,7 @@ def sheen_masking_exponent(x: float, alpha: float) -> float:
 
 @wp.func
 def sheen_masking(cosine: float, alpha: float) -> float:
-    """Lambda of the fit."""
+    """Returns Lambda of the masking fit."""
     if cosine < 0.5:
         return wp.exp(sheen_masking_exponent(cosine, alpha))
     return wp.exp(2.0 * sheen_masking_exponent(0.5, alpha) - sheen_masking_exponent(1.0 - cosine, alpha))
@@ -166,7 +169,7 @@ def sheen_masking(cosine: float, alpha: float) -> float:
 
 @wp.func
 def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Reflection by fibres that stand upright, above the horizon (Estevez and Kulla 2017), at most what arrives."""
+    """Evaluates the sheen of upright fibres above the horizon (Estevez and Kulla 2017), limited to conserve energy."""
     half = view + light
     length2 = wp.dot(half, half)
     if is_black(bsdf.sheen) or length2 <= SINE2_MIN:
@@ -183,7 +186,7 @@ def sheen_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp
 
 @wp.func
 def layer_shares(bsdf: Bsdf, cos_view: float, below: float) -> wp.vec2:
-    """Probabilities with which clearcoat and sheen are sampled; ``below``: about the albedo of what is below them."""
+    """Returns the sampling probabilities of clearcoat and sheen; ``below`` is the approximate albedo below them."""
     coat = coat_share(bsdf.coat, bsdf.coat_alpha, cos_view)
     sheen = (1.0 - coat) * mean_of(bsdf.sheen) * wp.min(sheen_share(bsdf.sheen_curve, cos_view), 1.0)
     rest = left_by_coat(bsdf, cos_view, cos_view) * left_by_sheen(bsdf, cos_view, cos_view) * below
@@ -194,23 +197,23 @@ def layer_shares(bsdf: Bsdf, cos_view: float, below: float) -> wp.vec2:
 # --- The BSDF of a material ---
 
 EXPONENT_MIN = wp.constant(wp.float32(-30.0))
-"""Natural logarithm below which a highlight is dark."""
+"""Natural logarithm below which a highlight counts as dark."""
 
-# --- Simple: a diffuse part and a Phong highlight ---
+# --- Simple model: a diffuse lobe and a Phong highlight ---
 
 
 @wp.func
 def simple_scale(bsdf: Bsdf) -> wp.vec3:
-    """Factor, per channel, that limits the sum of diffuse part and highlight to the light that arrives."""
+    """Returns the factor, per channel, that limits diffuse plus highlight albedo to 1."""
     total = bsdf.diffuse + bsdf.specular
     return wp.vec3(1.0 / wp.max(total[0], 1.0), 1.0 / wp.max(total[1], 1.0), 1.0 / wp.max(total[2], 1.0))
 
 
 @wp.func
 def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Phong's cosine to the power of the shininess."""
+    """Returns Phong's cosine to the power of the shininess."""
     cosine = 2.0 * wp.dot(normal, view) * wp.dot(normal, light) - wp.dot(view, light)
-    # As log(x) <= x - 1, most directions need no power.
+    # Because log(x) <= x - 1, most directions need no power.
     if cosine <= 0.0 or bsdf.shininess * (cosine - 1.0) < EXPONENT_MIN:
         return 0.0
     return wp.exp(bsdf.shininess * wp.log(wp.min(cosine, 1.0)))
@@ -218,7 +221,7 @@ def highlight(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """``bsdf_eval`` above the horizon."""
+    """Evaluates the simple model above the horizon, as ``bsdf_eval``."""
     value = INV_PI * bsdf.diffuse
     if wp.max(bsdf.specular) > 0.0:
         value += INV_TWO_PI * (bsdf.shininess + 2.0) * highlight(bsdf, normal, view, light) * bsdf.specular
@@ -229,19 +232,19 @@ def simple_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> w
 
 @wp.func
 def simple_share(bsdf: Bsdf) -> float:
-    """Probability with which the highlight is sampled."""
+    """Returns the probability with which the highlight of the simple model is sampled."""
     specular = mean_of(bsdf.specular)
     if specular <= 0.0:
         return 0.0
     return specular / (specular + mean_of(bsdf.diffuse))
 
 
-# --- Metallic-roughness ---
+# --- Metallic-roughness model ---
 
 
 @wp.func
 def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Fresnel reflectance of a microfacet, by the cosine of incidence (Schlick 1994)."""
+    """Returns the Fresnel reflectance of a microfacet for the cosine of incidence (Schlick 1994)."""
     x = wp.max(1.0 - cosine, 0.0)
     x2 = x * x
     return bsdf.specular + x2 * x2 * x * (wp.vec3(bsdf.grazing) - bsdf.specular)
@@ -249,21 +252,21 @@ def reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def view_albedo(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """Share of a white sky that the highlight reflects to a view at that cosine."""
+    """Returns the albedo of the highlight for a view at a cosine."""
     rising = rising_share(cosine, bsdf.alpha)
     return (1.0 - lost_share(cosine, bsdf.alpha) - rising) * bsdf.specular + wp.vec3(rising * bsdf.grazing)
 
 
 @wp.func
 def head_on_share(dielectric: float, eta: float) -> float:
-    """Share of the light that a dielectric whose reflection has this strength mirrors at normal incidence."""
+    """Returns the reflectance at normal incidence of a dielectric with this reflection strength."""
     ratio = (1.0 - eta) / (1.0 + eta)
     return dielectric * ratio * ratio
 
 
 @wp.func
 def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
-    """Share of the light from that cosine which the dielectric mirrors, by its highlight or along a ray."""
+    """Returns the fraction of light from a cosine that the dielectric reflects, by its highlight or as a mirror."""
     if bsdf.alpha <= 0.0 or transmits(bsdf):
         return dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
     rising = rising_share(cosine, bsdf.alpha)
@@ -273,7 +276,7 @@ def mirrored_share(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mean: float) -> float:
-    """``mirrored_share`` of even light from all around."""
+    """Returns the mean of ``mirrored_share`` for constant hemispherical illumination."""
     if alpha <= 0.0:
         return mean_dielectric_share(dielectric, fresnel_mean, eta)
     rising = mean_rising_share(alpha)
@@ -282,7 +285,7 @@ def mean_mirrored_share(dielectric: float, eta: float, alpha: float, fresnel_mea
 
 @wp.func
 def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
-    """The diffuse part: what is not mirrored on the way in and on the way out (Kelemen and Szirmay-Kalos 2001)."""
+    """Evaluates the diffuse lobe: light not reflected specularly on entry and exit (Kelemen and Szirmay-Kalos 2001)."""
     if bsdf.dielectric <= 0.0:
         return INV_PI * bsdf.diffuse
     enters = 1.0 - mirrored_share(bsdf, cos_light)
@@ -292,7 +295,7 @@ def pbr_diffuse(bsdf: Bsdf, cos_view: float, cos_light: float) -> wp.vec3:
 
 @wp.func
 def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """``bsdf_eval`` above the horizon."""
+    """Evaluates the metallic-roughness model above the horizon, as ``bsdf_eval``."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     value = wp.vec3(0.0)
@@ -306,7 +309,7 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
         value += rescattered_eval(bsdf.rescattered, cos_view, cos_light, bsdf.alpha)
     if bsdf.alpha > 0.0 and bsdf.grazing > 0.0 and length2 > HALF_MIN2:
         alpha = wp.max(bsdf.alpha, ALPHA_GGX_MIN)
-        # Cook and Torrance's D G / (4 cos cos), of which the cosines cancel with Smith's.
+        # Cook and Torrance's D G / (4 cos cos), whose cosines cancel with those of Smith's G.
         facets = ggx_d(normal, half, alpha) * (smith_g1(cos_view, alpha) * smith_g1(cos_light, alpha))
         value += facets * reflectance(bsdf, 0.5 * wp.sqrt(length2))
     return value
@@ -314,7 +317,7 @@ def pbr_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 
 @wp.func
 def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Probability with which the highlight is sampled: its share of the material's directional albedo."""
+    """Returns the probability with which the highlight is sampled: its fraction of the directional albedo."""
     if transmits(bsdf):
         return glass_share(bsdf, cos_view)
     if bsdf.alpha <= 0.0 or bsdf.grazing <= 0.0:
@@ -328,12 +331,12 @@ def pbr_share(bsdf: Bsdf, cos_view: float) -> float:
     return specular / (specular + diffuse)
 
 
-# --- Both, without layers ---
+# --- Both models, without layers ---
 
 
 @wp.func
 def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """``bsdf_eval`` without layers."""
+    """Evaluates the BSDF without layers, as ``bsdf_eval``."""
     if wp.dot(normal, view) <= 0.0:
         return wp.vec3(0.0)
     if wp.dot(normal, light) <= 0.0:
@@ -347,7 +350,7 @@ def base_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 @wp.func
 def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """``bsdf_pdf`` above the horizon."""
+    """Returns the pdf of the simple model above the horizon, as ``bsdf_pdf``."""
     diffuse = INV_PI * wp.dot(normal, light)
     share = simple_share(bsdf)
     if share <= 0.0:
@@ -358,7 +361,7 @@ def simple_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> fl
 
 @wp.func
 def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """``bsdf_pdf`` above the horizon."""
+    """Returns the pdf of the metallic-roughness model above the horizon, as ``bsdf_pdf``."""
     cos_view = wp.dot(normal, view)
     diffuse = diffuse_pdf(bsdf, wp.dot(normal, light))
     share = pbr_share(bsdf, cos_view)
@@ -374,7 +377,7 @@ def pbr_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float
 
 @wp.func
 def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """``bsdf_pdf`` without layers."""
+    """Returns the pdf without layers, as ``bsdf_pdf``."""
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)
     if cos_view <= 0.0:
@@ -390,8 +393,8 @@ def base_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
-    """Normal of a visible microfacet, unit."""
-    # In the plane of view and normal: x is the view, projected onto the surface.
+    """Samples the unit normal of a visible microfacet."""
+    # The frame has x along the view direction projected onto the surface.
     cos_view = wp.dot(normal, view)
     along = view - cos_view * normal
     sine = wp.length(along)
@@ -405,7 +408,7 @@ def facet_mirrored(normal: wp.vec3, view: wp.vec3, alpha: float, u: wp.vec2) -> 
 
 @wp.func
 def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
-    """A direction sampled without layers, unit; zero: none was found."""
+    """Samples a unit direction without layers; zero: none was found."""
     cos_view = wp.dot(normal, view)
     share = float(0.0)
     if bsdf.model == BSDF_SIMPLE:
@@ -427,7 +430,7 @@ def base_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choic
 
 @wp.func
 def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
-    """About the share of a white sky that a view gets without layers, but for what smooth surfaces mirror."""
+    """Estimates the albedo for a view without layers, excluding the mirror reflection of smooth surfaces."""
     if bsdf.model == BSDF_SIMPLE:
         return mean_of(bsdf.diffuse) + mean_of(bsdf.specular)
     albedo = mean_of(bsdf.diffuse) + mean_of(bsdf.transmitted)
@@ -441,7 +444,10 @@ def base_albedo(bsdf: Bsdf, cos_view: float) -> float:
 
 @wp.func
 def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Radiance towards ``view`` over irradiance from ``light``, per steradian, linear Rec.709; without the cosine."""
+    """Evaluates the BSDF: radiance towards ``view`` over irradiance from ``light``, per steradian, without the cosine.
+
+    Values are linear Rec.709.
+    """
     value = base_eval(bsdf, normal, view, light)
     cos_view = wp.dot(normal, view)
     if not has_layers(bsdf) or cos_view <= 0.0:
@@ -456,9 +462,10 @@ def bsdf_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.
 
 @wp.func
 def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Density with which ``bsdf_sample`` samples the direction ``light``, per steradian.
+    """Returns the pdf with which ``bsdf_sample`` samples the direction ``light``, per steradian.
 
-    It integrates to less than 1, by the share of samples below the horizon, or above it that were meant to transmit.
+    It integrates to less than 1 by the fraction of rejected samples: reflections below the horizon, or transmissions
+    above it.
     """
     pdf = base_pdf(bsdf, normal, view, light)
     cos_view = wp.dot(normal, view)
@@ -474,7 +481,7 @@ def bsdf_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> floa
 
 @wp.func
 def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> wp.vec3:
-    """The direction of ``bsdf_sample``; zero: none was found."""
+    """Samples the direction of ``bsdf_sample``; zero: none was found."""
     if not has_layers(bsdf):
         return base_direction(bsdf, normal, view, u, choice)
     cos_view = wp.dot(normal, view)
@@ -490,9 +497,9 @@ def sampled_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, ch
 
 @wp.func
 def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: float) -> BsdfSample:
-    """A direction from which light may come, sampled by how much of it the material reflects.
+    """Samples a direction of incident light in proportion to the material's reflection.
 
-    ``u`` and ``choice``, which decides between the parts of the material, are random, 0..1.
+    ``u`` and ``choice``, which selects a lobe, are random, 0..1.
     """
     sample = BsdfSample()
     sample.direction = normal
@@ -512,7 +519,10 @@ def bsdf_sample(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, u: wp.vec2, choice: 
 
 @wp.func
 def diffuse_share(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Share of ``bsdf_eval``, per channel, that is the diffuse part; nothing of what is transmitted."""
+    """Returns the fraction of ``bsdf_eval``, per channel, that the diffuse lobe contributes.
+
+    The fraction is 0 for transmitted light.
+    """
     share = wp.vec3(0.0)
     cos_view = wp.dot(normal, view)
     cos_light = wp.dot(normal, light)

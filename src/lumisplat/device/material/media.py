@@ -1,8 +1,8 @@
-"""Media that rays travel in: which one, what it absorbs, and what a surface leads from and to.
+"""Participating media inside meshes: the current medium of a ray, its absorption, and interfaces between media.
 
-A ray carries the mesh instances that it is inside of, in the order in which it entered them. Where several overlap, the
-one of the highest priority is the medium, of equal ones the last entered. A surface between one and the same medium is
-not there (after Schmidt and Budge 2002). Thin walls and meshes that let no light in are no media.
+A ray stores the mesh instances that it is inside of, in the order in which it entered them. Where several overlap, the
+one of highest priority is the medium; of equal priorities, the last one entered. A surface between equal media is
+ignored (after Schmidt and Budge 2002). Thin walls and opaque meshes are not media.
 
 The equations are in docs/method/materials.md#media.
 """
@@ -15,13 +15,13 @@ from lumisplat.device.structs.scene import MeshInstanceData
 from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 NESTED = wp.constant(4)
-"""Media that a ray can be in at once; further ones are not noted."""
+"""Number of media that a ray can be in at once; further ones are not recorded."""
 AIR = wp.constant(-1)
 
 
 @wp.func
 def is_in(media: wp.vec4i, number: int) -> bool:
-    """Whether mesh instance ``number`` is among the media."""
+    """Returns whether mesh instance ``number`` is among the media."""
     for k in range(NESTED):
         if media[k] == number + 1:
             return True
@@ -30,7 +30,7 @@ def is_in(media: wp.vec4i, number: int) -> bool:
 
 @wp.func
 def entered(media: wp.vec4i, number: int) -> wp.vec4i:
-    """The media after mesh instance ``number`` is entered."""
+    """Returns the media after mesh instance ``number`` is entered."""
     for k in range(NESTED):
         if media[k] == 0:
             media[k] = number + 1
@@ -40,7 +40,7 @@ def entered(media: wp.vec4i, number: int) -> wp.vec4i:
 
 @wp.func
 def exited(media: wp.vec4i, number: int) -> wp.vec4i:
-    """The media after mesh instance ``number`` is left, where it was last entered."""
+    """Returns the media after mesh instance ``number`` is left, removing its last entry."""
     slot = int(-1)
     for k in range(NESTED):
         if media[k] == number + 1:
@@ -56,7 +56,7 @@ def exited(media: wp.vec4i, number: int) -> wp.vec4i:
 
 @wp.func
 def current(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> int:
-    """The mesh instance that a ray travels in; AIR: in none."""
+    """Returns the mesh instance that a ray travels in; AIR: none."""
     number = AIR
     highest = int(0)
     for k in range(NESTED):
@@ -70,7 +70,7 @@ def current(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> int:
 
 @wp.func
 def index_of(number: int, instances: wp.array[MeshInstanceData]) -> float:
-    """Index of refraction of a medium."""
+    """Returns the index of refraction of a medium."""
     if number == AIR:
         return 1.0
     return instances[number].material.ior
@@ -78,7 +78,7 @@ def index_of(number: int, instances: wp.array[MeshInstanceData]) -> float:
 
 @wp.func
 def index_around(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> float:
-    """Index of refraction where a ray travels."""
+    """Returns the index of refraction of the medium that a ray travels in."""
     if media[0] == 0:
         return 1.0
     return index_of(current(media, instances), instances)
@@ -86,10 +86,10 @@ def index_around(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> floa
 
 @wp.func
 def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> Boundary:
-    """What the surface of a mesh is to a ray: between which media, and whether it is there at all.
+    """Returns the interface that a mesh surface forms for a ray: the media on both sides, and whether it exists.
 
-    ``from_inside``: the ray comes from inside the mesh; what is no medium has no inside. ``media`` are those that the
-    ray has entered.
+    ``from_inside``: the ray comes from inside the mesh; a mesh that is no medium has no inside. ``media`` are those
+    that the ray has entered.
     """
     boundary = Boundary()
     boundary.media = media
@@ -114,7 +114,7 @@ def boundary_of(number: int, from_inside: bool, media: wp.vec4i, instances: wp.a
 
 @wp.func
 def media_of_ray(i: int, wave: wp.array[WaveData]) -> wp.vec4i:
-    """The media that ray ``i`` has entered; none, where they are not noted."""
+    """Returns the media that ray ``i`` has entered; none if they are not recorded."""
     if wave[0].media:
         return wave[0].media[i]
     return wp.vec4i(0)
@@ -122,7 +122,7 @@ def media_of_ray(i: int, wave: wp.array[WaveData]) -> wp.vec4i:
 
 @wp.func
 def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Boundary:
-    """What the mesh that ray ``i`` hits is to it."""
+    """Returns the interface that the mesh hit by ray ``i`` forms."""
     number = wave[0].meshes.instance[i]
     corners = scene[0].meshes.indices[wave[0].meshes.face[i]]
     outward = face_normal(scene[0].mesh_instances[number], scene[0].meshes, corners)
@@ -132,7 +132,7 @@ def boundary_of_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveDa
 
 @wp.func
 def media_before(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec4i:
-    """The media of ray ``i`` up to its surface: that whose inside it hits counts as entered."""
+    """Returns the media of ray ``i`` up to its hit; a mesh hit from inside counts as entered."""
     if wave[0].meshes.face[i] >= 0:
         return boundary_of_ray(i, scene, wave).media
     return media_of_ray(i, wave)
@@ -140,7 +140,7 @@ def media_before(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 
 @wp.func
 def passed(absorption: wp.vec3, distance: float) -> wp.vec3:
-    """Share of the light that a way through a medium leaves: Beer's law, linear."""
+    """Returns the transmittance of a distance in a medium (Beer's law), linear."""
     return wp.vec3(
         wp.where(absorption[0] > 0.0, wp.exp(-absorption[0] * distance), 1.0),
         wp.where(absorption[1] > 0.0, wp.exp(-absorption[1] * distance), 1.0),
@@ -150,7 +150,7 @@ def passed(absorption: wp.vec3, distance: float) -> wp.vec3:
 
 @wp.func
 def absorption_in(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> wp.vec3:
-    """Absorption per scene unit where a ray travels."""
+    """Returns the absorption coefficient, per scene unit, of the medium that a ray travels in."""
     number = current(media, instances)
     if number == AIR:
         return wp.vec3(0.0)
@@ -159,13 +159,13 @@ def absorption_in(media: wp.vec4i, instances: wp.array[MeshInstanceData]) -> wp.
 
 @wp.func
 def absorption_on_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Absorption per scene unit of the medium that ray ``i`` travels in."""
+    """Returns the absorption coefficient, per scene unit, of the medium that ray ``i`` travels in."""
     return absorption_in(media_before(i, scene, wave), scene[0].mesh_instances)
 
 
 @wp.func
 def passed_by_ray(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> wp.vec3:
-    """Share of the light that arrives along ray ``i``, from its surface, linear."""
+    """Returns the transmittance of the medium along ray ``i`` up to its surface, linear."""
     if scene[0].settings[0].absorbs == 0:
         return wp.vec3(1.0)
     distance = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
@@ -181,9 +181,9 @@ def scattered_media(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> wp.vec4i:
-    """The media of a ray that a surface scatters: those behind it, if it goes through the mesh.
+    """Returns the media of a ray that a surface scatters: those behind the surface if it passes through the mesh.
 
-    ``by_mesh``: the mesh scatters it, else Gaussians before it do; ``normal`` is on the side from which it arrives.
+    ``by_mesh``: the mesh scatters it, else Gaussians in front do; ``normal`` is on the side from which the ray arrives.
     """
     if not by_mesh:
         return media_before(i, scene, wave)

@@ -1,6 +1,6 @@
-"""Smooth and rough reflection and refraction: Fresnel, the GGX distribution of microfacets, rough glass.
+"""Smooth and rough reflection and refraction: Fresnel, the GGX microfacet distribution, and rough glass.
 
-Directions are unit vectors, normals unit vectors on the side that the light comes from: ``cosine`` is
+Directions are unit vectors; normals are unit vectors on the side of the incident light. ``cosine`` is
 ``-dot(direction, normal)``. ``eta`` is the index of refraction of that side over that of the other.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
@@ -15,34 +15,34 @@ from lumisplat.device.math.directions import INV_PI, TWO_PI
 from lumisplat.device.structs.shading import Bsdf
 
 GGX_WIDTH_MIN = 1e-6
-"""Alpha (roughness 0.001) below which a rough highlight gets no narrower: float32 directions are no finer."""
+"""Smallest GGX alpha (roughness 0.001) of a rough highlight; float32 directions resolve no less."""
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 NODES = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * (_POINTS + 1.0)).tolist()))
-"""Of the quadrature over the root of the cosine: reflectances rise steeply at grazing angles."""
+"""Quadrature nodes over the root of the cosine, because reflectances rise steeply at grazing angles."""
 
 WEIGHTS = wp.constant(wp.types.vector(length=8, dtype=wp.float32)(*(0.5 * _WEIGHTS).tolist()))
 
 
 @wp.func
 def reflect(direction: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """The reflected direction."""
+    """Returns the reflected direction."""
     return wp.normalize(direction - 2.0 * wp.dot(direction, normal) * normal)
 
 
 @wp.func
 def cosine2_beyond(cosine: float, eta: float) -> float:
-    """Squared cosine of the angle of refraction; not above zero: total internal reflection.
+    """Returns the squared cosine of the refraction angle; not above zero: total internal reflection.
 
-    ``1 - eta^2 (1 - cosine^2)``, without cancellation where the indices are nearly equal.
+    It is ``1 - eta^2 (1 - cosine^2)``, without cancellation for nearly equal indices.
     """
     return (1.0 - eta) * (1.0 + eta) + eta * eta * cosine * cosine
 
 
 @wp.func
 def refract(direction: wp.vec3, normal: wp.vec3, eta: float) -> wp.vec3:
-    """The refracted direction, if there is no total internal reflection."""
+    """Returns the refracted direction, if there is no total internal reflection."""
     cosine = -wp.dot(direction, normal)
     beyond = wp.sqrt(wp.max(cosine2_beyond(cosine, eta), 0.0))
     return wp.normalize(eta * direction + (eta * cosine - beyond) * normal)
@@ -50,7 +50,7 @@ def refract(direction: wp.vec3, normal: wp.vec3, eta: float) -> wp.vec3:
 
 @wp.func
 def fresnel(cosine: float, eta: float) -> float:
-    """Reflectance of a dielectric for unpolarised light; 1 under total internal reflection."""
+    """Returns the Fresnel reflectance of a dielectric for unpolarised light; 1 under total internal reflection."""
     beyond2 = cosine2_beyond(cosine, eta)
     if beyond2 <= 0.0:
         return 1.0
@@ -62,7 +62,7 @@ def fresnel(cosine: float, eta: float) -> float:
 
 @wp.func
 def dielectric_share(strength: float, cosine: float, eta: float) -> float:
-    """Share of the light that a dielectric mirrors; the strength of its reflection does not weaken a total one."""
+    """Returns the reflectance of a dielectric; its strength does not weaken total internal reflection."""
     if cosine2_beyond(cosine, eta) <= 0.0:
         return 1.0
     return strength * fresnel(cosine, eta)
@@ -70,7 +70,7 @@ def dielectric_share(strength: float, cosine: float, eta: float) -> float:
 
 @wp.func
 def mean_fresnel(eta: float) -> float:
-    """``fresnel`` of even light from all around, on the side of the lower index; off by at most 7e-6."""
+    """Returns the mean of ``fresnel`` for constant illumination on the side of the lower index; error at most 7e-6."""
     ratio = wp.min(eta, 1.0 / eta)
     total = float(0.0)
     for k in range(8):
@@ -81,10 +81,10 @@ def mean_fresnel(eta: float) -> float:
 
 @wp.func
 def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> float:
-    """``dielectric_share`` of even light from all around.
+    """Returns the mean of ``dielectric_share`` for constant hemispherical illumination.
 
-    ``fresnel_mean`` is the mean from the side of the lower index, of a strength of 1. ``eta`` is above 1 on the side of
-    the higher index, from where the share 1 / eta^2 of the light gets to the other.
+    ``fresnel_mean`` is the mean from the side of the lower index for a strength of 1. ``eta`` is above 1 on the side of
+    the higher index, from which the fraction 1 / eta^2 of the light crosses.
     """
     mean = strength * fresnel_mean
     if eta > 1.0:
@@ -94,15 +94,15 @@ def mean_dielectric_share(strength: float, fresnel_mean: float, eta: float) -> f
 
 @wp.func
 def schlick(head_on: wp.vec3, cosine: float) -> wp.vec3:
-    """Reflectance of a metal from that at normal incidence (Schlick 1994), linear."""
+    """Returns the reflectance of a metal from that at normal incidence (Schlick 1994), linear."""
     grazing = wp.pow(wp.clamp(1.0 - cosine, 0.0, 1.0), 5.0)
     return head_on + grazing * (wp.vec3(1.0) - head_on)
 
 
 # --- The GGX distribution (Trowbridge and Reitz 1975, Walter et al. 2007) ---
 #
-# ``alpha`` is roughness squared, above 0. Cosines are those with the surface's normal, above 0. No angle is taken from
-# a cosine near 1: sines come from cross products, so that highlights of any width keep their shape in float32.
+# ``alpha`` is roughness squared, above 0. Cosines are relative to the surface normal, above 0. No angle comes from a
+# cosine near 1: sines come from cross products, so that highlights of any width keep their shape in float32.
 
 ALPHA_GGX_MIN = wp.constant(wp.float32(GGX_WIDTH_MIN))
 
@@ -112,9 +112,9 @@ HALF_MIN2 = wp.constant(wp.float32(1e-12))
 
 @wp.func
 def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
-    """D: area of the microfacets with normal ``half`` (of any length), per steradian and area of the surface.
+    """Returns D, the area of microfacets with normal ``half`` (of any length), per steradian and surface area.
 
-    ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between the two normals.
+    D is ``alpha^2 / (pi (alpha^2 cos^2 + sin^2)^2)`` of the angle between the two normals.
     """
     alpha2 = alpha * alpha
     across = wp.cross(normal, half)
@@ -125,19 +125,19 @@ def ggx_d(normal: wp.vec3, half: wp.vec3, alpha: float) -> float:
 
 @wp.func
 def smith_g1(cosine: float, alpha: float) -> float:
-    """Smith's G1, the share of microfacets that are not masked, over twice the cosine (Heitz 2014)."""
+    """Returns Smith's G1, the fraction of unmasked microfacets, over twice the cosine (Heitz 2014)."""
     alpha2 = alpha * alpha
     return 1.0 / (cosine + wp.sqrt(alpha2 + (1.0 - alpha2) * cosine * cosine))
 
 
-# The directional albedo of the highlight is linear in the reflectances: that at normal incidence times
-# ``1 - lost - rising``, that at grazing incidence times ``rising``. Both are fits to quadrature, and err on the side
-# that leaves less to diffuse light (docs/adr/0009); they are exact for smooth surfaces.
+# The directional albedo of the highlight is linear in the reflectances: the one at normal incidence times
+# ``1 - lost - rising`` plus the one at grazing incidence times ``rising``. Both factors are fits to quadrature that
+# rather leave too little to the diffuse lobe (docs/adr/0009); they are exact for smooth surfaces.
 
 
 @wp.func
 def rising_share(cosine: float, alpha: float) -> float:
-    """Share that Schlick's ``(1 - cosine)^5`` reflects; up to 0.08 too much, at grazing angles."""
+    """Returns the directional albedo of Schlick's ``(1 - cosine)^5`` term; up to 0.08 too large at grazing angles."""
     x = wp.max(1.0 - cosine, 0.0)
     above = cosine * x * x + 2.3 * alpha
     below = cosine + alpha * (2.48 + alpha * (38.2 + alpha * 24.7))
@@ -146,7 +146,10 @@ def rising_share(cosine: float, alpha: float) -> float:
 
 @wp.func
 def lost_share(cosine: float, alpha: float) -> float:
-    """Share lost by masking and shadowing of microfacets; up to 0.12 too little, at grazing angles."""
+    """Returns the fraction of light lost by masking and shadowing of microfacets.
+
+    The fit is up to 0.12 too small at grazing angles.
+    """
     above = alpha * alpha * (0.53 + 0.79 * cosine)
     below = cosine * cosine + alpha * (1.15 - 0.91 * cosine + 0.74 * alpha)
     return above / wp.max(below, 1e-30)
@@ -154,23 +157,23 @@ def lost_share(cosine: float, alpha: float) -> float:
 
 @wp.func
 def mean_rising_share(alpha: float) -> float:
-    """A lower bound of ``rising_share``'s mean over all views, weighted by the cosine."""
+    """Returns a lower bound of the cosine-weighted mean of ``rising_share`` over all views."""
     return 1.0 / (21.0 + alpha * (50.4 + alpha * 357.0))
 
 
 @wp.func
 def mean_lost_share(alpha: float) -> float:
-    """An upper bound of ``lost_share``'s mean over all views, weighted by the cosine."""
+    """Returns an upper bound of the cosine-weighted mean of ``lost_share`` over all views."""
     return alpha * alpha / (0.26 + alpha * (1.05 + alpha * 0.3))
 
 
 @wp.func
 def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
-    """Of what single scattering loses in a metal, the share that is reflected after all (Kulla and Conty 2017).
+    """Returns the fraction of a metal's single-scattering loss that multiple scattering reflects.
 
-    Each time, light leaves with the mean albedo of white, or meets another facet.
+    At each further bounce, light leaves with the mean albedo of white, or hits another facet (Kulla and Conty 2017).
 
-    ``head_on``: reflectance of the metal at normal incidence; smooth facets lose nothing.
+    ``head_on`` is the reflectance of the metal at normal incidence; smooth facets lose nothing.
     """
     if alpha <= 0.0:
         return wp.vec3(0.0)
@@ -182,16 +185,16 @@ def rescattered_share(head_on: wp.vec3, alpha: float) -> wp.vec3:
 
 @wp.func
 def rescattered_eval(share: wp.vec3, cos_view: float, cos_light: float, alpha: float) -> wp.vec3:
-    """BSDF of that share: even, but for what each direction loses."""
+    """Evaluates the BSDF of the multiple scattering: diffuse, weighted by the loss in each direction."""
     lost = lost_share(cos_view, alpha) * lost_share(cos_light, alpha)
     return (INV_PI * lost / mean_lost_share(alpha)) * share
 
 
 @wp.func
 def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
-    """A normal of the microfacets visible to ``view`` (Heitz 2018, by the spherical caps of Dupuy and Benyoub 2023).
+    """Samples a microfacet normal visible to ``view`` (Heitz 2018; spherical caps of Dupuy and Benyoub 2023).
 
-    Both in the frame in which the surface's normal is z; its density is ``2 D G1 / (2 cosine) * dot(view, facet)``.
+    Both are in the frame in which the surface normal is z; the pdf is ``2 D G1 / (2 cosine) * dot(view, facet)``.
     """
     axis = wp.normalize(wp.vec3(alpha * view[0], alpha * view[1], view[2]))
     angle = TWO_PI * u[0]
@@ -201,23 +204,23 @@ def sample_ggx_vndf(view: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
     return wp.normalize(wp.vec3(alpha * cap[0], alpha * cap[1], wp.max(cap[2], 0.0)))
 
 
-# --- A rough dielectric of ior 1.5, whose two parts are a number each ---
+# --- A rough dielectric of ior 1.5, with two scalar lobes ---
 #
-# It is what ``pbr_eval`` is without metal, layers and transmission (docs/method/materials.md#metallic-roughness).
+# It equals ``pbr_eval`` without metal, layers and transmission (docs/method/materials.md#metallic-roughness).
 
 HEAD_ON = wp.constant(wp.float32(COAT_HEAD_ON))
 
 
 @wp.func
 def mirrored(cosine: float, alpha: float) -> float:
-    """Share of light from that cosine which the highlight takes."""
+    """Returns the fraction of light from a cosine that the highlight reflects."""
     rising = rising_share(cosine, alpha)
     return HEAD_ON * (1.0 - lost_share(cosine, alpha) - rising) + rising
 
 
 @wp.func
 def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
-    """BSDF of the diffuse part over the base colour."""
+    """Returns the BSDF of the diffuse lobe over the base colour."""
     rising = mean_rising_share(alpha)
     mean = HEAD_ON * (1.0 - mean_lost_share(alpha) - rising) + rising
     return INV_PI * (1.0 - mirrored(cos_light, alpha)) * (1.0 - mirrored(cos_view, alpha)) / (1.0 - mean)
@@ -225,7 +228,7 @@ def diffuse_factor(cos_view: float, cos_light: float, alpha: float) -> float:
 
 @wp.func
 def highlight_factor(normal: wp.vec3, view: wp.vec3, light: wp.vec3, alpha: float) -> float:
-    """BSDF of the highlight, above the horizon; it has no colour."""
+    """Returns the BSDF of the highlight above the horizon, which is colourless."""
     half = view + light
     x = wp.max(1.0 - 0.5 * wp.length(half), 0.0)
     fresnel = HEAD_ON + (1.0 - HEAD_ON) * x * x * x * x * x
@@ -243,7 +246,7 @@ def reflected_dot(
     by_diffuse: float,
     by_highlight: float,
 ) -> wp.float32:
-    """Both parts times the cosine of the light, weighted by the derivatives of a loss by them, above the horizon."""
+    """Returns both lobes times the light's cosine, weighted by the loss derivatives of each lobe; above the horizon."""
     alpha = roughness * roughness
     cos_light = wp.dot(normal, light)
     diffuse = diffuse_factor(wp.dot(normal, view), cos_light, alpha)
@@ -254,22 +257,24 @@ def reflected_dot(
 # --- Rough dielectrics that transmit, and thin walls (docs/method/materials.md#rough-glass) ---
 #
 # Directions are unit vectors away from the surface; ``view`` is on the side of ``normal``, ``light`` on either side.
-# Radiance counts over the square of its medium's index of refraction: no light is gained or lost where rays are bent,
-# as at smooth surfaces.
+# Radiance is divided by the square of its medium's index of refraction, so that refraction neither gains nor loses
+# light, as at smooth surfaces.
 
 BEND_MIN = wp.constant(wp.float32(1e-3))
-"""Least difference of the indices' ratio from 1 by which rays are bent: with none, there is one direction only."""
+"""Smallest difference from 1 of the index ratio by which rays are refracted.
+
+At a ratio of 1, the lobe would be a single direction."""
 
 
 @wp.func
 def transmits(bsdf: Bsdf) -> bool:
-    """Whether light arrives through the surface, over a lobe of directions."""
+    """Returns whether light passes through the surface over a lobe of directions."""
     return not is_black(bsdf.transmitted)
 
 
 @wp.func
 def bending(eta: float) -> float:
-    """The ratio of the indices, but not 1."""
+    """Returns the index ratio, kept away from 1."""
     if wp.abs(eta - 1.0) >= BEND_MIN:
         return eta
     return wp.where(eta > 1.0, 1.0 + BEND_MIN, 1.0 - BEND_MIN)
@@ -277,7 +282,7 @@ def bending(eta: float) -> float:
 
 @wp.func
 def facet_of(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """Normal of the microfacet that sends light to the view, unit, on the side of the view; zero: there is none."""
+    """Returns the unit normal, on the view's side, of the microfacet that sends light to the view; zero: none."""
     half = view + light
     if wp.dot(normal, light) <= 0.0:
         if bsdf.thin_walled:
@@ -293,7 +298,7 @@ def facet_of(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.v
 
 @wp.func
 def facet_reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """What a microfacet mirrors: Fresnel's share of the dielectric, and Schlick's of the metal."""
+    """Returns the reflectance of a microfacet: Fresnel for the dielectric, Schlick for the metal."""
     dielectric = dielectric_share(bsdf.dielectric, cosine, bsdf.eta)
     x = wp.max(1.0 - cosine, 0.0)
     rising = x * x * x * x * x
@@ -303,13 +308,13 @@ def facet_reflectance(bsdf: Bsdf, cosine: float) -> wp.vec3:
 
 @wp.func
 def facet_transmittance(bsdf: Bsdf, cosine: float) -> wp.vec3:
-    """What a microfacet lets through."""
+    """Returns the transmittance of a microfacet."""
     return (1.0 - dielectric_share(bsdf.dielectric, cosine, bsdf.eta)) * bsdf.transmitted
 
 
 @wp.func
 def reflected_chance(bsdf: Bsdf, cosine: float) -> float:
-    """Probability with which a sampled microfacet reflects, and does not transmit."""
+    """Returns the probability with which a sampled microfacet reflects instead of transmitting."""
     reflected = mean_of(facet_reflectance(bsdf, cosine))
     through = mean_of(facet_transmittance(bsdf, cosine))
     if through <= 0.0:
@@ -319,7 +324,11 @@ def reflected_chance(bsdf: Bsdf, cosine: float) -> float:
 
 @wp.func
 def spread_of_facets(bsdf: Bsdf, to_view: float, to_light: float) -> float:
-    """Solid angle of microfacets' normals over that of the light behind the surface that they send to the view."""
+    """Returns the Jacobian of transmission at microfacets.
+
+    It is the solid angle of the normals over the solid angle of the light behind the surface that they send to the
+    view.
+    """
     if bsdf.thin_walled:
         return 0.25 / to_view
     bend = bending(bsdf.eta) * to_view + to_light
@@ -328,7 +337,7 @@ def spread_of_facets(bsdf: Bsdf, to_view: float, to_light: float) -> float:
 
 @wp.func
 def glass_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp.vec3:
-    """What microfacets send to ``view`` over irradiance from ``light``, per steradian, linear; without the cosine."""
+    """Evaluates the microfacet BSDF of rough glass, per steradian, linear, without the cosine."""
     half = facet_of(bsdf, normal, view, light)
     to_view = wp.dot(view, half)
     to_light = wp.dot(light, half)
@@ -346,7 +355,7 @@ def glass_eval(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> wp
 
 @wp.func
 def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> float:
-    """Density with which ``glass_sample`` samples ``light``, per steradian."""
+    """Returns the pdf with which microfacet sampling of rough glass samples ``light``, per steradian."""
     half = facet_of(bsdf, normal, view, light)
     to_view = wp.dot(view, half)
     to_light = wp.dot(light, half)
@@ -364,9 +373,9 @@ def glass_pdf(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, light: wp.vec3) -> flo
 
 @wp.func
 def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, choice: float) -> wp.vec3:
-    """Where light comes from that a sampled microfacet sends to the view; zero: from another microfacet.
+    """Returns the direction of light that a sampled microfacet sends to the view; zero: blocked by another microfacet.
 
-    ``half`` is the normal of the microfacet; ``choice``, random, 0..1, decides between reflection and transmission.
+    ``half`` is the microfacet normal; ``choice``, random, 0..1, selects reflection or transmission.
     """
     to_view = wp.dot(view, half)
     mirrored = wp.normalize(2.0 * to_view * half - view)
@@ -385,7 +394,7 @@ def glass_direction(bsdf: Bsdf, normal: wp.vec3, view: wp.vec3, half: wp.vec3, c
 
 @wp.func
 def glass_share(bsdf: Bsdf, cos_view: float) -> float:
-    """Probability with which microfacets are sampled, and not the diffuse part."""
+    """Returns the probability with which microfacets are sampled instead of the diffuse lobe."""
     mirrored = dielectric_share(bsdf.dielectric, cos_view, bsdf.eta)
     facets = (1.0 - bsdf.metallic) * mirrored + mean_of(bsdf.metal) + (1.0 - mirrored) * mean_of(bsdf.transmitted)
     diffuse = (1.0 - mirrored) * mean_of(bsdf.diffuse)

@@ -1,8 +1,8 @@
-"""Specular bounces at meshes: the surface's own share of a ray's colour, and those of the rays that it spawns.
+"""Specular bounces at meshes: weights of the surface's own colour, the reflected ray and the refracted ray.
 
-In lit frames, weights apply to linear light. In unlit frames they apply to display-referred colours, as captures hold
-them: Fresnel's shares stay as they are, so that reflection and transmission add up to one, and tints are encoded like
-any other colour.
+In lit frames, weights apply to linear light. In unlit frames they apply to display-referred colours, as captures store
+them: Fresnel weights are unchanged, so that reflection and transmission add up to one, and tints are encoded like any
+other colour.
 
 The equations are in docs/method/materials.md#smooth-surfaces.
 """
@@ -32,7 +32,7 @@ SLENDER = wp.constant(wp.float32(SPAWN_SLENDER))
 
 @wp.func
 def stays_outside(direction: wp.vec3, normal: wp.vec3, side: wp.vec3, eta: float, passes: bool) -> bool:
-    """Whether a shading normal reflects to the triangle's near side and refracts to its far one."""
+    """Returns whether a shading normal reflects to the triangle's near side and refracts to its far side."""
     cosine = -wp.dot(direction, normal)
     if cosine <= 0.0 or wp.dot(reflect(direction, normal), side) <= 0.0:
         return False
@@ -53,19 +53,19 @@ def bounce_of(
 ) -> Bounce:
     """Splits the colour of a ray among the surface, the reflected and the refracted ray.
 
-    Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. What a dielectric does not reflect is
-    divided by its transmission between the refracted ray and the base colour.
+    Metals reflect by Schlick's approximation, dielectrics by Fresnel's equations. Light that a dielectric does not
+    reflect is divided, by its transmission, between the refracted ray and the base colour.
 
     ``face_normal`` points out of the mesh: a ray along it comes from inside; opaque materials have no inside.
-    ``shading_normal`` is not used if it would reflect through the triangle, or refract back. ``eta`` is the index of
-    refraction on the side of the ray over that behind the surface. ``lit``: weights are for linear light instead of
+    ``shading_normal`` is ignored if it would reflect through the triangle, or refract back. ``eta`` is the index of
+    refraction on the ray's side over the index behind the surface. ``lit``: weights are for linear light instead of
     display-referred colours.
     """
     bounce = Bounce()
     bounce.color = base_color
     if not lit:
         bounce.color = encode_srgb_color(base_color)
-    # Behind a thin wall is what is before it: rays are reflected as by a solid, and go straight through.
+    # A thin wall has the same medium on both sides: it reflects like a solid, and transmits straight.
     bounce.eta = eta
     if material.thin_walled != 0:
         bounce.eta = 1.0
@@ -102,7 +102,7 @@ def bounce_of(
 
 @wp.func
 def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
-    """The bounce where there is no surface: all of the ray goes on as it was."""
+    """Returns the bounce of a surface that does not exist: the ray continues unchanged."""
     bounce = Bounce()
     bounce.side = face_normal
     if wp.dot(direction, face_normal) > 0.0:
@@ -115,7 +115,10 @@ def straight(face_normal: wp.vec3, direction: wp.vec3) -> Bounce:
 
 @wp.func
 def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> bool:
-    """Whether the mesh that ray ``i`` hits reflects or refracts it, or all or a share of it is not there."""
+    """Returns whether ray ``i`` continues at the mesh that it hits.
+
+    The ray is reflected or refracted, or the surface is partly or wholly absent.
+    """
     material = scene[0].mesh_instances[wave[0].meshes.instance[i]].material
     alpha = scene[0].mesh_instances[wave[0].meshes.instance[i]].alpha
     if material.smooth != 0 or (alpha.mode == ALPHA_BLEND and alpha.is_drawn == 0):
@@ -125,7 +128,10 @@ def sends_rays_on(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 
 @wp.func
 def blended(bounce: Bounce, coverage: float) -> Bounce:
-    """The bounce at a surface of which a share is there: the rest goes on, straight unless the ray is refracted."""
+    """Returns the bounce at a surface that covers only a fraction of the ray.
+
+    The rest of the ray continues, straight unless it is refracted.
+    """
     if coverage >= 1.0:
         return bounce
     if is_black(bounce.refracted):
@@ -139,7 +145,10 @@ def blended(bounce: Bounce, coverage: float) -> Bounce:
 
 @wp.func
 def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> float:
-    """Share of ray ``i`` that the mesh which it hits takes; the rest goes on behind. Rays that draw meet all of it."""
+    """Returns the fraction of ray ``i`` that the hit mesh covers.
+
+    The rest of the ray continues behind the mesh. With random alpha tests, the fraction is 1.
+    """
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     if instance.alpha.is_drawn != 0 or instance.alpha.mode != ALPHA_BLEND:
         return 1.0
@@ -151,7 +160,7 @@ def mesh_coverage(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData
 def bounce_across(
     i: int, boundary: Boundary, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> Bounce:
-    """The bounce of ray ``i`` at the mesh that it hits, which is a boundary of these media."""
+    """Returns the bounce of ray ``i`` at the mesh that it hits, across a given interface."""
     instance = scene[0].mesh_instances[wave[0].meshes.instance[i]]
     meshes = scene[0].meshes
     corners = meshes.indices[wave[0].meshes.face[i]]
@@ -174,13 +183,13 @@ def bounce_across(
 
 @wp.func
 def bounce_of_ray(i: int, lit: bool, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """The bounce of ray ``i`` at the mesh that it hits."""
+    """Returns the bounce of ray ``i`` at the mesh that it hits."""
     return bounce_across(i, boundary_of_ray(i, scene, wave), lit, scene, wave)
 
 
 @wp.func
 def magnitudes(m: wp.mat33) -> wp.mat33:
-    """The absolute values of all entries."""
+    """Returns the absolute values of all entries."""
     result = wp.mat33(0.0)
     for i in range(3):
         for j in range(3):
@@ -192,14 +201,14 @@ def magnitudes(m: wp.mat33) -> wp.mat33:
 def spawn_point(
     instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3, normal: wp.vec3
 ) -> wp.vec3:
-    """A point of a triangle, moved along ``normal`` so far that a ray from there does not hit the triangle again.
+    """Returns a point of a triangle, moved along ``normal`` so that a ray from there does not hit the triangle again.
 
-    The offset follows from the sizes of the numbers that are rounded, for this point and in the next intersection, as
-    far as they affect the distance from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for
-    Avoiding Self-Intersection). A point at an edge also moves away from it, by twice as much: in a corner, the ray
-    would otherwise start behind the other wall.
+    The offset follows from the magnitudes of the numbers that are rounded, for this point and in the next intersection,
+    as far as they affect the distance from the triangle's plane (Waechter and Binder 2019, A Fast and Robust Method for
+    Avoiding Self-Intersection). A point at an edge also moves away from the edge, by twice as much: in a corner, the
+    ray would otherwise start behind the other wall.
 
-    ``weights`` are barycentric; ``normal``, world space, unit, points to the side on which the ray goes on.
+    ``weights`` are barycentric; ``normal``, world space, unit, points to the side on which the ray continues.
     """
     v0 = meshes.positions[corners[0]]
     local_edge1 = meshes.positions[corners[1]] - v0
@@ -209,15 +218,15 @@ def spawn_point(
     edge2 = instance.world_from_object * local_edge2
     first = instance.world_from_object * v0
     offset = instance.world_from_object * local
-    # In object space, distances along the world's unit normal are those along this.
+    # The world-space unit normal as a covector of object space: it measures distances along the normal.
     across = wp.abs(wp.transpose(instance.world_from_object) * normal)
     sizes = 2.0 * wp.abs(instance.position) + wp.abs(offset) + magnitudes(instance.world_from_object) * wp.abs(local)
     local_sizes = (
         wp.abs(v0) + wp.abs(local_edge1) + wp.abs(local_edge2) + magnitudes(instance.object_from_world) * wp.abs(offset)
     )
     error = ERROR * (wp.dot(wp.abs(normal), sizes) + wp.dot(across, local_sizes))
-    # A hit's distance is a mean of the corners', weighted by areas. Its rounding, half of 2^-24 by measurement, is the
-    # only error if the plane goes through the origin along two axes.
+    # A hit's distance is the area-weighted mean of the corners' distances. Its rounding error, half of 2^-24 by
+    # measurement, is the only error if the plane goes through the origin along two axes.
     area = wp.length(wp.cross(edge1, edge2))
     longest = wp.max(wp.length(edge2 - edge1), wp.max(wp.length(edge1), wp.length(edge2)))
     error += ERROR / 16.0 * longest * wp.min(longest * longest / area, SLENDER)

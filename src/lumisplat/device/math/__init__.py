@@ -1,1 +1,1 @@
-"""Colour, spherical harmonics, directions and random numbers on the device."""
+"""Device math: colour, SH, directions, random numbers, memory helpers and sorting."""

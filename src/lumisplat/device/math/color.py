@@ -1,4 +1,4 @@
-"""Colour on the device: the sRGB transfer function, and captured colours."""
+"""Colour on the device: the sRGB transfer function, luminance, and captured colours."""
 
 import warp as wp
 
@@ -9,13 +9,13 @@ LUMINANCE_WEIGHTS = wp.constant(wp.vec3(*LUMINANCE))
 
 @wp.func
 def luminance(color: wp.vec3) -> float:
-    """Of a linear colour."""
+    """Returns the luminance of a linear colour."""
     return wp.dot(LUMINANCE_WEIGHTS, color)
 
 
 @wp.func
 def encode_srgb(linear: float) -> float:
-    """Display-referred value of a linear one >= 0 (IEC 61966-2-1)."""
+    """Encodes a linear value >= 0 as a display-referred one (IEC 61966-2-1)."""
     if linear <= 0.0031308:
         return 12.92 * linear
     return 1.055 * wp.pow(linear, 1.0 / 2.4) - 0.055
@@ -23,15 +23,15 @@ def encode_srgb(linear: float) -> float:
 
 @wp.func
 def encode_srgb_color(linear: wp.vec3) -> wp.vec3:
-    """The same for a colour."""
+    """Encodes a linear colour as display-referred sRGB."""
     return wp.vec3(encode_srgb(linear[0]), encode_srgb(linear[1]), encode_srgb(linear[2]))
 
 
 @wp.func
 def decode_srgb(display: float) -> float:
-    """Linear value of a display-referred one >= 0 (IEC 61966-2-1), to 1e-6 relative.
+    """Decodes a display-referred value >= 0 to a linear one (IEC 61966-2-1), to 1e-6 relative.
 
-    Up to 1, x^2.4 = u^4 u^0.8 with u = sqrt(x) and a minimax polynomial for the latter: faster than a power.
+    Up to 1, x^2.4 = u^4 u^0.8 with u = sqrt(x), and a minimax polynomial replaces u^0.8: faster than a power.
     """
     if display <= 0.04045:
         return display * 0.07739938
@@ -47,25 +47,25 @@ def decode_srgb(display: float) -> float:
 
 @wp.func
 def decode_srgb_color(display: wp.vec3) -> wp.vec3:
-    """The same for a colour."""
+    """Decodes a display-referred sRGB colour to a linear one."""
     return wp.vec3(decode_srgb(display[0]), decode_srgb(display[1]), decode_srgb(display[2]))
 
 
 @wp.func
 def mean_of(color: wp.vec3) -> float:
-    """The mean of the three channels."""
+    """Returns the mean of the three channels."""
     return (color[0] + color[1] + color[2]) / 3.0
 
 
 @wp.func
 def is_black(color: wp.vec3) -> bool:
-    """Whether all channels are 0."""
+    """Returns whether all channels are 0."""
     return color[0] == 0.0 and color[1] == 0.0 and color[2] == 0.0
 
 
 @wp.func
 def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
-    """Linear, premultiplied colour of what was captured."""
+    """Returns the linear, premultiplied captured colour of a premultiplied display-referred colour and its weight."""
     if weight <= 0.0:
         return wp.vec3(0.0)
     return weight * decode_srgb_color(captured / weight)
@@ -73,9 +73,10 @@ def captured_color(captured: wp.vec3, weight: float) -> wp.vec3:
 
 @wp.func
 def over(color: wp.vec3, transmittance: float, behind: wp.vec3) -> wp.vec3:
-    """A premultiplied colour over what is behind.
+    """Composites a premultiplied colour over the colour behind it.
 
-    In double precision, where the product is exact: the same bits whether or not a compiler fuses it with the sum.
+    The sum uses double precision, where the product is exact: results do not depend on whether a compiler fuses the
+    two.
     """
     result = wp.vec3()
     for k in range(3):

@@ -1,4 +1,4 @@
-"""Directions: their angles, directions around an axis, and the octahedral map of all of them."""
+"""Directions: angles, directions around an axis, and the equal-area octahedral map of the sphere."""
 
 import math
 
@@ -17,9 +17,9 @@ INV_TWO_PI = wp.constant(wp.float32(0.5 / math.pi))
 
 @wp.func
 def angle_of(y: float, x: float) -> float:
-    """``atan2`` to 3e-7 radians, 0 at the origin: a quotient and a polynomial, faster than the library's.
+    """Returns ``atan2(y, x)`` to 3e-7 radians, 0 at the origin; faster than the library function.
 
-    The polynomial is a minimax one of atan(t) / t on 0..1, in t^2.
+    It evaluates a minimax polynomial in t^2 of atan(t) / t on 0..1.
     """
     across = wp.abs(y)
     along = wp.abs(x)
@@ -38,9 +38,9 @@ def angle_of(y: float, x: float) -> float:
 
 @wp.func
 def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
-    """A unit direction to the eye, mirrored at the surface of a unit normal where it is below it.
+    """Returns a unit direction to the eye, mirrored at the surface if it lies below the horizon of a unit normal.
 
-    Silhouettes show Gaussians from a little beyond the horizon: they stand for what lies as far before it
+    Silhouettes show Gaussians slightly beyond the horizon, which represent surface as far in front of the horizon
     (docs/method/gaussians.md#normals).
     """
     return to_eye - 2.0 * wp.min(wp.dot(to_eye, normal), 0.0) * normal
@@ -48,9 +48,10 @@ def flipped_to_front(to_eye: wp.vec3, normal: wp.vec3) -> wp.vec3:
 
 @wp.func
 def around(axis: wp.vec3, cosine: float, sine: float, turn: float) -> wp.vec3:
-    """The unit direction at the angle of this cosine and sine from a unit axis, ``turn`` (0..1) of the way around it.
+    """Returns the unit direction at a polar angle from a unit axis and at azimuth ``turn``, 0..1 for a full circle.
 
-    The two tangents of the axis are those of Duff et al. 2017, Building an Orthonormal Basis, Revisited.
+    The polar angle is given by its cosine and sine. The tangents of the axis follow Duff et al. 2017, Building an
+    Orthonormal Basis, Revisited.
     """
     sign = float(1.0)
     if axis[2] < 0.0:
@@ -75,13 +76,13 @@ TWO_OVER_PI = wp.constant(wp.float32(2.0 / math.pi))
 
 @wp.func
 def signed_as(size: float, sign: float) -> float:
-    """``size`` with the sign of ``sign``."""
+    """Returns ``size`` with the sign of ``sign``."""
     return wp.where(sign < 0.0, -size, size)
 
 
 @wp.func
 def direction_of_square(point: wp.vec2) -> wp.vec3:
-    """The unit direction of a point of the square, 0..1."""
+    """Maps a point of the unit square to a unit direction."""
     u = 2.0 * point[0] - 1.0
     v = 2.0 * point[1] - 1.0
     inside = 1.0 - (wp.abs(u) + wp.abs(v))  # positive: in the diamond
@@ -97,7 +98,7 @@ def direction_of_square(point: wp.vec2) -> wp.vec3:
 
 @wp.func
 def square_of_direction(direction: wp.vec3) -> wp.vec2:
-    """The point of the square, 0..1, of a unit direction."""
+    """Maps a unit direction to a point of the unit square."""
     x = wp.abs(direction[0])
     y = wp.abs(direction[1])
     r = wp.sqrt((x * x + y * y) / (1.0 + wp.abs(direction[2])))
@@ -118,7 +119,7 @@ def square_of_direction(direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def cell_of_direction(direction: wp.vec3, cells: int) -> int:
-    """The cell that a unit direction falls into, of ``cells`` x ``cells``, row by row."""
+    """Returns the index, in row order, of the cell of a ``cells`` x ``cells`` map that contains a unit direction."""
     point = square_of_direction(direction)
     x = wp.clamp(int(point[0] * float(cells)), 0, cells - 1)
     y = wp.clamp(int(point[1] * float(cells)), 0, cells - 1)
@@ -127,7 +128,7 @@ def cell_of_direction(direction: wp.vec3, cells: int) -> int:
 
 @wp.func
 def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
-    """The unit direction of a point of a cell, 0..1 across it: its centre is (0.5, 0.5)."""
+    """Returns the unit direction at a position within a cell, 0..1 along each side; the cell's centre is (0.5, 0.5)."""
     y = cell // cells
     x = cell - y * cells
     size = 1.0 / float(cells)
@@ -136,13 +137,13 @@ def direction_in_cell(cell: int, cells: int, within: wp.vec2) -> wp.vec3:
 
 @wp.func
 def cell_width(cells: int) -> float:
-    """Root of the solid angle of a cell, radians."""
+    """Returns the square root of a cell's solid angle, radians."""
     return 2.0 * wp.sqrt(PI) / float(cells)
 
 
 @wp.func
 def wrapped_cell(x: int, y: int, cells: int) -> int:
-    """The cell at a column and a row that may be one beyond the square: its border is folded onto itself."""
+    """Returns the cell at a column and row that may lie one beyond the map, whose border is folded onto itself."""
     if x < 0 or x >= cells:
         x = wp.clamp(x, 0, cells - 1)
         y = cells - 1 - y

@@ -1,25 +1,25 @@
-"""Memory of kernels: aligned structs, arrays on a thread's stack, and sums that a CUDA warp adds up."""
+"""Memory helpers for kernels: aligned struct access, arrays on a thread's stack, and sums over CUDA warps."""
 
 from typing import Any
 
 import warp as wp
 
-# --- Structs of whole 16-byte words, read and written by as many wide accesses on CUDA ---
+# --- Structs of whole 16-byte words, which CUDA reads and writes by wide accesses ---
 #
-# Warp declares structs with the alignment of their numbers, and compilers may not assume more. The arrays here come
-# from allocators that align memory to 64 bytes at least, and are not cut within. On CPUs these are plain accesses.
+# Warp declares structs with the alignment of their members, and compilers may not assume more. The arrays here come
+# from allocators that align memory to at least 64 bytes, and are never sliced. On CPUs these are plain accesses.
 
 _ELEMENT = "*static_cast<decltype(items.data)>(__builtin_assume_aligned(items.data + i, 16))"
 
 
 def _on_cuda(wide: str, plain: str) -> str:
-    """A statement for CUDA, and another for CPUs."""
-    check = 'static_assert(sizeof(item) % 16 == 0, "not of whole 16-byte words");'
+    """Returns C++ code with one statement for CUDA and another for CPUs."""
+    check = 'static_assert(sizeof(item) % 16 == 0, "the size of this struct must be a multiple of 16 bytes");'
     return f"{check}\n#if defined(__CUDA_ARCH__)\n{wide};\n#else\n{plain};\n#endif\n"
 
 
 def aligned_load_of(struct_type: Any) -> Any:
-    """The function that reads a struct from a contiguous array into a variable."""
+    """Returns a function that reads a struct from a contiguous array into a variable."""
 
     @wp.func_native(_on_cuda(f"item = {_ELEMENT}", "item = items.data[i]"))
     def load_aligned(items: wp.array[struct_type], i: int, item: wp.ref[struct_type]): ...
@@ -28,7 +28,7 @@ def aligned_load_of(struct_type: Any) -> Any:
 
 
 def aligned_store_of(struct_type: Any) -> Any:
-    """The function that writes a struct from a variable to a contiguous array."""
+    """Returns a function that writes a struct from a variable to a contiguous array."""
 
     @wp.func_native(_on_cuda(f"{_ELEMENT} = item", "items.data[i] = item"))
     def store_aligned(items: wp.array[struct_type], i: int, item: wp.ref[struct_type]): ...
@@ -36,26 +36,26 @@ def aligned_store_of(struct_type: Any) -> Any:
     return store_aligned
 
 
-# --- Arrays on the stack of a thread, as large as a constant says, which functions can share ---
+# --- Arrays of constant size on the stack of a thread, which functions can share ---
 #
-# Warp passes vectors by value, and copies a vector of a struct to read one of its numbers. So what functions share are
-# arrays, which lie in a local variable of the kernel: ``wp.array(ptr=wp.address_of(variable), ...)``. Warp's own local
-# arrays, of ``wp.zeros``, hide from the optimiser where they lie: with them kernels take twice as long.
+# Warp passes vectors by value, and copies a vector of a struct to read one element. Functions therefore share arrays
+# that are stored in a local variable of the kernel: ``wp.array(ptr=wp.address_of(variable), ...)``. Warp's own local
+# arrays, from ``wp.zeros``, hide their memory from the optimiser, and kernels take twice as long.
 
 
 def storage_of(struct_type: Any, count: int) -> Any:
-    """The type of a variable that has room for ``count`` structs, and their alignment, that of 4-byte numbers."""
+    """Returns a type for a local variable with room for ``count`` structs, aligned as 4-byte numbers."""
     return wp.types.vector(length=count * wp.types.type_size_in_bytes(struct_type) // 4, dtype=wp.int32)
 
 
-# --- Sums over the threads of each CUDA warp of a block, in memory that the block shares, without barriers ---
+# --- Sums over the threads of each CUDA warp, in shared memory, without barriers ---
 #
-# ``wp.tile_sum`` adds up over whole blocks, and each sum has barriers and an atomic count. Here each warp has a place
-# of its own in a row for each of many sums; after a barrier, the block reads the rows and adds the warps' parts in
+# ``wp.tile_sum`` sums over whole thread blocks, with barriers and an atomic count for each sum. Here each warp has its
+# own element in the row of each of many sums; after one barrier, the block reads the rows and adds the warps' parts in
 # order.
 
 _DECLARED = """
-    constexpr int LENGTH = {length}, WARPS = {warps}, STRIDE = {rows} + 1;  // numbers of a sum lie in different banks
+    constexpr int LENGTH = {length}, WARPS = {warps}, STRIDE = {rows} + 1;  // elements of a sum lie in different banks
 """
 
 _MEMORY = (
@@ -94,7 +94,7 @@ _ADD = (
         #pragma unroll
         for (int i = 0; i < 16; ++i)
             v[i] = has_part && i < LENGTH ? part[i] : 0.0f;
-        // Lanes change halves with each other, until each pair of lanes has all of one number.
+        // Lanes exchange halves until each pair of lanes holds all terms of one element.
         EXCHANGES
         const float total = v[0] + __shfl_xor_sync(all, v[0], 1);
         if (lane % 2 == 0 && lane / 2 < LENGTH)
@@ -131,16 +131,16 @@ _READ = (
 
 
 def warp_sums(vector: Any, warps: int, rows: int) -> tuple[Any, Any]:
-    """Functions that add up vectors over warps.
+    """Builds functions that sum vectors over the threads of each warp.
 
     Args:
-        vector: The Warp type of what is added up, of 16 float32 at most.
-        warps: Warps of a block.
-        rows: Sums that are kept at a time.
+        vector: Warp type of the summed vectors, at most 16 float32.
+        warps: Warps in a thread block.
+        rows: Number of sums held at a time.
 
     Returns:
-        ``add_up(row, part, has_part)``, which all threads of the block call for the same rows (on CUDA, those of a warp
-        may be ahead of others), and ``sum_of(row)``, for any thread once the block has come to a barrier.
+        ``add_up(row, part, has_part)``, which all threads of the block call with the same rows (CUDA warps may run
+        ahead of each other), and ``sum_of(row)``, which any thread may call after a block barrier.
     """
 
     def filled(snippet: str) -> str:

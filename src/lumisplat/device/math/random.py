@@ -1,12 +1,12 @@
-"""Counter-based random numbers: a pure function of (pixel, sample, dimension, seed), the same on every device.
+"""Counter-based random numbers: a pure function of (pixel, sample, dimension, seed), identical on every device.
 
-Each step mixes a counter, adds it to what came before, and mixes the sum, with the two-round permutation of 32 bits
+Each step mixes a counter, adds it to the previous state, and mixes the sum, with the two-round permutation of 32 bits
 that the hash prospector finds least biased (https://github.com/skeeto/hash-prospector, [16 21f0aaad 15 d35a2d97 15]).
-A step is one-to-one in its counter: the samples of a pixel, the pixels of a sample and the dimensions of a key never
-share a word. Adding the counter without mixing it first would be cheaper, but counters that differ in high bits only
-would then give related words.
+A step is one-to-one in its counter, so that the samples of a pixel, the pixels of a sample and the dimensions of a key
+never share a word. Adding the counter without mixing it first would be cheaper, but counters that differ only in high
+bits would then give correlated words.
 
-Bits are shifted and combined by name instead of by operator, so that the functions also run as plain Python.
+Bit operations are function calls instead of operators, so that the functions also run as plain Python.
 
 The equations are in docs/method/random_numbers.md.
 """
@@ -16,7 +16,7 @@ import warp as wp
 MULTIPLIER_1 = wp.constant(wp.uint32(0x21F0AAAD))
 MULTIPLIER_2 = wp.constant(wp.uint32(0xD35A2D97))
 ORIGIN = wp.constant(wp.uint32(0x6C756D69))
-"""The first state: any number but 0, which the permutation leaves at 0."""
+"""Initial state: any number except 0, which the permutation maps to 0."""
 
 BITS_20 = wp.constant(wp.uint32(20))
 BITS_16 = wp.constant(wp.uint32(16))
@@ -33,20 +33,21 @@ KARRAS_2 = wp.constant(wp.uint32(0xB82F1E52))
 KARRAS_3 = wp.constant(wp.uint32(0xC7AFE638))
 KARRAS_4 = wp.constant(wp.uint32(0x8D22F6E6))
 
-# Dimensions below 2^31 are the Gaussians', by their index among all of the scene's. Others count down from the last.
+# Dimensions below 2^31 belong to Gaussians, by their index in the scene. Other dimensions count down from the last.
 LENS_RADIUS = wp.constant(wp.uint32(0xFFFFFFFF))
-"""Dimension of a camera ray's distance from the lens's centre."""
+"""Dimension of a camera ray's distance from the lens centre."""
 LENS_ANGLE = wp.constant(wp.uint32(0xFFFFFFFE))
-"""Dimension of the direction from it."""
+"""Dimension of a camera ray's angle around the lens centre."""
 BRANCH_LAST = wp.constant(wp.uint32(0xFFFFFFFD))
-"""Dimension of branch 0 of a key; those of the other branches count down from it."""
+"""Dimension of branch 0 of a key; the dimensions of other branches count down from it."""
 CAPTURED_OR_RELIT = wp.constant(wp.uint32(0x80000000))
-"""Dimension of the choice between what kept and relit splat sets show on a ray: the first behind the Gaussians'."""
+"""Dimension of the choice between captured and relit splat sets on a ray: the first one after those of the Gaussians.
+"""
 
 
 @wp.func
 def mix(word: wp.uint32) -> wp.uint32:
-    """A permutation of the 32-bit words in which each input bit flips about half of the output's."""
+    """Permutes the 32-bit words such that each input bit flips about half of the output bits."""
     word = wp.bit_xor(word, wp.rshift(word, BITS_16)) * MULTIPLIER_1
     word = wp.bit_xor(word, wp.rshift(word, BITS_15)) * MULTIPLIER_2
     return wp.bit_xor(word, wp.rshift(word, BITS_15))
@@ -54,37 +55,37 @@ def mix(word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def pixel_key_of(pixel: int, seed: wp.uint32) -> wp.uint32:
-    """Key of the random numbers that the samples of a pixel share, with ``pixel = y * width + x``."""
+    """Returns the key of the random numbers that all samples of a pixel share; ``pixel = y * width + x``."""
     return mix(mix(ORIGIN + mix(seed)) + mix(wp.uint32(pixel)))
 
 
 @wp.func
 def sample_key_of(pixel: int, sample: int, seed: wp.uint32) -> wp.uint32:
-    """Key of the random numbers of one sample of a pixel."""
+    """Returns the key of the random numbers of one sample of a pixel."""
     return mix(pixel_key_of(pixel, seed) + mix(wp.uint32(sample)))
 
 
 @wp.func
 def branch_key(sample_key: wp.uint32, branch: int) -> wp.uint32:
-    """Key of the random numbers of a branch of a ray (0: reflected, 1: refracted), independent of the ray's own."""
+    """Returns a key for a branch of a ray (0: reflected, 1: refracted), independent of the ray's own key."""
     return mix(sample_key + mix(BRANCH_LAST - wp.uint32(branch)))
 
 
 @wp.func
 def draw_mixed(sample_key: wp.uint32, mixed: wp.uint32) -> float:
-    """As ``draw``, of a dimension that is mixed already: for many keys that share it."""
+    """Draws a number as ``draw`` does, for a dimension that is already mixed and shared by many keys."""
     return float(int(wp.rshift(mix(sample_key + mixed), BITS_8))) * UNIT
 
 
 @wp.func
 def draw(sample_key: wp.uint32, dimension: wp.uint32) -> float:
-    """A random number of a key, uniform in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
+    """Draws a uniform random number in [0, 1), a multiple of 2^-24. The dimension of a Gaussian is its index."""
     return draw_mixed(sample_key, mix(dimension))
 
 
 @wp.func
 def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
-    """Where one of many permutations of the numbers below 16, selected by ``word``, puts ``k``.
+    """Applies to ``k`` one of many permutations of the numbers below 16, selected by ``word``.
 
     Each step is one-to-one modulo 16.
     """
@@ -97,9 +98,10 @@ def shuffled_16(k: wp.uint32, word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
-    """A stratified random number in [0, 1), a multiple of 2^-24: of 16 consecutive samples, one is in each sixteenth.
+    """Draws a stratified random number in [0, 1), a multiple of 2^-24.
 
-    The 16 samples begin with a multiple of 16, and share a key; different dimensions are independent.
+    Of 16 consecutive samples that begin with a multiple of 16 and share a key, one lies in each sixteenth. Different
+    dimensions are independent.
     """
     word = mix(key + mix(wp.uint32(dimension)))
     stratum = wp.bit_and(wp.uint32(sample), LOW_4)
@@ -109,13 +111,13 @@ def draw_stratified(key: wp.uint32, sample: int, dimension: int) -> float:
 
 @wp.func
 def swapped_bits(word: wp.uint32, mask: wp.uint32, shift: wp.uint32) -> wp.uint32:
-    """Exchanges the bits of ``mask`` with those ``shift`` above them."""
+    """Exchanges the bits of ``mask`` with the bits ``shift`` above them."""
     return wp.bit_or(wp.lshift(wp.bit_and(word, mask), shift), wp.bit_and(wp.rshift(word, shift), mask))
 
 
 @wp.func
 def reversed_bits(word: wp.uint32) -> wp.uint32:
-    """The bits of the word in reverse order."""
+    """Reverses the order of the bits of a word."""
     word = swapped_bits(word, wp.uint32(0x0000FFFF), BITS_16)
     word = swapped_bits(word, wp.uint32(0x00FF00FF), BITS_8)
     word = swapped_bits(word, wp.uint32(0x0F0F0F0F), wp.uint32(4))
@@ -125,9 +127,9 @@ def reversed_bits(word: wp.uint32) -> wp.uint32:
 
 @wp.func
 def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
-    """Owen scrambling of a word whose bits are in reverse order, as those of the result are (Laine and Karras 2011).
+    """Owen-scrambles a bit-reversed word; the result is bit-reversed too (Laine and Karras 2011).
 
-    Whether a bit flips depends on the lower ones, which are the higher ones of the number, and on the key.
+    Whether a bit flips depends on the key and on the lower bits, which are the higher bits of the number.
     """
     word = word + key
     word = wp.bit_xor(word, word * KARRAS_1)
@@ -138,10 +140,10 @@ def scrambled(word: wp.uint32, key: wp.uint32) -> wp.uint32:
 
 @wp.func
 def second_sobol(index: wp.uint32) -> wp.uint32:
-    """Point ``index`` of Sobol's second dimension, its bits in reverse order.
+    """Returns point ``index`` of the second Sobol dimension, bit-reversed.
 
-    Bit j is the sum, modulo 2, of the bits k of the index with an odd binomial coefficient of k over j: those whose
-    numbers have all bits that j has (Lucas). So the bits are summed over one bit of their numbers after the other.
+    Bit j is the sum, modulo 2, of the index bits k for which the binomial coefficient of k over j is odd. By Lucas's
+    theorem, these are the k whose binary digits include those of j: one sum for each binary digit.
     """
     index = wp.bit_xor(index, wp.rshift(index, BITS_16))
     index = wp.bit_xor(index, wp.bit_and(wp.rshift(index, BITS_8), wp.uint32(0x00FF00FF)))
@@ -152,11 +154,11 @@ def second_sobol(index: wp.uint32) -> wp.uint32:
 
 @wp.func
 def sobol_2d(key: wp.uint32, sample: int) -> wp.vec2:
-    """Point ``sample`` of a low-discrepancy sequence in the unit square, a different one for each key.
+    """Returns point ``sample`` of a low-discrepancy sequence in the unit square; each key has its own sequence.
 
-    The first two dimensions of Sobol's, shuffled and scrambled (Burley 2020, Practical Hash-based Owen Scrambling):
-    any 2^n consecutive points from a multiple of 2^n on are stratified, and sequences of different keys are practically
-    independent.
+    The first two Sobol dimensions are shuffled and scrambled (Burley 2020, Practical Hash-based Owen Scrambling). Any
+    2^n consecutive points that start at a multiple of 2^n are stratified, and sequences of different keys are
+    practically independent.
     """
     key = mix(key)
     index = reversed_bits(scrambled(reversed_bits(wp.uint32(sample)), key))

@@ -21,7 +21,10 @@ C3_5 = wp.constant(wp.float32(1.445305721320277))  # sqrt(105 / (16 pi))
 
 @wp.func
 def sh_color(sh: wp.array[wp.vec3], first: int, degree: int, direction: wp.vec3) -> wp.vec3:
-    """Colour of a Gaussian seen along the unit ``direction`` (eye to mean, object space): max(sum + 0.5, 0)."""
+    """Evaluates the SH colour of a Gaussian, max(sum + 0.5, 0), along a unit view direction.
+
+    ``direction`` points from the eye to the mean, object space.
+    """
     color = C0 * sh[first] + wp.vec3(0.5)
     if degree > 0:
         x = direction[0]
@@ -47,12 +50,12 @@ def sh_color(sh: wp.array[wp.vec3], first: int, degree: int, direction: wp.vec3)
 
 
 class ShTerms(wp.types.vector(length=16, dtype=wp.float32)):
-    """The values of all harmonics up to degree 3 in one direction."""
+    """Values of all SH basis functions up to degree 3 in one direction."""
 
 
 @wp.func
 def sh_terms(direction: wp.vec3) -> ShTerms:
-    """What each coefficient is multiplied by along the unit ``direction``, as in ``sh_color``."""
+    """Evaluates the SH basis functions along the unit ``direction``, with the signs of ``sh_color``."""
     x = direction[0]
     y = direction[1]
     z = direction[2]

@@ -1,4 +1,4 @@
-"""Sorted arrays: numbers of cells along the Morton curve, on which neighbours lie near each other, and search."""
+"""Sorting helpers: Morton codes of grid cells, and binary search."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ import warp as wp
 
 @wp.func
 def spread_bits(x: int) -> int:
-    """Two zero bits after each of the ten bits of ``x``."""
+    """Inserts two zero bits after each of the ten bits of ``x``."""
     x = (x | (x << 16)) & 0x030000FF
     x = (x | (x << 8)) & 0x0300F00F
     x = (x | (x << 4)) & 0x030C30C3
@@ -16,13 +16,13 @@ def spread_bits(x: int) -> int:
 
 @wp.func
 def code_of_cell(cell: wp.vec3i) -> int:
-    """Number of a cell of a grid of 1024^3."""
+    """Returns the Morton code of a cell of a 1024^3 grid."""
     return spread_bits(cell[0]) | (spread_bits(cell[1]) << 1) | (spread_bits(cell[2]) << 2)
 
 
 @wp.func
 def morton_code(point: wp.vec3, low: wp.vec3, per_cell: wp.vec3) -> int:
-    """Number of a point's cell on a grid of 1024^3; points outside take the nearest cell."""
+    """Returns the Morton code of a point's cell in a 1024^3 grid; points outside are clamped to the nearest cell."""
     cell = wp.cw_mul(point - low, per_cell)
     x = int(wp.clamp(cell[0], 0.0, 1023.0))
     y = int(wp.clamp(cell[1], 0.0, 1023.0))
@@ -31,9 +31,9 @@ def morton_code(point: wp.vec3, low: wp.vec3, per_cell: wp.vec3) -> int:
 
 @wp.func
 def first_not_below(values: wp.array[Any], count: int, limit: Any) -> int:
-    """Index of the first of ``count`` ascending values that is at least ``limit``; ``count`` if none is.
+    """Returns the index of the first of ``count`` ascending values that is >= ``limit``, or ``count`` if none is.
 
-    The library's ``lower_bound`` never returns its end.
+    Warp's ``lower_bound`` never returns the end.
     """
     low = int(0)
     high = int(count)

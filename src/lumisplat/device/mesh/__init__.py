@@ -1,1 +1,1 @@
-"""One triangle: rasterised or hit by a ray, and the surface there."""
+"""Mesh triangles: rasterisation, ray intersection, and surface attributes."""

@@ -1,8 +1,9 @@
-"""Rays against meshes: one triangle, watertight, and the nearest one of all instances.
+"""Ray-mesh intersection: watertight ray-triangle tests, and the nearest triangle over all instances.
 
-Corners are sheared so that the ray becomes an axis; which side of an edge it passes is then the sign of a product that
-both triangles of the edge compute from the same numbers (Woop, Benthin and Wald 2013). Kernels that call these compile
-without fused multiply-adds (``fuse_fp``), which would round the two products differently: shared edges would leak.
+Corners are sheared so that the ray becomes an axis. Which side of an edge the ray passes is then the sign of a product
+that both triangles of the edge compute from the same numbers (Woop, Benthin and Wald 2013). Kernels that call these
+functions compile without fused multiply-adds (``fuse_fp``), which would round the two products differently and make
+shared edges leak.
 
 The equations are in docs/method/ray_tracing.md#triangles.
 """
@@ -19,55 +20,55 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE, MeshInstanceData
 
 @struct
 class RayShear:
-    """How to shear corners so that a ray becomes an axis (Woop, Benthin and Wald 2013)."""
+    """Shear that turns a ray into an axis (Woop, Benthin and Wald 2013)."""
 
     axis: int
     """Largest component of the direction."""
     slope: wp.vec2
-    """The two other components, after it in cyclic order, per unit of it."""
+    """The other two components, in cyclic order after ``axis``, divided by it."""
     inverse: float
     """Ray parameter per unit along the axis."""
 
 
 @struct
 class MeshRay:
-    """A ray in the space of an instance's mesh; distances along it stay the world's."""
+    """A ray in the object space of a mesh instance; distances along it are world-space distances."""
 
     origin: wp.vec3
     direction: wp.vec3
-    """Of any length."""
+    """Direction, of any length."""
     shear: RayShear
     begin: float
-    """How far its origin is from the world-space ray's."""
+    """Distance of its origin from the origin of the world-space ray."""
 
 
 @struct
 class MeshHit:
-    """The nearest triangle on one ray so far, as ``MeshHits``."""
+    """Nearest triangle found so far on one ray; fields as in ``MeshHits``."""
 
     t: float
     local_t: float
-    """Distance from where the ray begins in the space of the mesh: finer than ``t``, by which it orders its faces."""
+    """Distance from the ray's start in object space: more precise than ``t``, and used to order faces of one mesh."""
     face: int
-    """Of its mesh; -1: none."""
+    """Index of the triangle in its mesh; -1: none."""
     instance: int
     weights: wp.vec2
 
 
 @struct
 class TriangleHit:
-    """Where a ray hits a triangle."""
+    """Intersection of a ray with a triangle."""
 
     t: float
-    """inf: it does not."""
+    """Distance; inf: the ray misses the triangle."""
     weights: wp.vec2
     """Barycentric weights of the second and third corner."""
 
 
 @wp.func
 def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
-    """The vector's components, permuted cyclically so that ``axis`` comes last."""
-    # Component by component: a vector that is written in branches goes through memory.
+    """Permutes the components of a vector cyclically so that ``axis`` comes last."""
+    # Component by component, because a vector that is written in branches goes through memory.
     x = wp.where(axis == 0, v[1], wp.where(axis == 1, v[2], v[0]))
     y = wp.where(axis == 0, v[2], wp.where(axis == 1, v[0], v[1]))
     return wp.vec3(x, y, wp.where(axis == 0, v[0], wp.where(axis == 1, v[1], v[2])))
@@ -75,7 +76,7 @@ def axis_last(v: wp.vec3, axis: int) -> wp.vec3:
 
 @wp.func
 def ray_shear(direction: wp.vec3) -> RayShear:
-    """How to shear corners so that a direction, of any length but zero, becomes an axis."""
+    """Returns the shear for a direction of any length except zero."""
     shear = RayShear()
     shear.axis = 2
     size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
@@ -91,7 +92,7 @@ def ray_shear(direction: wp.vec3) -> RayShear:
 
 @wp.func
 def edge_side(a: wp.vec2, b: wp.vec2) -> float:
-    """On which side of an edge the ray passes; the two triangles of the edge get exactly opposite numbers."""
+    """Returns on which side of an edge the ray passes; the two triangles of the edge get exactly opposite numbers."""
     return a[0] * b[1] - a[1] * b[0]
 
 
@@ -99,9 +100,9 @@ def edge_side(a: wp.vec2, b: wp.vec2) -> float:
 def intersect_triangle(
     origin: wp.vec3, direction: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3
 ) -> TriangleHit:
-    """The hit of the ray's line on a triangle, from either side.
+    """Intersects the ray's line with a triangle, from either side.
 
-    Its distance is a weighted mean of those of the corners: bounded by them, at grazing angles, too.
+    The distance is a weighted mean of the corners' distances, so that it stays between them even at grazing angles.
     """
     hit = TriangleHit()
     hit.t = wp.inf
@@ -126,16 +127,16 @@ def intersect_triangle(
 
 @wp.func
 def flat_corner(corner: wp.vec3, origin: wp.vec3, shear: RayShear) -> wp.vec2:
-    """A corner, sheared and projected along the ray."""
+    """Shears a corner and projects it along the ray."""
     turned = axis_last(corner - origin, shear.axis)
     return wp.vec2(turned[0] - shear.slope[0] * turned[2], turned[1] - shear.slope[1] * turned[2])
 
 
 @wp.func
 def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
-    """Whether a triangle owns the points on its edge; ``around`` is positive if it is counter-clockwise, else negative.
+    """Returns whether a triangle owns the points on its edge; ``around`` is positive if it is counter-clockwise.
 
-    Of the two triangles at an edge, one does: as if the ray passed slightly to the left of the edge.
+    Of the two triangles at an edge, exactly one owns it, as if the ray passed slightly to the left of the edge.
     """
     if edge_side(start, end) != 0.0:
         return True
@@ -145,9 +146,9 @@ def owns_edge(start: wp.vec2, end: wp.vec2, around: float) -> bool:
 
 @wp.func
 def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> bool:
-    """Whether a triangle counts that a ray hits exactly on an edge or a corner.
+    """Returns whether a triangle counts as crossed when the ray hits it exactly on an edge or a corner.
 
-    Otherwise, a count of crossings would include each triangle at the edge, or all around the corner.
+    A count of crossings would otherwise include both triangles at the edge, or all around the corner.
     """
     flat_a = flat_corner(v0, origin, shear)
     flat_b = flat_corner(v1, origin, shear)
@@ -158,14 +159,17 @@ def owns_crossing(origin: wp.vec3, shear: RayShear, v0: wp.vec3, v1: wp.vec3, v2
     return owns_edge(flat_b, flat_c, around) and owns_edge(flat_c, flat_a, around)
 
 
-# --- Instances: their boxes, and rays in their own space ---
+# --- Instances: boxes, and rays in object space ---
 
 BACK = wp.constant(wp.float32(RAY_START_BACK))
 
 
 @wp.func
 def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> wp.vec2:
-    """Distances at which a ray's line enters and leaves a box; ``inverse`` is that of the direction, finite."""
+    """Returns the distances at which a ray's line enters and leaves a box.
+
+    ``inverse`` holds the reciprocals of the direction's components, finite.
+    """
     a = wp.cw_mul(low - origin, inverse)
     b = wp.cw_mul(high - origin, inverse)
     return wp.vec2(wp.max(wp.min(a, b)), wp.min(wp.max(a, b)))
@@ -173,9 +177,9 @@ def box_span(origin: wp.vec3, inverse: wp.vec3, low: wp.vec3, high: wp.vec3) -> 
 
 @wp.func
 def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3, entry: float, t_min: float) -> MeshRay:
-    """The ray in object space, begun at ``t_min`` or shortly before it enters the instance's box.
+    """Transforms a ray to object space, starting at ``t_min`` or shortly before it enters the instance's box.
 
-    So close to the box, rounding errors are relative to its size, not to the distance from it.
+    So close to the box, rounding errors are relative to its size instead of the distance.
     """
     ray = MeshRay()
     ray.begin = wp.max(entry - BACK * wp.abs(entry), t_min)
@@ -185,15 +189,15 @@ def ray_in_mesh(instance: MeshInstanceData, origin: wp.vec3, direction: wp.vec3,
     return ray
 
 
-# --- The nearest triangle, through the tree over the instances and those of their meshes ---
+# --- The nearest triangle, through the two levels of the BVH ---
 #
-# Of triangles that are equally near, that of the first instance counts, and in it the first face: so the order of
+# Of equally near triangles, the one of the first instance counts, and within it the first face, so that the order of
 # visits does not matter.
 
 
 @wp.func
 def is_nearer(t: float, local_t: float, face: int, instance: int, nearest: MeshHit) -> bool:
-    """Whether a hit is nearer than the nearest so far, or as near and the first of both."""
+    """Returns whether a hit precedes the nearest one so far: by distance, then by instance and face."""
     if t != nearest.t or nearest.face < 0:
         return t < nearest.t
     if instance != nearest.instance:
@@ -211,7 +215,7 @@ def keep_nearest(
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Replaces the nearest hit by that of a triangle of instance ``number``, if there is a nearer one."""
+    """Replaces the nearest hit if a triangle of instance ``number`` is hit nearer."""
     hit = intersect_triangle(ray.origin, ray.direction, ray.shear, triangle.a, triangle.b, triangle.c)
     t = ray.begin + hit.t
     if t > t_min and is_nearer(t, hit.t, triangle.face, number, nearest):
@@ -239,7 +243,7 @@ def walk_instance(
     scene: MeshBvh,
     nearest: wp.ref[MeshHit],
 ):
-    """Finds the nearest triangle of instance ``number``, on the stack above ``top``."""
+    """Finds the nearest triangle of instance ``number``, using the stack above ``top``."""
     span = box_span(origin, inverse_or_large(direction), scene.instances[number].low, scene.instances[number].high)
     if not (span[0] <= span[1] and span[1] > t_min and span[0] <= nearest.t):
         return
@@ -271,7 +275,7 @@ def nearest_triangle(
     sample_key: wp.uint32,
     scene: MeshBvh,
 ) -> MeshHit:
-    """The nearest triangle between two distances; without one, ``t_max`` is the distance of the hit."""
+    """Returns the nearest triangle between two distances; without a hit, its distance is ``t_max``."""
     nearest = MeshHit()
     nearest.t = t_max
     nearest.face = -1

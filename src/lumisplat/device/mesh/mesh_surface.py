@@ -1,4 +1,4 @@
-"""The surface at a point of a triangle: base colour, alpha, normals, and what its textures vary."""
+"""Surface attributes at a point of a triangle: base colour, alpha, normals, and textured material parameters."""
 
 import warp as wp
 
@@ -24,7 +24,7 @@ BYTE = wp.constant(wp.uint32(255))
 
 @wp.func
 def texel_color(texels: wp.array[wp.uint32], value_of_byte: wp.array[float], index: int) -> wp.vec3:
-    """Colour of one RGBA8 texel, red in the low byte; ``value_of_byte`` decodes its channels."""
+    """Returns the colour of one RGBA8 texel, red in the low byte; ``value_of_byte`` decodes its channels."""
     rgba = texels[index]
     return wp.vec3(
         value_of_byte[int(rgba & BYTE)],
@@ -35,13 +35,13 @@ def texel_color(texels: wp.array[wp.uint32], value_of_byte: wp.array[float], ind
 
 @wp.func
 def texel_alpha(texels: wp.array[wp.uint32], index: int) -> float:
-    """Alpha of one RGBA8 texel, 0..1."""
+    """Returns the alpha of one RGBA8 texel, 0..1."""
     return float(int(texels[index] >> wp.uint32(24))) / 255.0
 
 
 @wp.func
 def wrapped(x: float, mode: int) -> float:
-    """A coordinate within the texture, 0..1."""
+    """Wraps a coordinate into the texture, 0..1."""
     if mode == WRAP_REPEAT:
         return x - wp.floor(x)
     if mode == WRAP_CLAMP:
@@ -51,7 +51,10 @@ def wrapped(x: float, mode: int) -> float:
 
 @wp.func
 def neighbour(k: int, size: int, mode: int) -> int:
-    """The texel next to an edge, ``k`` from -1 to ``size``: across it in the same texture, or that at the edge."""
+    """Returns the texel index for ``k``, which may be one beyond the texture: -1 to ``size``.
+
+    A repeating texture wraps around; otherwise, the texel at the edge is returned.
+    """
     if mode == WRAP_REPEAT:
         return (k + size) % size
     return wp.clamp(k, 0, size - 1)
@@ -59,7 +62,7 @@ def neighbour(k: int, size: int, mode: int) -> int:
 
 @wp.func
 def texel_window(texture: TextureData, uv: wp.vec2) -> wp.vec4i:
-    """Indices of the four texels around ``uv``: the upper two from left to right, then the lower ones."""
+    """Returns the indices of the four texels around ``uv``: the upper two from left to right, then the lower two."""
     x0 = int(wp.floor(wrapped(uv[0], texture.wrap_u) * float(texture.width) - 0.5))
     y0 = int(wp.floor(wrapped(uv[1], texture.wrap_v) * float(texture.height) - 0.5))
     left = neighbour(x0, texture.width, texture.wrap_u)
@@ -71,7 +74,7 @@ def texel_window(texture: TextureData, uv: wp.vec2) -> wp.vec4i:
 
 @wp.func
 def texel_shares(texture: TextureData, uv: wp.vec2) -> wp.vec2:
-    """Shares of the right and of the lower texels in ``texel_window``."""
+    """Returns the bilinear weights of the right and of the lower texels in ``texel_window``."""
     x = wrapped(uv[0], texture.wrap_u) * float(texture.width) - 0.5
     y = wrapped(uv[1], texture.wrap_v) * float(texture.height) - 0.5
     return wp.vec2(x - wp.floor(x), y - wp.floor(y))
@@ -81,7 +84,7 @@ def texel_shares(texture: TextureData, uv: wp.vec2) -> wp.vec2:
 def sample_texture(
     texels: wp.array[wp.uint32], value_of_byte: wp.array[float], texture: TextureData, uv: wp.vec2
 ) -> wp.vec3:
-    """Colour at ``uv``, of decoded texels."""
+    """Samples a texture's decoded colour at ``uv``."""
     window = texel_window(texture, uv)
     shares = texel_shares(texture, uv)
     top = wp.lerp(
@@ -95,7 +98,7 @@ def sample_texture(
 
 @wp.func
 def sample_alpha(texels: wp.array[wp.uint32], texture: TextureData, uv: wp.vec2) -> float:
-    """Alpha at ``uv``, 0..1."""
+    """Samples a texture's alpha at ``uv``, 0..1."""
     window = texel_window(texture, uv)
     shares = texel_shares(texture, uv)
     top = wp.lerp(texel_alpha(texels, window[0]), texel_alpha(texels, window[1]), shares[0])
@@ -106,18 +109,18 @@ def sample_alpha(texels: wp.array[wp.uint32], texture: TextureData, uv: wp.vec2)
 # --- Colour, alpha and normals ---
 
 ALPHA_BRANCH = wp.constant(16)
-"""Branch of a ray's key by which it meets surfaces of some alpha, or passes them."""
+"""Branch of a ray's key for random alpha tests."""
 
 
 @wp.func
 def hit_weights(weights: wp.vec2) -> wp.vec3:
-    """Barycentric weights of all three corners from those of the second and third."""
+    """Returns the barycentric weights of all three corners from those of the second and third."""
     return wp.vec3(1.0 - weights[0] - weights[1], weights[0], weights[1])
 
 
 @wp.func
 def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
-    """Texture coordinates at barycentric ``weights``."""
+    """Returns the texture coordinates at barycentric ``weights``."""
     return (
         weights[0] * meshes.uvs[corners[0]] + weights[1] * meshes.uvs[corners[1]] + weights[2] * meshes.uvs[corners[2]]
     )
@@ -125,7 +128,7 @@ def hit_uv(meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec2:
 
 @wp.func
 def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec3:
-    """Linear base colour at barycentric ``weights`` of a triangle with those vertices."""
+    """Returns the linear base colour at barycentric ``weights`` of a triangle with those vertices."""
     color = wp.cw_mul(
         instance.base_color,
         weights[0] * meshes.colors[corners[0]]
@@ -140,7 +143,7 @@ def surface_color(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 
 @wp.func
 def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> float:
-    """Share of the surface that is there, 0..1; masks leave all or nothing."""
+    """Returns the coverage of the surface, 0..1; masks give 0 or 1."""
     if instance.alpha.mode == ALPHA_OPAQUE:
         return 1.0
     alpha = instance.alpha.factor
@@ -155,9 +158,10 @@ def surface_alpha(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3
 def passes_alpha_test(
     instance: MeshInstanceData, meshes: MeshData, face: int, weights: wp.vec3, sample_key: wp.uint32
 ) -> bool:
-    """Whether a ray meets a surface at a point of triangle ``face``: by chance, or wherever alpha is above 0.
+    """Returns whether a ray hits the surface at a point of triangle ``face``.
 
-    ``weights`` are barycentric; ``sample_key`` is that of the ray's random numbers.
+    The test is random, with alpha as the probability, or passes wherever alpha is above 0. ``weights`` are barycentric;
+    ``sample_key`` is the key of the ray's random numbers.
     """
     alpha = surface_alpha(instance, meshes, meshes.indices[face], weights)
     if instance.alpha.is_drawn != 0 and alpha < 1.0:
@@ -168,9 +172,9 @@ def passes_alpha_test(
 
 @wp.func
 def face_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i) -> wp.vec3:
-    """World-space unit normal of the triangle itself.
+    """Returns the world-space unit normal of the triangle itself.
 
-    It points to the side from which the triangle is counter-clockwise in its own space: outwards, also where the
+    It points to the side from which the triangle is counter-clockwise in object space: outwards, also where the
     instance is mirrored and the triangle clockwise in the world.
     """
     p0 = meshes.positions[corners[0]]
@@ -180,7 +184,7 @@ def face_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i)
 
 @wp.func
 def surface_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> wp.vec3:
-    """World-space unit shading normal: interpolated, or that of the triangle if the mesh has no normals."""
+    """Returns the world-space unit shading normal: interpolated, or the triangle's if the mesh has no normals."""
     if instance.has_normals == 0:
         return face_normal(instance, meshes, corners)
     normal = (
@@ -191,7 +195,7 @@ def surface_normal(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec
     return wp.normalize(instance.world_from_object_normal * normal)
 
 
-# --- Transmission and layers that textures vary (docs/method/materials.md#texture-lookup) ---
+# --- Textured transmission and layers (docs/method/materials.md#texture-lookup) ---
 
 COAT_MIN = wp.constant(wp.float32(COAT_ROUGHNESS_MIN))
 
@@ -200,7 +204,7 @@ SHEEN_MIN = wp.constant(wp.float32(SHEEN_ROUGHNESS_MIN))
 
 @struct
 class Layers:
-    """Transmission and layers at a point."""
+    """Transmission and layers at a surface point."""
 
     transmission: float
     coat: float
@@ -212,7 +216,7 @@ class Layers:
 
 @wp.func
 def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) -> float:
-    """One channel of a texture, linear; 1 without it."""
+    """Returns one channel of a texture, linear; 1 without a texture."""
     if texture.width == 0:
         return 1.0
     return sample_texture(meshes.texels, meshes.unit_from_byte, texture, uv)[channel]
@@ -220,7 +224,7 @@ def factor(meshes: MeshData, texture: TextureData, uv: wp.vec2, channel: int) ->
 
 @wp.func
 def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
-    """The albedo of sheen of some roughness, between those of a table that is denser where roughness is low."""
+    """Interpolates the sheen albedo curve for a roughness in a table that is denser at low roughness."""
     last = curves.shape[0] - 1
     position = wp.sqrt((roughness - SHEEN_MIN) / (1.0 - SHEEN_MIN)) * float(last)
     k = wp.min(int(position), last - 1)
@@ -229,7 +233,7 @@ def curve_at(curves: wp.array[wp.vec4], roughness: float) -> wp.vec4:
 
 @wp.func
 def layers_at(varied: int, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> Layers:
-    """Element ``varied`` of what textures vary, at barycentric ``weights`` of a triangle with those vertices."""
+    """Evaluates element ``varied`` of the textured layers at barycentric ``weights`` of a triangle."""
     uv = hit_uv(meshes, corners, weights)
     material = meshes.varied[varied]
     layers = Layers()
@@ -254,7 +258,7 @@ def layers_at(varied: int, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3
 
 @wp.func
 def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
-    """A BSDF with the layers of a point."""
+    """Returns a BSDF with the layers of a point."""
     layered = bsdf
     layered.coat = layers.coat
     layered.coat_alpha = layers.coat_alpha
@@ -266,7 +270,7 @@ def with_layers(bsdf: Bsdf, layers: Layers) -> Bsdf:
 
 @wp.func
 def material_at(instance: MeshInstanceData, meshes: MeshData, corners: wp.vec3i, weights: wp.vec3) -> SmoothData:
-    """What a mesh reflects and lets through specularly at a point."""
+    """Returns a mesh's specular reflection and transmission parameters at a point."""
     material = instance.material
     if material.varied == 0:
         return material

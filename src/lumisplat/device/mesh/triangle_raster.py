@@ -1,7 +1,7 @@
-"""Triangles seen along pixel rays, without clipping (Olano and Greer 1997; docs/method/rasterisation.md#meshes).
+"""Rasterisation of triangles along pixel rays, without clipping (Olano and Greer 1997).
 
-Kernels that call these compile without fused multiply-adds (``fuse_fp``), which would make an edge depend on the order
-of a subtraction: shared edges would leak.
+See docs/method/rasterisation.md#meshes. Kernels that call these functions compile without fused multiply-adds
+(``fuse_fp``), which would make an edge depend on the order of a subtraction and let shared edges leak.
 """
 
 import warp as wp
@@ -15,7 +15,7 @@ from lumisplat.device.structs.scene import ALPHA_OPAQUE
 
 @wp.func
 def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
-    """Lexicographic order of two points."""
+    """Returns whether a point precedes another in lexicographic order."""
     if a[0] != b[0]:
         return a[0] < b[0]
     if a[1] != b[1]:
@@ -25,7 +25,7 @@ def comes_first(a: wp.vec3, b: wp.vec3) -> bool:
 
 @wp.func
 def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
-    """The cross product of two corners, to the accuracy of their difference.
+    """Returns the cross product of two corners, accurate to their difference.
 
     ``cross(a, b)`` itself cancels for corners that are close to each other and far from the eye. The same end comes
     first for both triangles of an edge, so that their edge functions are exact negatives.
@@ -37,7 +37,7 @@ def edge_function(a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 @wp.func
 def setup_triangle(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> Triangle:
-    """Edge functions and plane of a camera-space triangle."""
+    """Computes the edge functions and the plane of a camera-space triangle."""
     triangle = Triangle()
     triangle.edge0 = edge_function(v1, v2)
     triangle.edge1 = edge_function(v2, v0)
@@ -49,14 +49,14 @@ def setup_triangle(v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> Triangle:
 
 @wp.func
 def barycentric(triangle: Triangle, ray: wp.vec3) -> wp.vec3:
-    """Perspective-correct barycentric coordinates of the point where a ray hits the triangle."""
+    """Returns the perspective-correct barycentric coordinates of the point where a ray hits the triangle."""
     weights = wp.vec3(wp.dot(triangle.edge0, ray), wp.dot(triangle.edge1, ray), wp.dot(triangle.edge2, ray))
     return weights / (weights[0] + weights[1] + weights[2])
 
 
 @wp.func
 def depth_at(triangle: Triangle, ray: wp.vec3) -> float:
-    """View depth of the triangle on a ray through a pixel centre; 0 where the ray misses it."""
+    """Returns the view depth of the triangle on a ray through a pixel centre; 0 where the ray misses it."""
     e0 = triangle.edge0[0] * ray[0] + (triangle.edge0[1] * ray[1] + triangle.edge0[2])
     e1 = triangle.edge1[0] * ray[0] + (triangle.edge1[1] * ray[1] + triangle.edge1[2])
     e2 = triangle.edge2[0] * ray[0] + (triangle.edge2[1] * ray[1] + triangle.edge2[2])
@@ -67,7 +67,7 @@ def depth_at(triangle: Triangle, ray: wp.vec3) -> float:
 
 @wp.func
 def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
-    """Pixel coordinates of a camera-space point in front of the eye."""
+    """Returns the pixel coordinates of a camera-space point in front of the eye."""
     return wp.vec2(
         camera.focal[0] * point[0] / point[2] + camera.raster_center[0],
         camera.focal[1] * point[1] / point[2] + camera.raster_center[1],
@@ -76,7 +76,10 @@ def project_point(camera: CameraData, point: wp.vec3) -> wp.vec2:
 
 @wp.func
 def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec4:
-    """A pixel box (x0, y0, x1, y1) that also holds corner ``a``, and where its edge to ``b`` crosses the near plane."""
+    """Extends a pixel box (x0, y0, x1, y1) by corner ``a`` and its edge to ``b``.
+
+    Of the edge, the point where it crosses the near plane counts.
+    """
     if a[2] >= camera.near:
         p = project_point(camera, a)
         box = wp.vec4(wp.min(box[0], p[0]), wp.min(box[1], p[1]), wp.max(box[2], p[0]), wp.max(box[3], p[1]))
@@ -89,25 +92,25 @@ def grow_box(box: wp.vec4, camera: CameraData, a: wp.vec3, b: wp.vec3) -> wp.vec
 
 @wp.func
 def triangle_box(camera: CameraData, v0: wp.vec3, v1: wp.vec3, v2: wp.vec3) -> wp.vec4:
-    """Pixel box of the part of a triangle beyond the near plane; inverted if there is none."""
+    """Returns the pixel box of the part of a triangle beyond the near plane; inverted if there is none."""
     box = wp.vec4(wp.inf, wp.inf, -wp.inf, -wp.inf)
     box = grow_box(box, camera, v0, v1)
     box = grow_box(box, camera, v1, v2)
     return grow_box(box, camera, v2, v0)
 
 
-# --- Triangles of some alpha ---
+# --- Triangles with alpha ---
 
 
 @wp.func
 def has_alpha(triangle: Triangle, scene: RasterMeshes) -> bool:
-    """Whether not all of a triangle needs to be there."""
+    """Returns whether a triangle's material is not opaque."""
     return scene.instances[triangle.instance - scene.splat_instance_count].alpha.mode != ALPHA_OPAQUE
 
 
 @wp.func
 def pixel_passes_alpha_test(triangle: Triangle, ray: wp.vec3, pixel: int, scene: RasterMeshes) -> bool:
-    """Whether the triangle is there where the ray of a pixel, camera space, hits it."""
+    """Returns whether the triangle passes the alpha test where the camera-space ray of a pixel hits it."""
     sample = scene.sample[0]
     key = sample_key_of(pixel, sample.index, sample.seed)
     instance = scene.instances[triangle.instance - scene.splat_instance_count]

@@ -1,1 +1,1 @@
-"""Paths of light: what they see, which lights they sample, where they go on, and what they bring."""
+"""Path tracing: state and steps of paths, light samples, and contributions."""

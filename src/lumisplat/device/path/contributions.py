@@ -1,7 +1,7 @@
-"""Contributions of paths: light that their rays show, samples of lights with their shadow rays, and the layers.
+"""Contributions of paths: light that path rays hit, light samples with their shadow rays, and light layers.
 
-Surfaces sample the environment, emissive triangles and visible lights as well: each counts by the power heuristic. The
-equations are in docs/method/paths.md#lights.
+Surfaces also sample the environment, emissive triangles and visible lights, so that both strategies are combined by the
+power heuristic. The equations are in docs/method/paths.md#lights.
 """
 
 import warp as wp
@@ -34,30 +34,30 @@ from lumisplat.device.structs.shading import Interaction, LightCrossing, PathVer
 
 @struct
 class PathShadowRays:
-    """Shadow rays of a wave of paths, and what lights contribute along them.
+    """Shadow rays of a wave of paths, and the light contributions along them.
 
-    Element ``ray`` leads from the surface to a sampled light; element ``stride + ray``, if there are so many, is the
-    ray itself up to a light that it shows.
+    Element ``ray`` leads from the surface to a sampled light. Element ``stride + ray``, if it exists, follows the path
+    ray itself up to a light that it hits.
     """
 
     rays: RayData
-    """Active where the light has a shadow."""
+    """Rays, active where the light can be shadowed."""
     contributions: wp.array[wp.vec3]
-    """Without shadows."""
+    """Unshadowed contributions."""
     opaque: wp.array[wp.bool]
-    """Whether glass blocks the ray: towards lights that rays find through it."""
+    """Whether glass blocks the ray, because path rays find the light through the glass."""
     skips: wp.array[wp.bool]
-    """Whether it passes shadow-only sets: from one of them."""
+    """Whether the ray passes shadow catchers, because it starts at one."""
     media: wp.array[wp.vec4i]
-    """Those at its origin, as ``Boundary``, unless glass blocks it; without elements where none absorbs."""
+    """Media at the ray's origin, as in ``Boundary``, unless glass blocks it; empty if no medium absorbs."""
     lights: wp.array[int]
-    """Number of the light."""
+    """Index of the light."""
     diffuse: wp.array[wp.vec3]
-    """As of `PathData`, after this surface; without elements in frames without layers."""
+    """Diffuse fraction as in `PathData`, after this surface; empty in frames without light layers."""
     unshadowed: wp.array[wp.vec3]
-    """What the light alone would contribute, by its own samples; without elements unless frames ask for ``lights``."""
+    """Unshadowed contribution by light samples alone, without MIS; empty unless the frame has the ``lights`` layers."""
     reaching: wp.array[wp.vec3]
-    """The same, less what the medium absorbs on a way that glass ends; so, too."""
+    """As ``unshadowed``, minus absorption by the medium on a ray that glass ends; empty likewise."""
 
 
 PART_DIRECT_DIFFUSE: int = wp.constant(0)
@@ -75,52 +75,52 @@ PARTS: int = wp.constant(5)
 
 @struct
 class PathImages:
-    """What paths bring, added up for the ray of the first wave that each began with; linear.
+    """Accumulated path radiance for each ray of the first wave; linear.
 
-    Layers have no elements unless the frame asks for them.
+    Light layers that the frame does not request are empty.
     """
 
     light: wp.array[wp.vec3]
-    """All of it."""
+    """Total radiance."""
     parts: wp.array[wp.vec3]
-    """By PART_DIRECT_DIFFUSE and so on: row after row of one element a ray, like the next ones."""
+    """Radiance by PART_DIRECT_DIFFUSE and so on: rows of one element for each ray, as in the arrays below."""
     bounces: wp.array[wp.vec3]
-    """By how often surfaces have scattered it: at most once more than paths bounce."""
+    """Radiance by number of scattering events: at most one more than the paths' bounces."""
     lights_unshadowed: wp.array[wp.vec3]
-    """By light: what the first surface would reflect of it, unshadowed, by samples of the light alone."""
+    """Unshadowed radiance of each light at the first surface, by light samples alone."""
     lights_shadowed: wp.array[wp.vec3]
-    """What arrives of these samples."""
+    """Shadowed radiance of these samples."""
     lights_total: wp.array[wp.vec3]
-    """All of each light; the last row is what shines and is no light."""
+    """Total radiance of each light; the last row is emission that is not a light."""
     received: wp.array[wp.vec3]
-    """1 where a path finds the next two, else 0."""
+    """1 where a path measures the irradiance fields below, else 0."""
     unshadowed: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by lights, as captured; without elements in frames without such sets."""
+    """Irradiance of shadow catchers by lights, without added objects; empty in frames without shadow catchers."""
     shadowed: wp.array[wp.vec3]
-    """The same with all that was added."""
+    """Irradiance of shadow catchers by lights, with all added objects."""
     emitted_unshadowed: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by the captures around them, as captured."""
+    """Irradiance of shadow catchers by surrounding captures, without added objects."""
     emitted_shadowed: wp.array[wp.vec3]
-    """The same with all that was added, and what added surfaces emit."""
+    """Irradiance of shadow catchers by surrounding captures with all added objects, including the objects' emission."""
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of shadow catchers."""
     open: wp.array[wp.vec3]
-    """The part of it that nothing added blocks."""
+    """Part of the ambient irradiance that no added object blocks."""
 
 
-# --- Layers, and what shadow catchers receive (docs/method/paths.md#layers) ---
+# --- Light layers, and irradiance of shadow catchers (docs/method/paths.md#layers) ---
 
 
 @wp.func
 def add_to_row(rows: wp.array[wp.vec3], row: int, count: int, root: int, value: wp.vec3):
-    """Adds to the element of a ray in one of several rows of ``count`` elements each."""
+    """Adds to a ray's element in one of several rows of ``count`` elements each."""
     i = row * count + root
     rows[i] = rows[i] + value
 
 
 @wp.func
 def add_to_parts(root: int, value: wp.vec3, bounces: int, diffuse: wp.vec3, images: wp.array[PathImages]):
-    """Adds light to the part that its first scattering decides: diffuse or glossy, direct or indirect."""
+    """Adds light to the part set by its first scattering (diffuse or glossy) and its bounces (direct or indirect)."""
     count = images[0].light.shape[0]
     if bounces == 0:
         add_to_row(images[0].parts, PART_EMISSION, count, root, value)
@@ -145,10 +145,10 @@ def add_light(
     diffuse: wp.vec3,
     images: wp.array[PathImages],
 ):
-    """Adds what a path brings of a light.
+    """Adds a light contribution of a path to the images.
 
-    ``value`` is linear radiance times the throughput; ``light`` may be one more than the number of the last one: it is
-    none, but shines. ``diffuse``: share that the first surface has scattered diffusely.
+    ``value`` is linear radiance times the throughput. ``light`` may be one more than the last light's index, for
+    emission that is not a light. ``diffuse`` is the fraction that the first surface scattered diffusely.
     """
     if for_catcher:
         if light < light_count:
@@ -168,36 +168,36 @@ def add_light(
 
 
 @wp.func
-def add_first_light(root: int, sent: wp.vec3, arrived: wp.vec3, light: int, images: wp.array[PathImages]):
-    """Adds a sample of a light at the first surface of a path, if it is one of the lights and the frame asks for it.
+def add_first_light(root: int, unshadowed: wp.vec3, shadowed: wp.vec3, light: int, images: wp.array[PathImages]):
+    """Adds a light sample at the first surface of a path to the light layers, if the frame has them.
 
-    ``sent``: what the surface would reflect of it unshadowed, linear.
+    ``unshadowed`` is the unshadowed and ``shadowed`` the shadowed linear radiance reflected by the surface.
     """
     if images[0].lights_unshadowed:
         count = images[0].light.shape[0]
         if light < images[0].lights_unshadowed.shape[0] // count:
-            add_to_row(images[0].lights_unshadowed, light, count, root, sent)
-            add_to_row(images[0].lights_shadowed, light, count, root, arrived)
+            add_to_row(images[0].lights_unshadowed, light, count, root, unshadowed)
+            add_to_row(images[0].lights_shadowed, light, count, root, shadowed)
 
 
 @wp.func
 def add_unshadowed_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
-    """Adds irradiance of a shadow catcher by lights, as it was captured."""
+    """Adds irradiance of a shadow catcher by lights, without added objects."""
     images[0].unshadowed[root] += value
 
 
 @wp.func
 def add_emitted_light(root: int, value: wp.vec3, images: wp.array[PathImages]):
-    """Adds irradiance of a shadow catcher by the captures around it, as it was captured."""
+    """Adds irradiance of a shadow catcher by surrounding captures, without added objects."""
     images[0].emitted_unshadowed[root] += value
 
 
-# --- Light that rays show ---
+# --- Light that path rays hit ---
 
 
 @wp.func
 def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
-    """The surface where the ray of path ``i`` begins."""
+    """Returns the surface vertex at which the ray of path ``i`` starts."""
     vertex = PathVertex()
     vertex.position = paths[0].position[i]
     vertex.normal = paths[0].normal[i]
@@ -207,9 +207,9 @@ def vertex_of(i: int, paths: wp.array[PathData]) -> PathVertex:
 
 @wp.func
 def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
-    """Whether the ray of path ``i`` leaves a shadow-only surface, whose lights all count by their own samples.
+    """Returns whether the ray of path ``i`` starts at a shadow catcher, where light samples alone count.
 
-    But for an environment that rays meet: of that, it sees as much as its own set leaves open.
+    The exception is an environment that uses MIS: the ray sees it where its own splat set leaves it open.
     """
     return paths[0].pdf[i] < 0.0
 
@@ -218,9 +218,10 @@ def leaves_catcher(i: int, paths: wp.array[PathData]) -> bool:
 def escaped_radiance(
     i: int, direction: wp.vec3, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene]
 ) -> wp.vec3:
-    """Linear radiance that path ``i`` sees infinitely far away, weighted against samples of the environment.
+    """Returns the linear radiance at infinity that path ``i`` sees, with its MIS weight against environment samples.
 
-    Without an environment, that is the background, but in mirrors only: it is a picture, and shines on nothing.
+    Without an environment, mirrors show the background; elsewhere it is black, because a background does not emit
+    light.
     """
     if scene[0].environment.exists == 0:
         if paths[0].is_specular[i]:
@@ -244,7 +245,7 @@ def escaped_radiance(
 def emitted_share(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> float:
-    """Weight of the emission of the mesh that the ray of path ``i`` hits, against samples of what shines."""
+    """Returns the MIS weight of the emission of the mesh hit by path ``i``, against samples of emissive triangles."""
     pdf = paths[0].pdf[i]
     number = wave[0].meshes.instance[i]
     if paths[0].is_specular[i] or scene[0].emitters.ends.shape[0] == 0 or scene[0].emitters.first[number] < 0:
@@ -272,7 +273,7 @@ def hit_light(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> LightCrossing:
-    """Where the ray of path ``i`` meets light ``number``, and its radiance, weighted likewise; inf: it shows none."""
+    """Intersects the ray of path ``i`` with light ``number``; the radiance has its MIS weight; distance inf: no hit."""
     crossing = LightCrossing()
     crossing.t = wp.inf
     is_shown = not leaves_catcher(i, paths) and (paths[0].is_specular[i] or uses_mis(number, no_shadows, scene))
@@ -292,7 +293,7 @@ def hit_light(
 def emitted_radiance(
     i: int, no_shadows: bool, paths: wp.array[PathData], scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> wp.vec3:
-    """Linear radiance that path ``i`` sees of captures, and of what meshes shine by themselves."""
+    """Returns the linear radiance of captures and of mesh emission that path ``i`` sees."""
     radiance = captured_color(wave[0].radiance.captured[i], wave[0].radiance.captured_weight[i])
     if not paths[0].is_specular[i]:
         radiance *= scene[0].settings[0].capture_gain
@@ -305,15 +306,17 @@ def emitted_radiance(
     return radiance
 
 
-# --- Samples of lights, and lights that rays show behind blended Gaussians ---
+# --- Light samples, and lights that path rays hit behind blended Gaussians ---
 
 HIT_LIGHT_BRANCH = wp.constant(4)
-"""Branch of a ray's key: how Gaussians hide a light that the ray itself shows. See also light/direct_light.py."""
+"""Random branch for the attenuation, by Gaussians, of a light that the ray itself hits.
+
+See also light/direct_light.py."""
 
 
 @wp.func
 def diffuse_of(i: int, number: int, paths: wp.array[PathData]) -> wp.vec3:
-    """Share of what path ``i`` brings that its first surface has scattered diffusely."""
+    """Returns the fraction of path ``i``'s contribution that its first surface scattered diffusely."""
     if number == 0 or not paths[0].diffuse:
         return wp.vec3(0.0)
     return paths[0].diffuse[i]
@@ -321,7 +324,7 @@ def diffuse_of(i: int, number: int, paths: wp.array[PathData]) -> wp.vec3:
 
 @wp.func
 def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
-    """Shadow ray ``j``: there is none, and nothing to be shadowed."""
+    """Resets shadow ray ``j`` to an inactive ray without contribution."""
     shadows[0].contributions[j] = wp.vec3(0.0)
     shadows[0].rays.is_active[j] = False
     shadows[0].opaque[j] = True
@@ -332,7 +335,7 @@ def clear_shadow_ray(j: int, shadows: wp.array[PathShadowRays]):
 
 @wp.func
 def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveData], rays_out: RayData):
-    """Starts ray ``j`` along ray ``i`` of a wave, with keys of a branch of its own; the caller activates it."""
+    """Starts ray ``j`` along ray ``i`` of a wave, with the random keys of its own branch; the caller activates it."""
     rays_out.origin[j] = wave[0].rays.origin[i]
     rays_out.direction[j] = wave[0].rays.direction[i]
     rays_out.t_min[j] = wave[0].rays.t_min[i]
@@ -349,7 +352,7 @@ def start_along(i: int, j: int, t_max: float, branch: int, wave: wp.array[WaveDa
 def start_hit_light_ray(
     i: int, light: int, t: float, value: wp.vec3, wave: wp.array[WaveData], shadows: wp.array[PathShadowRays]
 ):
-    """Starts the shadow ray along ray ``i``, up to a light that it shows at distance ``t``."""
+    """Starts the shadow ray along ray ``i`` up to a light that the ray hits at distance ``t``."""
     j = wave[0].rays.is_active.shape[0] + i
     shadows[0].contributions[j] = value
     shadows[0].lights[j] = light
@@ -368,9 +371,9 @@ def add_hit_lights(
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds the visible lights that the ray of path ``i`` passes before its surface.
+    """Adds the visible lights that the ray of path ``i`` hits before its surface.
 
-    Behind Gaussians that are blended, a shadow ray says how much of one of them there is.
+    Among lights behind blended Gaussians, one is chosen at random, and a shadow ray determines its attenuation.
     """
     is_hazy = shadows[0].contributions.shape[0] > wave[0].rays.is_active.shape[0]
     end = wp.min(wave[0].meshes.t[i], wave[0].gaussians.depth[i])
@@ -413,10 +416,9 @@ def light_surface(
     wave: wp.array[WaveData],
     shadows: wp.array[PathShadowRays],
 ):
-    """Samples one light for the surface by which path ``i`` goes on, and starts its shadow ray.
+    """Samples one light for the surface at which path ``i`` scatters, and starts its shadow ray.
 
-    ``slot``: which of its two interactions, 0, Gaussians, or 1, a mesh; ``factor``: throughput of the path by that
-    surface.
+    ``slot`` is the surface: 0 for Gaussians, 1 for a mesh; ``factor`` is the throughput of the path at that surface.
     """
     key = wave[0].rays.pixel_key[i]
     sample = wave[0].rays.sample[i]
@@ -428,7 +430,7 @@ def light_surface(
     with_mis = uses_mis(choice.number, no_shadows, scene)
     shadows[0].opaque[i] = with_mis
     if interaction.shadow_only:
-        # Rays that leave it show of all lights only the environment, which they alone find.
+        # Of all lights, rays that leave a shadow catcher find only the environment, which they alone sample.
         if with_mis and choice.number == environment_number(scene):
             return
         shadows[0].skips[i] = True
@@ -441,7 +443,7 @@ def light_surface(
         shadows[0].unshadowed[i] = reaching
     if shadows[0].media:
         media = scattered_media(i, slot == BRANCH_MESH, direction, interaction.normal, scene, wave)
-        if with_mis:  # Glass blocks this way, so that all of it is in one medium.
+        if with_mis:  # Glass blocks this ray, so that all of it is in one medium.
             share = passed(absorption_in(media, scene[0].mesh_instances), light.contribution.distance)
             shadows[0].contributions[i] = wp.cw_mul(shadows[0].contributions[i], share)
             reaching = wp.cw_mul(reaching, share)
@@ -467,14 +469,14 @@ def add_unshadowed_samples(
     shadows: wp.array[PathShadowRays],
     images: wp.array[PathImages],
 ):
-    """Adds samples of lights: to a shadow-only surface unshadowed, as captured, or to the lights' own layers.
+    """Adds light samples without shadows: to the irradiance of a shadow catcher, or to the light layers.
 
-    ``number`` is that of the wave, ``visible`` the share of the light that the shadow ray lets through.
+    ``number`` is the index of the wave, ``visible`` the transmittance of the shadow ray.
     """
     light = shadows[0].lights[i]
     if shadows[0].skips[i]:
         if light < scene[0].settings[0].light_count:
             add_unshadowed_light(paths[0].root[i], shadows[0].contributions[i], images)
     elif number == 0 and shadows[0].unshadowed:
-        arrived = wp.cw_mul(shadows[0].reaching[i], visible)
-        add_first_light(paths[0].root[i], shadows[0].unshadowed[i], arrived, light, images)
+        shadowed = wp.cw_mul(shadows[0].reaching[i], visible)
+        add_first_light(paths[0].root[i], shadows[0].unshadowed[i], shadowed, light, images)

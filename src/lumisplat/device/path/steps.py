@@ -1,4 +1,4 @@
-"""Where paths stand, and where they go on: by which surface of a ray, in which direction, and whether.
+"""State of paths and their next step: choice of the scattering surface, sampled direction, and Russian roulette.
 
 The equations are in docs/method/paths.md#lights.
 """
@@ -21,99 +21,99 @@ from lumisplat.device.structs.rays import Bounce, RayData
 from lumisplat.device.structs.shading import BSDF_SIMPLE, Bsdf, Interaction, ShadingScene, WaveData
 
 ROULETTE_BOUNCE = 3
-"""From this bounce on, paths end at random."""
+"""First bounce at which Russian roulette may end a path."""
 
 ROULETTE_RANGE = (0.05, 0.95)
-"""Probability with which they go on: their largest throughput, clamped to this."""
+"""Range of the survival probability, which is the largest throughput channel clamped to it."""
 
 LEAVES_CATCHER: float = wp.constant(-1.0)
-"""In place of a density: the ray leaves a shadow-only surface, whose lights all count by their own samples."""
+"""Stands for a pdf: the ray starts at a shadow catcher, where light samples alone count."""
 
 
 @struct
 class PathData:
-    """The paths of a wave, one element a ray."""
+    """State of the paths of a wave, one element for each ray."""
 
     root: wp.array[int]
-    """The ray of the first wave that the path began with."""
+    """Ray of the first wave that the path started with."""
     throughput: wp.array[wp.vec3]
-    """Factor of what the ray sees in the colour of that ray."""
+    """Factor of the ray's radiance in the colour of the root ray."""
     pdf: wp.array[float]
-    """With which the direction of the ray was sampled, per steradian; 0: it was the only one; LEAVES_RECEIVER."""
+    """Pdf with which the ray's direction was sampled, per steradian; 0: the only direction; LEAVES_CATCHER."""
     position: wp.array[wp.vec3]
-    """Of the surface where the ray begins, as ``PathVertex``."""
+    """Position of the surface at which the ray starts, as in ``PathVertex``."""
     normal: wp.array[wp.vec3]
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
-    """Whether all surfaces before were smooth: the path shows what the camera sees in mirrors."""
+    """Whether all earlier surfaces were smooth, so that the path shows what the camera sees in mirrors."""
     for_catcher: wp.array[wp.bool]
-    """Whether it brings what a shadow-only surface receives, in place of what its first ray sees."""
+    """Whether the path measures the irradiance of a shadow catcher instead of the radiance of its root ray."""
     diffuse: wp.array[wp.vec3]
-    """Share of what it brings that the first surface has scattered diffusely; without elements in frames without
-    layers."""
+    """Fraction of its contribution that the first surface scattered diffusely; empty in frames without light layers."""
     media: wp.array[wp.vec4i]
-    """The media that the ray has entered, as ``Boundary``; without elements in scenes without media."""
+    """Media that the ray has entered, as in ``Boundary``; empty in scenes without media."""
 
 
 @struct
 class PathSteps:
-    """Where the paths of a wave go on, one element a ray: a ray of the next wave."""
+    """Next steps of the paths of a wave: one ray of the next wave for each ray."""
 
     goes_on: wp.array[int]
-    """0: the path ends here, and the other fields are undefined."""
+    """0: the path ends, and the other fields are undefined."""
     next_ends: wp.array[int]
-    """Inclusive sum of these: one more than the place of the ray in the next wave."""
+    """Inclusive prefix sum of ``goes_on``: one more than the index of the ray in the next wave."""
     rays: RayData
-    """Their origins, directions and widths; its other fields are without elements."""
+    """Origins, directions and widths of the rays; the other fields are empty."""
     paths: PathData
-    """All but their roots."""
+    """State of the paths, except for their roots."""
 
 
 @struct
 class PathStep:
-    """Where one path goes on, before chance ends it; without weight: nowhere."""
+    """Next step of one path before Russian roulette; zero weight: the path ends."""
 
     origin: wp.vec3
     direction: wp.vec3
     t_min: float
     layer_normal: wp.vec3
-    """Of the surface, as of ``RayData``."""
+    """Normal of the surface's layer, as in ``RayData``."""
     path_length: float
-    """Behind the origin, to the unfolded eye, scene units, as of its ray; 0 where a surface has scattered the path:
-    what it receives does not depend on who looks."""
+    """Path length to the unfolded eye behind the origin, scene units; 0 after scattering.
+
+    The light that a scattering surface receives does not depend on the viewer."""
     spread: float
     weight: wp.vec3
-    """Factor of the throughput, but for the probability of the branch."""
+    """Factor of the throughput, without the probability of the branch."""
     pdf: float
-    """With which the direction was sampled, per steradian; 0: it is the only one."""
+    """Pdf with which the direction was sampled, per steradian; 0: the only direction."""
     diffuse: wp.vec3
-    """Share of the weight that is diffuse."""
+    """Diffuse fraction of the weight."""
     media: wp.vec4i
-    """Those that its ray has entered, as ``Boundary``."""
+    """Media that the ray has entered, as in ``Boundary``."""
 
 
 @struct
 class Branch:
-    """One of the ways on which a path may go on."""
+    """Randomly chosen continuation of a path."""
 
     kind: int
-    """BRANCH_NONE and so on."""
+    """BRANCH_NONE, BRANCH_SPLATS, BRANCH_MESH, BRANCH_REFLECTED or BRANCH_REFRACTED."""
     probability: float
 
 
 BRANCH_NONE: int = wp.constant(-1)
 
 BRANCH_SPLATS: int = wp.constant(0)
-"""Scattered by the surface of the Gaussians."""
+"""The surface of the Gaussians scatters the path."""
 
 BRANCH_MESH: int = wp.constant(1)
-"""Scattered by the mesh."""
+"""The mesh scatters the path."""
 
 BRANCH_REFLECTED: int = wp.constant(2)
-"""Reflected by a smooth mesh."""
+"""A smooth mesh reflects the path."""
 
 BRANCH_REFRACTED: int = wp.constant(3)
-"""Refracted by it."""
+"""A smooth mesh refracts the path."""
 
 ROULETTE_FIRST = wp.constant(ROULETTE_BOUNCE)
 
@@ -124,9 +124,9 @@ GOES_ON_MAX = wp.constant(wp.float32(ROULETTE_RANGE[1]))
 
 @wp.func
 def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -> float:
-    """About the share of a ray that interaction ``j`` scatters; above 0 wherever it scatters any.
+    """Estimates the fraction of a ray that interaction ``j`` scatters; above 0 wherever it scatters any light.
 
-    A shadow-only surface scatters for the paths that find what it receives, if there are such.
+    A shadow catcher scatters only for paths that may measure its irradiance.
     """
     if not wave[0].interactions.exists[j]:
         return 0.0
@@ -135,7 +135,7 @@ def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -
         return wp.where(may_find_catcher, weight, 0.0)
     albedo = mean_of(wave[0].interactions.diffuse[j])
     if wave[0].interactions.model[j] != BSDF_SIMPLE and wave[0].interactions.alpha[j] <= 0.0:
-        # Smooth: what it mirrors goes another way.
+        # Smooth surfaces: the specular reflection is another branch.
         cosine = wp.dot(wave[0].interactions.normal[j], wave[0].interactions.wo[j])
         albedo *= 1.0 - dielectric_share(wave[0].interactions.dielectric[j], cosine, wave[0].interactions.eta[j])
     else:
@@ -149,9 +149,9 @@ def scattering_share(j: int, may_find_catcher: bool, wave: wp.array[WaveData]) -
 
 @wp.func
 def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp.array[WaveData]) -> Branch:
-    """By which surface a path goes on, in proportion to what about each reflects.
+    """Selects the surface at which a path continues, in proportion to the approximate reflection of each.
 
-    ``u`` is random, 0..1; ``receives_light``: whether the path finds what a shadow-only surface receives.
+    ``u`` is random, 0..1; ``may_find_catcher``: whether the path may measure the irradiance of a shadow catcher.
     """
     transmittance = wave[0].gaussians.transmittance[i]
     splats = scattering_share(i, may_find_catcher, wave)
@@ -175,7 +175,10 @@ def branch_of(i: int, u: float, may_find_catcher: bool, bounce: Bounce, wave: wp
 
 @wp.func
 def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> Interaction:
-    """The interaction by which path ``i`` goes on; a shadow-only surface is white for those that find its light."""
+    """Returns the interaction at which path ``i`` scatters.
+
+    Shadow catchers are white for paths that measure their irradiance.
+    """
     interaction = load_interaction(branch.kind * wave[0].rays.is_active.shape[0] + i, wave)
     if interaction.shadow_only:
         interaction.bsdf = Bsdf()
@@ -186,7 +189,7 @@ def scattering_interaction(i: int, branch: Branch, wave: wp.array[WaveData]) -> 
 
 @wp.func
 def bounce_at(i: int, scene: wp.array[ShadingScene], wave: wp.array[WaveData]) -> Bounce:
-    """Reflection and refraction of ray ``i`` by the mesh that it hits; none, if that is not smooth."""
+    """Returns reflection and refraction of ray ``i`` at the mesh that it hits; zero if the mesh is not smooth."""
     bounce = Bounce()
     if wave[0].meshes.face[i] >= 0 and wave[0].gaussians.transmittance[i] > 0.0:
         if sends_rays_on(i, scene, wave):
@@ -205,10 +208,9 @@ def scattered_step(
     scene: wp.array[ShadingScene],
     wave: wp.array[WaveData],
 ) -> PathStep:
-    """The step of a path that an interaction scatters.
+    """Samples the step of a path that an interaction scatters.
 
-    ``u`` and ``choice``, which decides between diffuse and highlight, are random, 0..1; ``splits``: whether the share
-    that is diffuse is asked for.
+    ``u`` and ``choice``, which selects the lobe, are random, 0..1; ``splits``: whether the diffuse fraction is needed.
     """
     step = PathStep()
     sampled = bsdf_sample(interaction.bsdf, interaction.normal, interaction.wo, u, choice)
@@ -226,7 +228,7 @@ def scattered_step(
         step.diffuse = diffuse_share(interaction.bsdf, interaction.normal, interaction.wo, sampled.direction)
     step.t_min = wave[0].interactions.spawn_t_min[j]
     step.layer_normal = wave[0].interactions.geometric_normal[j]
-    # Not above the layer, as shadow rays are not: a light that both find is weighted as one that both can reach.
+    # Not lifted above the layer, as shadow rays are not, because MIS weights assume that both reach the same lights.
     step.origin = spawn_origin(j, sampled.direction, spawn_lift(j, sampled.direction, wave), scene, wave)
     return step
 
@@ -235,7 +237,7 @@ def scattered_step(
 def specular_step(
     i: int, branch: Branch, bounce: Bounce, scene: wp.array[ShadingScene], wave: wp.array[WaveData]
 ) -> PathStep:
-    """The step of a path that a smooth mesh reflects or refracts."""
+    """Returns the step of a path that a smooth mesh reflects or refracts."""
     step = PathStep()
     transmittance = wave[0].gaussians.transmittance[i]
     side = bounce.side
@@ -257,13 +259,16 @@ def specular_step(
 
 @wp.func
 def is_scattering(branch: Branch) -> bool:
-    """Whether a path goes on by a surface that scatters, and not as in a mirror."""
+    """Returns whether a path continues by scattering instead of specular reflection or refraction."""
     return branch.kind == BRANCH_SPLATS or branch.kind == BRANCH_MESH  # noqa: PLR1714
 
 
 @wp.func
 def survival(number: int, throughput: wp.vec3, key: wp.uint32, sample: int) -> float:
-    """Probability with which a path goes on after a wave, drawn by a sequence of this key; 0: it has ended."""
+    """Returns the survival probability of a path after a wave by Russian roulette; 0: the path has ended.
+
+    The decision is drawn from the low-discrepancy sequence of ``key``.
+    """
     largest = wp.max(throughput)
     if not (largest > 0.0 and largest < wp.inf):
         return 0.0

@@ -1,1 +1,1 @@
-"""Deep Gaussian shadow maps: the atlas, optical depth in closed form, lookups."""
+"""Deep shadow maps of Gaussians: atlas, closed-form optical depth, culling and lookup."""

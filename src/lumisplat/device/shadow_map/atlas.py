@@ -1,4 +1,4 @@
-"""Texels of a deep shadow map: by direction from the light, or for parallel light by the place in a plane across it."""
+"""Texels of a deep shadow map: by direction from the light or, for parallel light, by position in a plane across it."""
 
 import warp as wp
 
@@ -20,9 +20,9 @@ EVERYTHING: int = wp.constant(2)
 
 @struct
 class Atlas:
-    """A light and the space around it, cut into texels and bins.
+    """A light and the space around it, divided into texels and bins.
 
-    It has one face, or six for a cubemap, of ``size`` by ``size`` texels. Texels are numbered tile by tile.
+    The atlas has one face, or six for a cubemap, of ``size`` by ``size`` texels. Texels are numbered tile by tile.
     """
 
     layout: int
@@ -30,35 +30,35 @@ class Atlas:
     size: int
     """Texels across a face, a multiple of ``TILE``."""
     origin: wp.vec3
-    """The light; of parallel light, the corner of texel (0, 0)."""
+    """Position of the light; for parallel light, the corner of texel (0, 0)."""
     axes: wp.mat33
-    """World from light, of parallel light: columns are the atlas's x and y and the way light travels."""
+    """World from light, for parallel light: columns are the atlas's x and y and the direction of the light."""
     texel_length: float
-    """Of parallel light, scene units."""
+    """Side of a texel for parallel light, scene units."""
     bins: int
     bin_length: float
-    """Scene units."""
+    """Length of a bin, scene units."""
 
 
 @struct
 class AtlasPoint:
-    """A point in an atlas."""
+    """A point in atlas coordinates."""
 
     face: int
     x: float
-    """Texels; centres are whole numbers."""
+    """Column in texels; centres are whole numbers."""
     y: float
     distance: float
-    """From the light, scene units."""
+    """Distance from the light, scene units."""
 
 
 @struct
 class LightRay:
-    """The ray through a texel's centre."""
+    """Ray from the light through a texel's centre."""
 
     origin: wp.vec3
     direction: wp.vec3
-    """Unit."""
+    """Direction, unit."""
 
 
 TILE: int = wp.constant(SHADOW_TILE)
@@ -68,19 +68,19 @@ TILE_TEXELS: int = wp.constant(SHADOW_TILE * SHADOW_TILE)
 
 @wp.func
 def parallel_direction(atlas: Atlas) -> wp.vec3:
-    """The way parallel light travels, unit."""
+    """Returns the travel direction of parallel light, unit."""
     return wp.vec3(atlas.axes[0, 2], atlas.axes[1, 2], atlas.axes[2, 2])
 
 
 @wp.func
 def sign_of(value: float) -> float:
-    """1 or -1; of zero, 1."""
+    """Returns 1 or -1; 1 for zero."""
     return wp.where(value < 0.0, -1.0, 1.0)
 
 
 @wp.func
 def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
-    """Coordinates of a direction on the octahedral map, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
+    """Maps a direction to the octahedral map, -1..1 each (docs/method/deep_shadow_maps.md#octahedral)."""
     q = direction / (wp.abs(direction[0]) + wp.abs(direction[1]) + wp.abs(direction[2]))
     if q[2] >= 0.0:
         return wp.vec2(q[0], q[1])
@@ -89,7 +89,7 @@ def octahedral_from_direction(direction: wp.vec3) -> wp.vec2:
 
 @wp.func
 def direction_from_octahedral(at: wp.vec2) -> wp.vec3:
-    """The unit direction at coordinates of the octahedral map, -1..1 each."""
+    """Returns the unit direction at coordinates of the octahedral map, -1..1 each."""
     z = 1.0 - wp.abs(at[0]) - wp.abs(at[1])
     if z >= 0.0:
         return wp.normalize(wp.vec3(at[0], at[1], z))
@@ -100,9 +100,9 @@ def direction_from_octahedral(at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def direction_from_cube(face: int, at: wp.vec2) -> wp.vec3:
-    """The unit direction at coordinates of a face: faces 0 to 2 are towards +x, +y, +z, 3 to 5 opposite.
+    """Returns the unit direction at coordinates of a cube face: faces 0 to 2 are towards +x, +y, +z, 3 to 5 opposite.
 
-    The coordinates are along the two axes that follow the face's own in cyclic order, -1..1 each.
+    The coordinates are along the two axes that follow the face's own axis in cyclic order, -1..1 each.
     """
     axis = face % 3
     direction = wp.vec3(0.0)
@@ -114,21 +114,21 @@ def direction_from_cube(face: int, at: wp.vec2) -> wp.vec3:
 
 @wp.func
 def texels_from_unit(atlas: Atlas, at: wp.vec2) -> wp.vec2:
-    """From -1..1 to texels, whose centres are whole numbers."""
+    """Converts coordinates in -1..1 to texels, whose centres are whole numbers."""
     half = 0.5 * float(atlas.size)
     return wp.vec2((at[0] + 1.0) * half - 0.5, (at[1] + 1.0) * half - 0.5)
 
 
 @wp.func
 def unit_from_texels(atlas: Atlas, x: float, y: float) -> wp.vec2:
-    """From texels, whose centres are whole numbers, to -1..1."""
+    """Converts texels, whose centres are whole numbers, to coordinates in -1..1."""
     scale = 2.0 / float(atlas.size)
     return wp.vec2((x + 0.5) * scale - 1.0, (y + 0.5) * scale - 1.0)
 
 
 @wp.func
 def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
-    """The place of a direction, of any length, in the atlas of a point light; its distance is 0."""
+    """Returns the atlas position of a direction, of any length, for a point light; its distance is 0."""
     position = AtlasPoint()
     if atlas.layout == OCTAHEDRAL:
         at = texels_from_unit(atlas, octahedral_from_direction(direction))
@@ -149,7 +149,7 @@ def atlas_from_direction(atlas: Atlas, direction: wp.vec3) -> AtlasPoint:
 
 @wp.func
 def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
-    """The place of a point, world space, in an atlas; the light itself is at distance 0 in any direction."""
+    """Returns the atlas position of a world-space point; the light itself is at distance 0 in any direction."""
     offset = point - atlas.origin
     if atlas.layout == PARALLEL:
         local = wp.transpose(atlas.axes) * offset
@@ -168,7 +168,7 @@ def atlas_from_world(atlas: Atlas, point: wp.vec3) -> AtlasPoint:
 
 @wp.func
 def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
-    """The light ray through a place of a face, in texels."""
+    """Returns the light ray through a position of a face, in texels."""
     ray = LightRay()
     if atlas.layout == PARALLEL:
         ray.origin = atlas.origin + atlas.axes * wp.vec3(
@@ -186,16 +186,16 @@ def ray_through(atlas: Atlas, face: int, x: float, y: float) -> LightRay:
 
 @wp.func
 def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
-    """The number of a texel, which may be one beyond an edge of its face: then the one that adjoins it on the sphere.
+    """Returns the index of a texel; one step beyond an edge, the index of the texel that adjoins it on the sphere.
 
-    -1: outside of the plane of parallel light, which has no texel there.
+    -1: outside the plane of parallel light, which has no adjoining texel.
     """
     size = atlas.size
     if x < 0 or y < 0 or x >= size or y >= size:
         if atlas.layout == PARALLEL:
             return -1
         if atlas.layout == OCTAHEDRAL:
-            # An edge is folded at its middle, its two halves are one line: beyond it lies its own mirror image.
+            # An edge is folded at its centre, so that its halves coincide: beyond it lies its own mirror image.
             if x < 0 or x >= size:
                 x = wp.where(x < 0, -1 - x, 2 * size - 1 - x)
                 y = size - 1 - y
@@ -214,7 +214,7 @@ def texel_number(atlas: Atlas, face: int, x: int, y: int) -> int:
 
 @wp.func
 def texel_coordinates(atlas: Atlas, texel: int) -> wp.vec3i:
-    """Face, x and y of a texel by its number."""
+    """Returns face, x and y of a texel by its index."""
     tiles = atlas.size // TILE
     tile = texel // TILE_TEXELS
     within = texel % TILE_TEXELS

@@ -1,4 +1,4 @@
-"""Bounds of casters and of cells of an atlas, and which intersect (docs/method/deep_shadow_maps.md#culling)."""
+"""Bounds of casters and of atlas cells, and their intersection test (docs/method/deep_shadow_maps.md#culling)."""
 
 import warp as wp
 
@@ -9,55 +9,55 @@ from lumisplat.device.shadow_map.optical_depth import Casters, reach_squared_of
 from lumisplat.device.structs import struct
 
 SHADOW_BOUND_STEP = 4
-"""Texels between the points that bound a tile: atlas edges fold at multiples of it, as sizes are multiples of 8."""
+"""Texels between the points that bound a tile; atlas edges fold at multiples of it, as sizes are multiples of 8."""
 
 
 @struct
 class Footprint:
-    """The part of an atlas where an occluder's optical depth is not negligible.
+    """Part of an atlas where an occluder's optical depth is not negligible.
 
-    For a point light, in the plane that touches the unit sphere in its direction (the gnomonic projection); for
-    parallel light, in the plane across the light.
+    For a point light, it lies in the plane that touches the unit sphere in the occluder's direction (gnomonic
+    projection); for parallel light, in the plane across the light.
     """
 
     extent: int
-    """NOTHING: no part. SOMETHING: the part below. EVERYTHING: all of it."""
+    """NOTHING: no part. SOMETHING: the rectangle below. EVERYTHING: the whole atlas."""
     direction: wp.vec3
-    """From the light, unit."""
+    """Direction from the light, unit."""
     cosine: float
-    """Of the angle between it and the circular cone around the caster."""
+    """Cosine of the half angle of the circular cone around the caster."""
     sine: float
     first: wp.vec3
-    """An axis of the plane: the longer one of the occluder's shadow."""
+    """First axis of the plane: the longer axis of the occluder's shadow."""
     second: wp.vec3
     low: wp.vec2
-    """Where it begins along the two axes."""
+    """Lower bounds along the two axes."""
     high: wp.vec2
-    """Where it ends."""
+    """Upper bounds along the two axes."""
 
 
 @struct
 class Cell:
-    """A square of texels, and a bound of the rays through it: a cone, or for parallel light a cylinder."""
+    """A square of texels and a bound of the rays through it: a cone, or for parallel light a cylinder."""
 
     axis: wp.vec3
-    """Unit, to the middle of the cone; of parallel light, the middle itself, from the light's origin."""
+    """Unit axis of the cone; for parallel light, the centre of the square relative to the light's origin."""
     cosine: float
-    """Of half the cone's angle; below 0 the cone is wider than a half space and bounds nothing."""
+    """Cosine of the cone's half angle; below 0 the cone exceeds a half space and bounds nothing."""
     sine: float
-    """Of half the cone's angle; of parallel light, the cylinder's radius, scene units."""
+    """Sine of the cone's half angle; for parallel light, the cylinder's radius, scene units."""
     parent: int
-    """Number of the list, among those given for culling, whose casters may intersect this cell."""
+    """Index of the list, among those given for culling, whose casters may intersect this cell."""
 
 
 @struct
 class CasterLists:
-    """Lists of casters, one after another."""
+    """Lists of casters, stored one after another."""
 
     ends: wp.array[int]
-    """Where each list ends and the next one begins."""
+    """End of each list, which is the begin of the next one."""
     items: wp.array[int]
-    """Numbers of casters, ascending in each list."""
+    """Indices of casters, ascending in each list."""
 
 
 STEP: int = wp.constant(SHADOW_BOUND_STEP)
@@ -67,7 +67,10 @@ MARGIN = wp.constant(wp.float32(SHADOW_BOUND_MARGIN))
 
 @wp.func
 def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
-    """The longer axis of an ellipsoid's shadow across a direction, unit; columns of ``ellipsoid`` are its semi-axes."""
+    """Returns the unit longer axis of an ellipsoid's shadow across a direction.
+
+    ``ellipsoid`` has the semi-axes as columns.
+    """
     u = around(direction, 0.0, 1.0, 0.0)
     v = wp.cross(direction, u)
     along_u = wp.transpose(ellipsoid) * u
@@ -78,7 +81,7 @@ def longer_axis(ellipsoid: wp.mat33, direction: wp.vec3) -> wp.vec3:
 
 @wp.func
 def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> Footprint:
-    """What caster ``i`` covers: the ellipsoid outside which lines have negligible depth in it, seen from the light.
+    """Returns the footprint of caster ``i``: the ellipsoid outside which its depth is negligible, seen from the light.
 
     The rectangle lies along the axes of the covariance across the light, and bounds the ellipsoid's perspective image
     exactly, by its dual quadric (docs/method/deep_shadow_maps.md#footprint).
@@ -129,7 +132,7 @@ def footprint_of(atlas: Atlas, casters: Casters, i: int, absorption: float) -> F
 
 @wp.func
 def perimeter_point(k: int, side: int) -> wp.vec2:
-    """Point ``k`` on the perimeter of a square of ``side`` texels, ``STEP`` from the one before."""
+    """Returns point ``k`` on the perimeter of a square of ``side`` texels; points are ``STEP`` apart."""
     steps = side // STEP
     along = float((k % steps) * STEP)
     edge = k // steps
@@ -144,18 +147,18 @@ def perimeter_point(k: int, side: int) -> wp.vec2:
 
 @wp.func
 def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell:
-    """The cell of a square of ``side`` texels, bounded by points of its edges.
+    """Returns the cell of a square of ``side`` texels, bounded by points on its edges.
 
     Between two points of an edge that does not fold lies a great circle, which is nearer to the cone's axis than one of
     the points.
 
-    ``corner`` has face, x and y of its first texel; ``side`` is a multiple of ``STEP``.
+    ``corner`` has face, x and y of the first texel; ``side`` is a multiple of ``STEP``.
     """
     cell = Cell()
     cell.parent = parent
     x = float(corner[1]) - 0.5
     y = float(corner[2]) - 0.5
-    # The last cells of a face may reach beyond it, where an octahedral map folds back: they end with it.
+    # The last cells of a face may extend beyond it, where an octahedral map folds back, so they are cut at its edge.
     width = wp.min(float(side), float(atlas.size - corner[1]))
     height = wp.min(float(side), float(atlas.size - corner[2]))
     middle = ray_through(atlas, corner[0], x + 0.5 * width, y + 0.5 * height)
@@ -177,10 +180,11 @@ def bounded_cell(atlas: Atlas, corner: wp.vec3i, side: int, parent: int) -> Cell
 
 @wp.func
 def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: float) -> bool:
-    """Whether a cone's image in the plane at distance 1 reaches between two lines across one of the plane's axes.
+    """Returns whether a cone's image in the plane at distance 1 lies between two lines across one of the plane's axes.
 
-    ``axis_cosine`` is that of the cone's axis with that axis of the plane, ``forward`` that with the plane's normal,
-    above ``sine``, which is that of half the cone's angle; ``low`` and ``high`` are coordinates of the lines.
+    ``axis_cosine`` is the cosine of the cone's axis with that plane axis, ``forward`` with the plane's normal.
+    ``forward`` is above ``sine``, the sine of the cone's half angle; ``low`` and ``high`` are the coordinates of the
+    lines.
     """
     behind = forward * forward - sine * sine
     middle = axis_cosine * forward / behind
@@ -190,11 +194,11 @@ def overlaps(axis_cosine: float, forward: float, sine: float, low: float, high: 
 
 @wp.func
 def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
-    """Whether rays through a cell may have more than negligible depth in a caster: never wrongly False."""
+    """Returns whether rays through a cell may have more than negligible depth in a caster; conservative."""
     if footprint.extent != SOMETHING:
         return footprint.extent == EVERYTHING
     forward = wp.dot(cell.axis, footprint.direction)
-    # False if the axes are farther apart than the two half angles together; by cosines, as most pairs end here.
+    # False if the angle between the axes exceeds the sum of the half angles; cosines, because most pairs end here.
     if atlas.layout != PARALLEL and (
         cell.cosine >= 0.0 and forward < cell.cosine * footprint.cosine - cell.sine * footprint.sine
     ):
@@ -215,13 +219,13 @@ def may_intersect(atlas: Atlas, footprint: Footprint, cell: Cell) -> bool:
 
 @wp.func
 def list_begin(lists: CasterLists, i: int) -> int:
-    """Where list ``i`` begins."""
+    """Returns the begin of list ``i``."""
     return wp.where(i > 0, lists.ends[wp.max(i - 1, 0)], 0)
 
 
 @wp.func
 def part_of_list(lists: CasterLists, i: int, part: int, parts: int):
-    """Where a part of list ``i`` begins, and where it ends."""
+    """Returns begin and end of a part of list ``i``."""
     begin = list_begin(lists, i)
     end = lists.ends[i]
     size = (end - begin + parts - 1) // parts

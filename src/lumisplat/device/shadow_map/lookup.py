@@ -1,4 +1,4 @@
-"""The points at which receivers sample a deep shadow map (docs/method/deep_shadow_maps.md#lookup)."""
+"""Sample points of receivers in a deep shadow map (docs/method/deep_shadow_maps.md#lookup)."""
 
 import math
 
@@ -10,11 +10,12 @@ from lumisplat.device.shadow_map.atlas import EVERYTHING, NOTHING, PARALLEL, Atl
 from lumisplat.device.structs import struct
 
 SHADOW_TEXEL_ANGLE = 12.0
-"""Radians, divided by the texels across a face, within which lookups find their texels: octahedral maps stretch up to 3
-radians over a unit of two, and a lookup reads a texel's diagonal away."""
+"""Angle, radians times texels across a face, within which lookups read their texels.
+
+Octahedral maps stretch up to 3 radians over a unit of two, and a lookup reads a texel's diagonal away."""
 
 SHADOW_STENCIL_WEIGHT = 0.6065306597126334
-"""Weight of the stencil's outer points, one standard deviation off, against the middle's 1: exp(-1/2)."""
+"""Weight of the stencil's outer points, at one standard deviation, relative to the centre: exp(-1/2)."""
 
 CENTER: int = wp.constant(0)
 
@@ -25,35 +26,35 @@ RANDOM: int = wp.constant(2)
 
 @struct
 class Receivers:
-    """Gaussians that a shadow map is sampled for, world space."""
+    """Gaussians for which a shadow map is sampled, world space."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """World from Gaussian."""
+    """Rotation from the Gaussian's axes to world space."""
     scales: wp.array[wp.vec3]
     """Standard deviations; 0: a point."""
 
 
 @struct
 class ShadowBound:
-    """A cone from the light, or for parallel light a cylinder, around all that casters can darken."""
+    """Cone from the light, or cylinder for parallel light, around everything that casters can darken."""
 
     extent: int
-    """NOTHING: no shadow. SOMETHING: within the bound below. EVERYTHING: not bounded."""
+    """NOTHING: no shadow. SOMETHING: within the bound below. EVERYTHING: unbounded."""
     axis: wp.vec3
-    """Unit, of the cone; of the cylinder, a point on its axis, from the atlas's origin."""
+    """Unit axis of the cone; for the cylinder, a point on its axis relative to the atlas's origin."""
     radius: float
-    """Half the cone's angle, radians; of the cylinder, scene units."""
+    """Half angle of the cone, radians; radius of the cylinder, scene units."""
 
 
 @struct
 class FootprintSampling:
-    """The points of a receiver's footprint at which the map is sampled."""
+    """Pattern of points in a receiver's footprint at which the map is sampled."""
 
     pattern: int
     """CENTER, STENCIL or RANDOM."""
     count: int
-    """Points a receiver."""
+    """Points for each receiver."""
     seed: wp.uint32
 
 
@@ -72,13 +73,13 @@ ERF_ARGUMENT_MAX = wp.constant(wp.float32(1.0 - 2.0**-23))
 
 @wp.func
 def normal_from_unit(u: float) -> float:
-    """The standard normal distribution's quantile of ``u``, 0..1."""
+    """Returns the standard normal quantile of ``u``, 0..1."""
     return SQRT_2 * wp.erfinv(wp.clamp(2.0 * u - 1.0, -ERF_ARGUMENT_MAX, ERF_ARGUMENT_MAX))
 
 
 @wp.func
 def sample_offset(sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """A sample's offset from the mean of its receiver, in standard deviations along its axes."""
+    """Returns a sample's offset from its receiver's mean, in standard deviations along the axes."""
     offset = wp.vec3(0.0)
     if sampling.pattern == STENCIL and sample > 0:
         offset[(sample - 1) // 2] = wp.where(sample % 2 == 1, 1.0, -1.0)
@@ -87,20 +88,20 @@ def sample_offset(sampling: FootprintSampling, receiver: int, sample: int) -> wp
         u = sobol_2d(key, sample)
         w = sobol_2d(mix(key), sample)
         offset = wp.vec3(normal_from_unit(u[0]), normal_from_unit(u[1]), normal_from_unit(w[0]))
-        # Moved back onto the footprint's ellipsoid: `may_be_shadowed` relies on samples not to leave it.
+        # Clamped to the footprint's ellipsoid, because `may_be_shadowed` relies on samples not leaving it.
         offset = offset * (FOOTPRINT / wp.max(wp.length(offset), FOOTPRINT))
     return offset
 
 
 @wp.func
 def sample_weight(sampling: FootprintSampling, sample: int) -> float:
-    """Weight of a sample; weights are divided by their sum afterwards."""
+    """Returns the weight of a sample; weights are normalised afterwards."""
     return wp.where(sampling.pattern == STENCIL and sample > 0, OUTER_WEIGHT, 1.0)
 
 
 @wp.func
 def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: int, sample: int) -> wp.vec3:
-    """A sample's place, world space: x = mu + R (s * z)."""
+    """Returns a sample's world-space position: x = mu + R (s * z)."""
     mean = receivers.means[receiver]
     if sampling.pattern == CENTER:
         return mean
@@ -110,7 +111,10 @@ def sample_point(receivers: Receivers, sampling: FootprintSampling, receiver: in
 
 @wp.func
 def may_be_shadowed(atlas: Atlas, bound: ShadowBound, receivers: Receivers, receiver: int) -> bool:
-    """Whether a receiver's samples can read a texel that casters reach: a cheap test that most receivers fail."""
+    """Returns whether a receiver's samples may read a texel that casters reach.
+
+    The test is cheap and rejects most receivers.
+    """
     if bound.extent == NOTHING:
         return False
     if bound.extent == EVERYTHING:

@@ -1,4 +1,4 @@
-"""Optical depth of Gaussians along rays from a light, in closed form, and the table that stores transmittances.
+"""Closed-form optical depth of Gaussians along rays from a light, and the table of transmittances.
 
 The equations are in docs/method/deep_shadow_maps.md#optical-depth.
 """
@@ -13,11 +13,12 @@ from lumisplat.device.shadow_map.atlas import PARALLEL, TILE_TEXELS, Atlas, Ligh
 from lumisplat.device.structs import struct
 
 SHADOW_DEPTH_MIN = 1e-6
-"""Optical depth of a whole Gaussian along a ray below which it is left out, when casters are culled: a thousand such
-tails change the transmittance by 0.001."""
+"""Optical depth of a whole Gaussian along a ray below which culling ignores it.
+
+A thousand such tails change the transmittance by 0.001."""
 
 SHADOW_ERF_MAX = 4.0
-"""Argument from which on the error function is one: erfc(4) is 1.5e-8, below float32's last digit."""
+"""Argument from which the error function counts as one: erfc(4) is 1.5e-8, below float32's last digit."""
 
 
 @struct
@@ -26,7 +27,7 @@ class Casters:
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """World from Gaussian."""
+    """Rotation from the Gaussian's axes to world space."""
     scales: wp.array[wp.vec3]
     """Standard deviations."""
     opacities: wp.array[float]
@@ -34,16 +35,16 @@ class Casters:
 
 @struct
 class Occluder:
-    """A caster as its optical depth along a ray needs it (docs/method/deep_shadow_maps.md#optical-depth)."""
+    """A caster prepared for optical depth along rays (docs/method/deep_shadow_maps.md#optical-depth)."""
 
     offset: wp.vec3
-    """From the light to its mean, world space."""
+    """Vector from the light to the mean, world space."""
     canonical_from_world: wp.mat33
-    """Inverse of rotation times scale: the precision A is its transpose times itself."""
+    """Inverse of rotation times scale; the precision A is its transpose times itself."""
     absorption: float
-    """Amplitude beta, per scene unit; 0: it absorbs nothing."""
+    """Amplitude beta, per scene unit; 0: no absorption."""
     radius2: float
-    """Squared distance from its mean beyond which its optical depth is negligible, scene units."""
+    """Squared distance from the mean beyond which the optical depth is negligible, scene units."""
 
 
 @struct
@@ -53,31 +54,31 @@ class DepthProfile:
     total: float
     """Optical depth of the whole line."""
     peak: float
-    """Distance along the ray at which it absorbs most, scene units; behind the light if negative."""
+    """Distance along the ray of the strongest absorption, scene units; negative: behind the light."""
     sharpness: float
     """sqrt(a / 2) of docs/method/deep_shadow_maps.md#optical-depth, per scene unit."""
 
 
 @struct
 class Column:
-    """The bins of a texel that are tabulated."""
+    """Tabulated bins of a texel."""
 
     first: int
-    """Number of the first bin."""
+    """Index of the first bin."""
     count: int
-    """0: no bin, the texel is lit at all distances."""
+    """Number of bins; 0: the texel is lit at all distances."""
     offset: int
-    """Of the first bin in the table."""
+    """Position of the first bin in the table."""
 
 
 @struct
 class Table:
-    """The tabulated transmittances of an atlas."""
+    """Tabulated transmittances of an atlas."""
 
     slots: wp.array[int]
-    """Slot of each tile of the atlas; -1: none of its texels has a column, they are lit."""
+    """Slot of each tile of the atlas; -1: the tile is fully lit and has no columns."""
     columns: wp.array[Column]
-    """Those of a slot's texels follow one another."""
+    """Columns of the texels, consecutive for each slot."""
     values: wp.array[float]
     """Transmittances of each column, bin by bin."""
 
@@ -99,9 +100,11 @@ SQRT_2_PI = wp.constant(wp.float32(math.sqrt(2.0 * math.pi)))
 
 @wp.func
 def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3) -> float:
-    """Amplitude beta from opacity, with A the precision matrix in AVERAGE (docs/method/deep_shadow_maps.md#absorption).
+    """Returns amplitude beta for an opacity.
 
-    MASS stands for Mir et al.'s ``diag`` too: the root of the covariance's determinant is the product of the scales.
+    AVERAGE uses the precision matrix A (docs/method/deep_shadow_maps.md#absorption).
+
+    MASS also covers Mir et al.'s ``diag``: the root of the covariance's determinant is the product of the scales.
     """
     depth = -strength * wp.log(1.0 - wp.min(opacity, OPACITY_MAX))
     if mapping == AVERAGE:
@@ -114,9 +117,9 @@ def absorption_of(mapping: int, strength: float, opacity: float, scale: wp.vec3)
 
 @wp.func
 def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
-    """Squared canonical distance of a line from the mean at which its optical depth is negligible in any direction.
+    """Returns the squared canonical distance of a line from the mean beyond which its optical depth is negligible.
 
-    Negative where it always is.
+    The distance holds for lines of any direction. It is negative where the depth is always negligible.
     """
     if absorption <= 0.0:
         return -1.0
@@ -125,7 +128,7 @@ def reach_squared_of(absorption: float, scale: wp.vec3) -> float:
 
 @wp.func
 def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: float) -> Occluder:
-    """Caster ``i`` as seen from the light."""
+    """Prepares caster ``i`` as an occluder relative to the light."""
     occluder = Occluder()
     scale = casters.scales[i]
     occluder.offset = casters.means[i] - atlas.origin
@@ -138,7 +141,7 @@ def occluder_of(atlas: Atlas, casters: Casters, i: int, mapping: int, strength: 
 
 @wp.func
 def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
-    """Whether a ray comes near enough to an occluder: a cheap test that most rays of a tile fail."""
+    """Returns whether a ray passes close enough to an occluder: a cheap test that rejects most rays of a tile."""
     to_mean = occluder.offset - (ray.origin - light)
     nearest = wp.dot(to_mean, ray.direction)
     across = to_mean - nearest * ray.direction
@@ -147,10 +150,10 @@ def may_block(occluder: Occluder, ray: LightRay, light: wp.vec3) -> bool:
 
 @wp.func
 def depth_profile(occluder: Occluder, ray: LightRay, light: wp.vec3) -> DepthProfile:
-    """An occluder's optical depth along a ray, by docs/method/deep_shadow_maps.md#line-distance.
+    """Returns an occluder's optical depth along a ray (docs/method/deep_shadow_maps.md#line-distance).
 
-    The line's nearest point to the mean is found in the world first, then in canonical space, where the rest is small:
-    no difference of large numbers is taken.
+    The line's nearest point to the mean is found in world space first, then in canonical space, where the remainder is
+    small: no difference of large numbers is taken.
     """
     profile = DepthProfile()
     to_mean = occluder.offset - (ray.origin - light)
@@ -169,7 +172,7 @@ def depth_profile(occluder: Occluder, ray: LightRay, light: wp.vec3) -> DepthPro
 
 @wp.func
 def erf_between(low: float, high: float) -> float:
-    """erf(high) - erf(low), for low <= high, with all digits also if both are near one."""
+    """Returns erf(high) - erf(low), for low <= high, with full precision also if both are near one."""
     if low > 0.0:
         return wp.erfc(low) - wp.erfc(high)
     if high < 0.0:
@@ -179,7 +182,7 @@ def erf_between(low: float, high: float) -> float:
 
 @wp.func
 def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
-    """Optical depth from ``start``, the argument of the error function at which light starts, to a distance.
+    """Returns the optical depth from ``start``, the argument of the error function where light starts, to a distance.
 
     Source: docs/method/deep_shadow_maps.md#optical-depth.
     """
@@ -191,24 +194,24 @@ def depth_until(profile: DepthProfile, start: float, distance: float) -> float:
 
 @wp.func
 def start_of(atlas: Atlas, profile: DepthProfile) -> float:
-    """The argument of the error function at which light starts; parallel light has no beginning."""
+    """Returns the argument of the error function at which light starts; parallel light starts infinitely far away."""
     if atlas.layout == PARALLEL:
         return -ERF_MAX
     return -profile.sharpness * profile.peak
 
 
-# --- The table: columns of bins, written by depths and read by interpolation ---
+# --- The table: columns of bins, filled with optical depths and read by interpolation ---
 
 
 @wp.func
 def bin_below(atlas: Atlas, distance: float) -> float:
-    """A distance in bins, whose centres are whole numbers, clamped to -1 and the last bin."""
+    """Converts a distance to bins, whose centres are whole numbers, clamped to -1 and the last bin."""
     return wp.clamp(distance / atlas.bin_length - 0.5, -1.0, float(atlas.bins - 1))
 
 
 @wp.func
 def column_number(table: Table, texel: int) -> int:
-    """The number of a texel's column; -1: it has none."""
+    """Returns the index of a texel's column; -1: none."""
     if texel < 0:
         return -1
     slot = table.slots[texel // TILE_TEXELS]
@@ -217,9 +220,9 @@ def column_number(table: Table, texel: int) -> int:
 
 @wp.func
 def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile):
-    """Adds to each bin of a column the optical depth of an occluder that lies between it and the bin before.
+    """Adds to each bin of a column the optical depth of an occluder between this bin and the previous one.
 
-    An occluder adds nothing to the bins behind it, which are skipped.
+    Bins behind the occluder gain nothing and are skipped.
     """
     begin = start_of(atlas, profile)
     width = ERF_MAX / profile.sharpness
@@ -237,9 +240,11 @@ def add_depths(atlas: Atlas, table: Table, column: Column, profile: DepthProfile
 
 @wp.func
 def loss_in(table: Table, column: int, number: int) -> float:
-    """Share of the light that is lost at the centre of bin ``number`` of a column: 0 before the first, or without one.
+    """Returns the fraction of light lost at the centre of bin ``number`` of a column.
 
-    Behind the last bin it is as there: light that was lost does not come back.
+    The loss is 0 before the first bin and without a column.
+
+    Behind the last bin, its value is returned: lost light does not come back.
     """
     if column < 0 or table.columns[column].count == 0 or number < table.columns[column].first:
         return 0.0
@@ -249,9 +254,10 @@ def loss_in(table: Table, column: int, number: int) -> float:
 
 @wp.func
 def loss_at(atlas: Atlas, table: Table, point: wp.vec3) -> float:
-    """Share of the light that is lost on the way to a point: trilinear between the nearest texels and bins.
+    """Returns the fraction of light lost at a point: trilinear between the nearest texels and bins.
 
-    The loss is interpolated, not the transmittance: an unblocked receiver gets exactly 0, however weights are rounded.
+    The loss is interpolated instead of the transmittance, so that an unblocked receiver gets exactly 0 despite
+    rounding.
     """
     position = atlas_from_world(atlas, point)
     at = bin_below(atlas, position.distance)

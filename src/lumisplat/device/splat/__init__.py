@@ -1,1 +1,1 @@
-"""Splats: footprints of Gaussians at pixels, as ellipses or along rays, and the compositors that blend them."""
+"""Splatting: footprints of Gaussians at pixels, as ellipses or along rays, and the compositors that blend them."""

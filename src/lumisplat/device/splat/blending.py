@@ -1,4 +1,4 @@
-"""Front-to-back blending of a pixel, and its result stored as the hits of a ray or straight in the image.
+"""Front-to-back blending of a pixel, and storage of the result as ray hits or directly in the image.
 
 The equations are in docs/method/rasterisation.md#compositing.
 """
@@ -21,7 +21,7 @@ NORMAL_MIN = wp.constant(wp.float32(NORMAL_DEGENERATE))
 
 @wp.func
 def empty_pixel() -> BlendState:
-    """A pixel before anything is blended."""
+    """Returns the blending state of an empty pixel."""
     pixel = BlendState()
     pixel.transmittance = 1.0
     pixel.surface = -1
@@ -31,7 +31,7 @@ def empty_pixel() -> BlendState:
 
 @wp.func
 def opaque_pixel(splats: wp.array[Splat], index: int) -> BlendState:
-    """A pixel that shows one splat, as if it were opaque; index -1: none."""
+    """Returns the blending state of a pixel that shows one splat as opaque; index -1: none."""
     pixel = empty_pixel()
     if index >= 0:
         pixel.surface = index
@@ -45,7 +45,7 @@ def opaque_pixel(splats: wp.array[Splat], index: int) -> BlendState:
 
 @wp.func
 def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
-    """Camera-space direction through a pixel's centre, with z = 1."""
+    """Returns the camera-space direction through a pixel's centre, with z = 1."""
     return wp.vec3(
         (float(x) + 0.5 - camera.raster_center[0]) / camera.focal[0],
         (float(y) + 0.5 - camera.raster_center[1]) / camera.focal[1],
@@ -55,7 +55,7 @@ def pixel_ray(camera: CameraData, x: int, y: int) -> wp.vec3:
 
 @wp.func
 def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, alpha: float, iso: float) -> BlendState:
-    """Blends a Gaussian behind all that are blended already."""
+    """Blends a Gaussian behind all Gaussians already blended."""
     before = pixel.transmittance
     weight = before * alpha
     after = before - weight
@@ -72,7 +72,10 @@ def lay_behind(pixel: BlendState, color: wp.vec3, normal: wp.vec3, index: int, a
 
 @wp.func
 def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float, iso: float) -> BlendState:
-    """Blends a splat behind the others; if T would fall to its minimum, drops it and finishes the pixel."""
+    """Blends a splat behind the others.
+
+    If the transmittance would fall to its minimum, drops it and finishes the pixel.
+    """
     before = pixel.transmittance
     if before - before * alpha > transmittance_min:
         return lay_behind(pixel, splat.color, splat.normal, splat.index, alpha, iso)
@@ -82,25 +85,26 @@ def blend(pixel: BlendState, splat: Any, alpha: float, transmittance_min: float,
 
 @wp.func
 def left_behind(before: float, after: float, transmittance_min: float) -> float:
-    """The transmittance of a pixel behind a splat, as a selection: rows of pixels vectorise.
+    """Returns a pixel's transmittance behind a splat, without branches so that rows of pixels vectorise.
 
-    If it would fall to its minimum, it is that before the splat, which is dropped, and negative: the pixel is finished.
+    If the transmittance would fall to its minimum, the splat is dropped: the previous transmittance is returned,
+    negated to mark the pixel as finished.
     """
     return wp.where(after > transmittance_min, after, -wp.abs(before))
 
 
 @wp.func
 def to_surface(before: float, after: float, iso: float, index: int) -> int:
-    """What is added to the number of a pixel's surface, -1 at first: the splat behind which the transmittance is low.
+    """Returns the increment of a pixel's surface index, -1 at first, for a splat: nonzero where it crosses ``iso``.
 
-    A sum, as it is set once: compilers make a selection a masked store, slow on some CPUs.
+    The index is set once, so that a sum suffices; compilers make a selection a masked store, slow on some CPUs.
     """
     return wp.where(wp.where(before >= iso, wp.where(after < iso, after, -1.0), -1.0) > 0.0, index + 1, 0)
 
 
 @wp.func
 def instance_of(instances: wp.array[Any], item: int) -> int:
-    """The instance that holds a Gaussian or triangle: the last one that starts at or before it."""
+    """Returns the instance that contains a Gaussian or triangle: the last one that starts at or before its index."""
     low = int(0)
     high = instances.shape[0]
     while high - low > 1:
@@ -114,7 +118,7 @@ def instance_of(instances: wp.array[Any], item: int) -> int:
 
 @wp.func
 def begin_relit(hits: GaussianHits, ray: int):
-    """Nothing of relit sets on a ray, if what they show is added up apart."""
+    """Resets the separate sums of relit sets on a ray, if they are recorded."""
     if hits.relit_weight:
         hits.relit_color[ray] = wp.vec3(0.0)
         hits.relit_weight[ray] = 0.0
@@ -130,7 +134,7 @@ def add_relit(
     after: BlendState,
     index: int,
 ):
-    """Adds what blending the Gaussian ``index`` has changed to the share of relit sets, if it is one of theirs."""
+    """Adds the contribution of Gaussian ``index`` to the sums of relit sets, if its set is relit."""
     if instances[instance_of(instances, index)].relit != 0:
         hits.relit_color[ray] += after.color - before.color
         hits.relit_weight[ray] += before.transmittance - after.transmittance
@@ -220,7 +224,7 @@ def store_result(
     pixels_out: PixelData,
     hits_out: GaussianHits,
 ):
-    """Writes a blended pixel to the image or, ``for_rays``, to the hits of its ray."""
+    """Writes a blended pixel to the image or, if ``for_rays``, to the hits of its ray."""
     if for_rays:
         store_gaussian_hits(camera, splats, pixel, x, y, hits_out)
     else:
@@ -229,9 +233,9 @@ def store_result(
 
 @wp.func
 def behind_pixel(pixels: PixelData, gradient: PixelGradient, pixel: int, mesh_z: float) -> float:
-    """What of the loss is still to come behind all that is blended already: at first, all that the pixel shows.
+    """Returns the loss contribution of a whole pixel: the backward pass starts with it and subtracts splat by splat.
 
-    Of the alpha of a pixel with a mesh, nothing depends on splats.
+    The alpha of a pixel with a mesh does not depend on splats.
     """
     transmittance = wp.where(mesh_z < wp.inf, 0.0, 1.0 - pixels.alpha[pixel])
     return wp.dot(gradient.color[pixel], pixels.color[pixel]) - gradient.alpha[pixel] * transmittance

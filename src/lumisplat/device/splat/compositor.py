@@ -1,8 +1,8 @@
-"""Compositors: how the splats of a tile are shown to what blends them, or differentiates, on CPUs and on CUDA.
+"""Compositors: loops over the splats of a tile for visitors that blend or differentiate them, on CPUs and CUDA.
 
-What a splat covers is up to a footprint (``ellipse.ELLIPSE`` or ``ray_splat.ALONG_RAYS``), and what becomes of that to
-a visitor: both are functions that are filled in, which the compiler inlines. The equations are in
-docs/method/rasterisation.md and docs/method/gradients.md.
+A footprint (``ellipse.ELLIPSE`` or ``ray_splat.ALONG_RAYS``) evaluates splats at pixels, and a visitor processes the
+result. Both are sets of functions that the compiler inlines. The equations are in docs/method/rasterisation.md and
+docs/method/gradients.md.
 """
 
 import functools
@@ -39,59 +39,71 @@ from lumisplat.device.structs.raster import TileRect
 
 
 class Footprint(NamedTuple):
-    """Types of values, and functions of ``device``, by which compositors see Gaussians."""
+    """Types and device functions by which compositors evaluate Gaussians at pixels."""
 
     settings: Any
     """Struct of the rasteriser's settings: at least ``transmittance_min`` and ``depth_iso_transmittance``."""
     splat: Any
     """Struct of a Gaussian: at least ``depth``, ``color``, ``normal`` and ``index``."""
     pixel_limits: Any
-    """Struct of what ends it at each pixel: meshes, or rays."""
+    """Struct that limits the range of each pixel: depths of meshes, or rays with their ends."""
     at: Any
-    """Struct of a splat at a pixel: at least its ``alpha`` and the logarithm of that."""
+    """Struct of a splat evaluated at a pixel: at least ``alpha`` and its logarithm."""
 
-    # Strips of pixels: the schedule of CPUs.
+    # Functions on strips of pixels, used on CPUs.
     tile: Any
-    """Struct of a value a pixel of a tile; one is ``limit_z``, the depth at which splats are hidden."""
+    """Struct of one value for each pixel of a tile.
+
+    One field is ``limit_z``, the depth from which splats are hidden.
+    """
     begin_pixel: Any
-    """``(tile, i, view, surroundings, x, y) -> float``: fills in pixel ``i``, returns its limit; 0: sees none."""
+    """``(tile, i, view, pixel_limits, x, y) -> float``: initialises pixel ``i`` and returns its limit.
+
+    A limit of 0 marks a pixel that sees nothing."""
     rows_of: Any
-    """``(splat, top, rows) -> vec2i``: the first row of a tile that a splat may touch, and the one after the last."""
+    """``(splat, top, rows) -> vec2i``: returns the first tile row that a splat may touch, and the one after the last.
+    """
     row_of: Any
-    """``(splat, view, left, top, y) -> row``: what the pixels of a row share."""
+    """``(splat, view, left, top, y) -> row``: evaluates a splat's terms that the pixels of a row share."""
     touches_strip: Any
-    """``(splat, row, strip) -> bool``: whether a splat may be visible at a pixel of a strip of the row."""
+    """``(splat, row, strip) -> bool``: returns whether a splat may be visible at a pixel of a strip of the row."""
     at_pixel: Any
-    """``(splat, row, tile, i, x) -> at``: a splat at pixel ``i``, column ``x``; ``alpha`` is 0 if below 1/255."""
+    """``(splat, row, tile, i, x) -> at``: evaluates a splat at pixel ``i``, column ``x``.
 
-    # Single pixels: the schedules of CUDA.
+    ``alpha`` is 0 below 1/255.
+    """
+
+    # Functions on single pixels, used on CUDA.
     pixel: Any
-    """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite before a mesh."""
+    """Struct of a pixel: at least ``limit_z``, and ``limit``, which is finite in front of a mesh."""
     pixel_at: Any
-    """``(view, surroundings, x, y) -> pixel``."""
+    """``(view, pixel_limits, x, y) -> pixel``: sets up a pixel."""
     covers: Any
-    """``(splat, pixel) -> bool``: whether a splat may be visible at a pixel, a quick test."""
+    """``(splat, pixel) -> bool``: tests quickly whether a splat may be visible at a pixel."""
     evaluate: Any
-    """``(splat, pixel) -> at``: a splat at a pixel; ``alpha`` is not filled in."""
+    """``(splat, pixel) -> at``: evaluates a splat at a pixel; ``alpha`` is not set."""
     item: Any
-    """Struct of what a block keeps of a splat in the memory that it shares; one field is ``index``."""
+    """Struct that a thread block stores for a splat in shared memory; one field is ``index``."""
     fetch: Any
-    """``(splats, index, item)``: fills in an item."""
+    """``(splats, index, item)``: fills an item."""
     splat_of: Any
-    """``(splats, item) -> splat``."""
+    """``(splats, item) -> splat``: returns the splat of an item."""
 
-    # Derivatives.
+    # Gradients.
     sums: Any
-    """Vector of sums over pixels, of which the derivatives by a splat are made."""
+    """Vector of sums over pixels from which the gradient of a splat follows."""
     part_of: Any
-    """``(splat, at, v, weight, by_color) -> sums``: what a pixel adds, ``v`` being the derivative by its log alpha."""
+    """``(splat, at, v, weight, by_color) -> sums``: returns a pixel's terms.
+
+    ``v`` is the derivative by its log alpha.
+    """
     gradient: Any
-    """Struct of derivatives by a splat."""
+    """Struct of a splat's gradient."""
     gradient_of: Any
-    """``(splat, sums) -> gradient``."""
+    """``(splat, sums) -> gradient``: converts the sums to a gradient."""
 
 
-# --- The compositor of CPUs: a tile's splats, front to back, each on the strips of pixels that it touches ---
+# --- CPU compositor: the splats of a tile, front to back, each on the strips of pixels that it touches ---
 #
 # The compiler turns a strip into vector instructions.
 
@@ -100,41 +112,43 @@ TILE_OPTIONS = {
     # The loop over a strip must stay a loop for the vectoriser: unrolled, it compiles five times slower and runs no
     # faster.
     "max_unroll": 4,
-    # Fused multiply-adds across Warp's operator functions: 16 % off the composite.
+    # Fused multiply-adds across Warp's operator functions save 16 % of the composite.
     "cpu_compiler_flags": FUSED_FLAGS,
 }
-"""Of the modules that walk tiles."""
+"""Module options of kernels that walk tiles."""
 
 BATCH = wp.constant(32)
-"""Splats of a tile between two looks at which pixels are still unfinished."""
+"""Splats of a tile between two checks for unfinished pixels."""
 
 
 class TileVisitor(NamedTuple):
-    """Types of values, and functions, that make something of the splats at the pixels of a tile."""
+    """Types and functions that process the splats at the pixels of a tile."""
 
     pixels: Any
-    """Struct of values a pixel of the tile; one is ``transmittance``, 1 at first, at most 0 for what is finished."""
+    """Struct of one value for each pixel of the tile.
+
+    Field ``transmittance`` starts at 1 and is at most 0 when finished."""
     sums: Any
-    """Of a splat, over the pixels of the tile."""
+    """Vector of sums for a splat over the pixels of the tile."""
     arrays: Any
-    """Struct of what is read and written."""
+    """Struct of the arrays that are read and written."""
     begin_pixel: Any
-    """``(pixels, i, view, x, y, limit, arrays)``: before all splats, for pixels that see any, up to ``limit``."""
+    """``(pixels, i, view, x, y, limit, arrays)``: called before all splats, for pixels with a ``limit`` above 0."""
     visit: Any
-    """``(pixels, sums, splat, at, i, x, settings)``: a splat at pixel ``i``, column ``x`` of its strip."""
+    """``(pixels, sums, splat, at, i, x, settings)``: processes a splat at pixel ``i``, column ``x`` of its strip."""
     end_splat: Any
-    """``(arrays, view, tile, splat, sums)``: after all of its pixels."""
+    """``(arrays, view, tile, splat, sums)``: called after all pixels of a splat."""
     pass_by: Any
-    """``(arrays, view, tile, index)``: for splats behind all that is visible."""
+    """``(arrays, view, tile, index)``: called for splats behind everything visible."""
     end_pixel: Any
-    """``(pixels, i, view, tile, x, y, settings, arrays)``: after all splats."""
+    """``(pixels, i, view, tile, x, y, settings, arrays)``: called after all splats."""
     is_sorted: bool = True
-    """Whether splats come by their depth."""
+    """Whether splats arrive sorted by depth."""
 
 
 @wp.func
 def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileFloats]) -> StripFloats:
-    """View depth of the farthest limit of any unfinished pixel of each strip: splats from there on are hidden."""
+    """Returns, for each strip, the largest depth limit of its unfinished pixels: splats from there on are hidden."""
     farthest = StripFloats(0.0)
     for strip in range(TILE * STRIPS):
         for x in range(STRIP):
@@ -145,7 +159,7 @@ def farthest_unfinished(transmittance: wp.ref[TileFloats], limit_z: wp.ref[TileF
 
 
 def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
-    """Returns the function that shows a visitor the splats of a tile."""
+    """Builds the function that passes the splats of a tile to a visitor."""
     Settings, Splat, PixelLimits, Tile = footprint.settings, footprint.splat, footprint.pixel_limits, footprint.tile
     Pixels, Sums, Arrays, IS_SORTED = visitor.pixels, visitor.sums, visitor.arrays, visitor.is_sorted
     begin_limit, rows_of, row_of = footprint.begin_pixel, footprint.rows_of, footprint.row_of
@@ -155,9 +169,10 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
 
     @wp.func
     def visible_end(splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, farthest: float) -> int:
-        """The first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
+        """Returns the first entry of a tile's sorted list at or beyond a depth; ``end`` if there is none.
 
-        All are read, not just those up to the first: their memory is fetched at once, a seventh off the composite.
+        It reads all entries instead of stopping at the first, so that their memory is fetched at once: a seventh off
+        the composite.
         """
         visible = int(begin)
         for j in range(begin, end):
@@ -229,29 +244,29 @@ def tile_walk(footprint: Footprint, visitor: TileVisitor) -> Any:
     return walk
 
 
-# --- The compositor of single pixels: the splats of its tile, one after another ---
+# --- Compositor of single pixels: the splats of the tile, one after another ---
 #
-# It is the schedule of CUDA where blocks need not share the splats of a tile, and that of CPUs where blended splats are
-# counted, or those of relit sets are added up apart.
+# CUDA uses it where thread blocks need not share the splats of a tile. CPUs use it where blended splats are counted, or
+# relit sets are summed separately.
 
 
 class PixelVisitor(NamedTuple):
-    """Types of values, and functions, that make something of the splats at a pixel."""
+    """Types and functions that process the splats at a single pixel."""
 
     state: Any
-    """Struct of what they make; one field is ``transmittance``, at most 0 once the pixel is finished."""
+    """Struct of the result; one field is ``transmittance``, at most 0 once the pixel is finished."""
     arrays: Any
-    """Struct of what they read and write beside it."""
+    """Struct of the other arrays that are read and written."""
     wants: Any
-    """``(state, splat) -> bool``: whether a splat matters, if it is visible."""
+    """``(state, splat) -> bool``: returns whether a splat matters if it is visible."""
     visit: Any
-    """``(state, splat, log_alpha, settings, arrays)``: a visible splat."""
+    """``(state, splat, log_alpha, settings, arrays)``: processes a visible splat."""
     ends_by_depth: bool
-    """Whether the first splat at or beyond the pixel's ``limit_z`` ends the list, as that is sorted."""
+    """Whether the list is sorted, so that the first splat at or beyond the pixel's ``limit_z`` ends it."""
 
 
 def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
-    """Returns the function that shows a visitor the splats of a tile at a pixel."""
+    """Builds the function that passes the splats of a tile, at one pixel, to a visitor."""
     Settings, SplatType, Pixel = footprint.settings, footprint.splat, footprint.pixel
     covers, evaluate = footprint.covers, footprint.evaluate
     State, Arrays, wants, visit, ENDS_BY_DEPTH = visitor
@@ -282,18 +297,18 @@ def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:
     return walk
 
 
-# --- Derivatives on CUDA: one block is one tile, and each of its warps has a square of it ---
+# --- Gradients on CUDA: one thread block for each tile, one warp for each square of the tile ---
 #
-# The threads of a block fetch a batch of the tile's splats together, and each warp walks it for its pixels. What they
-# add to the record of a splat is summed over the warp, without atomics and without barriers; after the batch, each
-# thread adds up what the warps have for one splat, and writes its record.
+# The threads of a block fetch a batch of the tile's splats together, and each warp processes it for its pixels. The
+# terms of a splat's record are summed over the warp, without atomics and barriers. After the batch, each thread adds
+# the sums of all warps for one splat, and writes its record.
 
 WARP_OPTIONS = {"enable_backward": False, "cpu_compiler_flags": FUSED_FLAGS, "block_dim": TILE_THREADS}
-"""Of the modules that walk tiles by warps."""
+"""Module options of kernels that walk tiles by warps."""
 
 
 def backward_walk(footprint: Footprint) -> Any:
-    """Returns the function that writes the records of a tile's splats, which all threads of a block call."""
+    """Builds the function that writes the gradient records of a tile's splats; all threads of a block call it."""
     Settings, SplatType, PixelLimits = footprint.settings, footprint.splat, footprint.pixel_limits
     Item, fetch, splat_of = footprint.item, footprint.fetch, footprint.splat_of
     pixel_at, covers, evaluate = footprint.pixel_at, footprint.covers, footprint.evaluate
@@ -377,7 +392,7 @@ def backward_walk(footprint: Footprint) -> Any:
                 record = gradient_of(splat_of(splats, fetched), sum_of(thread))
                 arrays.pairs_out[pair_slot(rect, arrays.pair_starts[fetched.index], tile_x, tile_y)] = record
             begin += THREADS
-        # What lies behind pixels that are all opaque has no part in them.
+        # Splats behind pixels that are all opaque have zero gradients.
         for k in range(begin + thread, end, THREADS):
             index = tile_splats[k]
             slot = pair_slot(arrays.rects[index], arrays.pair_starts[index], tile_x, tile_y)
@@ -388,12 +403,12 @@ def backward_walk(footprint: Footprint) -> Any:
 
 @functools.cache
 def backward_arrays(footprint: Footprint) -> Any:
-    """Returns the struct of where derivatives come from, and of the records of splats in tiles that they go to."""
+    """Builds the struct of the backward pass's inputs and of the records of splat-tile pairs that it writes."""
     Gradient = footprint.gradient
 
     @struct
     class BackwardArrays:
-        """Of one footprint."""
+        """Arrays of the backward pass of one footprint."""
 
         rects: wp.array[TileRect]
         pair_starts: wp.array[int]

@@ -1,4 +1,4 @@
-"""A projected splat in the image: the tiles and rows that it covers, and its alpha at pixels.
+"""Projected splats as ellipses in the image: the tiles and rows they cover, and their alpha at pixels.
 
 The equations are in docs/method/rasterisation.md.
 """
@@ -19,7 +19,7 @@ load_splat, store_splat = aligned_load_of(Splat), aligned_store_of(Splat)
 
 @wp.func
 def is_finite(splat: Splat) -> bool:
-    """Whether no NaN or infinity would reach a pixel or an index."""
+    """Returns whether no NaN or infinity of the splat would reach a pixel or an index."""
     total = splat.color[0] + splat.color[1] + splat.color[2] + splat.center[0] + splat.center[1]
     total += splat.along + splat.shear + splat.across + splat.normal[0] + splat.normal[1] + splat.normal[2]
     return wp.isfinite(total) and splat.extent[0] < wp.inf and splat.extent[1] < wp.inf
@@ -27,7 +27,7 @@ def is_finite(splat: Splat) -> bool:
 
 @wp.func
 def tile_range(camera: CameraData, splat: Splat) -> TileRect:
-    """Tiles of the window whose pixel centres the splat's box covers."""
+    """Returns the tiles of the window whose pixel centres the splat's box covers."""
     rect = TileRect()
     low = splat.center - splat.extent - wp.vec2(0.5)
     high = splat.center + splat.extent - wp.vec2(0.5)
@@ -49,7 +49,7 @@ def tile_range(camera: CameraData, splat: Splat) -> TileRect:
 
 @wp.func
 def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
-    """The first row of a tile whose pixel centres the splat's box covers, and the one after the last."""
+    """Returns the first row of a tile whose pixel centres the splat's box covers, and the one after the last."""
     center_y = splat.center[1] - float(top)
     first = int(wp.ceil(wp.max(center_y - splat.extent[1] - 0.5, 0.0)))
     last = int(wp.floor(wp.min(center_y + splat.extent[1] - 0.5, float(rows - 1))))
@@ -58,7 +58,7 @@ def rows_of(splat: Splat, top: int, rows: int) -> wp.vec2i:
 
 @struct
 class EllipseTile:
-    """What a tile's pixels know of what is around their splats."""
+    """Depth limits of a tile's pixels."""
 
     limit_z: TileFloats
     """View depth of the nearest mesh; inf: none."""
@@ -66,33 +66,33 @@ class EllipseTile:
 
 @struct
 class EllipseRow:
-    """A splat on a row of a tile."""
+    """A splat evaluated on a row of a tile."""
 
     dy: float
-    """From its centre, pixels."""
+    """Vertical distance from the splat's centre, pixels."""
     log_alpha: float
-    """Logarithm of its largest alpha there."""
+    """Logarithm of the largest alpha on the row."""
     center: float
-    """Where that is, pixels from the tile's left edge."""
+    """Position of that maximum, pixels from the tile's left edge."""
 
 
 @struct
 class EllipseAt:
-    """A splat at a pixel."""
+    """A splat evaluated at a pixel."""
 
     alpha: float
-    """0 below 1/255, and behind a mesh."""
+    """Alpha; 0 below 1/255 and behind a mesh."""
     log_alpha: float
-    """Before it is limited."""
+    """Logarithm of alpha before clamping."""
     dx: float
-    """From where its alpha is largest on the row, pixels."""
+    """Horizontal distance from the row's maximum, pixels."""
     dy: float
-    """From its centre."""
+    """Vertical distance from the splat's centre, pixels."""
 
 
 @wp.func
 def begin_pixel(tile: wp.ref[EllipseTile], i: int, view: CameraData, meshes: MeshPixels, x: int, y: int) -> float:
-    """Takes the depth of the mesh behind a pixel, and returns it."""
+    """Stores and returns the depth of the mesh behind a pixel."""
     limit = meshes.depth_z[image_index(view, x, y)]
     set_at(tile.limit_z, i, limit)
     return limit
@@ -100,7 +100,7 @@ def begin_pixel(tile: wp.ref[EllipseTile], i: int, view: CameraData, meshes: Mes
 
 @wp.func
 def row_of(splat: Splat, view: CameraData, left: int, top: int, y: int) -> EllipseRow:
-    """A splat on row ``y`` of the tile whose corner is at (left, top)."""
+    """Evaluates a splat on row ``y`` of the tile whose corner is at (left, top)."""
     row = EllipseRow()
     row.dy = float(y) + 0.5 - (splat.center[1] - float(top))
     row.log_alpha = splat.log_opacity - splat.across * row.dy * row.dy
@@ -110,7 +110,7 @@ def row_of(splat: Splat, view: CameraData, left: int, top: int, y: int) -> Ellip
 
 @wp.func
 def touches_strip(splat: Splat, row: EllipseRow, strip: int) -> bool:
-    """Whether a splat is visible at a pixel of a strip of the row."""
+    """Returns whether a splat is visible at a pixel of a strip of the row."""
     first = float(strip * STRIP) + 0.5
     dx = wp.clamp(row.center, first, first + float(STRIP - 1)) - row.center
     return row.log_alpha - splat.along * dx * dx >= LOG_ALPHA_MIN
@@ -118,7 +118,7 @@ def touches_strip(splat: Splat, row: EllipseRow, strip: int) -> bool:
 
 @wp.func
 def at_pixel(splat: Splat, row: EllipseRow, tile: wp.ref[EllipseTile], i: int, x: int) -> EllipseAt:
-    """A splat at pixel ``i`` of a tile, in column ``x``."""
+    """Evaluates a splat at pixel ``i`` of a tile, in column ``x``."""
     at = EllipseAt()
     at.dx = float(x) + 0.5 - row.center
     at.dy = row.dy
@@ -129,19 +129,19 @@ def at_pixel(splat: Splat, row: EllipseRow, tile: wp.ref[EllipseTile], i: int, x
 
 @struct
 class EllipsePixel:
-    """A pixel, and what is around its splats."""
+    """A pixel and its depth limit."""
 
     center: wp.vec2
-    """In the picture, pixels."""
+    """Pixel centre in the full frame, pixels."""
     limit_z: float
     """View depth of the nearest mesh; inf: none."""
     limit: float
-    """The same: where what the pixel sees ends."""
+    """Equal to ``limit_z``: the depth at which the pixel ends."""
 
 
 @wp.func
 def pixel_at(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePixel:
-    """A pixel of the picture."""
+    """Sets up a pixel of the full frame."""
     pixel = EllipsePixel()
     pixel.center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
     pixel.limit_z = meshes.depth_z[image_index(view, x, y)]
@@ -151,13 +151,13 @@ def pixel_at(view: CameraData, meshes: MeshPixels, x: int, y: int) -> EllipsePix
 
 @wp.func
 def covers(splat: Splat, pixel: EllipsePixel) -> bool:
-    """There is no test that is quicker than ``meet``."""
+    """Returns True, because no test is faster than ``evaluate``."""
     return True
 
 
 @wp.func
 def evaluate(splat: Splat, pixel: EllipsePixel) -> EllipseAt:
-    """A splat at a pixel, whatever is around it; ``alpha`` is left to who needs it."""
+    """Evaluates a splat at a pixel, regardless of the depth limit; ``alpha`` is left to the caller."""
     at = EllipseAt()
     at.dy = pixel.center[1] - splat.center[1]
     at.dx = pixel.center[0] - splat.center[0] - splat.shear * at.dy
@@ -169,9 +169,9 @@ def evaluate(splat: Splat, pixel: EllipsePixel) -> EllipseAt:
 def first_touching(
     splats: wp.array[Splat], tile_splats: wp.array[int], begin: int, end: int, pixel: EllipsePixel, is_marked: bool
 ) -> int:
-    """The first splat of a sorted list that shows at a pixel; -1: none does.
+    """Returns the first splat of a sorted list that is visible at a pixel; -1: none.
 
-    ``is_marked``: whether only those count whose normals begin with a positive number.
+    ``is_marked``: count only splats whose normal's first component is positive.
     """
     for j in range(begin, end):
         index = tile_splats[j]
@@ -184,7 +184,7 @@ def first_touching(
 
 @wp.func
 def sum_of_pairs(pairs: wp.array[SplatGradient], begin: int, end: int) -> SplatGradient:
-    """The sum of the records of a splat."""
+    """Returns the sum of the gradient records of a splat."""
     total = SplatGradient()
     for k in range(begin, end):
         part = pairs[k]
@@ -200,13 +200,18 @@ def sum_of_pairs(pairs: wp.array[SplatGradient], begin: int, end: int) -> SplatG
 
 
 PairFloats = wp.types.vector(length=12, dtype=wp.float32)
-"""Sums over pixels, of which the record of a splat is made: of v, v dx, v dx^2, v dy, v dx dy, v dy^2, of colour and
-weight, and of the magnitudes of what moves its centre."""
+"""Sums over pixels from which the gradient of a splat follows.
+
+They are the sums of v, v dx, v dx^2, v dy, v dx dy, v dy^2, of colour and weight, and of the magnitudes of the terms
+that move the centre."""
 
 
 @wp.func
 def part_of(splat: Splat, at: EllipseAt, v: float, weight: float, by_color: wp.vec3) -> PairFloats:
-    """What one pixel adds to the sums of a splat; ``v`` is the derivative by the logarithm of its alpha."""
+    """Returns one pixel's terms in the sums of a splat.
+
+    ``v`` is the derivative with respect to the logarithm of its alpha.
+    """
     vx = v * at.dx
     slope = splat.along * vx
     return PairFloats(
@@ -227,7 +232,7 @@ def part_of(splat: Splat, at: EllipseAt, v: float, weight: float, by_color: wp.v
 
 @wp.func
 def gradient_of(splat: Splat, sums: PairFloats) -> SplatGradient:
-    """The derivatives by a splat, of its sums over pixels."""
+    """Converts a splat's sums over pixels to its gradient."""
     record = SplatGradient()
     record.log_opacity = sums[0]
     record.center = wp.vec2(
@@ -244,13 +249,13 @@ def gradient_of(splat: Splat, sums: PairFloats) -> SplatGradient:
 
 @wp.func
 def fetch(splats: wp.array[Splat], index: int, item: wp.ref[Splat]):
-    """Fetches a splat for the memory that a block shares."""
+    """Reads a splat for shared memory."""
     load_splat(splats, index, item)
 
 
 @wp.func
 def splat_of(splats: wp.array[Splat], item: Splat) -> Splat:
-    """The splat that was fetched."""
+    """Returns the fetched splat."""
     return item
 
 
@@ -277,4 +282,4 @@ ELLIPSE = Footprint(
     gradient=SplatGradient,
     gradient_of=gradient_of,
 )
-"""A Gaussian as an ellipse of the image (EWA)."""
+"""Footprint of Gaussians as ellipses in the image (EWA)."""

@@ -1,4 +1,4 @@
-"""A Gaussian's projection to the image, its alpha there, and the derivatives of both.
+"""Projection of Gaussians to the image, their alpha, and the derivatives of both.
 
 EWA splatting, Zwicker et al. 2001; Kerbl et al. 2023. The equations are in docs/method/rasterisation.md.
 """
@@ -18,7 +18,7 @@ from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 @struct
 class SplatOrigin:
-    """By what one splat comes from: a Gaussian, and the camera that sees it."""
+    """Gradient of the loss with respect to a splat's Gaussian and to the camera."""
 
     mean: wp.vec3
     rotation: wp.quat
@@ -31,21 +31,24 @@ class SplatOrigin:
 # Gaussian response and blending (Kerbl et al. 2023, 3D Gaussian Splatting)
 
 BEYOND_HORIZON = 0.5
-"""Cosine with the direction away from the eye up to which a Gaussian's own normal is of a surface that bends away
-there, 30 degrees beyond its horizon; one that faces away further is of a surface seen from behind.
-docs/method/gaussians.md#normals."""
+"""Cosine beyond the horizon up to which a Gaussian's own normal counts as facing the eye: 30 degrees.
+
+A normal slightly beyond the horizon belongs to a surface that curves away; one farther beyond belongs to a surface seen
+from behind (docs/method/gaussians.md#normals)."""
 
 HORIZON_COSINE = 0.02
-"""Cosine of what is bent to a horizon, one degree: at 0, rounding would decide whether a surface is seen at all."""
+"""Cosine of normals clamped to the horizon, one degree; at 0, rounding would decide whether a surface is visible."""
 
 # Projection to the image (EWA splatting, Zwicker et al. 2001)
 
 COVARIANCE_2D_DET_MIN = 1e-12
-"""Projected covariance determinants below this, pixel^4, are degenerate and the Gaussian is culled."""
+"""Determinant of the projected covariance, pixel^4, below which a Gaussian is degenerate and culled."""
 
 COMPENSATION_MIN = 0.005
-"""Mip-Splatting's compensation of an opacity below which it is taken for constant: it falls to 0 for a Gaussian that is
-seen edge-on, where its derivative by the scales grows beyond all bounds. gsplat's has this floor after 1.5.3."""
+"""Mip-Splatting opacity compensation below which its derivative is taken as zero.
+
+The compensation falls to 0 for a Gaussian seen edge-on, where its derivative with respect to the scales is unbounded.
+gsplat has the same floor after version 1.5.3."""
 
 OPACITY_MIN = wp.constant(wp.float32(ALPHA_MIN))
 
@@ -66,7 +69,7 @@ mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
 @wp.func
 def projection_jacobian(camera: CameraData, point: wp.vec3) -> mat23:
-    """d(pixel) / d(point) at a camera-space point, moved inside 1.3 times the field of view."""
+    """Returns d(pixel) / d(point) at a camera-space point, clamped to 1.3 times the field of view."""
     inv_z = 1.0 / point[2]
     x = wp.clamp(point[0] * inv_z, camera.jacobian_min[0], camera.jacobian_max[0])
     y = wp.clamp(point[1] * inv_z, camera.jacobian_min[1], camera.jacobian_max[1])
@@ -77,10 +80,10 @@ def projection_jacobian(camera: CameraData, point: wp.vec3) -> mat23:
 
 @wp.func
 def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
-    """Unit normal of the max-density plane, inverse(covariance) (eye - mean) (docs/method/gaussians.md#normals).
+    """Returns the unit normal of the max-density plane, inverse(covariance) (eye - mean).
 
-    It points towards the eye by construction, as the inverse covariance is positive definite. Dividing by the smallest
-    scale first keeps flat Gaussians inside float32.
+    It always points towards the eye, because the inverse covariance is positive definite. Dividing by the smallest
+    scale first keeps flat Gaussians inside float32. See docs/method/gaussians.md#normals.
     """
     smallest = wp.min(scale)
     ratio = wp.vec3(smallest / scale[0], smallest / scale[1], smallest / scale[2])
@@ -90,9 +93,9 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 
 @wp.func
 def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
-    """The unit normal, or its opposite where it faces away from the eye by more than a cosine.
+    """Returns the unit normal, or its opposite if it faces away from the eye by more than the cosine ``beyond``.
 
-    Pixels see silhouettes, which show Gaussians whose normals are a little beyond the horizon (BEYOND_MAX,
+    Pixels see silhouettes, which show Gaussians with normals slightly beyond the horizon (BEYOND_MAX,
     docs/method/gaussians.md#normals). Light arrives from anywhere, at sheets from either side (0).
     """
     return wp.where(wp.dot(normal, to_eye) < -beyond * wp.length(to_eye), -normal, normal)
@@ -100,7 +103,7 @@ def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
 
 @wp.func
 def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
-    """A unit direction, bent to the horizon of a unit axis where it is below it."""
+    """Returns a unit direction, clamped to the horizon of a unit axis if it lies below."""
     cosine = wp.dot(direction, axis)
     if cosine >= 0.0:
         return direction
@@ -111,7 +114,10 @@ def above_horizon(direction: wp.vec3, axis: wp.vec3) -> wp.vec3:
 def shown_color(
     sh_degree: int, instance: SplatInstanceData, gaussians: GaussianData, i: int, to_eye: wp.vec3
 ) -> wp.vec3:
-    """Display-referred colour of Gaussian ``i`` of an instance; ``to_eye`` from its mean, object space."""
+    """Returns the display-referred colour of Gaussian ``i`` of an instance.
+
+    ``to_eye`` is from its mean, object space.
+    """
     if instance.shows_albedo != 0:
         return gaussians.albedo[i]
     stored = int(wp.sqrt(float(gaussians.sh_count))) - 1
@@ -123,7 +129,7 @@ def shown_color(
 def shown_normal(
     instance: SplatInstanceData, gaussians: GaussianData, i: int, rotation: wp.mat33, to_eye: wp.vec3
 ) -> wp.vec3:
-    """Unit normal of Gaussian ``i`` of an instance, world space: its own, or that of its max-density plane."""
+    """Returns the world-space unit normal of Gaussian ``i`` of an instance: stored, or of its max-density plane."""
     if instance.stored_normals != 0:
         return instance.world_from_object * towards(gaussians.normals[i], to_eye, BEYOND_MAX)
     return instance.world_from_object * gaussian_normal(rotation, gaussians.scales[i], to_eye)
@@ -133,7 +139,7 @@ def shown_normal(
 def project_gaussian(
     camera: CameraData, raster: RasterData, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> Splat:
-    """The splat of Gaussian ``i`` of an instance; log_opacity is -inf where it cannot touch the image."""
+    """Projects Gaussian ``i`` of an instance to a splat; log_opacity is -inf if it cannot touch the image."""
     splat = Splat()
     splat.log_opacity = -wp.inf
     splat.index = instance.first + i
@@ -197,7 +203,7 @@ def project_gaussian(
 
 @wp.func
 def alpha_from_log(log_alpha: float) -> float:
-    """Alpha of a logarithm in [log(1/255), 0], to 7e-7 relative.
+    """Returns alpha for a logarithm in [log(1/255), 0], to 7e-7 relative.
 
     exp(x) = p(x / 8)^8 with a minimax p of degree 5 and p(0) = 1: multiplications and additions, so that it vectorises.
     """
@@ -211,7 +217,7 @@ def alpha_from_log(log_alpha: float) -> float:
 
 @wp.func
 def visible_alpha(log_alpha: float) -> float:
-    """Alpha of a logarithm, 0 below 1/255; a selection, so that rows of pixels vectorise."""
+    """Returns alpha for a logarithm, 0 below 1/255, without branches so that rows of pixels vectorise."""
     return wp.where(log_alpha >= LOG_ALPHA_MIN, alpha_from_log(wp.max(log_alpha, LOG_ALPHA_MIN)), 0.0)
 
 
@@ -219,9 +225,10 @@ def visible_alpha(log_alpha: float) -> float:
 def depth_plane(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> wp.vec3:
-    """The vector k by which Gaussian ``i``, widened as its splat is, responds most on the ray r at view depth k . r.
+    """Returns the vector k such that Gaussian ``i``, dilated as its splat, responds most on ray r at view depth k . r.
 
-    ``dilation``: variance added to the projected covariance, pixel^2. The Gaussian is before the near plane.
+    ``dilation`` is the variance added to the projected covariance, pixel^2. The Gaussian must lie beyond the near
+    plane.
     """
     view = instance.camera_from_object * gaussians.means[i] + instance.camera_from_object_offset
     spread = wp.quat_to_matrix(gaussians.rotations[i]) * wp.diag(gaussians.scales[i])
@@ -231,16 +238,16 @@ def depth_plane(
     w = (instance.camera_from_object * spread)[2]
     area = wp.cross(u, v)
     det = wp.dot(area, area) + dilation * (wp.dot(u, u) + wp.dot(v, v) + dilation)
-    # Lagrange's identity, as for the determinant: differences of large products would lose all digits.
+    # By Lagrange's identity, as for the determinant, because differences of large products would lose all digits.
     slope_x = camera.focal[0] * (wp.dot(area, wp.cross(w, v)) + dilation * wp.dot(u, w)) / det
     slope_y = camera.focal[1] * (wp.dot(area, wp.cross(u, w)) + dilation * wp.dot(v, w)) / det
     return wp.vec3(slope_x, slope_y, view[2] - (slope_x * view[0] + slope_y * view[1]) / view[2])
 
 
-# --- Derivatives ---
+# --- Gradients ---
 #
-# A splat, weighted by the derivatives of the loss by it and added up, is one number: its derivatives, which Warp finds
-# (``wp.grad``), are those of the loss. The equations are in docs/method/gradients.md.
+# The dot product of a splat with the gradient of the loss is a scalar. Its gradient, which Warp computes (``wp.grad``),
+# is that of the loss. The equations are in docs/method/gradients.md.
 
 SQUARED_COMPENSATION_MIN = wp.constant(wp.float32(COMPENSATION_MIN * COMPENSATION_MIN))
 
@@ -264,10 +271,10 @@ def splat_dot(
     antialiased: float,
     gradient: SplatGradient,
 ) -> wp.float32:
-    """``gradient . splat`` of what ``project_gaussian`` computes, but for its colour.
+    """Returns ``gradient . splat`` for the splat of ``project_gaussian``, without its colour.
 
-    A Gaussian seen edge-on is compensated by almost nothing, whose derivative by its scales is almost infinite: below
-    a floor, as gsplat has it, it is taken for constant.
+    The opacity compensation of a Gaussian seen edge-on is almost 0, with an almost infinite derivative with respect to
+    its scales: below a floor, as in gsplat, it is taken as constant.
     """
     view = camera_from_object * mean + camera_from_object_offset
     inv_z = 1.0 / view[2]
@@ -313,7 +320,10 @@ def splat_origin(
     i: int,
     gradient: SplatGradient,
 ) -> SplatOrigin:
-    """Derivatives by Gaussian ``i`` of an instance and by the camera, given those by its splat, but for its colour."""
+    """Returns the gradients of Gaussian ``i`` of an instance and of the camera, without those of the colour.
+
+    ``gradient`` is the gradient of the Gaussian's splat.
+    """
     (
         mean,
         rotation,
@@ -353,9 +363,9 @@ def splat_origin(
 
 @wp.func
 def color_dot(mean: wp.vec3, eye: wp.vec3, degree: int, weights: ShFloats) -> wp.float32:
-    """Spherical harmonics in the direction from the eye to a mean, weighted and added up.
+    """Returns the weighted sum of SH basis functions in the direction from the eye to a mean.
 
-    Its derivatives by the weights are the harmonics themselves.
+    Its derivatives with respect to the weights are the basis functions themselves.
     """
     direction = wp.normalize(mean - eye)
     x = direction[0]
@@ -380,7 +390,7 @@ def color_dot(mean: wp.vec3, eye: wp.vec3, degree: int, weights: ShFloats) -> wp
 
 @wp.func
 def sh_weights(sh: wp.array[wp.vec3], first: int, degree: int, gradient: wp.vec3) -> ShFloats:
-    """What each coefficient of a Gaussian adds to the loss for each unit of its harmonic."""
+    """Returns, for each SH coefficient of a Gaussian, the derivative of the loss with respect to its basis function."""
     weights = ShFloats(0.0)
     used = (degree + 1) * (degree + 1)
     for k in range(SH_COEFFICIENTS):  # unrolled, so that the weights stay in registers
@@ -391,7 +401,7 @@ def sh_weights(sh: wp.array[wp.vec3], first: int, degree: int, gradient: wp.vec3
 
 @wp.func
 def open_channels(color: wp.vec3, gradient: wp.vec3) -> wp.vec3:
-    """The derivative by a colour without that of channels which are cut off at 0."""
+    """Zeroes the gradient of a colour in channels that are clamped at 0."""
     return wp.vec3(
         wp.where(color[0] > 0.0, gradient[0], 0.0),
         wp.where(color[1] > 0.0, gradient[1], 0.0),

@@ -1,4 +1,4 @@
-"""Pixels that may see a Gaussian: bounds of its image by sigma points or, where it is large, by its outline.
+"""Image bounds of a Gaussian by sigma points or, for large Gaussians, by its outline.
 
 The equations are in docs/method/unscented.md#bounds.
 """
@@ -15,10 +15,10 @@ from lumisplat.device.structs.raster import PixelBox
 
 @struct
 class WorldGaussian:
-    """A Gaussian seen from the eye, world space."""
+    """A Gaussian relative to the eye, world space."""
 
     point: wp.vec3
-    """Its mean, from the eye; with a rolling shutter, from where that is at the start of the first row."""
+    """Mean relative to the eye; with a rolling shutter, to the eye at the start of the first row."""
     axes: wp.mat33
     """Unit axes as columns."""
     scale: wp.vec3
@@ -27,16 +27,16 @@ class WorldGaussian:
 
 @struct
 class ImageMoments:
-    """Mean and covariance of what a camera sees of a Gaussian."""
+    """Mean and covariance of a projected Gaussian."""
 
     mean: wp.vec2
-    """Pixels."""
+    """Mean, pixels."""
     xx: float
-    """Pixels^2."""
+    """Variance along x, pixels^2."""
     xy: float
     yy: float
     error: float
-    """By which the rows of a rolling shutter have not found their time, pixels."""
+    """Residual of the rolling shutter's row iteration, pixels."""
 
 
 @struct
@@ -48,39 +48,41 @@ class ImageBounds:
 
 
 UNSCENTED_ALPHA = 1.0
-"""Spread of the sigma points; 3DGUT's value, as the next two: sqrt(3) standard deviations from the mean."""
+"""Spread of the sigma points, as in 3DGUT.
+
+With the two values below, the points lie sqrt(3) standard deviations from the mean."""
 
 UNSCENTED_BETA = 2.0
-"""What is known of the distribution; 2 is best for a Gaussian (Wan and van der Merwe 2000)."""
+"""Prior knowledge of the distribution; 2 is optimal for a Gaussian (Wan and van der Merwe 2000)."""
 
 UNSCENTED_KAPPA = 0.0
-"""The other number that spreads the sigma points."""
+"""Secondary spread parameter of the sigma points."""
 
 UNSCENTED_SINE_MAX = 0.02
-"""Half the size of a Gaussian, as a share of its distance from where the projection is not smooth, up to which sigma
-points bound it. They know the projection along its three axes only, and extrapolate: where it bends within the
-Gaussian, they miss some of it."""
+"""Largest half size, over its distance from singularities of the projection, of a Gaussian bounded by sigma points.
+
+Sigma points sample the projection along three axes only and extrapolate; where it curves within the Gaussian, their
+bounds miss parts of it."""
 
 PLANE_SHARE = 5.0
-"""A pinhole's plane counts as so many times farther away: within 0.02 of that, tangents grow by up to a tenth."""
+"""Factor of the distance to a pinhole's plane: within 0.02 of the result, tangents grow by up to a tenth."""
 
 UNSCENTED_MARGIN = 0.1
-"""By this share of themselves bounds by sigma points are wider: projections bend by less within 0.02 of the distance
-from where they are not smooth."""
+"""Relative margin of bounds by sigma points; within 0.02 of the distance from singularities, projections curve less."""
 
 UNSCENTED_SLACK_PX = 0.5
-"""Bounds by sigma points are wider by so many pixels, too, for lenses that nearly stop to magnify, as at the edge of
-what they show."""
+"""Absolute margin of bounds by sigma points, pixels, for lenses whose magnification nearly vanishes at their edge."""
 
 OUTLINE_POINTS = 16
-"""Points around the outline of a Gaussian that is seen under a larger angle."""
+"""Points around the outline of a large Gaussian."""
 
 OUTLINE_SLACK = 0.5
-"""Its bounds are wider by this share of the largest second difference of the points: four times what a smooth curve
-strays from the chord between two of them."""
+"""Margin of its bounds as a fraction of the points' largest second difference.
+
+It is four times the deviation of a smooth curve from the chord between two points."""
 
 OUTLINE_MARGIN = 0.1
-"""A Gaussian is all around the image when the direction against the axis is within its outline, wider by this."""
+"""Relative margin of the outline in the test whether it contains the backward axis and so surrounds the image."""
 
 _SPREAD2 = UNSCENTED_ALPHA**2 * (3.0 + UNSCENTED_KAPPA)
 
@@ -88,17 +90,17 @@ SPREAD = wp.constant(wp.float32(math.sqrt(_SPREAD2)))
 """Distance of the sigma points from the mean, standard deviations."""
 
 OUTER_WEIGHT = wp.constant(wp.float32(0.5 / _SPREAD2))
-"""Of each but the first."""
+"""Weight of each sigma point except the first."""
 
 COVARIANCE_WEIGHT = wp.constant(wp.float32(2.0 - 3.0 / _SPREAD2 - UNSCENTED_ALPHA**2 + UNSCENTED_BETA))
-"""Of the first, in the covariance; it may be negative."""
+"""Weight of the first sigma point in the covariance; it may be negative."""
 
 OuterPoints = wp.types.matrix(shape=(6, 2), dtype=wp.float32)
 
 
 @wp.func
 def add_point(moments: ImageMoments, weight: float, offset: wp.vec2) -> ImageMoments:
-    """Adds a point to sums of squares."""
+    """Adds a weighted point to the second moments."""
     moments.xx += weight * offset[0] * offset[0]
     moments.xy += weight * offset[0] * offset[1]
     moments.yy += weight * offset[1] * offset[1]
@@ -107,7 +109,7 @@ def add_point(moments: ImageMoments, weight: float, offset: wp.vec2) -> ImageMom
 
 @wp.func
 def projected_moments(camera: CameraData, field: float, gaussian: WorldGaussian) -> ImageMoments:
-    """Mean and covariance of a Gaussian in the image: exact where the camera sees lines as lines, evenly divided."""
+    """Returns mean and covariance of a projected Gaussian by sigma points; exact for affine projections."""
     points = OuterPoints()
     moments = ImageMoments()
     first = pixel_at_row_time(camera, field, gaussian.point)
@@ -117,7 +119,7 @@ def projected_moments(camera: CameraData, field: float, gaussian: WorldGaussian)
         axis = SPREAD * gaussian.scale[k] * wp.vec3(gaussian.axes[0, k], gaussian.axes[1, k], gaussian.axes[2, k])
         for side in range(2):
             at = pixel_at_row_time(camera, field, gaussian.point + (1.0 - 2.0 * float(side)) * axis)
-            # Sums are of offsets from the first point, which do not cancel.
+            # Sums of offsets from the first point do not cancel.
             points[2 * k + side, 0] = at[0] - first[0]
             points[2 * k + side, 1] = at[1] - first[1]
             outer += wp.vec2(at[0] - first[0], at[1] - first[1])
@@ -137,7 +139,7 @@ HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
 
 WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
-"""The circle is within the polygon of points that are farther out by this."""
+"""Factor of the polygon's circumradius for which the polygon contains the circle."""
 
 AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
 
@@ -154,13 +156,13 @@ SLACK_PX = wp.constant(wp.float32(UNSCENTED_SLACK_PX))
 
 @wp.func
 def canonical(gaussian: WorldGaussian, vector: wp.vec3) -> wp.vec3:
-    """A vector in canonical space."""
+    """Transforms a vector to canonical space."""
     return wp.cw_div(wp.transpose(gaussian.axes) * vector, gaussian.scale)
 
 
 @wp.func
 def everywhere() -> ImageBounds:
-    """No bounds."""
+    """Returns infinite bounds."""
     bounds = ImageBounds()
     bounds.low = wp.vec2(-wp.inf)
     bounds.high = wp.vec2(wp.inf)
@@ -169,7 +171,7 @@ def everywhere() -> ImageBounds:
 
 @wp.func
 def sigma_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
-    """Of the ellipse that sigma points have found."""
+    """Returns the bounds of the ellipse estimated by sigma points."""
     moments = projected_moments(camera, field, gaussian)
     extent = MARGIN * reach * wp.vec2(wp.sqrt(moments.xx), wp.sqrt(moments.yy)) + wp.vec2(moments.error + SLACK_PX)
     bounds = ImageBounds()
@@ -180,7 +182,7 @@ def sigma_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reac
 
 @wp.func
 def across_of(vector: wp.vec3) -> wp.vec3:
-    """A unit vector at right angles to another one."""
+    """Returns a unit vector orthogonal to a vector."""
     axis = wp.vec3(0.0, 1.0, 0.0)
     if wp.abs(vector[0]) < wp.abs(vector[1]):
         axis = wp.vec3(1.0, 0.0, 0.0)
@@ -189,7 +191,7 @@ def across_of(vector: wp.vec3) -> wp.vec3:
 
 @wp.func
 def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
-    """How far the image bulges between two places around its centre, pixels; inf if they are over 45 degrees apart."""
+    """Returns how far the image bulges between two points around its centre, pixels; inf if over 45 degrees apart."""
     lengths = wp.length(before) * wp.length(after)
     if wp.dot(before, after) < HALF_RIGHT * lengths:
         return wp.inf
@@ -198,10 +200,10 @@ def bulge_between(before: wp.vec2, after: wp.vec2) -> float:
 
 @wp.func
 def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
-    """How far a point is, from the eye, from where the projection is not smooth.
+    """Returns the distance of a point, relative to the eye, from singularities of the projection.
 
-    Those places are the eye; a fisheye's half-line against its axis, which is a circle in the image; and the plane of a
-    pinhole, near which tangents grow.
+    They are the eye; for a fisheye the half-line against its axis, which is a circle in the image; for a pinhole its
+    plane, near which tangents grow.
     """
     ahead = -wp.dot(point, backward)
     if camera.model != FISHEYE:
@@ -213,7 +215,7 @@ def leeway(camera: CameraData, point: wp.vec3, backward: wp.vec3) -> float:
 
 @wp.func
 def is_around(eye: wp.vec3, away: wp.vec3, reach: float) -> bool:
-    """Whether a direction is within the cone of the outline's points, canonically, or nearly so."""
+    """Returns whether a canonical direction lies within or close to the cone of the outline's points."""
     across = wp.length(wp.cross(eye, away))
     along = -wp.dot(eye, away)
     return across * wp.sqrt(wp.length_sq(eye) - reach * reach) <= AROUND * reach * along
@@ -229,12 +231,13 @@ def outline_bounds(
     backward: wp.vec3,
     reach: float,
 ) -> ImageBounds:
-    """Of points around the outline of the ellipsoid at which a Gaussian ends: where rays touch a sphere, canonically.
+    """Returns the bounds of points around the outline of a Gaussian's bounding ellipsoid.
 
-    They are the corners of a polygon that the outline touches from inside.
+    The outline is where rays touch the unit sphere in canonical space; the points are the corners of a polygon around
+    it.
 
-    ``eye`` is where the eye is at ``time`` of the shutter, when the mean is seen, in canonical space, outside of the
-    ellipsoid; ``backward`` is against the axis, world space; ``reach``: canonical distance at which the Gaussian ends.
+    ``eye`` is the eye's position in canonical space at ``time`` of the shutter, when the mean is exposed, outside the
+    ellipsoid. ``backward`` is opposite to the axis, world space; ``reach`` is the canonical radius of the Gaussian.
     """
     distance2 = wp.length_sq(eye)
     middle = (reach * reach / distance2) * eye
@@ -249,7 +252,7 @@ def outline_bounds(
     error = float(0.0)
     bulge = float(0.0)
     behind_before = float(0.0)
-    for k in range(POINTS + 2):  # the first two once more, for differences all around
+    for k in range(POINTS + 2):  # the first two points again, for differences all around
         angle = float(k) * STEP
         touching = middle + radius * (wp.cos(angle) * right + wp.sin(angle) * down)
         offset = gaussian.axes * wp.cw_mul(gaussian.scale, touching)
@@ -267,7 +270,9 @@ def outline_bounds(
             bend = wp.max(bend, wp.vec2(wp.abs(second[0]), wp.abs(second[1])))
         before = last
         last = at
-    slack = SLACK * (bend + wp.vec2(bulge)) + wp.vec2(error + SLACK_PX)  # none, where the outline runs around the image
+    slack = SLACK * (bend + wp.vec2(bulge)) + wp.vec2(
+        error + SLACK_PX
+    )  # inf where the outline surrounds the image centre
     bounds = ImageBounds()
     bounds.low = low - slack
     bounds.high = high + slack
@@ -276,7 +281,10 @@ def outline_bounds(
 
 @wp.func
 def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, reach: float) -> ImageBounds:
-    """Bounds of the pixels whose rays come within ``reach`` of a Gaussian; pixels are where their samples are."""
+    """Returns bounds of the pixels whose rays pass within ``reach`` of a Gaussian.
+
+    The bounds refer to the positions of the pixels' samples.
+    """
     time = float(0.0)
     if camera.shutter != 0:
         time = row_time(camera, pixel_at_row_time(camera, field, gaussian.point)[1])
@@ -287,20 +295,20 @@ def gaussian_bounds(camera: CameraData, field: float, gaussian: WorldGaussian, r
     room = leeway(camera, point, backward)
     wander = wp.abs(camera.rotation_angle) * wp.length(point) + wp.length(camera.motion)
     if camera.shutter != 0 and camera.model == FISHEYE and reach * wp.max(gaussian.scale) + wander >= room:
-        return everywhere()  # the direction against the axis may come across it
+        return everywhere()  # the backward axis may cross the Gaussian during the shutter
     if reach * wp.max(gaussian.scale) <= SINE_MAX * room:
         return sigma_bounds(camera, field, gaussian, reach)
     eye = -canonical(gaussian, point)
     if not wp.length(eye) - 2.0 * wp.length(canonical(gaussian, camera.motion)) > reach:
-        return everywhere()  # it is inside, or so near that while it moves the outline is another one
+        return everywhere()  # the eye is inside, or close enough to change the outline during the shutter
     if is_around(eye, canonical(gaussian, backward), reach):
-        return everywhere()  # it is all around the image
+        return everywhere()  # the Gaussian surrounds the image
     return outline_bounds(camera, field, gaussian, time, eye, backward, reach)
 
 
 @wp.func
 def pixel_box(camera: CameraData, bounds: ImageBounds) -> PixelBox:
-    """Pixels of the window whose samples are within bounds; none if these are not numbers."""
+    """Returns the window's pixels whose samples lie within bounds; empty if the bounds are NaN."""
     box = PixelBox()
     low = bounds.low - camera.offset
     high = bounds.high - camera.offset

@@ -1,4 +1,4 @@
-"""A Gaussian as the rays of pixels meet it: prepared once a frame, its response along a ray, and its derivatives.
+"""Gaussians evaluated along pixel rays (3DGUT): preparation once a frame, response along a ray, and gradients.
 
 The equations are in docs/method/unscented.md.
 """
@@ -23,12 +23,12 @@ from lumisplat.device.structs.raster import PixelBox, PixelRays, RayRasterData, 
 from lumisplat.device.structs.scene import GaussianData, SplatInstanceData
 
 DEPTH_MIN = wp.constant(wp.float32(1.0e-30))
-"""Means behind the eye come first, where their Gaussians reach around it."""
+"""Smallest depth: Gaussians with means behind the eye that reach around it come first."""
 
 
 @wp.func
 def pixel_variance(camera: CameraData, view: wp.vec3) -> float:
-    """Squared width of a pixel at a point of camera space, by the solid angle of its ray; scene units^2."""
+    """Returns the squared width of a pixel at a camera-space point, by the solid angle of its ray; scene units^2."""
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     distance2 = wp.length_sq(view)
     if camera.model == FISHEYE:
@@ -44,7 +44,7 @@ def pixel_variance(camera: CameraData, view: wp.vec3) -> float:
 def widened_gaussian(
     camera: CameraData, dilation: float, instance: SplatInstanceData, gaussians: GaussianData, i: int, time: float
 ) -> WorldGaussian:
-    """Gaussian ``i`` of an instance, widened as a pixel that sees its mean at that time is wide."""
+    """Returns Gaussian ``i`` of an instance, widened by the footprint of a pixel that exposes its mean at this time."""
     gaussian = WorldGaussian()
     gaussian.point = instance.scale * (instance.world_from_object * (gaussians.means[i] - instance.eye))
     gaussian.axes = instance.world_from_object * wp.quat_to_matrix(gaussians.rotations[i])
@@ -58,7 +58,7 @@ def widened_gaussian(
 
 @wp.func
 def exposure_time(camera: CameraData, field: float, instance: SplatInstanceData, mean: wp.vec3) -> float:
-    """When the row that sees a mean is exposed, as a share of the shutter's time."""
+    """Returns the time at which a mean is exposed, as a fraction of the shutter's time."""
     if camera.shutter == 0:
         return 0.0
     point = instance.scale * (instance.world_from_object * (mean - instance.eye))
@@ -67,7 +67,7 @@ def exposure_time(camera: CameraData, field: float, instance: SplatInstanceData,
 
 @wp.func
 def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.vec3:
-    """Where the eye is at a time of the shutter, object space."""
+    """Returns the eye's position at a time of the shutter, object space."""
     if camera.shutter == 0:
         return instance.eye
     return instance.eye + time * (instance.object_from_world * camera.motion)
@@ -75,7 +75,10 @@ def eye_at(camera: CameraData, instance: SplatInstanceData, time: float) -> wp.v
 
 @wp.func
 def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes: wp.mat33, reach: float) -> bool:
-    """Whether all of a Gaussian is nearer than the near plane, or behind the eye; ``axes`` in camera space, columns."""
+    """Returns whether a whole Gaussian is nearer than the near plane or behind the eye.
+
+    ``axes`` are camera-space columns.
+    """
     if camera.model == FISHEYE:
         return wp.length(view) + reach * wp.max(gaussian.scale) <= camera.near
     return view[2] + reach * wp.length(wp.cw_mul(axes[2], gaussian.scale)) <= camera.near
@@ -85,7 +88,7 @@ def is_too_near(camera: CameraData, gaussian: WorldGaussian, view: wp.vec3, axes
 def ray_splat(
     camera: CameraData, raster: RayRasterData, instance: SplatInstanceData, gaussians: GaussianData, i: int
 ) -> RaySplat:
-    """Gaussian ``i`` of an instance; its box is empty where it cannot be seen."""
+    """Prepares Gaussian ``i`` of an instance; its box is empty if it cannot be visible."""
     splat = RaySplat()
     splat.index = instance.first + i
     opacity = gaussians.opacities[i]
@@ -121,7 +124,7 @@ def ray_splat(
 
 @wp.func
 def is_finite(splat: RaySplat) -> bool:
-    """Whether no NaN or infinity would reach a pixel."""
+    """Returns whether no NaN or infinity of the splat would reach a pixel."""
     total = splat.color[0] + splat.color[1] + splat.color[2] + splat.normal[0] + splat.normal[1] + splat.normal[2]
     total += splat.eye[0] + splat.eye[1] + splat.eye[2] + splat.depth
     for k in range(3):
@@ -132,7 +135,7 @@ def is_finite(splat: RaySplat) -> bool:
 
 @wp.func
 def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
-    """Tiles of the window that a box, which is not empty, covers."""
+    """Returns the tiles of the window that a non-empty box covers."""
     rect = TileRect()
     rect.x0 = wp.int16((box.x0 - camera.left) // TILE)
     rect.y0 = wp.int16((box.y0 - camera.top) // TILE)
@@ -143,18 +146,21 @@ def tiles_of(camera: CameraData, box: PixelBox) -> TileRect:
 
 @wp.func
 def eye_of_row(splat: RaySplat, motion: wp.vec3, time: float) -> wp.vec3:
-    """Where the eye is at a time of the shutter, canonical space, if it moves so far from the first row to the last."""
+    """Returns the eye at a time of the shutter, canonical space.
+
+    ``motion`` is its translation from first to last row.
+    """
     return splat.eye + time * (splat.canonical_from_world * motion)
 
 
 @struct
 class RayTile:
-    """The rays of a tile's pixels."""
+    """Rays of a tile's pixels."""
 
     limit_z: TileFloats
-    """Inf where there is a ray: how far it goes is a distance, and not a depth."""
+    """inf where there is a ray: rays end at a distance (``t_max``), not at a depth."""
     x: TileFloats
-    """Of their directions, world space."""
+    """x of the ray directions, world space."""
     y: TileFloats
     z: TileFloats
     t_min: TileFloats
@@ -163,35 +169,35 @@ class RayTile:
 
 @struct
 class RayRow:
-    """A Gaussian as the rays of a row of a tile meet it."""
+    """A Gaussian prepared for the rays of a row of a tile."""
 
     eye: wp.vec3
-    """Canonical."""
+    """Eye in canonical space."""
     left: int
-    """The first pixel of its box, from the tile's left edge."""
+    """First pixel of its box, from the tile's left edge."""
     right: int
-    """The one after its last."""
+    """Pixel after the last one of its box."""
 
 
 @struct
 class RayAt:
-    """A Gaussian as one ray meets it."""
+    """A Gaussian evaluated along one ray."""
 
     alpha: float
-    """0 below 1/255, outside of its box, and where the ray does not reach it."""
+    """Alpha; 0 below 1/255, outside its box, and where the ray does not reach it."""
     along: wp.vec3
-    """The ray's direction, canonical."""
+    """Ray direction in canonical space."""
     across: wp.vec3
-    """Cross product of the eye and that."""
+    """Cross product of the canonical eye and ``along``."""
     length2: float
-    """Squared length of the direction."""
+    """Squared length of ``along``."""
     log_alpha: float
-    """Before it is limited."""
+    """Logarithm of alpha before clamping."""
 
 
 @wp.func
 def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> float:
-    """Takes the ray of a pixel, and returns where it ends; 0: there is none."""
+    """Stores the ray of a pixel and returns where it ends; 0: there is no ray."""
     ray = ray_index(view, x, y)
     if not pixel_rays.rays.is_active[ray]:
         return 0.0
@@ -207,13 +213,13 @@ def begin_pixel(tile: wp.ref[RayTile], i: int, view: CameraData, pixel_rays: Pix
 
 @wp.func
 def rows_of(splat: RaySplat, top: int, rows: int) -> wp.vec2i:
-    """The first row of a tile that a splat's box covers, and the one after the last."""
+    """Returns the first row of a tile that a splat's box covers, and the one after the last."""
     return wp.vec2i(wp.max(splat.box.y0 - top, 0), wp.min(splat.box.y1 - top, rows))
 
 
 @wp.func
 def row_of(splat: RaySplat, view: CameraData, left: int, top: int, y: int) -> RayRow:
-    """A splat on row ``y`` of the tile whose corner is at (left, top)."""
+    """Prepares a splat for row ``y`` of the tile whose corner is at (left, top)."""
     row = RayRow()
     row.eye = splat.eye
     if view.shutter != 0:
@@ -225,13 +231,13 @@ def row_of(splat: RaySplat, view: CameraData, left: int, top: int, y: int) -> Ra
 
 @wp.func
 def touches_strip(splat: RaySplat, row: RayRow, strip: int) -> bool:
-    """Whether a splat's box covers a pixel of a strip of the row."""
+    """Returns whether a splat's box covers a pixel of a strip of the row."""
     return row.left < (strip + 1) * STRIP and row.right > strip * STRIP
 
 
 @wp.func
 def at_pixel(splat: RaySplat, row: RayRow, tile: wp.ref[RayTile], i: int, x: int) -> RayAt:
-    """As ``meet``, pixel ``i`` of a tile, in column ``x``, by selections of single numbers."""
+    """Evaluates a splat at pixel ``i`` of a tile, in column ``x``, as ``evaluate`` but without branches."""
     w = splat.canonical_from_world
     c = row.eye
     rx = float_at(tile.x, i)
@@ -265,13 +271,13 @@ class RayPixel:
     x: int
     y: int
     limit_z: float
-    """Inf; 0 if there is no ray."""
+    """inf; 0 if there is no ray."""
     time: float
-    """Of the shutter, when its row is exposed."""
+    """Time of the shutter at which the pixel's row is exposed."""
     motion: wp.vec3
-    """Of the eye until then from the first row to the last."""
+    """Translation of the eye from the first row to the last."""
     direction: wp.vec3
-    """World space, unit."""
+    """Ray direction, world space, unit."""
     t_min: float
     limit: float
     """Distance up to which Gaussians count."""
@@ -279,7 +285,7 @@ class RayPixel:
 
 @wp.func
 def pixel_at(view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> RayPixel:
-    """The ray of a pixel of the picture."""
+    """Sets up the ray of a pixel of the full frame."""
     ray = ray_index(view, x, y)
     pixel = RayPixel()
     pixel.x = x
@@ -296,16 +302,16 @@ def pixel_at(view: CameraData, pixel_rays: PixelRays, x: int, y: int) -> RayPixe
 
 @wp.func
 def covers(splat: RaySplat, pixel: RayPixel) -> bool:
-    """Whether a pixel is in a splat's box."""
+    """Returns whether a pixel lies in a splat's box."""
     box = splat.box
     return pixel.x >= box.x0 and pixel.x < box.x1 and pixel.y >= box.y0 and pixel.y < box.y1
 
 
 @wp.func
 def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
-    """A splat as the ray of a pixel in its box meets it; ``alpha`` is left to who needs it.
+    """Evaluates a splat along the ray of a pixel in its box; ``alpha`` is left to the caller.
 
-    The logarithm of the largest alpha along the ray is -inf unless that is between the ray's ends.
+    ``log_alpha`` belongs to the largest alpha along the ray, and is -inf unless its position is between the ray's ends.
     """
     eye = splat.eye
     if pixel.time > 0.0:
@@ -322,15 +328,18 @@ def evaluate(splat: RaySplat, pixel: RayPixel) -> RayAt:
 
 
 RaySplatFloats = wp.types.vector(length=14, dtype=wp.float32)
-"""Sums over pixels, of which a record is made, in the order of its fields."""
+"""Sums over pixels that form a gradient record, in the order of its fields."""
 
 
 @wp.func
 def part_of(splat: RaySplat, at: RayAt, v: float, weight: float, by_color: wp.vec3) -> RaySplatFloats:
-    """What one pixel adds to the sums of a splat; ``v`` is the derivative by the logarithm of its alpha."""
+    """Returns one pixel's terms in the sums of a splat.
+
+    ``v`` is the derivative with respect to the logarithm of its alpha.
+    """
     along = at.along
     across = at.across
-    # Where nothing is blended, the nearest point may be no number.
+    # Where nothing is blended, the nearest point may be NaN.
     px = wp.where(at.alpha > 0.0, (along[1] * across[2] - along[2] * across[1]) / at.length2, 0.0)
     py = wp.where(at.alpha > 0.0, (along[2] * across[0] - along[0] * across[2]) / at.length2, 0.0)
     pz = wp.where(at.alpha > 0.0, (along[0] * across[1] - along[1] * across[0]) / at.length2, 0.0)
@@ -357,7 +366,7 @@ def part_of(splat: RaySplat, at: RayAt, v: float, weight: float, by_color: wp.ve
 
 @wp.func
 def gradient_of(splat: RaySplat, sums: RaySplatFloats) -> RaySplatGradient:
-    """The record of a splat, of its sums over pixels."""
+    """Converts a splat's sums over pixels to its gradient record."""
     record = RaySplatGradient()
     record.color = wp.vec3(sums[0], sums[1], sums[2])
     record.log_opacity = sums[3]
@@ -370,7 +379,7 @@ def gradient_of(splat: RaySplat, sums: RaySplatFloats) -> RaySplatGradient:
 
 @wp.func
 def sum_of_records(records: wp.array[RaySplatGradient], begin: int, end: int) -> RaySplatGradient:
-    """The sum of the records of a splat."""
+    """Returns the sum of the gradient records of a splat."""
     total = RaySplatGradient()
     for k in range(begin, end):
         part = records[k]
@@ -385,20 +394,20 @@ def sum_of_records(records: wp.array[RaySplatGradient], begin: int, end: int) ->
 
 @struct
 class RayItem:
-    """Which splat one is."""
+    """Reference to a splat in shared memory."""
 
     index: int
 
 
 @wp.func
 def fetch(splats: wp.array[RaySplat], index: int, item: wp.ref[RayItem]):
-    """Notes a splat for the memory that a block shares, which has no room for all of it."""
+    """Stores a splat's index in shared memory, which has no room for whole splats."""
     item.index = index
 
 
 @wp.func
 def splat_of(splats: wp.array[RaySplat], item: RayItem) -> RaySplat:
-    """The splat that was noted."""
+    """Returns the splat of a stored index."""
     return splats[item.index]
 
 
@@ -425,14 +434,14 @@ ALONG_RAYS = Footprint(
     gradient=RaySplatGradient,
     gradient_of=gradient_of,
 )
-"""A Gaussian as the rays of pixels meet it (3DGUT)."""
+"""Footprint of Gaussians evaluated along pixel rays (3DGUT)."""
 
-# --- Derivatives (docs/method/gradients.md#rasterisation-along-rays) ---
+# --- Gradients (docs/method/gradients.md#rasterisation-along-rays) ---
 
 
 @wp.func
 def pixel_variance_gradient(camera: CameraData, view: wp.vec3) -> wp.vec3:
-    """Derivative of ``pixel_variance`` by the point of camera space."""
+    """Returns the gradient of ``pixel_variance`` with respect to the camera-space point."""
     per_pixel = 1.0 / (camera.focal[0] * camera.focal[1])
     z = view[2]
     distance2 = wp.max(wp.length_sq(view), DEPTH_MIN)
@@ -453,13 +462,16 @@ def pixel_variance_gradient(camera: CameraData, view: wp.vec3) -> wp.vec3:
 
 @wp.func
 def scale_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
-    """By the standard deviations of the widened Gaussian, each over itself: half of it is by their squares."""
+    """Returns the gradient with respect to the widened standard deviations, each divided by its value.
+
+    Half of it is the gradient with respect to their squares.
+    """
     return wp.cw_div(sums.squares, wp.cw_mul(gaussian.scale, gaussian.scale))
 
 
 @wp.func
 def turn_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
-    """By small turns about the Gaussian's own axes."""
+    """Returns the gradient with respect to small rotations about the Gaussian's own axes."""
     s = gaussian.scale
     return wp.vec3(
         sums.products[0] * (s[1] / s[2] - s[2] / s[1]),
@@ -472,10 +484,10 @@ def turn_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
 def mean_gradient(
     camera: CameraData, variance_per_pixel: float, gaussian: WorldGaussian, time: float, sums: RaySplatGradient
 ) -> wp.vec3:
-    """By the mean, world space, by way of where it is and of how wide a pixel is there.
+    """Returns the gradient with respect to the mean, world space: through its position and the pixel width there.
 
-    ``variance_per_pixel``: variance by which it is widened, in squared widths of a pixel; ``time``: of the shutter,
-    when its mean is seen.
+    ``variance_per_pixel`` is the widening variance in squared pixel widths; ``time`` is the time of the shutter at
+    which the mean is exposed.
     """
     by_mean = gaussian.axes * wp.cw_div(sums.point, gaussian.scale)
     if variance_per_pixel > 0.0:

@@ -1,4 +1,4 @@
-"""Visitors of compositors: they make colours, samples, largest weights or derivatives of the splats at pixels.
+"""Visitors of compositors, which compute colours, random samples, largest weights or gradients at pixels.
 
 The equations are in docs/method/rasterisation.md and docs/method/gradients.md.
 """
@@ -51,12 +51,12 @@ strip_at, set_strip_at, _ = elements_of(StripSums)
 
 word_at, set_word_at, _ = elements_of(TileWords)
 
-# Colours.
+# --- Colours ---
 
 
 @struct
 class ColorTile:
-    """What the pixels of a tile have blended."""
+    """Blending state of the pixels of a tile."""
 
     transmittance: TileFloats
     red: TileFloats
@@ -66,9 +66,9 @@ class ColorTile:
     normal_y: TileFloats
     normal_z: TileFloats
     surface: TileInts
-    """One more than the number of the surface's Gaussian; 0: it is not reached."""
+    """Index of the surface's Gaussian plus one; 0: not reached."""
     first: TileInts
-    """Likewise, of the first Gaussian that was blended, along rays."""
+    """Index of the first blended Gaussian plus one; set only along rays."""
 
 
 @wp.func
@@ -82,7 +82,7 @@ def blend_at(
     t_min: float,
     iso: float,
 ) -> float:
-    """Blends a Gaussian behind the others, as ``blending.blend`` does, by selections; returns its weight."""
+    """Blends a Gaussian behind the others, as ``blending.blend`` but without branches; returns its weight."""
     before = float_at(pixels.transmittance, i)
     weight = before * alpha
     after = before - weight
@@ -101,7 +101,7 @@ def blend_at(
 
 @wp.func
 def blended_pixel(pixels: wp.ref[ColorTile], i: int) -> BlendState:
-    """What a pixel has blended."""
+    """Returns the blending state of a pixel."""
     pixel = BlendState()
     pixel.color = wp.vec3(float_at(pixels.red, i), float_at(pixels.green, i), float_at(pixels.blue, i))
     pixel.normal = wp.vec3(float_at(pixels.normal_x, i), float_at(pixels.normal_y, i), float_at(pixels.normal_z, i))
@@ -113,7 +113,7 @@ def blended_pixel(pixels: wp.ref[ColorTile], i: int) -> BlendState:
 
 @struct
 class EllipseColors:
-    """Where blended ellipses come from, and go to: to pixels, or to the hits of their rays."""
+    """Inputs of blended ellipses, and their outputs: pixels, or hits of rays."""
 
     instances: wp.array[SplatInstanceData]
     splats: wp.array[Splat]
@@ -129,7 +129,7 @@ class EllipseColors:
 def begin_ellipses(
     pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: EllipseColors
 ):
-    """Nothing is blended yet."""
+    """Does nothing: the blending state starts empty."""
 
 
 @wp.func
@@ -149,12 +149,12 @@ def blend_ellipse(
 
 @wp.func
 def end_ellipse(arrays: EllipseColors, view: CameraData, tile: int, splat: Splat, sums: StripSums):
-    """Nothing is summed up."""
+    """Does nothing: there are no sums."""
 
 
 @wp.func
 def pass_ellipse(arrays: EllipseColors, view: CameraData, tile: int, index: int):
-    """Nothing shows."""
+    """Does nothing: hidden splats have no output."""
 
 
 @wp.func
@@ -204,7 +204,7 @@ ELLIPSE_COLORS = TileVisitor(
 
 @wp.func
 def begin_rays(pixels: wp.ref[ColorTile], i: int, view: CameraData, x: int, y: int, limit: float, hits: GaussianHits):
-    """Nothing is blended yet."""
+    """Does nothing: the blending state starts empty."""
 
 
 @wp.func
@@ -217,7 +217,7 @@ def blend_along_ray(
     x: int,
     settings: RayRasterData,
 ):
-    """Blends a Gaussian on its ray."""
+    """Blends a Gaussian along its ray."""
     t_min = settings.transmittance_min
     iso = settings.depth_iso_transmittance
     weight = blend_at(pixels, i, splat.color, splat.normal, splat.index, at.alpha, t_min, iso)
@@ -227,12 +227,12 @@ def blend_along_ray(
 
 @wp.func
 def end_ray_splat(hits: GaussianHits, view: CameraData, tile: int, splat: RaySplat, sums: StripSums):
-    """Nothing is summed up."""
+    """Does nothing: there are no sums."""
 
 
 @wp.func
 def pass_ray_splat(hits: GaussianHits, view: CameraData, tile: int, index: int):
-    """Nothing shows."""
+    """Does nothing: hidden splats have no output."""
 
 
 @wp.func
@@ -246,7 +246,7 @@ def store_rays(
     settings: RayRasterData,
     hits: GaussianHits,
 ):
-    """Writes the hits of a ray; the depth of its surface is 0 until it is found."""
+    """Writes the hits of a ray; a later kernel replaces the surface depth 0."""
     ray = ray_index(view, x, y)
     pixel = blended_pixel(pixels, i)
     hits.color[ray] = pixel.color
@@ -268,26 +268,26 @@ RAY_COLORS = TileVisitor(
     end_pixel=store_rays,
 )
 
-# A sample: the nearest splat that a random number selects.
+# --- Random samples: the nearest splat that a random number selects ---
 
 
 @struct
 class SampleTile:
-    """What the pixels of a tile have chosen."""
+    """Randomly chosen splats of the pixels of a tile."""
 
     transmittance: TileFloats
     """1: no pixel is finished before the last splat."""
     nearest: TileFloats
-    """View depth of what is chosen."""
+    """View depth of the chosen splat."""
     winner: TileInts
-    """One more than its number among the splats; 0: none, or the mesh."""
+    """Index of the chosen splat plus one; 0: none, or the mesh."""
     keys: TileWords
-    """Of random numbers."""
+    """Keys of the random numbers."""
 
 
 @struct
 class SampleArrays:
-    """Where samples come from, and go to."""
+    """Inputs and outputs of random samples."""
 
     splats: wp.array[Splat]
     sample: SampleData
@@ -298,7 +298,7 @@ class SampleArrays:
 def begin_sample(
     pixels: wp.ref[SampleTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: SampleArrays
 ):
-    """The mesh is the nearest at first."""
+    """Starts with the mesh as the nearest surface, and sets the random key."""
     set_at(pixels.nearest, i, limit)
     set_word_at(pixels.keys, i, sample_key_of(full_image_index(view, x, y), arrays.sample.index, arrays.sample.seed))
 
@@ -313,13 +313,13 @@ def sample_splat(
     x: int,
     settings: RasterData,
 ):
-    """Chooses a splat if it is drawn and the nearest; of equally near ones, the first wins."""
+    """Chooses a splat if it is drawn and nearer than the previous choice; at equal depths, the lower index wins."""
     number = splat.index + 1
     chosen = draw_mixed(word_at(pixels.keys, i), mix(wp.uint32(splat.index))) < visible_alpha(at.log_alpha)
     depth = wp.where(chosen, splat.depth, wp.inf)
     nearest = float_at(pixels.nearest, i)
     winner = int_at(pixels.winner, i)
-    # Sums, not selections, which become masked stores.
+    # Sums instead of selections, which would become masked stores.
     change = wp.where(depth == nearest, wp.where(number < winner, number - winner, 0), 0)
     add_int_at(pixels.winner, i, wp.where(depth < nearest, number - winner, change))
     set_at(pixels.nearest, i, wp.min(depth, nearest))
@@ -327,12 +327,12 @@ def sample_splat(
 
 @wp.func
 def end_sampled(arrays: SampleArrays, view: CameraData, tile: int, splat: Splat, sums: StripSums):
-    """Nothing is summed up."""
+    """Does nothing: there are no sums."""
 
 
 @wp.func
 def pass_sampled(arrays: SampleArrays, view: CameraData, tile: int, index: int):
-    """Nothing shows."""
+    """Does nothing: hidden splats have no output."""
 
 
 @wp.func
@@ -346,7 +346,7 @@ def store_sample(
     settings: RasterData,
     arrays: SampleArrays,
 ):
-    """Writes what was chosen."""
+    """Writes the chosen splat."""
     pixel = opaque_pixel(arrays.splats, int_at(pixels.winner, i) - 1)
     store_gaussian_hits(view, arrays.splats, pixel, x, y, arrays.hits_out)
 
@@ -363,19 +363,19 @@ ELLIPSE_SAMPLES = TileVisitor(
     is_sorted=False,
 )
 
-# Weights.
+# --- Largest weights ---
 
 
 @struct
 class WeightTile:
-    """How much of what lies behind shows at the pixels of a tile."""
+    """Transmittance of the pixels of a tile."""
 
     transmittance: TileFloats
 
 
 @struct
 class WeightArrays:
-    """Where the largest weights of splats in tiles go to."""
+    """Outputs of the largest weights of splat-tile pairs."""
 
     rects: wp.array[TileRect]
     pair_starts: wp.array[int]
@@ -384,14 +384,14 @@ class WeightArrays:
 
 @functools.cache
 def largest_weights(footprint: Footprint) -> TileVisitor:
-    """Finds the largest weight that each splat of a tile has there."""
+    """Builds the visitor that finds the largest blending weight of each splat in a tile."""
     Settings, SplatType, At = footprint.settings, footprint.splat, footprint.at
 
     @wp.func
     def begin_weights(
         pixels: wp.ref[WeightTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: WeightArrays
     ):
-        """Nothing is blended yet."""
+        """Does nothing: the transmittance starts at 1."""
 
     @wp.func
     def weigh(
@@ -432,7 +432,7 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
         settings: Settings,
         arrays: WeightArrays,
     ):
-        """Pixels show nothing."""
+        """Does nothing: pixels have no output."""
 
     return TileVisitor(
         pixels=WeightTile,
@@ -446,25 +446,25 @@ def largest_weights(footprint: Footprint) -> TileVisitor:
     )
 
 
-# Derivatives: each pixel is blended once more, with one number for what is still to come behind a splat.
+# --- Gradients: each pixel is blended again, with the loss contribution of the splats still to come ---
 
 
 @struct
 class BackwardTile:
-    """What the derivatives by the splats at a tile's pixels need."""
+    """State of the backward pass at a tile's pixels."""
 
     transmittance: TileFloats
     behind: TileFloats
-    """What of the loss is still to come behind all that is blended."""
+    """Loss contribution of the splats not yet blended."""
     red: TileFloats
-    """Derivative by the pixel's colour."""
+    """Derivative with respect to the pixel's red channel; green and blue follow."""
     green: TileFloats
     blue: TileFloats
 
 
 @functools.cache
 def derivatives(footprint: Footprint) -> TileVisitor:
-    """Adds up what the pixels of a tile say of the derivatives by its splats, a record for each of them."""
+    """Builds the visitor that sums the gradients of a tile's splats over its pixels, one record for each splat."""
     Settings, SplatType, At = footprint.settings, footprint.splat, footprint.at
     Sums, part_of, gradient_of, Gradient = footprint.sums, footprint.part_of, footprint.gradient_of, footprint.gradient
     PARTS = wp.constant(Sums._length_)
@@ -476,7 +476,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
     def begin_backward(
         pixels: wp.ref[BackwardTile], i: int, view: CameraData, x: int, y: int, limit: float, arrays: Arrays
     ):
-        """All that the pixel shows is still to come."""
+        """Loads the pixel's gradient and starts with the loss contribution of all its splats."""
         pixel = y * view.width + x
         by_color = arrays.gradient.color[pixel]
         set_at(pixels.red, i, by_color[0])
@@ -538,7 +538,7 @@ def derivatives(footprint: Footprint) -> TileVisitor:
         settings: Settings,
         arrays: Arrays,
     ):
-        """Pixels show nothing."""
+        """Does nothing: pixels have no output."""
 
     return TileVisitor(
         pixels=BackwardTile,
@@ -554,14 +554,14 @@ def derivatives(footprint: Footprint) -> TileVisitor:
 
 @struct
 class NoArrays:
-    """Nothing is read or written beside a visitor's state."""
+    """Placeholder of visitors that use no arrays beside their state."""
 
     unused: int
 
 
 @wp.func
 def wants_all(pixel: BlendState, splat: Any) -> bool:
-    """Every splat is blended."""
+    """Returns True: every splat is blended."""
     return True
 
 
@@ -576,7 +576,7 @@ def blend_ellipse_at_pixel(
 
 @struct
 class RelitHits:
-    """Where what relit sets show on a ray is added up, if they are mixed with others."""
+    """Output of separate sums of relit sets on a ray, if they are mixed with others."""
 
     instances: wp.array[SplatInstanceData]
     hits: GaussianHits
@@ -587,7 +587,7 @@ class RelitHits:
 def blend_at_ray(
     pixel: wp.ref[BlendState], splat: RaySplat, log_alpha: float, settings: RayRasterData, relit: RelitHits
 ):
-    """Blends a Gaussian on its ray behind the others."""
+    """Blends a Gaussian behind the others on its ray."""
     alpha = alpha_from_log(log_alpha)
     blended = blend(pixel, splat, alpha, settings.transmittance_min, settings.depth_iso_transmittance)
     if relit.hits.relit_weight and blended.transmittance > 0.0:
@@ -597,21 +597,21 @@ def blend_at_ray(
 
 @struct
 class Sample:
-    """The nearest splat that a random number below its alpha selects."""
+    """Nearest splat chosen by a random number below its alpha."""
 
     key: wp.uint32
-    """Of the random numbers."""
+    """Key of the random numbers."""
     nearest: float
-    """View depth of what is chosen."""
+    """View depth of the chosen splat."""
     winner: int
-    """Its number among the splats; -1: none, or the mesh."""
+    """Index of the chosen splat; -1: none, or the mesh."""
     transmittance: float
-    """1: every splat is looked at."""
+    """1: every splat is visited."""
 
 
 @wp.func
 def wants_nearer(sample: Sample, splat: Splat) -> bool:
-    """Whether a splat would be chosen if it is drawn; of equally near ones, the first wins."""
+    """Returns whether a splat would be chosen if drawn; at equal depths, the lower index wins."""
     return splat.depth < sample.nearest or (splat.depth == sample.nearest and splat.index < sample.winner)
 
 

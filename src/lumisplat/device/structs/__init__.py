@@ -1,4 +1,4 @@
-"""Data that several rooms of the device exchange; one struct is one noun of the method."""
+"""Structs that several packages of device code exchange, and the decorator that declares them."""
 
 from typing import TYPE_CHECKING, TypeVar
 
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     Struct = TypeVar("Struct")
 
     def struct(struct_type: type[Struct]) -> type[Struct]:
-        """Type checkers see a plain class, which is how host code uses it."""
+        """Keeps the class as it is for type checkers, because host code uses the struct as a plain class."""
         return struct_type
 else:
     struct = wp.struct

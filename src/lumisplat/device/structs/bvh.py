@@ -1,4 +1,4 @@
-"""Data of trees and of the rays that traverse them: nodes, settings of rays, packets, and the hits that rays keep."""
+"""Structs of ray tracing: BVH nodes, ray tracer settings, packets of rays, traversal stacks and hits."""
 
 import warp as wp
 
@@ -11,35 +11,35 @@ Children = wp.types.vector(length=NODE_WIDTH, dtype=wp.float32)
 ChildLinks = wp.types.vector(length=NODE_WIDTH, dtype=wp.int32)
 
 NO_CHILD: int = wp.constant(2**31 - 1)
-"""Link of an empty child."""
+"""Link of an empty child of a node."""
 
 FAR: float = wp.constant(wp.float32(1.0e30))
-"""Stands for infinity where arithmetic goes on with it: the end of rays, the corners of empty boxes."""
+"""Finite stand-in for infinity in arithmetic: the end of unbounded rays and the corners of empty boxes."""
 
 WORLD = wp.constant(-1)
-"""In place of an instance: the tree is that over the instances, in world space."""
+"""Instance index that stands for the top-level BVH over all instances, whose space is world space."""
 
 
 @struct
 class Particle:
-    """A Gaussian as rays hit it, 64 bytes: one cache line."""
+    """A Gaussian prepared for ray intersection; 64 bytes, one cache line."""
 
     canonical_from_object: wp.mat33
-    """Inverse of rotation times scale."""
+    """Inverse of rotation times scale: maps object space to the space where the Gaussian is a unit sphere."""
     mean: wp.vec3
-    """Object space."""
+    """Mean in object space."""
     log_opacity: float
     reach2: float
-    """Squared canonical distance beyond which it is ignored; negative: it never counts."""
+    """Squared canonical distance beyond which rays ignore the Gaussian; negative: rays always ignore it."""
     index: int
-    """In its asset."""
+    """Index of the Gaussian in its asset."""
     largest_scale: float
-    """Object space."""
+    """Largest of the three standard deviations, object space."""
 
 
 @struct
 class Box:
-    """Axis-aligned box; inverted where there is nothing."""
+    """Axis-aligned bounding box; an empty box is inverted (low above high)."""
 
     low: wp.vec3
     high: wp.vec3
@@ -47,7 +47,7 @@ class Box:
 
 @struct
 class Node:
-    """A node of a bounding volume hierarchy: the boxes of its children, one lane each."""
+    """A BVH node, which stores the boxes of its children as vectors with one lane for each child."""
 
     low_x: Children
     low_y: Children
@@ -56,59 +56,61 @@ class Node:
     high_y: Children
     high_z: Children
     link: ChildLinks
-    """Child node, or ~place of an item in the order of the tree; NO_CHILD and an inverted box where there is none."""
+    """Index of each child node, or ~index of a leaf item in BVH order.
+
+    An empty child has the link NO_CHILD and an inverted box."""
 
 
 HIT_PEAK: int = wp.constant(0)
-"""Gaussians are hit where they respond most."""
+"""The hit distance is where the Gaussian responds most along the ray."""
 
 HIT_HULL: int = wp.constant(1)
-"""They are hit where rays enter their ellipsoid."""
+"""The hit distance is where the ray enters the bounding ellipsoid of the Gaussian."""
 
 HIT_MEAN: int = wp.constant(2)
-"""They are ordered by where their mean projects onto the ray, and lie where they respond most."""
+"""Hits are ordered by the projection of the mean onto the ray; their surface lies where the Gaussian responds most."""
 
 
 @struct
 class AssetBvh:
-    """A Gaussian set as rays hit it."""
+    """The BVH of one Gaussian asset."""
 
     nodes: wp.array[Node]
-    """The root first."""
+    """Nodes of the BVH, the root first."""
     particles: wp.array[Particle]
-    """In the order of the tree."""
+    """Gaussians in BVH order."""
     gaussians: GaussianData
 
 
 @struct
 class MeshTriangle:
-    """A triangle as rays hit it, object space."""
+    """A triangle prepared for ray intersection, object space."""
 
     a: wp.vec3
     b: wp.vec3
     c: wp.vec3
     face: int
-    """Its number in its mesh."""
+    """Index of the triangle in its mesh."""
 
 
 @struct
 class TriangleBvh:
-    """The triangles of some meshes as rays hit them, each mesh by a tree of its own."""
+    """BVHs of several meshes, one tree for each mesh."""
 
     nodes: wp.array[Node]
-    """The roots first."""
+    """Nodes of all trees, the roots first."""
     triangles: wp.array[MeshTriangle]
-    """In the order of the trees."""
+    """Triangles of all meshes, in the order of the trees' leaves."""
 
 
 @struct
 class MeshBvh:
-    """What rays traverse to find meshes: a tree over the instances, whose leaves stand for trees of triangles."""
+    """The two-level BVH of all mesh instances: the leaves of the top-level tree refer to trees of triangles."""
 
     tlas_nodes: wp.array[Node]
-    """Top level: the tree over the instances, the root first."""
+    """Nodes of the top-level tree over the instances, the root first."""
     tlas_order: wp.array[int]
-    """The instance at each place of its order."""
+    """Index of the mesh instance at each leaf of the top-level tree."""
     assets: wp.array[TriangleBvh]
     instances: wp.array[MeshInstanceData]
     meshes: MeshData
@@ -116,28 +118,28 @@ class MeshBvh:
 
 @struct
 class SceneBvh:
-    """What rays traverse: a tree over the instances, whose leaves stand for the trees of their assets."""
+    """The two-level BVH of all splat instances: the leaves of the top-level tree refer to the BVHs of their assets."""
 
     tlas_nodes: wp.array[Node]
-    """Top level: the tree over the instances, the root first."""
+    """Nodes of the top-level tree over the instances, the root first."""
     instances: wp.array[SplatInstanceData]
     assets: wp.array[AssetBvh]
     packet_radius: float
-    """Rays that start farther apart than this are not traced together, world space."""
+    """Largest distance between the origins of rays that share a packet, world space."""
     footprint: float
-    """The largest of the instances'."""
+    """Largest footprint of any instance, in pixel widths."""
     hit_distance: int
-    """HIT_MEAN if that is any instance's, else that of all."""
+    """HIT_MEAN if any instance uses it, else the value that all instances share."""
 
 
 DRAWS_NONE: int = wp.constant(0)
-"""Gaussians absorb their share of a ray."""
+"""Shadow rays are attenuated by the alpha of each Gaussian; no random numbers are drawn."""
 
 DRAWS_PER_RAY: int = wp.constant(1)
-"""Rays are blocked wholly or not at all: where their transmittance falls to a number that is drawn for each."""
+"""Shadow rays are blocked as a whole once their transmittance falls to one random number drawn for each ray."""
 
 DRAWS_SHARED: int = wp.constant(2)
-"""The same, by a number for each Gaussian, which all rays of a sample share."""
+"""Shadow rays are blocked by random Gaussians: one random number for each Gaussian, shared by all rays of a sample."""
 
 
 @struct
@@ -145,25 +147,25 @@ class ShadowData:
     """Settings of shadow rays, in a 1-element array."""
 
     hits: int
-    """How many of the nearest Gaussians count; read by shadows by first hits only."""
+    """Number of nearest Gaussians that attenuate a ray; used only by shadows of first hits."""
     draws: int
-    """One of the constants above."""
+    """DRAWS_NONE, DRAWS_PER_RAY or DRAWS_SHARED."""
     acceptance_scale: float
-    """Of random numbers, 0..1: below 1, rays are blocked sooner."""
+    """Factor of the random numbers, 0..1; below 1, rays are blocked sooner."""
     hit_distance: int
-    """HIT_PEAK or HIT_HULL, which decides the first ones."""
+    """HIT_PEAK or HIT_HULL: the distance that orders the first hits."""
     transmittance_min: float
-    """A transmittance up to this counts as black."""
+    """Transmittance up to which a shadow is fully black."""
     threshold: float
-    """A transmittance up to this counts as black, too, and the rest is stretched to 0..1."""
+    """Transmittance up to which a shadow is black; larger transmittances are rescaled to 0..1."""
     color_strength: float
     offset: float
-    """Scales of a Gaussian within which it does not shadow a surface of Gaussians."""
+    """Distance, in scales of a Gaussian, within which the Gaussian casts no shadow on a surface of Gaussians."""
     offset_absolute: float
-    """Added to that, scene units."""
+    """Distance added to that offset, scene units."""
     seed: wp.uint32
     sample: int
-    """Its number, which draws that rays share depend on."""
+    """Index of the sample, which selects the random numbers that rays share."""
 
 
 STRATEGY_SORTED: int = wp.constant(0)
@@ -178,43 +180,45 @@ class TraceData:
     """Settings of the ray tracer, in a 1-element array."""
 
     strategy: int
-    """One of the constants above."""
+    """STRATEGY_SORTED, STRATEGY_HIT or STRATEGY_PASS."""
     hits_per_pass: int
-    """Of the stochastic pass."""
+    """Hits that one pass of STRATEGY_PASS blends."""
     hit_buffer_size: int
-    """How many of its nearest hits a ray keeps sorted while it traverses the trees."""
+    """Number of nearest hits that a ray stores, sorted, while it traverses the BVH (the k of a k-buffer)."""
     ellipsoid_normal: int
-    """1: normals are those of that ellipsoid."""
+    """1: use the normal of the bounding ellipsoid where the ray enters it."""
     transmittance_min: float
     depth_iso_transmittance: float
     acceptance_scale: float
     sh_degree: int
-    """Highest that is evaluated."""
+    """Highest SH degree that is evaluated."""
     offset: float
-    """Largest scales of a Gaussian beyond which it counts, even before a ray's ``t_min``; FAR: not before that."""
+    """Distance, in largest scales of a Gaussian, beyond which it counts even before the ray's ``t_min``.
+
+    With FAR, it never counts before ``t_min``."""
     offset_absolute: float
-    """Added to that, scene units."""
+    """Distance added to that offset, scene units."""
 
 
-# --- Packets: rays that traverse the trees together, the nodes that wait for them, and the hits they keep ---
+# --- Packets: coherent rays, their bounds, traversal stacks and hit lists ---
 
 
 @struct
 class Slabs:
-    """The bound of a packet of rays, made ready to be cut with boxes.
+    """Bounding volume of a packet of rays, prepared for slab tests against boxes.
 
-    Six planes, up and down along three axes. As the packet widens, each bounds t by ``b * factor + term``, b being its
-    distance from the box's plane: from above (far) where the packet leaves the slab through it, from below (near)
-    where it comes in. Where a plane gives no such bound, the factor is 0 and the term, ``void``, is FAR or -FAR.
+    Each axis has two planes, up and down. For a box plane at distance b, a plane of the packet bounds t by
+    ``b * factor + term``: from above (far) where the packet leaves the slab, from below (near) where it enters. A plane
+    without such a bound has factor 0 and a term (``void``) of FAR or -FAR.
     """
 
     low: wp.vec3
-    """Lower corner of a box around the origins, widened by the rays' footprints."""
+    """Lower corner of a box around the ray origins, widened by the footprints of the rays."""
     high: wp.vec3
     slow: wp.vec3
-    """Least components of the directions, over their squared length: what they are long where a mean is projected."""
+    """Smallest components of the ray directions over their squared length; used to project means onto the rays."""
     fast: wp.vec3
-    """Largest components, likewise."""
+    """Largest components of the ray directions over their squared length."""
     up_far: wp.vec3
     up_far_void: wp.vec3
     up_near: wp.vec3
@@ -227,50 +231,51 @@ class Slabs:
 
 @struct
 class PacketRays:
-    """The rays of a packet, one lane each; local arrays of a kernel."""
+    """The rays of a packet, one lane for each ray; local arrays of a kernel."""
 
     origin: wp.array(dtype=float, ndim=2)
-    """x, y and z by lane, in the space of the tree that is traversed."""
+    """Origins in the space of the current tree; rows x, y, z, one column for each lane."""
     direction: wp.array(dtype=float, ndim=2)
     t_min: wp.array[float]
     limit: wp.array[float]
-    """How far the ray is traced; -FAR: no farther, or not at all."""
+    """Distance up to which the ray is traced; -FAR: the ray is finished or absent."""
     path_length: wp.array[float]
-    """Length of the path before the origin."""
+    """Length of the path before the ray's origin."""
     spread: wp.array[float]
-    """Width of the footprint over the length of the path."""
+    """Width of the ray's footprint divided by the path length."""
     footprint: wp.array[float]
-    """Standard deviation by which Gaussians are widened over that length, in the space of the tree."""
+    """Standard deviation by which the ray widens Gaussians, divided by the path length, in the space of the current
+    tree."""
     t_max: wp.array[float]
-    """Gaussians of the tree that is traversed count up to here; -FAR: none does."""
+    """Distance up to which Gaussians of the current tree count; -FAR: none counts."""
     group: int
-    """The threads that traverse in step with this one; 0: none."""
+    """Bit mask of the CUDA threads that traverse in step with this one; 0: none."""
 
 
 @struct
 class PacketTree:
-    """Which of the trees of a scene a packet traverses."""
+    """The tree of the scene's BVH that a packet currently traverses."""
 
     number: int
-    """The instance whose tree it is, or WORLD."""
+    """Index of the instance whose tree it is, or WORLD."""
     instance: SplatInstanceData
-    """That instance; for WORLD, of no meaning."""
+    """The instance itself; undefined for WORLD."""
     slabs: Slabs
-    """The bound of the packet's rays, in the space of the tree."""
+    """Bound of the packet's rays in the space of the tree."""
 
 
 @struct
 class WaitingNode:
-    """A node that a packet still has to visit."""
+    """A stack entry: a node that a packet still has to visit."""
 
     entry: float
-    """No ray of the packet is in the node's box before this distance."""
+    """Smallest distance at which a ray of the packet may be inside the node's box."""
     floor: float
-    """Least entry of this node and of those below it, on a stack that is visited near first."""
+    """Smallest entry distance of this and all lower stack entries; set only if near nodes are visited first."""
     link: int
-    """The node among those of its tree."""
+    """Index of the node in its tree."""
     instance: int
-    """The instance whose tree it is of, or WORLD."""
+    """Index of the instance whose tree the node belongs to, or WORLD."""
 
 
 @struct
@@ -280,42 +285,42 @@ class TreeRay:
     origin: wp.vec3
     direction: wp.vec3
     inverse: wp.vec3
-    """Of its components, finite."""
+    """Reciprocals of the direction's components, finite."""
     footprint: float
-    """Standard deviation by which Gaussians are widened over the length of the path."""
+    """Standard deviation by which the ray widens Gaussians, divided by the path length."""
     path_length: float
     slabs: Slabs
-    """Its bound; for rays that have a footprint, and for Gaussians that are hit at their means."""
+    """Bound of the ray; set if the ray has a footprint, or hits are ordered by means."""
 
 
 @struct
 class WaitingLink:
-    """A child of a node that a single ray still has to visit."""
+    """A stack entry: a child of a node that a single ray still has to visit."""
 
     entry: float
-    """Where the ray enters its box."""
+    """Distance at which the ray enters the child's box."""
     link: int
-    """As those of ``Node``."""
+    """Child node or ~leaf item, as in ``Node.link``."""
 
 
 @struct
 class Hit:
-    """Where a ray hits a Gaussian."""
+    """Intersection of a ray with a Gaussian."""
 
     t: float
-    """The distance by which hits are ordered."""
+    """Distance by which hits are ordered."""
     alpha: float
     index: int
-    """Among all Gaussians of the scene."""
+    """Index of the Gaussian among all Gaussians of the scene."""
 
 
 @struct
 class HitList:
-    """Hits of one ray, sorted, in its own slots of an array of Hit."""
+    """Sorted hits of one ray, stored in the ray's range of a shared array of Hit."""
 
     begin: int
     """First slot of the ray."""
     head: int
-    """Slot of the first hit; those before it were blended."""
+    """Slot of the first stored hit; earlier slots hold hits that were already blended."""
     tail: int
-    """The slot after the last hit."""
+    """Slot after the last hit."""

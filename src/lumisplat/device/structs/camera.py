@@ -1,4 +1,4 @@
-"""Data of cameras, of the samples of their pixels, and of the film: the images of a frame."""
+"""Structs of cameras, pixel samples, and the film that accumulates them."""
 
 import warp as wp
 
@@ -7,34 +7,40 @@ from lumisplat.device.structs import struct
 
 @struct
 class CameraData:
-    """A camera for one sample of each pixel. Lives in a 1-element array, so that captured graphs read its changes."""
+    """Camera parameters for one sample of each pixel.
+
+    They live in a 1-element array, so that captured CUDA graphs read changes.
+    """
 
     world_from_camera: wp.mat33
-    """Rotation; with a rolling shutter, at the start of the first row."""
+    """Rotation; with a rolling shutter, the rotation at the start of the first row."""
     eye: wp.vec3
-    """Centre of projection, world space; with a rolling shutter, at the start of the first row."""
+    """Centre of projection, world space; with a rolling shutter, its position at the start of the first row."""
     model: int
     """PINHOLE, FISHEYE or ORTHOGRAPHIC of ``lumisplat.device.camera.camera``."""
     focal: wp.vec2
-    """Pixels; fisheye: per radian, orthographic: per scene unit."""
+    """Focal lengths: pixels; for a fisheye, pixels per radian; for an orthographic camera, pixels per scene unit."""
     center: wp.vec2
     """Principal point, pixels."""
     offset: wp.vec2
     """Position of the sample in each pixel, 0..1."""
     raster_center: wp.vec2
-    """The principal point, moved so that the rasteriser's pixel centres are the samples: plus 0.5, minus ``offset``."""
+    """Principal point plus 0.5 minus ``offset``: makes the rasteriser's pixel centres coincide with the samples."""
     jacobian_min: wp.vec2
-    """Lowest x/z and y/z at which the projection is linearised."""
+    """Smallest x/z and y/z at which the projection is linearised."""
     jacobian_max: wp.vec2
-    """Highest x/z and y/z at which the projection is linearised."""
+    """Largest x/z and y/z at which the projection is linearised."""
     width: int
-    """Of the image: of the window that is drawn, or of the whole picture; pixels."""
+    """Width of the rendered window (or of the full frame, without a window), pixels."""
     height: int
     left: int
-    """Of the window in the picture, pixels. Coordinates and random numbers are those of the picture."""
+    """Left edge of the window in the full frame, pixels.
+
+    Pixel coordinates and random numbers refer to the full frame.
+    """
     top: int
     full_width: int
-    """Of the whole picture, pixels."""
+    """Width of the full frame, pixels."""
     full_height: int
     tiles_x: int
     tiles_y: int
@@ -43,45 +49,45 @@ class CameraData:
     """Radius of the lens, scene units; 0: a pinhole."""
     focus_distance: float
     distorted: int
-    """1: the lens distorts, by the next three."""
+    """1: the lens distorts, with the coefficients below."""
     radial: wp.vec4
-    """Coefficients k1 to k4."""
+    """Radial distortion coefficients k1 to k4."""
     tangential: wp.vec2
-    """Coefficients p1 and p2."""
+    """Tangential distortion coefficients p1 and p2."""
     distortion_reach: float
-    """Radius up to which the distortion is one to one, before it is applied."""
+    """Undistorted radius up to which the distortion is one-to-one."""
     shutter: int
-    """1: a rolling shutter, the pose changes from row to row by the next three."""
+    """1: rolling shutter; the pose changes from row to row by the rotation and translation below."""
     rotation_axis: wp.vec3
-    """Axis of the rotation while the rows are exposed, world space, unit."""
+    """Axis of the camera's rotation while the rows are exposed, world space, unit."""
     rotation_angle: float
-    """Its angle at the end of the last row, radians."""
+    """Rotation angle at the end of the last row, radians."""
     motion: wp.vec3
-    """Translation of the eye until then, world space."""
+    """Translation of the eye until the end of the last row, world space."""
 
 
 @struct
 class SampleData:
-    """The current sample of each pixel. Lives in a 1-element array."""
+    """The current sample of each pixel, in a 1-element array."""
 
     index: int
-    """From 0; where some pixels have fewer samples than others, the number in those that have all."""
+    """Index of the sample, from 0; with adaptive sampling, the index in pixels that receive every sample."""
     seed: wp.uint32
 
 
 @struct
 class ListedRays:
-    """The rays of those pixels that a sample is drawn for, in the order of all; without elements: all pixels' rays."""
+    """Rays of the pixels that adaptive sampling selects for this sample; empty arrays: the rays of all pixels."""
 
     ray: wp.array[int]
-    """Of the ray among those of all pixels; -1: there is none."""
+    """Index of the ray among the rays of all pixels; -1: there is none."""
     sample: wp.array[int]
-    """Number of the sample in its pixel."""
+    """Index of the sample in its pixel."""
     offset: wp.array[wp.vec2]
     """Position of the sample in its pixel, 0..1."""
 
 
-# --- The film ---
+# --- Film ---
 
 TONE_NONE: int = wp.constant(0)
 
@@ -92,115 +98,121 @@ TONE_AGX: int = wp.constant(2)
 
 @struct
 class PixelData:
-    """The images of a frame, one element a pixel."""
+    """Images of a frame, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """Display-referred sRGB over the background; of a lit frame only what was captured, premultiplied by its weight."""
+    """Display-referred sRGB over the background.
+
+    In a lit frame, only the captured colour, premultiplied by its weight."""
     alpha: wp.array[float]
-    """1 - transmittance; 1 where a mesh ends the pixel."""
+    """Opacity, 1 - transmittance; 1 where the pixel ends at a mesh."""
     depth: wp.array[float]
-    """Distance along the pixel's ray to the iso-opacity surface, scene units; inf: none."""
+    """Distance along the pixel's ray to the iso-opacity surface, scene units; inf: no surface."""
     normal: wp.array[wp.vec3]
-    """World space, unit, towards the viewer; zero where there is nothing."""
+    """Surface normal, world space, unit, towards the viewer; zero for an empty pixel."""
     gaussian: wp.array[int]
     """Index of the surface's Gaussian in its own instance; -1: none."""
     instance: wp.array[int]
-    """Splat instances first, then mesh instances; -1: none."""
+    """Index of the instance, splat instances first, then mesh instances; -1: none."""
 
 
 @struct
 class LitPixels:
-    """The further images of a lit frame; arrays without elements in an unlit one."""
+    """Additional images of a lit frame; the arrays are empty in an unlit frame."""
 
     captured_weight: wp.array[float]
-    """Share of the pixel that was captured."""
+    """Fraction of the pixel that shows captured colour."""
     light: wp.array[wp.vec3]
-    """Linear: light that is added or, if negative, taken by shadows."""
+    """Linear light added to the captured colour; negative where shadows remove light."""
     color: wp.array[wp.vec3]
-    """Linear: captured colour plus light, written after the last sample."""
+    """Linear sum of captured colour and light, written after the last sample."""
 
 
 @struct
 class PixelSums:
-    """Sums over the samples of each pixel, in double precision: means and variances of 100,000 samples lose nothing."""
+    """Sums over the samples of each pixel, in double precision so that 100,000 samples lose no digits."""
 
     color: wp.array[wp.vec3d]
-    """Of what `PixelData` and `LitPixels` have the means of."""
+    """Sum of ``PixelData.color``; the fields below sum the other images of `PixelData` and `LitPixels`."""
     alpha: wp.array[wp.float64]
     captured_weight: wp.array[wp.float64]
-    """Like ``light`` without elements in an unlit frame."""
+    """Sum of captured weights; empty in an unlit frame, as ``light``."""
     light: wp.array[wp.vec3d]
     radiance: wp.array[wp.vec3d]
-    """Of what the variance is of: linear radiance; in an unlit frame its display-referred colour."""
+    """Sum of the values whose variance is measured: linear radiance, or the display-referred colour of an unlit frame.
+    """
     squares: wp.array[wp.vec3d]
-    """Of the squared deviations of that from its mean."""
+    """Sum of the squared deviations of ``radiance`` from its mean."""
 
 
 @struct
 class PixelSample:
-    """What a sample adds to those sums."""
+    """Values that one sample adds to the sums of its pixel."""
 
     color: wp.vec3
     alpha: float
     captured_weight: float
     light: wp.vec3
     capture_factor: wp.vec3
-    """Share of the captured colour that shadows leave."""
+    """Fraction of the captured colour that remains after shadows."""
 
 
 @struct
 class FilmData:
-    """The film, in a 1-element array: kernels take it by reference, for the reason that `WaveData` gives."""
+    """The film, in a 1-element array; kernels take it by reference, for the reason given in `WaveData`."""
 
     width: int
     height: int
     in_blocks: int
-    """1: rays lie in square blocks of pixels, as a camera's; 0: one after the other."""
+    """1: rays are ordered in square groups of pixels, as camera rays are; 0: rays are in row order."""
     in_sequence: int
-    """1: each sample is a frame of its own, whatever its number."""
+    """1: each sample is a frame of its own, whatever its index."""
     first_sample: int
-    """Number of the first sample that is added: 0, but in parts of a frame."""
+    """Index of the first sample added; above 0 only in partial frames."""
     pixels: PixelData
     lit: LitPixels
     capture_factor: wp.array[wp.vec3]
-    """Mean over samples of the share of the captured colour that shadows leave, as of `RayRadiance.capture_factor`;
-    without elements if no splat set is shadow-only."""
+    """Mean over samples of `RayRadiance.capture_factor`; empty if no splat set is a shadow catcher."""
     captured_all: wp.array[wp.vec3]
-    """It, linear, the mean over samples; like the next eight without elements unless paths find what shadow-only
-    surfaces receive."""
+    """Mean linear captured colour.
+
+    This array and the next eight are empty unless path tracing measures the light on shadow catchers."""
     captured_part: wp.array[wp.vec3]
-    """The part of it that is a shadow-only surface's."""
+    """Part of ``captured_all`` that shadow catchers contribute."""
     captured_received: wp.array[wp.vec3]
-    """Share of the samples that found the next two."""
+    """Fraction of the samples that measured the irradiance fields below."""
     captured_unshadowed: wp.array[wp.vec3]
-    """Irradiance of the surface by lights, as it was captured, a mean in which the other samples count as 0."""
+    """Mean irradiance of the shadow catcher by lights, without added objects.
+
+    Samples without a measurement count as 0."""
     captured_shadowed: wp.array[wp.vec3]
-    """The same with all that was added."""
+    """Mean irradiance of the shadow catcher by lights, with all added objects."""
     captured_emitted_unshadowed: wp.array[wp.vec3]
-    """Irradiance by the captures around it, as of `RayRadiance.own_sent`."""
+    """Mean irradiance by surrounding captures, without added objects; see `RayRadiance.emitted_unshadowed`."""
     captured_emitted_shadowed: wp.array[wp.vec3]
     captured_ambient: wp.array[wp.vec3]
-    """Ambient irradiance."""
+    """Mean ambient irradiance."""
     captured_open: wp.array[wp.vec3]
-    """The part of it that nothing added blocks."""
+    """Part of the ambient irradiance that no added object blocks."""
     ratio: wp.array[wp.vec3]
-    """What shadows leave of the captured part of a pixel, or light makes of it, once all samples are drawn; without
-    elements in frames without shadow catchers."""
+    """Factor of a pixel's captured colour by shadows and added light, after all samples.
+
+    The array is empty in frames without shadow catchers."""
     count: wp.array[int]
-    """Samples of each pixel that were finite, which alone count."""
+    """Number of finite samples of each pixel; other samples are discarded."""
     sums: PixelSums
-    """Without elements in frames of one sample, whose values ``pixels`` and ``lit`` hold."""
+    """Sums over samples; empty in frames of one sample, whose values are stored in ``pixels`` and ``lit``."""
     listed: ListedRays
 
 
 @struct
 class ToneMapData:
-    """How a lit frame becomes a picture."""
+    """Settings that convert a lit frame to a display image."""
 
     straight: int
     """1: colours are divided by alpha."""
     tone_map: int
-    """TONE_NONE and so on."""
+    """TONE_NONE, TONE_NEUTRAL or TONE_AGX."""
     gain: float
     """2 to the power of the exposure."""
     agx_from_rec709: wp.mat33

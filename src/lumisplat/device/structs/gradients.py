@@ -1,4 +1,4 @@
-"""Data of backward passes, of the rasteriser and of rays: derivatives of one number, the loss, by what is drawn."""
+"""Structs of backward passes of the rasteriser and the ray tracer: gradients of a scalar loss."""
 
 import warp as wp
 
@@ -7,16 +7,16 @@ from lumisplat.device.structs import struct
 
 @struct
 class PixelGradient:
-    """By the images of a frame, an element a pixel."""
+    """Gradients of the loss with respect to the images of a frame, one element for each pixel."""
 
     color: wp.array[wp.vec3]
-    """By the colour over the background."""
+    """Gradient with respect to the colour over the background."""
     alpha: wp.array[float]
 
 
 @struct
 class SplatGradient:
-    """By a splat, over the pixels of one tile or of all, 48 bytes."""
+    """Gradient of the loss with respect to a projected splat, summed over one tile or all pixels; 48 bytes."""
 
     color: wp.vec3
     log_opacity: float
@@ -25,70 +25,71 @@ class SplatGradient:
     shear: float
     across: float
     center_absolute: wp.vec2
-    """Sum of the magnitudes of what pixels add to ``center`` (AbsGS, Ye et al. 2024)."""
+    """Sum over pixels of the magnitudes of their contributions to ``center`` (AbsGS, Ye et al. 2024)."""
     weight: float
-    """Sum of the weights with which it is blended."""
+    """Sum of the splat's blending weights."""
 
 
 @struct
 class RaySplatGradient:
-    """By a Gaussian that rays of pixels meet, over the pixels of one tile or of all, 56 bytes.
+    """Gradient of the loss with respect to a Gaussian rasterised along pixel rays; 56 bytes.
 
-    The last three are sums over the points of rays that are nearest to its mean, in its canonical space, each times the
-    derivative by the logarithm of its alpha there.
+    It sums over one tile or all pixels. ``point``, ``squares`` and ``products`` are sums over rays: each term takes the
+    point of the ray nearest to the mean, in canonical space, times the derivative with respect to the logarithm of the
+    ray's alpha.
     """
 
     color: wp.vec3
     log_opacity: float
     weight: float
-    """Sum of the weights with which it is blended."""
+    """Sum of the Gaussian's blending weights."""
     point: wp.vec3
     squares: wp.vec3
-    """Of the points' coordinates."""
+    """Sums of the squared coordinates of these points."""
     products: wp.vec3
-    """Of their coordinates y z, z x, x y."""
+    """Sums of the products y z, z x and x y of their coordinates."""
 
 
 @struct
 class GaussianGradient:
-    """By the parameters of a Gaussian asset, an element a Gaussian."""
+    """Gradients of the loss with respect to the parameters of a Gaussian asset, one element for each Gaussian."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """By a quaternion that is normalised after it has changed: at right angles to it."""
+    """Gradient of a quaternion that is normalised after each step: orthogonal to the quaternion."""
     scales: wp.array[wp.vec3]
     opacities: wp.array[float]
     sh: wp.array[wp.vec3]
-    """``sh_count`` consecutive ones a Gaussian."""
+    """SH gradients, ``sh_count`` consecutive elements for each Gaussian."""
     sh_count: int
 
 
 @struct
 class PoseGradient:
-    """By where the camera is, of some Gaussians of one instance."""
+    """Gradient of the loss with respect to the camera pose, from some Gaussians of one instance."""
 
     camera_from_object: wp.mat33
     camera_from_object_offset: wp.vec3
     eye: wp.vec3
-    """In object space, by way of the directions from which colours are seen."""
+    """Gradient with respect to the eye in object space, through the view directions at which SH are evaluated."""
 
 
 @struct
 class RayGradient:
-    """By what rays show, an element a ray."""
+    """Gradients of the loss with respect to the output of rays, one element for each ray."""
 
     color: wp.array[wp.vec3]
-    """By its colour."""
+    """Gradient with respect to the ray's colour."""
     behind: wp.array[float]
-    """What of the loss the ray shows at all, of colour and of transmittance."""
+    """Loss contribution of the whole ray: its colour and transmittance, each times its gradient."""
 
 
 @struct
 class HitGradients:
-    """By the hits of rays, an element a hit, ray by ray, each front to back."""
+    """Gradients of the loss with respect to the hits of rays: one element for each hit, ray by ray, front to back."""
 
     ray: wp.array[int]
     log_alpha: wp.array[float]
-    """By the logarithm of alpha; 0 where that is at its limit."""
+    """Derivative with respect to the logarithm of alpha; 0 where alpha is clamped."""
     weight: wp.array[float]
-    """With which the Gaussian is blended."""
+    """Blending weight of the Gaussian."""

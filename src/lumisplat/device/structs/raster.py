@@ -1,7 +1,4 @@
-"""Data of the rasteriser: splats, triangles, tiles and the blending of pixels; Gaussians that it sees along rays.
-
-One struct is one noun of the method.
-"""
+"""Structs of the rasteriser: projected splats, triangles, tiles, blending, and Gaussians rasterised along rays."""
 
 import warp as wp
 
@@ -18,11 +15,11 @@ class RasterData:
     dilation: float
     """Variance added to projected covariances, pixel^2."""
     sh_degree: int
-    """Highest that is evaluated."""
+    """Highest SH degree that is evaluated."""
     transmittance_min: float
     depth_iso_transmittance: float
     background: wp.vec3
-    """Display-referred sRGB."""
+    """Background colour, display-referred sRGB."""
 
 
 @struct
@@ -33,32 +30,32 @@ class Splat:
 
     e = log_opacity - along * (dx - shear * dy)^2 - across * dy^2,   (dx, dy) = p - center.
 
-    This is the conic's quadratic form with the square completed in x: no cancellation for long thin ellipses, and the
-    span of an image row where e exceeds a threshold follows in closed form.
+    This is the conic's quadratic form with the square completed in x. The form avoids cancellation for long thin
+    ellipses and gives in closed form the span of an image row where e exceeds a threshold.
     """
 
     center: wp.vec2
-    """Pixels."""
+    """Centre in the image, pixels."""
     along: float
     shear: float
     across: float
     log_opacity: float
-    """Natural logarithm; -inf marks a culled Gaussian."""
+    """Natural logarithm of the opacity; -inf marks a culled Gaussian."""
     extent: wp.vec2
     """Half sides of the box outside which alpha is below 1/255, pixels."""
     color: wp.vec3
-    """Display-referred sRGB, not negative."""
+    """Colour, display-referred sRGB, not negative."""
     depth: float
     """View depth of the mean."""
     normal: wp.vec3
-    """World space, unit, towards the viewer."""
+    """Normal, world space, unit, towards the viewer."""
     index: int
-    """Among all Gaussians of the scene."""
+    """Index of the Gaussian among all Gaussians of the scene."""
 
 
 @struct
 class TileRect:
-    """Half-open rectangle of tiles, 8 bytes; empty for what is culled."""
+    """Half-open rectangle of tiles, 8 bytes; empty for culled splats."""
 
     x0: wp.int16
     y0: wp.int16
@@ -68,7 +65,7 @@ class TileRect:
 
 @struct
 class ChunkData:
-    """Range and counts of one chunk of depth keys."""
+    """Key range and counts of one chunk of depth keys."""
 
     key_min: wp.uint32
     key_max: wp.uint32
@@ -78,64 +75,64 @@ class ChunkData:
 
 @struct
 class MeshPixels:
-    """The nearest mesh surface of each pixel. For primary hits, only the depth is written."""
+    """Nearest mesh surface of each pixel; for primary hits of lit frames, only the depth is written."""
 
     depth_z: wp.array[float]
-    """View depth; inf: none."""
+    """View depth; inf: no mesh."""
     color: wp.array[wp.vec3]
-    """Display-referred sRGB."""
+    """Colour, display-referred sRGB."""
     normal: wp.array[wp.vec3]
-    """World space, unit, towards the viewer."""
+    """Normal, world space, unit, towards the viewer."""
     instance: wp.array[int]
-    """Among all instances of the scene."""
+    """Index of the mesh instance among all instances of the scene."""
 
 
 @struct
 class BlendState:
-    """Front-to-back blending of one pixel."""
+    """State of front-to-back blending of one pixel."""
 
     color: wp.vec3
-    """Premultiplied."""
+    """Blended colour, premultiplied."""
     normal: wp.vec3
     """Weighted sum of unit normals."""
     transmittance: float
-    """Negative: finished, with this magnitude."""
+    """Transmittance so far; a negative value marks a finished pixel whose transmittance is the magnitude."""
     surface: int
-    """Gaussian of the iso-opacity surface; -1: it is not reached."""
+    """Gaussian at which the iso-opacity surface is reached; -1: not reached."""
     first: int
-    """The first Gaussian that was blended; -1: none."""
+    """First Gaussian blended; -1: none."""
     hits: int
-    """How many were blended."""
+    """Number of Gaussians blended."""
 
 
 @struct
 class RasterMeshes:
-    """The meshes of the triangles that are rasterised, for those of some alpha."""
+    """Mesh data that the rasteriser needs to evaluate the alpha of triangles that are not opaque."""
 
     instances: wp.array[MeshInstanceData]
     splat_instance_count: int
-    """``Triangle.instance`` counts from there."""
+    """Number of splat instances: ``Triangle.instance`` starts at this number."""
     meshes: MeshData
     sample: wp.array[SampleData]
 
 
 @struct
 class Triangle:
-    """A triangle in camera space, set up for the rays through pixel centres (Olano and Greer 1997), 64 bytes.
+    """A camera-space triangle set up for rays through pixel centres (Olano and Greer 1997), 64 bytes.
 
-    For a ray (x, y, 1): inside where the three ``edge . ray`` have one sign, zero included; the view depth there is
-    ``plane / normal . ray``, and the edge values over their sum are perspective-correct barycentric coordinates.
+    A ray (x, y, 1) hits the triangle where the three ``edge . ray`` have the same sign (or are zero). The view depth
+    there is ``plane / normal . ray``; the edge values over their sum are perspective-correct barycentric coordinates.
     Vertices may lie behind the camera.
     """
 
     edge0: wp.vec3
-    """Cross product of the vertices opposite vertex 0."""
+    """Cross product of the two vertices opposite vertex 0."""
     edge1: wp.vec3
     edge2: wp.vec3
     normal: wp.vec3
-    """Camera space, not normalised."""
+    """Normal in camera space, not normalised."""
     plane: float
-    """``normal . vertex``."""
+    """Plane offset, ``normal . vertex``."""
     row_first: wp.uint16
     """First image row that the triangle may touch."""
     row_last: wp.uint16
@@ -145,21 +142,21 @@ class Triangle:
 
 @struct
 class RayRasterData:
-    """Settings of the rasteriser, in a 1-element array."""
+    """Settings of the rasteriser that evaluates Gaussians along pixel rays, in a 1-element array."""
 
     dilation: float
-    """Variance added to Gaussians that are not antialiased, in squared widths of the pixel where they are."""
+    """Variance added to Gaussians without antialiasing, in squared pixel widths at the Gaussian."""
     sh_degree: int
-    """Highest that is evaluated."""
+    """Highest SH degree that is evaluated."""
     transmittance_min: float
     depth_iso_transmittance: float
     field: float
-    """Of a pinhole: tangent of the angle from its axis up to which points are projected as they are."""
+    """Tangent of the angle from a pinhole's axis beyond which the projection is extended linearly in the angle."""
 
 
 @struct
 class PixelBox:
-    """Half-open rectangle of pixels; empty for what is culled."""
+    """Half-open rectangle of pixels; empty for culled Gaussians."""
 
     x0: int
     y0: int
@@ -169,30 +166,30 @@ class PixelBox:
 
 @struct
 class RaySplat:
-    """A Gaussian as the rays of pixels meet it, 104 bytes."""
+    """A Gaussian prepared for evaluation along pixel rays, 104 bytes."""
 
     canonical_from_world: wp.mat33
-    """Widened by the footprint of a pixel."""
+    """Canonical transform of the Gaussian, widened by the footprint of a pixel."""
     eye: wp.vec3
-    """Canonical; with a rolling shutter, at the start of the first row."""
+    """Eye in canonical space; with a rolling shutter, at the start of the first row."""
     log_opacity: float
-    """Natural logarithm."""
+    """Natural logarithm of the opacity."""
     color: wp.vec3
-    """Display-referred sRGB, not negative."""
+    """Colour, display-referred sRGB, not negative."""
     depth: float
-    """By which splats are ordered, above 0."""
+    """Depth by which splats are sorted, above 0."""
     normal: wp.vec3
-    """World space, unit, towards the viewer."""
+    """Normal, world space, unit, towards the viewer."""
     index: int
-    """Among all Gaussians of the scene."""
+    """Index of the Gaussian among all Gaussians of the scene."""
     box: PixelBox
-    """Outside of it, alpha is below 1/255."""
+    """Pixels outside of which alpha is below 1/255."""
 
 
 @struct
 class PixelRays:
-    """The rays along which pixels see Gaussians, and where they end."""
+    """Rays of pixels along which Gaussians are evaluated, and the distances at which they end."""
 
     rays: RayData
     limits: wp.array[float]
-    """Distances up to which Gaussians count."""
+    """Distance along each ray up to which Gaussians count."""

@@ -1,4 +1,4 @@
-"""Data of rays: rays, and what they hit. One struct is one noun of the method."""
+"""Structs of rays and of what they hit."""
 
 import warp as wp
 
@@ -11,108 +11,111 @@ class Ray:
 
     origin: wp.vec3
     direction: wp.vec3
-    """Unit."""
+    """Direction, unit."""
     t_min: float
-    """Distance up to which hits do not count."""
+    """Distance up to which hits are ignored."""
     path_length: float
     """Length of the path from the eye to the origin, over all bounces."""
     spread: float
-    """Width of the ray's footprint over the length of its path: the root of the solid angle of its pixel; 0: it
-    has no width."""
+    """Footprint width over path length: square root of the solid angle of the ray's pixel; 0: a ray without width."""
 
 
 @struct
 class RayData:
-    """Rays, one element each, as ``Ray``."""
+    """Rays as arrays, one element for each ray; fields as in ``Ray``."""
 
     is_active: wp.array[wp.bool]
-    """Whether there is a ray; if not, the other fields are undefined."""
+    """Whether the ray exists; if not, its other fields are undefined."""
     origin: wp.array[wp.vec3]
     direction: wp.array[wp.vec3]
     t_min: wp.array[float]
     t_max: wp.array[float]
-    """Where the ray ends; inf: nowhere. Shadow rays end at their light."""
+    """Distance at which the ray ends; inf: unbounded. Shadow rays end at their light."""
     path_length: wp.array[float]
     spread: wp.array[float]
     normal: wp.array[wp.vec3]
-    """Of the layer of flat Gaussians that the ray leaves, unit, on its side: Gaussians of another layer count before
-    ``t_min``, too. Zero: none do."""
+    """Unit normal, on the ray's side, of the layer of flat Gaussians that the ray leaves.
+
+    Gaussians of another layer then count even before ``t_min``. Zero: no Gaussian counts before ``t_min``."""
     sample_key: wp.array[wp.uint32]
     """Key of the ray's random numbers."""
     pixel_key: wp.array[wp.uint32]
-    """Key of the low-discrepancy sequences that the samples of a pixel share."""
+    """Key of the low-discrepancy sequences that all samples of a pixel share."""
     sample: wp.array[int]
-    """Number of the ray's sample in these sequences, from 0."""
+    """Index of the ray's sample in these sequences, from 0."""
 
 
 @struct
 class MeshHits:
-    """The nearest triangle on each ray."""
+    """Nearest triangle hit by each ray."""
 
     t: wp.array[float]
-    """Its distance; without a hit, the ray's ``t_max``, which is undefined if there is no ray."""
+    """Hit distance; without a hit, the ray's ``t_max`` (undefined if there is no ray)."""
     face: wp.array[int]
-    """First triangle of the mesh in MeshData plus the triangle's own number; -1: none."""
+    """Index of the triangle in MeshData (first triangle of the mesh plus its own index); -1: no hit."""
     instance: wp.array[int]
-    """Among the mesh instances."""
+    """Index among the mesh instances."""
     weights: wp.array[wp.vec2]
     """Barycentric weights of the second and third corner."""
 
 
 @struct
 class GaussianHits:
-    """The Gaussians before the nearest mesh on each ray, blended."""
+    """Blended Gaussians in front of the nearest mesh, one element for each ray."""
 
     color: wp.array[wp.vec3]
-    """Premultiplied, display-referred sRGB."""
+    """Blended colour, premultiplied, display-referred sRGB."""
     normal: wp.array[wp.vec3]
-    """Sum of unit normals, weighted as the colours are; world space."""
+    """Sum of unit normals with the blending weights of the colours, world space."""
     transmittance: wp.array[float]
     depth: wp.array[float]
-    """Distance of the iso-opacity surface; inf: it is not reached."""
+    """Distance of the iso-opacity surface; inf: not reached."""
     gaussian: wp.array[int]
-    """Gaussian of the surface or, if it is not reached, the first one blended, among all of the scene's; -1: none."""
+    """Gaussian at the iso-opacity surface, else the first one blended, as an index over the whole scene; -1: none."""
     hits: wp.array[int]
-    """How many were blended."""
+    """Number of Gaussians blended."""
     relit_color: wp.array[wp.vec3]
-    """The part of ``color`` of relit sets; like what follows without elements unless there are others as well."""
+    """Part of ``color`` from relit splat sets.
+
+    This and the fields below are empty unless relit and other sets are mixed."""
     relit_weight: wp.array[float]
-    """Their share of the ray."""
+    """Blending weight of relit sets on the ray."""
     relit_gaussian: wp.array[int]
-    """The surface's Gaussian if it is one of theirs, else the first of them; undefined if their share is 0."""
+    """Surface Gaussian if it is of a relit set, else the first relit Gaussian; undefined if their weight is 0."""
     mean_depth: wp.array[float]
-    """Distance of the weighted-mean surface of relit sets; inf: none of them is there. Like what follows without
-    elements unless surfaces are means."""
+    """Weighted mean distance of the Gaussians of relit sets; inf: there are none.
+
+    This and the field below are empty unless surfaces are computed as means."""
     mean_finish: wp.array[wp.vec2]
-    """Its roughness and metallic."""
+    """Weighted mean roughness and metallic of that surface."""
 
 
 @struct
 class HitProfiles:
-    """The Gaussians on rays one by one, in the order in which they are blended; in a 1-element array.
+    """All Gaussians hit by rays, listed one by one in blending order; in a 1-element array.
 
-    One element a hit, but for the first field.
+    Except for ``first``, there is one element for each hit.
     """
 
     first: wp.array[int]
-    """Element of the first hit of each ray, and the end of the last one's; one element more than rays."""
+    """Element of each ray's first hit, followed by the end of the last ray's hits: one element more than rays."""
     t: wp.array[float]
     """Distance by which hits are ordered."""
     alpha: wp.array[float]
     transmittance: wp.array[float]
-    """Behind the Gaussian."""
+    """Transmittance behind the Gaussian."""
     gaussian: wp.array[int]
-    """Among all of the scene's."""
+    """Index of the Gaussian among all Gaussians of the scene."""
 
 
 RELIT_FIELDS = ("relit_color", "relit_weight", "relit_gaussian")
-"""Fields of `GaussianHits` for scenes with relit sets and others."""
+"""Fields of `GaussianHits` that scenes with both relit and other splat sets need."""
 
 MEAN_FIELDS = ("mean_depth", "mean_finish")
-"""Fields of `GaussianHits` for surfaces that are means."""
+"""Fields of `GaussianHits` that mean surfaces need."""
 
 EXTRA_FIELDS = RELIT_FIELDS + MEAN_FIELDS
-"""Fields of `GaussianHits` that not all frames need."""
+"""Fields of `GaussianHits` that only some frames need."""
 
 
 @struct
@@ -120,40 +123,40 @@ class Bounce:
     """Specular reflection and refraction of a ray at a surface."""
 
     color: wp.vec3
-    """The surface's own share: display-referred sRGB, or linear in lit frames."""
+    """Contribution of the surface itself: display-referred sRGB, or linear in lit frames."""
     reflected: wp.vec3
-    """Weight of the reflected ray; zero: there is none."""
+    """Weight of the reflected ray; zero: no reflected ray."""
     refracted: wp.vec3
-    """Weight of the refracted ray; zero: there is none."""
+    """Weight of the refracted ray; zero: no refracted ray."""
     normal: wp.vec3
-    """Shading normal, by which rays are reflected and refracted; unit, on the side of the ray."""
+    """Shading normal used for reflection and refraction; unit, on the ray's side."""
     side: wp.vec3
-    """Geometric normal; unit, on the side of the ray."""
+    """Geometric normal; unit, on the ray's side."""
     eta: float
-    """Index of refraction on the side of the ray over that behind the surface, by which it is refracted."""
+    """Index of refraction on the ray's side over the index behind the surface, used for refraction."""
     media: wp.vec4i
-    """On the side of the ray, as ``Boundary``."""
+    """Media on the ray's side, as in ``Boundary``."""
     media_behind: wp.vec4i
 
 
 @struct
 class Boundary:
-    """What the surface of a mesh is to a ray."""
+    """The interface between media that a mesh surface forms for a ray."""
 
     exists: bool
-    """False: the same medium is on both sides, and the ray goes on straight."""
+    """False: both sides are the same medium, and the ray continues straight."""
     eta: float
-    """Index of refraction on the side of the ray over that behind the surface."""
+    """Index of refraction on the ray's side over the index behind the surface."""
     media: wp.vec4i
-    """On the side of the ray: one more than the numbers of mesh instances, in the order in which they were entered."""
+    """Media on the ray's side: mesh instance indices plus one, in the order in which the ray entered them."""
     media_behind: wp.vec4i
     is_unentered: bool
-    """The ray leaves a medium that it has not entered."""
+    """Whether the ray leaves a medium that it never entered."""
 
 
 @struct
 class FirstSurface:
-    """The first surface on a ray, that of Gaussians or a mesh, as PixelData."""
+    """First surface on a ray, of Gaussians or a mesh; fields as in `PixelData`."""
 
     depth: float
     normal: wp.vec3

@@ -1,4 +1,4 @@
-"""Data of the scene: Gaussians, meshes, and their instances. One struct is one noun of the method."""
+"""Structs of the scene: Gaussian assets, meshes, and their instances."""
 
 import warp as wp
 
@@ -15,91 +15,91 @@ ALPHA_BLEND: int = wp.constant(2)
 
 @struct
 class GaussianData:
-    """A Gaussian asset on the device, in its own space."""
+    """A Gaussian asset on the device, in object space."""
 
     means: wp.array[wp.vec3]
     rotations: wp.array[wp.quat]
-    """Object from Gaussian."""
+    """Rotation from the Gaussian's axes to object space."""
     scales: wp.array[wp.vec3]
-    """Standard deviations."""
+    """Standard deviations along the Gaussian's axes."""
     opacities: wp.array[float]
     sh: wp.array[wp.vec3]
-    """Coefficients, ``sh_count`` consecutive ones a Gaussian."""
+    """SH coefficients, ``sh_count`` consecutive elements for each Gaussian."""
     sh_count: int
     normals: wp.array[wp.vec3]
-    """Stored in the asset; without elements: it has none."""
+    """Normals stored in the asset; empty: the asset has none."""
     albedo: wp.array[wp.vec3]
-    """Display-referred; without elements: none."""
+    """Display-referred albedo; empty: the asset has none."""
 
 
 @struct
 class KernelData:
-    """The response of Gaussians by distance, on which their bounds depend."""
+    """Kernel function of Gaussians: the response by canonical distance, which also determines their bounds."""
 
     degree: int
-    """Exponent of the distance, 0 (linear) to 5."""
+    """Exponent of the distance, 0 (linear kernel) to 5."""
     falloff: float
-    """a of the response exp(-a d^degree); the slope of the linear one."""
+    """Coefficient a of the response exp(-a d^degree), or the slope of the linear kernel."""
     min_response: float
     adaptive: int
-    """1: ``min_response`` limits the response times the opacity."""
+    """1: ``min_response`` bounds response times opacity instead of the response alone."""
 
 
 @struct
 class SplatInstanceData:
-    """One placement of a Gaussian asset: for the rasteriser, for rays and for shading."""
+    """One instance of a Gaussian asset, with what rasteriser, ray tracer and shading need."""
 
     camera_from_object: wp.mat33
-    """Rotation and uniform scale."""
+    """Rotation times uniform scale."""
     camera_from_object_offset: wp.vec3
     object_from_world: wp.mat33
-    """Rotation and uniform scale."""
+    """Rotation times uniform scale."""
     object_from_world_offset: wp.vec3
     world_from_object: wp.mat33
     """Rotation only."""
     scale: float
-    """World from object."""
+    """Uniform scale from object to world space."""
     eye: wp.vec3
-    """The camera's centre of projection in object space."""
+    """Camera's centre of projection in object space."""
     first: int
-    """Index of the instance's first Gaussian among all of the scene's."""
+    """Index of the instance's first Gaussian among all Gaussians of the scene."""
     asset: int
-    """Among the scene's Gaussian assets."""
+    """Index among the scene's Gaussian assets."""
     kernel: KernelData
     antialiased: int
-    """1: compensate opacity for the dilation (Mip-Splatting)."""
+    """1: compensate the opacity for the dilation (Mip-Splatting)."""
     footprint: float
-    """Standard deviation by which rays find Gaussians widened, in widths of a pixel; 0: not at all."""
+    """Standard deviation by which rays widen Gaussians, in pixel widths; 0: no widening."""
     hit_distance: int
-    """Where rays hit Gaussians: one of HIT_PEAK, HIT_HULL, HIT_MEAN."""
+    """HIT_PEAK, HIT_HULL or HIT_MEAN: the distance at which rays hit the Gaussians."""
     sh_degree: int
-    """Highest that is evaluated."""
+    """Highest SH degree that is evaluated."""
     shows_albedo: int
-    """1: Gaussians show their albedo."""
+    """1: Gaussians show their albedo instead of their SH colour."""
     stored_normals: int
-    """1: normals are those stored in the asset."""
+    """1: use the normals stored in the asset."""
     shadow_only: int
-    """1: shadow rays that skip such instances pass through it."""
+    """1: the instance is a shadow catcher, which some shadow rays pass unattenuated."""
     relit: int
-    """1: light alone determines what shows of it, nothing is as captured."""
+    """1: the instance is fully relit and shows none of its captured colour."""
 
 
 @struct
 class TextureData:
-    """Where a texture lies in the texels of MeshData."""
+    """Location of a texture in the texel array of MeshData."""
 
     first: int
     width: int
-    """0: there is no texture."""
+    """Width in texels; 0: there is no texture."""
     height: int
     wrap_u: int
-    """WRAP_REPEAT and so on."""
+    """WRAP_REPEAT, WRAP_MIRROR or WRAP_CLAMP."""
     wrap_v: int
 
 
 @struct
 class VariedData:
-    """Transmission and layers of a material in which textures vary them: their factors, and the textures."""
+    """Transmission and layers of a material with textures for them: constant factors and textures."""
 
     transmission: float
     transmission_texture: TextureData
@@ -116,25 +116,25 @@ class VariedData:
 
 @struct
 class MeshData:
-    """All meshes of a scene, end to end, each in its own space."""
+    """All meshes of a scene in concatenated arrays, each mesh in its own object space."""
 
     positions: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]
     uvs: wp.array[wp.vec2]
     colors: wp.array[wp.vec3]
-    """Linear."""
+    """Vertex colours, linear."""
     indices: wp.array[wp.vec3i]
-    """Into the arrays above, over all meshes."""
+    """Vertex indices of the triangles of all meshes, into the arrays above."""
     texels: wp.array[wp.uint32]
-    """RGBA8, sRGB-encoded, all textures end to end."""
+    """RGBA8 texels, sRGB-encoded, of all textures one after another."""
     linear_from_byte: wp.array[float]
-    """sRGB decoding table, 256 entries."""
+    """Decoding table from sRGB bytes to linear values, 256 entries."""
     unit_from_byte: wp.array[float]
-    """Bytes over 255."""
+    """Table of byte values over 255."""
     varied: wp.array[VariedData]
-    """Of the materials that have such textures; element 0 has none."""
+    """Transmission and layer data of materials with such textures; element 0 is unused."""
     sheen_curves: wp.array[wp.vec4]
-    """Coefficients of the albedo of sheen, by its roughness; without elements: no texture has a roughness of sheen."""
+    """Coefficients of the sheen albedo for a range of roughnesses; empty: no texture varies sheen roughness."""
 
 
 @struct
@@ -142,17 +142,20 @@ class AlphaData:
     """Alpha of a mesh's material."""
 
     mode: int
-    """ALPHA_OPAQUE and so on."""
+    """ALPHA_OPAQUE, ALPHA_MASK or ALPHA_BLEND."""
     factor: float
-    """Of the texture's alpha."""
+    """Factor of the texture's alpha."""
     cutoff: float
-    """Least alpha of what there is, by ALPHA_MASK."""
+    """Smallest alpha that counts as opaque with ALPHA_MASK."""
     is_drawn: int
-    """1: alpha is the chance with which a ray or a pixel meets a blend; 0: each meets it, and goes on behind by the
-    share that alpha leaves."""
+    """1: alpha is the probability that a ray or pixel hits the surface.
+
+    0: every ray hits the surface, and the fraction 1 - alpha continues behind it."""
     is_bent: int
-    """1: the rays of paths do so as through glass. Shadow rays that glass blocks end there, whatever alpha leaves: rays
-    that go on show the light behind."""
+    """1: path rays continue behind the surface as through glass.
+
+    Shadow rays that glass blocks then end at the surface, whatever its alpha: the continued rays find the light behind
+    it."""
 
 
 @struct
@@ -160,58 +163,58 @@ class SmoothData:
     """Specular reflection and transmission of a material."""
 
     smooth: int
-    """0: neither, the surface shows its base colour."""
+    """0: the material neither reflects nor transmits specularly, and the surface shows its base colour."""
     metallic: float
     specular: float
     ior: float
     transmission: float
     is_medium: int
-    """1: rays that are refracted enter the inside of the mesh."""
+    """1: refracted rays enter the inside of the mesh."""
     thin_walled: int
-    """1: a wall without an inside, through which rays go straight."""
+    """1: a wall without an inside, through which rays pass straight."""
     priority: int
-    """Of the medium inside, where several overlap."""
+    """Priority of the medium inside the mesh where several media overlap."""
     absorption: wp.vec3
-    """Of the medium inside, linear, per scene unit."""
+    """Absorption coefficient of the medium inside, linear, per scene unit."""
     coat: float
-    """Strength of a clearcoat on it."""
+    """Strength of the clearcoat layer."""
     coat_alpha: float
     sheen: float
-    """Largest channel of a sheen on it."""
+    """Largest channel of the sheen colour."""
     sheen_curve: wp.vec4
     varied: int
-    """Index into MeshData.varied; 0: no textures vary transmission or layers."""
+    """Index into MeshData.varied; 0: no texture varies transmission or layers."""
 
 
 @struct
 class MeshInstanceData:
-    """One placement of a mesh: for the rasteriser, for rays and for shading."""
+    """One instance of a mesh, with what rasteriser, ray tracer and shading need."""
 
     camera_from_object: wp.mat33
-    """Linear part."""
+    """Linear part of the transform."""
     camera_from_object_offset: wp.vec3
     world_from_object: wp.mat33
-    """Linear part."""
+    """Linear part of the transform."""
     world_from_object_normal: wp.mat33
-    """Its inverse transpose, of any scale."""
+    """Inverse transpose of the linear part, up to scale; transforms normals."""
     object_from_world: wp.mat33
-    """Linear part of the inverse."""
+    """Inverse of the linear part."""
     position: wp.vec3
-    """The object's origin, world space."""
+    """Object origin in world space."""
     low: wp.vec3
-    """Corner of a world-space box around it, with room for rounding."""
+    """Lower corner of a world-space bounding box with a margin for rounding."""
     high: wp.vec3
     asset: int
-    """Which TriangleBvh has the mesh's triangles; like what follows for rays only."""
+    """Index of the TriangleBvh that holds the mesh's triangles; this and the fields below are used by rays only."""
     root: int
-    """Root of the tree of the mesh's triangles there."""
+    """Root node of the mesh's tree in that TriangleBvh."""
     first: int
-    """Index of the instance's first triangle among all of the scene's."""
+    """Index of the instance's first triangle among all triangles of the scene."""
     face_first: int
-    """First face in MeshData."""
+    """Index of the mesh's first face in MeshData."""
     has_normals: int
     base_color: wp.vec3
-    """Linear."""
+    """Base colour factor, linear."""
     texture: TextureData
     alpha: AlphaData
     material: SmoothData

@@ -1,4 +1,4 @@
-"""Data of light transport: lights, BSDFs, samples of both, materials, interactions and radiance of rays."""
+"""Structs of light transport: lights, BSDFs, materials, interactions and radiance of rays."""
 
 import warp as wp
 
@@ -17,140 +17,146 @@ class LightData:
     """A light, world space."""
 
     kind: int
-    """LIGHT_POINT and so on, see device/light/light.py."""
+    """Type of the light: LIGHT_POINT and so on, see device/light/light.py."""
     position: wp.vec3
     direction: wp.vec3
-    """Unit: axis of a spot, direction in which directional light travels, normal of a flat light."""
+    """Unit vector: axis of a spot, travel direction of a directional light, normal of a rectangle or disk."""
     power: wp.vec3
-    """Linear Rec.709: candela of points and spots, lux of directional light, radiance of flat lights, factor of the
-    environment's image."""
+    """Linear Rec.709 intensity; its unit depends on the type of light.
+
+    Candela for point lights and spots, lux for directional lights, radiance for rectangles and disks, factor of the
+    image for the environment."""
     edge_u: wp.vec3
     edge_v: wp.vec3
     range: float
-    """Of points and spots, where they end; of light from infinitely far, how far shadows reach; else inf."""
+    """Distance at which a point light or spot ends, or up to which infinitely distant light casts shadows; else inf."""
     radius: float
-    """Of a point, spot or disk, scene units; of directional light, radians."""
+    """Radius of a point light, spot or disk, scene units; angular radius of a directional light, radians."""
     inner: float
-    """1 - cosine of the angle from the axis of a spot up to which it has its full intensity."""
+    """1 - cosine of the angle from a spot's axis within which it has its full intensity."""
     outer: float
-    """The same of the angle from which on it is dark. Cosines near 1 would lose the digits of small cones."""
+    """1 - cosine of the angle from a spot's axis beyond which the spot is dark.
+
+    Plain cosines would lose digits for narrow cones."""
     casts_shadow: int
     visible: int
-    """1: paths see it, as a flat light or a sphere."""
+    """1: path rays can hit the light, as a flat shape or a sphere."""
 
 
 @struct
 class EnvironmentData:
-    """The environment's image, and the tables that sample directions by its brightness."""
+    """The environment map and its tables for importance sampling by brightness."""
 
     exists: int
     """0: there is no environment."""
     visible: int
-    """1: rays from the camera see it."""
+    """1: camera rays see the environment."""
     world_from_environment: wp.mat33
-    """Rotation."""
+    """Rotation of the environment."""
     power: wp.vec3
     """Factor of the image."""
     mean: float
-    """Luminance, mean over all directions."""
+    """Mean luminance over all directions."""
     texels: wp.array[wp.vec3]
     width: int
     height: int
     row_ends: wp.array[float]
-    """Cumulative share of the light up to the end of each row."""
+    """Marginal CDF: fraction of the light up to the end of each row."""
     column_ends: wp.array[float]
-    """The same within each row, up to the end of each texel."""
+    """Conditional CDF: fraction of a row's light up to the end of each texel."""
 
 
 @struct
 class EmitterTriangle:
-    """A triangle that shines, world space."""
+    """An emissive triangle, world space."""
 
     corner: wp.vec3
     edge1: wp.vec3
     edge2: wp.vec3
-    """From the corner."""
+    """Second edge; both edges start at ``corner``."""
     across: wp.vec3
-    """Cross product of the edges: twice the triangle's area long."""
+    """Cross product of the edges; its length is twice the triangle's area."""
     lift: float
-    """Share of ``across`` by which samples lie above the triangle, so that shadow rays to them do not hit it."""
+    """Factor of ``across`` by which sample points are lifted off the triangle, so that shadow rays do not hit it."""
     inside: wp.vec3
-    """Least barycentric weights of samples: at an edge, they would lie in the wall beyond."""
+    """Smallest barycentric weights of sample points; closer to an edge they could lie behind an adjacent wall."""
 
 
 @struct
 class EmitterData:
-    """The triangles of all meshes that shine, and the table that samples them by their power."""
+    """Emissive triangles of all meshes, and the CDF that samples them by power."""
 
     ends: wp.array[float]
-    """Cumulative share of the power up to the end of each; without elements: no mesh shines."""
+    """Cumulative fraction of the power up to the end of each triangle; empty: no mesh is emissive."""
     triangles: wp.array[EmitterTriangle]
     instances: wp.array[int]
-    """The mesh instance of each."""
+    """Mesh instance of each triangle."""
     first: wp.array[int]
-    """First triangle here of each mesh instance; -1: it does not shine."""
+    """First emissive triangle of each mesh instance; -1: the instance is not emissive."""
     power: float
-    """Luminance times area, of all."""
+    """Sum over all triangles of luminance times area."""
     center: wp.vec3
-    """Of a sphere that holds most of them, world space."""
+    """Centre of a sphere that contains most emissive triangles, world space."""
     radius: float
 
 
 @struct
 class LightSample:
-    """A direction from a surface towards a light, and the light that comes from there."""
+    """A sampled direction from a surface towards a light, and the light arriving from there."""
 
     direction: wp.vec3
-    """Unit, away from the surface."""
+    """Unit direction away from the surface."""
     distance: float
-    """inf: infinitely far."""
+    """Distance to the light; inf: infinitely far."""
     irradiance: wp.vec3
-    """Unshadowed, of a surface that faces it; an estimate if the sample is random."""
+    """Unshadowed irradiance of a surface facing the light; a Monte Carlo estimate if the sample is random."""
     pdf: float
-    """Probability density of the direction, per steradian; 0 if it is the only one."""
+    """Probability density of the direction, per steradian; 0 for a light with a single direction (delta light)."""
 
 
 @struct
 class Bsdf:
-    """The reflection of light by a material at a point of a surface."""
+    """Parameters of the BSDF at a surface point."""
 
     model: int
     """BSDF_SIMPLE or BSDF_PBR."""
     diffuse: wp.vec3
-    """Albedo of the diffuse part; of BSDF_PBR before the mirrored share is taken off."""
+    """Diffuse albedo; for BSDF_PBR before the specular reflection is subtracted."""
     specular: wp.vec3
     """BSDF_SIMPLE: albedo of the highlight. BSDF_PBR: reflectance at normal incidence."""
     grazing: float
     """BSDF_PBR: reflectance at grazing incidence."""
     alpha: float
-    """BSDF_PBR: alpha of the GGX distribution, roughness squared; 0: smooth, with specular bounces for a highlight."""
+    """BSDF_PBR: GGX alpha, roughness squared; 0: a smooth surface, whose specular reflection is traced as bounces."""
     shininess: float
-    """BSDF_SIMPLE: exponent of the highlight."""
+    """BSDF_SIMPLE: Phong exponent of the highlight."""
     dielectric: float
-    """BSDF_PBR: strength of the reflection by what is not metal, which leaves the rest to the diffuse part."""
+    """BSDF_PBR: strength of the dielectric reflection; light it does not reflect reaches the diffuse lobe."""
     eta: float
-    """BSDF_PBR: index of refraction on the side of the viewer over that behind the surface."""
+    """BSDF_PBR: index of refraction on the viewer's side over the index behind the surface."""
     mean_mirrored: float
-    """BSDF_PBR: share of even light from all around that what is not metal mirrors."""
+    """BSDF_PBR: fraction of constant illumination from the hemisphere that the dielectric reflects specularly."""
     transmitted: wp.vec3
-    """Rough BSDF_PBR: share of the light let in that comes through; zero: none, and what follows is undefined."""
+    """Rough BSDF_PBR: fraction of the entering light that is transmitted.
+
+    Zero means no transmission; the next three fields are then undefined."""
     thin_walled: bool
-    """Light comes straight through; else it is refracted."""
+    """Whether transmitted light passes straight; otherwise it is refracted."""
     metallic: float
     metal: wp.vec3
     """Reflectance of the metal at normal incidence, times ``metallic``."""
     rescattered: wp.vec3
-    """Rough BSDF_PBR: of the light that single scattering loses, what further scattering brings back; zero: nothing."""
+    """Rough BSDF_PBR: fraction of the single-scattering energy loss that multiple scattering returns; zero: none."""
     coat: float
     """Strength of the clearcoat."""
     coat_alpha: float
-    """Alpha of its GGX distribution."""
+    """GGX alpha of the clearcoat."""
     sheen: wp.vec3
-    """Colour of the sheen; zero: there is none."""
+    """Colour of the sheen; zero: no sheen."""
     sheen_alpha: float
     """Roughness of the sheen, squared."""
     sheen_curve: wp.vec4
-    """Its albedo: coefficients of the logarithm by the cosine."""
+    """Sheen albedo: polynomial coefficients of its logarithm in the cosine."""
 
 
 @struct
@@ -175,19 +181,19 @@ SEES_NOTHING: int = wp.constant(2)
 
 @struct
 class MaterialData:
-    """A material, one a splat or mesh instance in the order of the scene's instances."""
+    """A material; one for each splat or mesh instance, in the order of the scene's instances."""
 
     model: int
     """BSDF_SIMPLE or BSDF_PBR."""
     emits_capture_only: int
-    """1: splats emit their captured colours, and reflect nothing."""
+    """1: splats emit their captured colours and reflect no light."""
     keeps_capture: int
-    """1: splats keep all of their captured colours, and add the light that they reflect."""
+    """1: splats emit their captured colours and add the light that they reflect."""
     shadow_only: int
-    """1: splats keep their captured colours, darkened where lights are blocked."""
+    """1: splats are shadow catchers: they show captured colours, darkened where lights are blocked."""
     emissive: wp.vec3
     double_sided: int
-    """1: triangles emit from their backs, too."""
+    """1: triangles also emit from their back sides."""
     ambient: wp.vec3
     diffuse: wp.vec3
     specular: wp.vec3
@@ -198,11 +204,11 @@ class MaterialData:
     """Strength of the dielectric reflection."""
     ior: float
     fresnel_mean: float
-    """Share of even light from all around that a smooth dielectric of this ``ior`` mirrors."""
+    """Fraction of constant hemispherical illumination that a smooth dielectric of this ``ior`` reflects."""
     transmission: float
     thin_walled: int
     compensates: int
-    """1: what single scattering loses in rough metal is added."""
+    """1: rough metals are compensated for the energy loss of single scattering."""
     coat: float
     coat_alpha: float
     sheen: wp.vec3
@@ -218,7 +224,7 @@ class MaterialData:
 
 @struct
 class SplatAttributes:
-    """Attributes of an asset's Gaussians that shading reads; arrays without elements: the asset has none."""
+    """Attributes of an asset's Gaussians that shading reads; empty arrays: the asset lacks them."""
 
     means: wp.array[wp.vec3]
     scales: wp.array[wp.vec3]
@@ -232,41 +238,41 @@ class ShadingSettings:
     """Settings of shading, in a 1-element array."""
 
     is_lit: int
-    """0: all surfaces show their own display-referred colour."""
+    """0: all surfaces show their unlit, display-referred colour."""
     background: wp.vec3
-    """Display-referred sRGB behind everything; black where there is none."""
+    """Display-referred sRGB colour behind the scene; black if there is no background."""
     camera_sees: int
     """What camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
     light_count: int
     absorbs: int
-    """1: some medium inside a mesh absorbs light."""
+    """1: a medium inside some mesh absorbs light."""
     soft: int
-    """1: lights are sampled over their extent."""
+    """1: lights are sampled over their extent (soft shadows)."""
     more_draws: int
-    """Directions in which interactions look for an environment that casts no shadow, besides the first."""
+    """Extra directions in which each interaction samples an environment that casts no shadow."""
     changes_shadows: int
-    """1: shadow rays darken or tint what they let through, as rays that meet lights do not."""
+    """1: shadow rays use a threshold or tint that other rays do not, so that the two cannot be combined by MIS."""
     capture_gain: float
-    """Factor of the light that captures shine onto what they light; not of what is seen of them."""
+    """Factor of the captured radiance where it lights other surfaces; direct views of the capture are unchanged."""
     shadow_offset: float
-    """Scales of a Gaussian."""
+    """Shadow offset in scales of a Gaussian."""
     shadow_offset_absolute: float
-    """Scene units."""
+    """Shadow offset in scene units, added to that."""
 
 
 @struct
 class ShadingScene:
-    """All that shading reads of a scene."""
+    """Scene data that shading reads."""
 
     settings: wp.array[ShadingSettings]
     sample: wp.array[SampleData]
     splats: wp.array[SplatInstanceData]
     attributes: wp.array[SplatAttributes]
-    """Of the Gaussian assets."""
+    """Attributes of each Gaussian asset."""
     mesh_instances: wp.array[MeshInstanceData]
     meshes: MeshData
     materials: wp.array[MaterialData]
-    """Of the splat instances, then of the mesh instances."""
+    """Materials of the splat instances, then of the mesh instances."""
     lights: wp.array[LightData]
     environment: EnvironmentData
     emitters: EmitterData
@@ -274,60 +280,63 @@ class ShadingScene:
 
 @struct
 class SplatSurface:
-    """The surface of the Gaussians before the nearest mesh on a ray, and their captured colours."""
+    """Surface of the Gaussians in front of the nearest mesh on a ray, and their captured colours."""
 
     instance: int
-    """Instance of the surface or, without a surface, of the first Gaussian; -1: there is none."""
+    """Instance of the surface or, without a surface, of the first Gaussian; -1: no Gaussian."""
     gaussian: int
-    """Gaussian that lights change, in its asset; -1: they change none."""
+    """Index in its asset of the Gaussian whose appearance lights change; -1: none."""
     depth: float
-    """Its distance along the ray, scene units."""
+    """Distance of the surface along the ray, scene units."""
     is_mean: bool
-    """It is the weighted mean of all relit Gaussians on the ray."""
+    """Whether the surface is the weighted mean of all relit Gaussians on the ray."""
     transmittance: float
     captured: wp.vec3
-    """Display-referred sRGB, premultiplied by ``weight``; over the background if nothing else is behind."""
+    """Captured colour, display-referred sRGB, premultiplied by ``weight``.
+
+    It is composited over the background if nothing else is behind."""
     weight: float
-    """Share of the ray's colour that was captured."""
+    """Fraction of the ray's colour that is captured colour."""
     captured_share: float
-    """Share of the ray of Gaussians that keep their captured colour."""
+    """Blending weight of the Gaussians that show their captured colour."""
     albedo: wp.vec3
-    """Linear, straight: the own colour of what lights change."""
+    """Linear, non-premultiplied base colour of the Gaussians that lights change."""
     share: float
-    """Share of the ray of what lights change."""
+    """Blending weight of the Gaussians that lights change."""
 
 
 @struct
 class Interaction:
-    """A ray's interaction with a surface: all that lighting reads of both."""
+    """Interaction of a ray with a surface: everything that lighting reads of both."""
 
     exists: bool
-    """Whether there is a surface that reflects."""
+    """Whether there is a surface that reflects light."""
     position: wp.vec3
-    """World space."""
+    """Position, world space."""
     normal: wp.vec3
     """Shading normal, world space, unit, on the side of ``wo``."""
     horizon_normal: wp.vec3
-    """No light arrives from below: of the smooth surface, without normal map, or of the triangle where there is none;
-    world space, unit, on the side of ``wo``."""
+    """Normal below whose horizon no light arrives; world space, unit, on the side of ``wo``.
+
+    It is the interpolated normal without normal map, or the triangle's normal if there is none."""
     geometric_normal: wp.vec3
-    """Of the triangle itself, world space, unit, on the side of ``wo``; of Gaussians the shading normal."""
+    """Normal of the triangle, world space, unit, on the side of ``wo``; for Gaussians the shading normal."""
     smooth_height: float
-    """How far above its triangle the smooth surface of a mesh is, along ``horizon_normal``, scene units."""
+    """Height of a mesh's smooth surface above its triangle along ``horizon_normal``, scene units."""
     wo: wp.vec3
     """Outgoing direction, unit: back along the ray."""
     bsdf: Bsdf
     weight: float
-    """Share in the ray's colour of what the surface reflects."""
+    """Weight of the reflected light in the ray's colour."""
     occlusion: float
-    """Share of the environment's light that arrives."""
+    """Fraction of the environment's light that arrives (ambient occlusion)."""
     shadow_only: bool
-    """Whether the surface reflects no light, and is only darkened by the share that is blocked."""
+    """Whether the surface is a shadow catcher: it reflects no light and is only darkened where lights are blocked."""
 
 
 @struct
 class Interactions:
-    """The interactions of a wave of rays, two a ray, as ``Interaction``: written once, read by every light.
+    """Interactions of a wave of rays, two for each ray, as ``Interaction``: written once and read by every light.
 
     Element ``ray`` is the surface of the Gaussians, element ``stride + ray`` the mesh behind them.
     """
@@ -347,12 +356,12 @@ class Interactions:
     eta: wp.array[float]
     mean_mirrored: wp.array[float]
     transmitted: wp.array[wp.vec3]
-    """Like the next three without elements unless rough surfaces transmit."""
+    """See `Bsdf`; this and the next three arrays are empty unless rough surfaces transmit."""
     thin_walled: wp.array[wp.bool]
     metallic: wp.array[float]
     metal: wp.array[wp.vec3]
     rescattered: wp.array[wp.vec3]
-    """Like the next five without elements unless there are layers, or rough metals are compensated."""
+    """See `Bsdf`; this and the next five arrays are empty unless there are layers or compensated rough metals."""
     coat: wp.array[float]
     coat_alpha: wp.array[float]
     sheen: wp.array[wp.vec3]
@@ -362,144 +371,157 @@ class Interactions:
     occlusion: wp.array[float]
     shadow_only: wp.array[wp.bool]
     spawn_point: wp.array[wp.vec3]
-    """Origin of the shadow rays; without elements in frames without shadow rays, as what follows."""
+    """Origin of shadow rays; this and the arrays below are empty in frames without shadow rays."""
     spawn_t_min: wp.array[float]
-    """Distance along them within which Gaussians of the same layer do not block, scene units."""
+    """Distance along shadow rays within which Gaussians of the same layer do not block, scene units."""
     geometric_normal: wp.array[wp.vec3]
-    """Of Gaussians that of their layer: zero unless they are flat and seen from the front."""
+    """See `Interaction`; for Gaussians the normal of their layer, zero unless they are flat and seen from the front."""
     smooth_height: wp.array[float]
 
 
 @struct
 class Contribution:
-    """The unshadowed contribution of a light to the radiance of a ray."""
+    """Unshadowed contribution of a light to the radiance of a ray."""
 
     direction: wp.vec3
-    """From the surface, unit."""
+    """Direction from the surface, unit."""
     distance: float
     color: wp.vec3
-    """Linear; zero: no shadow ray is needed."""
+    """Linear contribution; zero: no shadow ray is needed."""
 
 
 @struct
 class RayRadiance:
-    """The radiance of rays: captured display-referred colours, and linear light apart from them."""
+    """Radiance of rays: display-referred captured colours, and linear light kept separate from them."""
 
     captured: wp.array[wp.vec3]
-    """Display-referred sRGB, premultiplied by ``captured_weight``; of an unlit wave the whole radiance."""
+    """Captured colour, display-referred sRGB, premultiplied by ``captured_weight``.
+
+    In an unlit wave, it is the whole radiance."""
     captured_weight: wp.array[float]
     light: wp.array[wp.vec3]
-    """Linear: light added to captured colours, or taken if negative, and all light of meshes and environment."""
+    """Linear light of meshes and the environment, plus changes of captured colours.
+
+    The changes are negative where added objects block light."""
     alpha: wp.array[float]
-    """1 - share of the background."""
+    """1 - weight of the background."""
     capture_factor: wp.array[wp.vec3]
-    """Share of captured colours that shadows leave; without elements if no splat set is shadow-only."""
+    """Fraction of the captured colour that remains after shadows; empty if no splat set is a shadow catcher."""
     captured_all: wp.array[wp.vec3]
-    """The captured colour, linear; like the next eight without elements unless paths find what shadow-only
-    surfaces receive."""
+    """Linear captured colour.
+
+    This array and the next eight are empty unless path tracing measures the light on shadow catchers."""
     captured_part: wp.array[wp.vec3]
-    """The part of it that is a shadow-only surface's."""
+    """Part of ``captured_all`` that a shadow catcher contributes."""
     received: wp.array[wp.vec3]
-    """1 where the next two were found, else 0."""
+    """1 where the path measured the irradiance fields below, else 0."""
     unshadowed: wp.array[wp.vec3]
-    """Irradiance of the shadow catcher by lights, as it was captured."""
+    """Irradiance of the shadow catcher by lights, without the added objects."""
     shadowed: wp.array[wp.vec3]
-    """The same with all that was added."""
+    """Irradiance of the shadow catcher by lights, with all added objects."""
     emitted_unshadowed: wp.array[wp.vec3]
-    """Irradiance of the shadow catcher by the captures around it, as it was captured."""
+    """Irradiance of the shadow catcher by the radiance of surrounding captures, without the added objects."""
     emitted_shadowed: wp.array[wp.vec3]
-    """The same with all that was added, and what added surfaces emit."""
+    """Irradiance by surrounding captures with all added objects, including the emission of added surfaces."""
     ambient: wp.array[wp.vec3]
     """Ambient irradiance of the shadow catcher, see `catcher_change`."""
     open: wp.array[wp.vec3]
-    """The part of it that nothing added blocks."""
+    """Part of the ambient irradiance that no added object blocks."""
     reflection: wp.array[wp.vec3]
-    """The part of ``light`` from specular bounces; like the next two without elements if the frame lacks this image."""
+    """Part of ``light`` from specular bounces.
+
+    This and the next two arrays are empty unless the frame has the layer.
+    """
     albedo: wp.array[wp.vec3]
-    """Linear: the surfaces' own colour."""
+    """Linear base colour of the surfaces."""
     emission: wp.array[wp.vec3]
-    """Linear: emission and reflected ambient light."""
+    """Linear emission plus reflected ambient light."""
 
 
 @struct
 class WaveData:
-    """A wave of rays, in a 1-element array: kernels that shade take it by reference.
+    """A wave of rays, in a 1-element array, which shading kernels take by reference.
 
-    By value, compilers copy all of these arrays' descriptors for each ray, which costs more than the shading itself.
+    By value, compilers would copy the descriptors of all arrays for each ray, which costs more than the shading itself.
     """
 
     from_camera: int
-    """1: the rays are the first ones, not reflected or refracted."""
+    """1: the rays are camera rays, not reflected or refracted ones."""
     traces_paths: int
-    """1: paths go on behind it in one direction each, which add what is infinitely far."""
+    """1: the path integrator continues behind this wave with one ray for each path.
+
+    The integrator then adds the light of the environment itself."""
     may_branch: int
-    """1: smooth meshes send rays on where these are worth following."""
+    """1: smooth meshes spawn reflected and refracted rays where their weight is large enough."""
     rays: RayData
     meshes: MeshHits
     gaussians: GaussianHits
     interactions: Interactions
     radiance: RayRadiance
     path_weights: wp.array[float]
-    """Largest share of a ray's colour in its pixel."""
+    """Largest channel of each ray's weight in its pixel."""
     weights: wp.array[wp.vec3]
-    """Share of a ray's colour in that of the ray it branches off; without elements in the first wave."""
+    """Weight of each ray in the colour of its parent ray; empty in the first wave."""
     media: wp.array[wp.vec4i]
-    """The media that a ray has entered, as ``Boundary``; without elements: none."""
+    """Media that each ray has entered, as in ``Boundary``; empty: none."""
     unentered: wp.array[int]
-    """1 for mesh instances which a ray from the camera leaves that has not entered them; without elements in other
-    waves, and in scenes without media."""
+    """1 for mesh instances that a camera ray leaves without having entered them.
+
+    The array is empty in other waves and in scenes without media."""
     spawns_lobes: int
-    """1: rough surfaces send on a ray within their highlights."""
+    """1: rough surfaces spawn one ray inside their highlight."""
     sees_environment: wp.array[wp.bool]
-    """Whether a ray sees the environment and the background; without elements if all do."""
+    """Whether each ray sees the environment and the background; empty if all rays do."""
     branches: wp.array[int]
-    """How many rays go on, 0 or 1: element ``ray`` is the reflected ray, ``stride + ray`` the refracted one, and
-    ``2 stride + ray`` that of a highlight, in frames that have such rays."""
+    """Number of rays, 0 or 1, that each ray spawns: reflected, refracted, and in a highlight.
+
+    Element ``ray`` is the reflected ray, ``stride + ray`` the refracted one, and ``2 stride + ray`` that of a
+    highlight, in frames that have such rays."""
     branch_ends: wp.array[int]
-    """Inclusive sum of these: one more than the place of the branch's ray in the next wave."""
+    """Inclusive prefix sum of ``branches``: one more than the index of the spawned ray in the next wave."""
 
 
 @struct
 class CatcherIrradiance:
-    """Irradiance of shadow-only surfaces; without elements in frames without them."""
+    """Irradiance of shadow catchers; empty arrays in frames without them."""
 
     unshadowed: wp.array[wp.vec3]
-    """Unshadowed."""
+    """Irradiance without shadows of added objects."""
     shadowed: wp.array[wp.vec3]
-    """Shadowed."""
+    """Irradiance with shadows."""
     open: wp.array[wp.vec3]
-    """Sum over ambient rays of the share that nothing blocks."""
+    """Sum of the transmittances of the ambient rays."""
     reflectance: wp.array[wp.vec3]
-    """Captured radiance over the irradiance that it was captured in."""
+    """Captured radiance over the irradiance under which it was captured."""
 
 
 @struct
 class PathVertex:
-    """A surface of a path, as the choice of a light reads it."""
+    """A surface point of a path, reduced to what light selection needs."""
 
     position: wp.vec3
-    """World space."""
+    """Position, world space."""
     normal: wp.vec3
-    """Unit, on the side of the viewer."""
+    """Normal, unit, on the viewer's side."""
     importance: float
-    """About the irradiance that all lights give it."""
+    """Estimated irradiance by all lights."""
 
 
 @struct
 class LightCrossing:
-    """Where a ray meets a light."""
+    """Intersection of a ray with a light."""
 
     t: float
-    """Distance; inf: it does not."""
+    """Distance along the ray; inf: the ray misses the light."""
     radiance: wp.vec3
     pdf: float
-    """With which samples of the light have this direction, per steradian."""
+    """Pdf with which sampling the light would choose this direction, per steradian."""
 
 
 @struct
 class LightChoice:
-    """One of the lights, chosen at random."""
+    """A randomly selected light."""
 
     number: int
-    """-1: no light shines here."""
+    """Index of the light; -1: no light contributes here."""
     probability: float
