@@ -1,6 +1,6 @@
-"""Files with very many small things take work in proportion, or are refused at once.
+"""Files with very many small items take linear work, or are refused at once.
 
-Work is counted in lines of Python that are run, which are the same on every machine, however busy.
+Work is counted in executed lines of Python, which do not depend on the machine or its load.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lumisplat.scene.camera import Camera
 
 
 def _lines(work: Callable[[], object]) -> int:
-    """Lines of Python that a call runs."""
+    """Returns the number of lines of Python that a call executes."""
     count = 0
 
     def trace(frame: FrameType, event: str, argument: object) -> Any:
@@ -49,14 +49,14 @@ def _cameras(count: int) -> None:
 @pytest.mark.parametrize(
     "work", [_cameras, lambda count: file_stems(["same"] * count), lambda count: light_labels(["same"] * count)]
 )
-def test_equal_names(work: Callable[[int], object]) -> None:
-    """Numbering them takes no search: the lines grow with the names, not with their square, which would be 64 times."""
+def test_numbering_equal_names_takes_linear_work(work: Callable[[int], object]) -> None:
+    """The lines grow with the number of names, not with its square, which would be a factor of 64."""
     work(10)
     assert _lines(lambda: work(1600)) < 10 * _lines(lambda: work(200))
 
 
 def _count_checks(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
-    """A list that every camera joins when it is checked."""
+    """Returns a list that each checked camera is appended to."""
     checked: list[Camera] = []
     check = Camera.__post_init__
     monkeypatch.setattr(Camera, "__post_init__", lambda camera: (checked.append(camera), check(camera)))
@@ -65,7 +65,7 @@ def _count_checks(monkeypatch: pytest.MonkeyPatch) -> list[Camera]:
 
 @pytest.mark.parametrize(("name", "checks"), [("{}", 1), ("same", 2)])
 def test_cameras_are_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, checks: int) -> None:
-    """Cameras with names of their own are made once, those that have to be renamed (all but the first) twice."""
+    """Renamed cameras, all but the first of equal names, are checked twice."""
     pose = {"position": [0, 0, 0], "rotation": np.eye(3).tolist()}
     lens = {"width": 4, "height": 4, "fx": 4, "fy": 4}
     entries = [{"img_name": name.format(k), **lens, **pose} for k in range(50)]
@@ -75,22 +75,24 @@ def test_cameras_are_checked_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(checked) == 50 * checks - (checks - 1)
 
 
-def test_lines_of_a_camera() -> None:
-    """Making a camera takes 387 lines, most of them of its checks; two calls of np.allclose added 202."""
+def test_creating_a_camera_takes_limited_work() -> None:
+    """387 lines, mostly checks; two calls of np.allclose added 202."""
     camera = ls.Camera.look_at((0, 0, -1), (0, 0, 0), (0, 1, 0), width=4, height=4)
     lines = _lines(lambda: camera.scaled(8, 8))
     assert lines < 420, lines
 
 
-def test_equal_names_are_numbered_around_others() -> None:
-    """Numbers that other names have are left out."""
+def test_numbered_names_skip_existing_names() -> None:
+    """A number that another name already has is skipped."""
     assert file_stems(["a", "a_2", "a", "a", "A"]) == ["a", "a_2", "a_3", "a_4", "A_5"]
 
 
 @pytest.mark.parametrize("line", ["{} = 1", "[{}]", "[[{}]]", "x = {{ {} = 1 }}"])
 @pytest.mark.parametrize("part", ["a", '"a"', "'a'"])
-def test_long_dotted_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, part: str) -> None:
-    """100,000 parts took Python's parser more than 40 s: refused before it is called, with the line."""
+def test_long_dotted_toml_keys_are_refused_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, part: str
+) -> None:
+    """Python's parser takes more than 40 s for 100,000 parts; the error names the line."""
 
     def parse(text: str) -> dict[str, Any]:
         pytest.fail(f"a text of {len(text)} characters is parsed")
@@ -101,8 +103,8 @@ def test_long_dotted_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line:
         ls.load(tmp_path / "scene.toml")
 
 
-def test_words_and_numbers_are_no_long_keys(tmp_path: Path) -> None:
-    """Long words, quotes and rows of numbers are searched in one pass; with one from each character this never ends."""
+def test_long_words_and_numbers_are_not_dotted_keys(tmp_path: Path) -> None:
+    """They are searched in one pass; restarting at each character would not end."""
     numbers = ", ".join(["1.5"] * 20_000)
     (tmp_path / "scene.toml").write_text(f"{'a' * 10**6} = [{numbers}]\nb = '{chr(34) * 10**6}'\n")
     with pytest.raises(ls.FormatError, match="unknown 'aaa"):
@@ -110,7 +112,7 @@ def test_words_and_numbers_are_no_long_keys(tmp_path: Path) -> None:
 
 
 def _gltf(path: Path, count: int) -> Path:
-    """A glTF file of so many nodes; the last has the camera."""
+    """Returns a glTF file with ``count`` nodes, the last of which has the camera."""
     nodes: list[dict[str, Any]] = [{"translation": [k, 0, 0], "name": str(k)} for k in range(count)]
     nodes[-1]["camera"] = 0
     lens = {"type": "perspective", "perspective": {"yfov": 1.0}}
@@ -118,8 +120,8 @@ def _gltf(path: Path, count: int) -> Path:
     return path
 
 
-def test_nodes_of_a_scene(tmp_path: Path) -> None:
-    """A node takes 110 lines; through pygltflib's conversion it took 3,400, a quarter of a millisecond."""
+def test_reading_gltf_nodes_takes_linear_work(tmp_path: Path) -> None:
+    """110 lines per node; pygltflib's conversion took 3,400, a quarter of a millisecond."""
     files = {count: _gltf(tmp_path / f"{count}.gltf", count) for count in (50, 100, 900)}
     ls.load_cameras(files[50])
     few, many = (_lines(lambda count=count: ls.load_cameras(files[count])) for count in (100, 900))
@@ -127,8 +129,8 @@ def test_nodes_of_a_scene(tmp_path: Path) -> None:
     assert np.allclose(ls.load_cameras(files[900])[0].eye, (899, 0, 0))
 
 
-def test_transforms_of_nodes_without_a_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no node has a camera, no transform is worked out for one."""
+def test_gltf_without_cameras_computes_no_transforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No world transform is computed when cameras are loaded."""
 
     def transforms(file: object) -> list[Any]:
         pytest.fail("transforms of nodes are worked out")
@@ -139,7 +141,7 @@ def test_transforms_of_nodes_without_a_camera(tmp_path: Path, monkeypatch: pytes
 
 
 def _faces(path: Path, empty: int) -> Path:
-    """A PLY file of a triangle among faces without corners."""
+    """Returns a PLY file with one triangle among faces without corners."""
     header = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n"
     header += "".join(f"property float {axis}\n" for axis in "xyz")
     header += f"element face {empty + 1}\nproperty list uchar int vertex_indices\nend_header\n"
@@ -149,13 +151,13 @@ def _faces(path: Path, empty: int) -> Path:
     return path
 
 
-def test_faces_without_corners(tmp_path: Path) -> None:
-    """A triangle is found among faces without corners, which are counted and not walked: a list each, no more."""
+def test_empty_ply_faces_take_linear_work(tmp_path: Path) -> None:
+    """Empty faces are found in bulk, not parsed one by one."""
     few, many = _faces(tmp_path / "few.ply", 300), _faces(tmp_path / "many.ply", 3000)
     mesh = ls.load(many)
     assert isinstance(mesh, ls.Mesh)
     assert mesh.face_count == 1
-    # Lists of Python are made of the places of the rows: a line a row and list. Walked, a row takes ten.
+    # Building the Python lists takes one line per row and list; parsing a row takes ten.
     assert _lines(lambda: ls.load(many)) - _lines(lambda: ls.load(few)) < 4 * 2700
     few.write_bytes(few.read_bytes()[:-1])
     with pytest.raises(ls.FormatError, match="truncated"):

@@ -1,4 +1,4 @@
-"""PLY list properties: rows of equal and of different lengths, among other properties, in every encoding."""
+"""PLY list properties: rows of equal and different lengths, among other properties, in every encoding."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ end_header
 """
 EQUAL = [([7, 8, 9], [0.5]), ([1, 2, 3], [0.25]), ([4, 5, 6], [-2.0])]
 MIXED = [([7, 8, 9], [0.5]), ([], [0.25, 1.0]), ([4, -5], [])]
-"""Some lists empty, none as long as the one before."""
+"""Lists of different lengths, some empty."""
 
 
 def ply(path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]) -> Path:
-    """A file of the rows, between other elements and properties."""
+    """Writes a file of the rows, between other elements and properties."""
     if encoding == "ascii":
         lines = ["1.5", "2.5"]
         for corners, weights in rows:
@@ -47,8 +47,8 @@ def ply(path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]) ->
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("rows", [EQUAL, MIXED, MIXED[1:], MIXED[::-1], EQUAL[:1], []])
-def test_lists_come_back(tmp_path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]) -> None:
-    """Counts and items are those that were written, in the file's own types."""
+def test_ply_list_round_trip(tmp_path: Path, encoding: str, rows: list[tuple[list[int], list[float]]]) -> None:
+    """Counts and items are equal, in the types of the file."""
     header = read_ply_header(ply(tmp_path / "a.ply", encoding, rows))
     lists = read_ply_lists(header, header.required("face"))
     assert sorted(lists) == ["corners", "weights"]

@@ -1,4 +1,4 @@
-"""Documents of what moves: the animation is that of the file, or of the program, that the document was made of."""
+"""Animations in documents: they equal those of the file or program."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ direct = 0.25
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    """A scene file in which a capture and a camera move, beside the capture."""
+    """Writes a scene file with a moving capture and camera, beside the capture."""
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=20))
     (tmp_path / "scene.toml").write_text(MOVING)
     return tmp_path / "scene.toml"
 
 
 def assert_same_camera(mine: ls.Camera, other: ls.Camera) -> None:
-    """Equal field by field, but for rounding."""
+    """Checks that all fields are equal up to rounding."""
     for field in fields(other):
         first, second = getattr(mine, field.name), getattr(other, field.name)
         if isinstance(second, float | np.ndarray | tuple):
@@ -80,7 +80,7 @@ def assert_same_camera(mine: ls.Camera, other: ls.Camera) -> None:
 
 
 def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> None:
-    """The same actors, times, cameras and settings, and as much that stands still."""
+    """Checks that actors, times, cameras, settings and the number of static objects are equal."""
     mine = present(mine)
     assert (mine.fps, mine.frame_count, mine.lighting) == (other.fps, other.frame_count, other.lighting)
     assert (len(mine.scene.splats), len(mine.scene.meshes)) == (len(other.scene.splats), len(other.scene.meshes))
@@ -92,8 +92,8 @@ def assert_same_animation(mine: ls.Animation | None, other: ls.Animation) -> Non
         assert_same_camera(camera, same)
 
 
-def test_the_animation_is_that_of_the_file(file: Path) -> None:
-    """What stands still is in its scene once, actors are not in it, and it has the cameras."""
+def test_document_animation_equals_the_files(file: Path) -> None:
+    """Static objects are in its scene once, actors are not, and it has the cameras."""
     document = ls.io.SceneDocument.open(file)
     assert_same_animation(document.animation, ls.load_animation(file))
     assert len(document.scene().splats) == 2
@@ -101,8 +101,8 @@ def test_the_animation_is_that_of_the_file(file: Path) -> None:
     assert not present(hidden.animation).actors and len(present(hidden.animation).scene.splats) == 1
 
 
-def test_animations_of_programs_keep_light_and_cameras(file: Path) -> None:
-    """Also when it is one that was read; the camera that moves is not listed twice."""
+def test_documents_of_animations_keep_lighting_and_cameras(file: Path) -> None:
+    """Also for an animation that was loaded; the moving camera is not listed twice."""
     animation = ls.load_animation(file)
     document = ls.io.SceneDocument.of(animation)
     assert not document.problems
@@ -110,8 +110,8 @@ def test_animations_of_programs_keep_light_and_cameras(file: Path) -> None:
     assert [camera.name for camera in document.cameras] == ["front", "flight"]
 
 
-def test_cameras_that_scene_files_cannot_hold_are_named() -> None:
-    """Those with a principal point of their own, and motion that looks at nothing."""
+def test_cameras_that_scene_files_cannot_store_are_named() -> None:
+    """Off-centre principal points, and camera paths without targets."""
     camera = ls.Camera.look_at((0, 0, 5), (0, 0, 0), name="good")
     off = ls.Camera(
         **{field.name: getattr(camera, field.name) for field in fields(camera)} | {"cx": 3.0, "name": "off"}
@@ -141,8 +141,8 @@ CAMERAS = st.builds(
 
 
 @given(CAMERAS)
-def test_cameras_come_back_from_their_tables(values: dict[str, Any]) -> None:
-    """All kinds; what is in focus only matters to a lens."""
+def test_camera_table_round_trip(values: dict[str, Any]) -> None:
+    """All camera models; the focus matters only with an aperture."""
     camera = ls.Camera.look_at(**values)
     animation = ls.Animation(ls.Scene(), (), [camera])
     (found,) = ls.io.SceneDocument.of(animation).cameras
@@ -151,8 +151,8 @@ def test_cameras_come_back_from_their_tables(values: dict[str, Any]) -> None:
     assert_same_camera(found, camera if camera.name else replace(camera, name=found.name))
 
 
-def test_the_animation_can_be_edited(file: Path) -> None:
-    """Its rate, its length and its light; what is taken away leaves nothing; what is wrong is named."""
+def test_editing_frame_rate_length_and_lighting(file: Path) -> None:
+    """Removed keys leave nothing behind, and invalid ones are named."""
     document = ls.io.SceneDocument.open(file)
     lighting = ls.config.AvatarLightingConfig(direct=0.25, shadows=False)
     edited = document.with_animation(fps=5.0, duration=3.0, frames=None, lighting=lighting)

@@ -1,4 +1,4 @@
-"""What an edit leaves as it is stays the same object, for renderers know assets by identity; what nobody needs goes."""
+"""Object identity under edits: unchanged objects stay the same, as renderers need; unused ones are freed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BOX = {"crop_low": [-1.0, -1.0, -10.0], "crop_high": [1.0, 1.0, 10.0]}
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder to be in, with a capture and a rig."""
+    """Returns the working folder, with a capture and a rig."""
     monkeypatch.chdir(tmp_path)
     ls.save("capture.ply", random_gaussians(1, count=200))
     TubeRig(clips={"walk": BEND}).write(tmp_path / "walker.glb")
@@ -29,8 +29,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.usefixtures("folder")
-def test_another_material_leaves_the_gaussians_of_a_changed_capture() -> None:
-    """Cropped, and of another kernel degree: neither is done again."""
+def test_new_material_keeps_the_edited_gaussians() -> None:
+    """The crop and the kernel degree are not applied again."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added(
         "splats", {"path": "capture.ply", "kernel_degree": 4, "material": {"roughness": 0.3}, **BOX}
     )
@@ -50,8 +50,8 @@ def test_another_material_leaves_the_gaussians_of_a_changed_capture() -> None:
     ],
 )
 @pytest.mark.usefixtures("folder")
-def test_what_is_moved_stays_itself(kind: EntryKind, table: dict[str, object]) -> None:
-    """The capture and its material, a shape, a mesh with another material."""
+def test_moved_entries_keep_their_objects(kind: EntryKind, table: dict[str, object]) -> None:
+    """A capture with material, a shape, and a mesh with another material."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added(kind, table)
     before, after = (d.entry(number) for d in (document, document.placed(number, MOVED)))
     np.testing.assert_array_equal(present(after.world_from_file), MOVED)
@@ -62,8 +62,8 @@ def test_what_is_moved_stays_itself(kind: EntryKind, table: dict[str, object]) -
 
 
 @pytest.mark.usefixtures("folder")
-def test_actors_keep_their_pose_while_others_are_edited() -> None:
-    """At the same time; at another one they have another."""
+def test_editing_other_entries_keeps_actor_poses() -> None:
+    """At the same time; another time gives another pose."""
     document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     pose = document.scene(0.5).splats[0]
@@ -72,8 +72,8 @@ def test_actors_keep_their_pose_while_others_are_edited() -> None:
 
 
 @pytest.mark.usefixtures("folder")
-def test_crops_that_no_document_has_are_gone() -> None:
-    """Who drags a box leaves a capture at each step: a million Gaussians have hundreds of megabytes."""
+def test_unused_crops_are_freed() -> None:
+    """Dragging a crop box makes a capture at each step, of hundreds of megabytes per million Gaussians."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added("splats", {"path": "capture.ply", **BOX})
     left: list[weakref.ref[ls.Gaussians]] = []
     for k in range(10):
@@ -83,8 +83,8 @@ def test_crops_that_no_document_has_are_gone() -> None:
     assert not [one for one in left if one() is not None]
 
 
-def test_large_arrays_are_not_checked_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of a mesh whose material changes, and of an environment that is turned."""
+def test_edits_do_not_recheck_large_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A mesh with another material, and a rotated environment."""
     scene = ls.Scene(meshes=[ls.sphere(1.0)], lights=[ls.LightEnvironment(np.ones((4, 8, 3), np.float32))])
     document = ls.io.SceneDocument.of(scene)
     checked: list[int] = []
@@ -98,7 +98,7 @@ def test_large_arrays_are_not_checked_again(monkeypatch: pytest.MonkeyPatch) -> 
     assert sky.image is scene.lights[0].image  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_a_part_needs_a_file(tmp_path: Path) -> None:
+def test_shapes_have_no_parts(tmp_path: Path) -> None:
     """A shape is one mesh."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\npart = 0\n')
     with pytest.raises(ls.FormatError, match=r"line 3.*part selects a mesh of a file, but there is no path"):

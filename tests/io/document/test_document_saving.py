@@ -1,4 +1,4 @@
-"""Saved documents: what was in memory lies beside the file, to the bit, and nothing of anybody else is written over."""
+"""Saved documents: in-memory assets are stored exactly beside the file, and no other files are overwritten."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ UVS = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder to be in."""
+    """Returns the working folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def again(scene: Any, name: str = "scene.toml") -> ls.Scene:
-    """The scene, or the document, saved and loaded."""
+def round_trip(scene: Any, name: str = "scene.toml") -> ls.Scene:
+    """Saves a scene or document, and loads it."""
     document = scene if isinstance(scene, ls.io.SceneDocument) else ls.io.SceneDocument.of(scene)
     document.save(name)
     return expect_kind(ls.Scene, ls.load(name))
 
 
 def scattered(**changes: Any) -> ls.Mesh:
-    """A mesh of random numbers in all arrays, which also has vertices without a triangle."""
+    """Returns a mesh with random numbers in all arrays, including unused vertices."""
     rng = np.random.default_rng(1)
     count = 300
     arrays: dict[str, Any] = {
@@ -47,23 +47,23 @@ def scattered(**changes: Any) -> ls.Mesh:
 
 
 @pytest.mark.parametrize("without", [(), ("normals",), ("uvs",), ("colors",), ("normals", "uvs", "colors")])
-def test_meshes_come_back_to_the_bit(without: tuple[str, ...]) -> None:
-    """Arrays that it has, and no others: a flat mesh stays flat, loose vertices stay."""
+def test_saved_meshes_are_exact(without: tuple[str, ...]) -> None:
+    """With only the arrays that they had; unused vertices stay."""
     mesh = scattered(**dict.fromkeys(without))
-    found = again(mesh).meshes[0].mesh
+    found = round_trip(mesh).meshes[0].mesh
     for name in ("positions", "indices", "normals", "uvs", "colors"):
         np.testing.assert_array_equal(getattr(found, name), getattr(mesh, name), err_msg=name)
     assert pbr_of(found).base_color == pbr_of(mesh).base_color == (0.8, 0.8, 0.8)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_meshes_that_are_sheared_are_written_where_they_are(mirrored: bool) -> None:
-    """With normals that still face the side that they faced, and faces that wind as they did."""
+def test_sheared_meshes_are_saved_in_world_space(mirrored: bool) -> None:
+    """Normals keep their side, and faces their winding."""
     shear = np.array(
         [[1.0, 0.5, 0.0, 1.0], [0.0, 2.0, 0.0, 2.0], [0.0, 0.0, -1.0 if mirrored else 1.0, 3.0], [0, 0, 0, 1]]
     )
     mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], normals=[[0.0, 0.6, 0.8]] * 3)
-    found = again(ls.Scene(meshes=[ls.MeshInstance(mesh, shear)])).meshes[0]
+    found = round_trip(ls.Scene(meshes=[ls.MeshInstance(mesh, shear)])).meshes[0]
     world = found.mesh.positions @ found.transform[:3, :3].T + found.transform[:3, 3]
     np.testing.assert_allclose(world, mesh.positions @ shear[:3, :3].T + shear[:3, 3], atol=1e-6)
     a, b, c = world[found.mesh.indices[0]]
@@ -75,10 +75,10 @@ def test_meshes_that_are_sheared_are_written_where_they_are(mirrored: bool) -> N
     )
 
 
-def test_materials_of_meshes_are_whole() -> None:
-    """The other kind, with its own defaults; ways to wrap; one texture in two places is one file."""
+def test_saved_mesh_materials_are_complete() -> None:
+    """Simple materials with their own defaults, and wrap modes; a shared texture is one file."""
     texture = np.random.default_rng(1).integers(0, 256, (3, 5, 4), np.uint8)
-    texture.flags.writeable = False  # so that the material has no copies
+    texture.flags.writeable = False  # keeps the material from copying the texture
     tiled = ls.MaterialPbr(
         base_color_texture=texture,
         emissive_texture=texture,
@@ -91,7 +91,7 @@ def test_materials_of_meshes_are_whole() -> None:
         ls.Mesh(TRIANGLE, [[0, 1, 2]], uvs=UVS, material=tiled),
         ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialSimple(diffuse=0.5)),
     ]
-    first, second = (instance.mesh.material for instance in again(ls.Scene(meshes=meshes)).meshes)
+    first, second = (instance.mesh.material for instance in round_trip(ls.Scene(meshes=meshes)).meshes)
     material = expect_kind(ls.MaterialPbr, first)
     for found in (material.base_color_texture, material.emissive_texture):
         np.testing.assert_array_equal(present(found), texture)
@@ -102,28 +102,28 @@ def test_materials_of_meshes_are_whole() -> None:
     assert len(list(Path("scene.assets").glob("*.png"))) == 1
 
 
-def test_a_material_that_was_edited_is_saved_as_it_is_seen() -> None:
-    """Also when it is of the other kind than the mesh had."""
+def test_edited_materials_are_saved_as_shown() -> None:
+    """Also if the edit changes the material's type."""
     mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialPbr(roughness=0.1, base_color=(0.1, 0.2, 0.3)))
     document = ls.io.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
     seen = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
-    saved = expect_kind(ls.MaterialSimple, again(document).meshes[0].mesh.material)
+    saved = expect_kind(ls.MaterialSimple, round_trip(document).meshes[0].mesh.material)
     assert (saved.diffuse, saved.base_color) == (seen.diffuse, seen.base_color) == ((0.5,) * 3, (0.1, 0.2, 0.3))
 
 
-def test_environments_come_back_to_the_bit() -> None:
+def test_saved_environment_images_are_exact() -> None:
     """As floats."""
     image = np.random.default_rng(1).uniform(0.0, 1e5, (4, 8, 3)).astype(np.float32)
-    (sky,) = again(ls.Scene(lights=[ls.LightEnvironment(image, intensity=0.1)])).lights
+    (sky,) = round_trip(ls.Scene(lights=[ls.LightEnvironment(image, intensity=0.1)])).lights
     np.testing.assert_array_equal(present(expect_kind(ls.LightEnvironment, sky).image), image)
 
 
-def test_files_of_others_are_not_written_over() -> None:
-    """What lies in the folder of assets stays, unless it may be replaced; that which the scene names stays always."""
+def test_existing_asset_files_are_not_overwritten() -> None:
+    """Unless overwriting is allowed; files that the scene refers to are never overwritten."""
     ls.io.SceneDocument.of(random_gaussians(1, count=20)).save("scene.toml")
     there, kept = Path("scene.assets/capture_0.ply"), Path("scene.assets/capture_0.ply").read_bytes()
     Path("scene.toml").unlink()
-    assert again(random_gaussians(2, count=7)).splats[0].gaussians.count == 7
+    assert round_trip(random_gaussians(2, count=7)).splats[0].gaussians.count == 7
     assert there.read_bytes() == kept
     document, _ = ls.io.SceneDocument.of(random_gaussians(3, count=5)).added("splats", {"path": str(there)})
     document.save("scene.toml", overwrite=True)
@@ -134,39 +134,39 @@ def test_files_of_others_are_not_written_over() -> None:
     assert there.read_bytes() != kept
 
 
-def test_what_cannot_be_saved_leaves_nothing() -> None:
-    """An actor that a program made is refused before anything is written."""
+def test_unsavable_actor_is_refused_before_writing() -> None:
+    """An actor that a program made."""
     capture = random_gaussians(1, count=4)
     with pytest.raises(ls.FormatError, match="walker was made by a program"):
         ls.io.SceneDocument.of(ls.Animation(ls.Scene([capture]), [ls.Actor(capture, name="walker")])).save("scene.toml")
     assert not list(Path().iterdir())
 
 
-def test_paths_lead_out_of_linked_folders() -> None:
-    """A folder may be a link to one that lies elsewhere, from which .. leads elsewhere, too."""
+def test_relative_paths_work_through_linked_folders() -> None:
+    """In a linked folder, ``..`` leads to the parent of the link's target."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     Path("far/away").mkdir(parents=True)
     os.symlink("far/away", "near", target_is_directory=True)
     document = ls.io.SceneDocument.open("capture.ply")
-    assert len(again(document, "near/scene.toml").splats) == 1
+    assert len(round_trip(document, "near/scene.toml").splats) == 1
     assert 'path = "../../capture.ply"' in Path("near/scene.toml").read_text()
     from_link = ls.io.SceneDocument.open("near/scene.toml")
-    assert len(again(from_link, "other.toml").splats) == 1
+    assert len(round_trip(from_link, "other.toml").splats) == 1
 
 
-def test_only_paths_are_moved() -> None:
-    """How a texture wraps is listed by its name, too."""
+def test_only_path_values_are_relocated() -> None:
+    """``texture_wraps`` has texture names as keys, but its values are not paths."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     material = 'material = { texture_wraps = { normal_texture = "clamp" } }'
     Path("scene.toml").write_text(f'[[splats]]\npath = "capture.ply"\n{material}\n')
     Path("below").mkdir()
-    (splat,) = again(ls.io.SceneDocument.open("scene.toml"), "below/scene.toml").splats
+    (splat,) = round_trip(ls.io.SceneDocument.open("scene.toml"), "below/scene.toml").splats
     clamp = ls.TextureWrap.CLAMP
     assert expect_kind(ls.MaterialPbr, splat.material).texture_wraps == {"normal_texture": (clamp, clamp)}
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere, all names are text")
-def test_names_that_are_no_text_are_refused() -> None:
+def test_undecodable_file_names_are_refused() -> None:
     """TOML is text."""
     name = os.fsdecode(b"wei\xdf.ply")
     ls.save(name, random_gaussians(1, count=4))
@@ -176,7 +176,7 @@ def test_names_that_are_no_text_are_refused() -> None:
 
 
 @pytest.mark.parametrize("suffix", ["", ".ply"])
-def test_scene_files_are_called_so(suffix: str) -> None:
+def test_scenes_are_saved_only_as_toml(suffix: str) -> None:
     """No other file could be loaded again."""
     with pytest.raises(ls.FormatError, match=r"is not a \.toml"):
         ls.io.SceneDocument.of(ls.Scene()).save(f"scene{suffix}")
@@ -184,23 +184,23 @@ def test_scene_files_are_called_so(suffix: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["biker.spz", "biker.compressed.ply"])
-def test_real_captures_are_seen_and_saved_as_they_are(data_dir: Path, name: str) -> None:
-    """The file by its path; what a program has loaded to the bit, but for opacities that no logit of float32 has."""
+def test_real_captures_are_saved_unchanged(data_dir: Path, name: str) -> None:
+    """A file by its path; a loaded capture exactly, except opacities without a float32 logit."""
     loaded = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name))
     document = ls.io.SceneDocument.open(data_dir / "splats" / name).changed(0, sh_degree=0)
-    for scene in (document.scene(), again(document, "opened.toml")):
+    for scene in (document.scene(), round_trip(document, "opened.toml")):
         assert scene.splats[0].sh_degree == 0
         for key, values in loaded.arrays().items():
             np.testing.assert_array_equal(scene.splats[0].gaussians.arrays()[key], values)
-    found = again(loaded, "made.toml").splats[0].gaussians
+    found = round_trip(loaded, "made.toml").splats[0].gaussians
     for key, values in loaded.arrays().items():
         np.testing.assert_array_max_ulp(found.arrays()[key], values, 4 if key == "opacities" else 0)
-    twice = again(found, "twice.toml").splats[0].gaussians
+    twice = round_trip(found, "twice.toml").splats[0].gaussians
     np.testing.assert_array_equal(twice.opacities, found.opacities)
 
 
 def test_absolute_paths_stay_absolute_and_relative_ones_relative(tmp_path: Path) -> None:
-    """As they were written; files that are given by a relative name are written from the folder of the scene."""
+    """Files opened by a relative path are written relative to the scene's folder."""
     (tmp_path / "assets").mkdir()
     (tmp_path / "saved").mkdir()
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -214,8 +214,8 @@ def test_absolute_paths_stay_absolute_and_relative_ones_relative(tmp_path: Path)
     assert [entry.table["path"] for entry in saved.entries] == ["../assets/near.obj", far]
 
 
-def test_files_that_are_opened_by_relative_names_are_saved_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Absolute names stay; both name the same files."""
+def test_files_opened_by_relative_paths_are_saved_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Absolute paths stay; both refer to the same files."""
     monkeypatch.chdir(tmp_path)
     for name in ("near.obj", "far.obj"):
         Path(name).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")

@@ -1,4 +1,4 @@
-"""Objects as tables of a scene file: what the reader makes of them is what they were, to the bit."""
+"""Scene objects as tables: reading a table restores the object exactly."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FAR = st.just(math.inf) | POSITIVE
 
 @st.composite
 def spots(draw: st.DrawFn) -> ls.LightSpot:
-    """Spots with angles of any size, also next to each other."""
+    """Generates spots with all angles, also adjacent ones."""
     outer = draw(st.just(math.pi / 2) | st.floats(1e-3, math.pi / 2))
     inner = draw(st.just(math.nextafter(outer, 0.0)) | st.floats(0.0, outer, exclude_max=True))
     return ls.LightSpot(draw(POINT), draw(DIRECTION), inner_angle=inner, outer_angle=outer, range=draw(FAR))
@@ -63,8 +63,8 @@ LIGHTS: st.SearchStrategy[Any] = st.one_of(
 
 
 @given(LIGHTS)
-def test_lights_come_back_to_the_bit(light: Any) -> None:
-    """All kinds, by text and reader; angles, which are written in degrees, to the next number."""
+def test_light_table_round_trip_is_exact(light: Any) -> None:
+    """All light types, through text; angles, which are written in degrees, to the next float."""
     table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
     found = read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table)
     assert type(found) is type(light)
@@ -77,13 +77,13 @@ def test_lights_come_back_to_the_bit(light: Any) -> None:
 
 
 @given(DIRECTION)
-def test_up_that_has_been_made_a_unit_vector_stays(direction: tuple[float, float, float]) -> None:
-    """Each time that a file is saved and read."""
+def test_normalized_up_stays_equal(direction: tuple[float, float, float]) -> None:
+    """However often the file is saved and read."""
     assert up_vector(up_vector(direction)) == up_vector(direction)
 
 
-def test_numbers_of_numpy_are_written_as_numbers() -> None:
-    """Those of a light, and a spot a little wider than a half space, which programs may have."""
+def test_numpy_numbers_are_written_as_numbers() -> None:
+    """In a light, and in a spot slightly wider than a hemisphere."""
     light = ls.LightPoint(np.zeros(3), intensity=cast(Any, np.float32(0.1)), enabled=cast(Any, np.bool_(False)))
     wide = ls.LightSpot((0, 0, 0), (0, 0, 1), outer_angle=math.pi / 2 + 5e-7)
     first, second = ls.io.SceneDocument.of(ls.Scene(lights=[light, wide])).scene().lights
@@ -92,8 +92,8 @@ def test_numbers_of_numpy_are_written_as_numbers() -> None:
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_the_environment_that_lights_is_kept(order: tuple[int, int], tmp_path: Path) -> None:
-    """A scene may have others, which are off; a scene file has one."""
+def test_the_enabled_environment_is_kept(order: tuple[int, int], tmp_path: Path) -> None:
+    """A scene may have several environments, a scene file only one."""
     skies = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
     document = ls.io.SceneDocument.of(ls.Scene(lights=[skies[k] for k in order]))
     document.save(tmp_path / "scene.toml")
@@ -101,8 +101,8 @@ def test_the_environment_that_lights_is_kept(order: tuple[int, int], tmp_path: P
         assert [(sky.intensity, sky.enabled) for sky in scene.lights] == [(5.0, True)]
 
 
-def test_edits_take_what_programs_have() -> None:
-    """Arrays, tuples and paths; the document has copies, and its tables cannot be written to."""
+def test_edits_accept_arrays_tuples_and_paths() -> None:
+    """The document copies them, and its tables are read-only."""
     document, number = ls.io.SceneDocument.of(ls.Scene()).added("lights", {"type": "point", "position": (1, 2, 3)})
     position = np.array([4.0, 5.0, 6.0])
     document = document.changed(number, position=position, intensity=np.float64(2.0))
@@ -117,8 +117,8 @@ def test_edits_take_what_programs_have() -> None:
 
 
 @pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
-def test_places_that_are_none_are_refused(matrix: Any) -> None:
-    """In one line, whatever they are."""
+def test_invalid_transforms_are_refused(matrix: Any) -> None:
+    """In one line, whatever the value is."""
     document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
     with pytest.raises(ls.SceneError, match="world_from_file"):
         document.placed(0, matrix)

@@ -1,4 +1,4 @@
-"""Scenes that are edited: what is saved is what was seen, and nothing changes that nobody changed."""
+"""Edited scenes: the saved file shows the edited scene, and unedited parts do not change."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ TWO = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\nv 5 0 0\nv 6 0 0\nv 5 1 0
 
 
 def row() -> ls.Gaussians:
-    """Three Gaussians along x."""
+    """Returns three Gaussians along x."""
     return ls.Gaussians(
         means=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
         rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
@@ -72,7 +72,7 @@ def row() -> ls.Gaussians:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A scene file with an entry of each kind, and its files."""
+    """Writes a scene file with an entry of each kind, and its files."""
     ls.save(tmp_path / "row.ply", row())
     (tmp_path / "two.obj").write_text(TWO)
     (tmp_path / "scene.toml").write_text(SCENE)
@@ -80,11 +80,13 @@ def folder(tmp_path: Path) -> Path:
 
 
 def assert_same_scene(found: Any, expected: ls.Scene) -> None:
-    """The same arrays, but for the rounding of logarithms, places, materials and lights."""
+    """Checks that arrays, transforms, materials and lights are equal up to rounding."""
     assert isinstance(found, ls.Scene) and found.up_direction == expected.up_direction
     for mine, other in zip(found.splats, expected.splats, strict=True):
         for name, values in other.gaussians.arrays().items():
-            np.testing.assert_allclose(mine.gaussians.arrays()[name], values, rtol=2e-7)  # files hold logarithms
+            np.testing.assert_allclose(
+                mine.gaussians.arrays()[name], values, rtol=2e-7
+            )  # PLY files store logarithms of scales
         np.testing.assert_allclose(mine.transform, other.transform, atol=1e-11)
         assert_same(mine.material, other.material)
         assert (mine.sh_degree, mine.shadow_catcher, mine.name) == (other.sh_degree, other.shadow_catcher, other.name)
@@ -97,7 +99,7 @@ def assert_same_scene(found: Any, expected: ls.Scene) -> None:
 
 
 def assert_same(mine: Any, other: Any) -> None:
-    """Equal field by field; numbers to one unit in the last place, as angles are written in degrees."""
+    """Checks that all fields are equal; numbers to one unit in the last place, because angles are in degrees."""
     assert type(mine) is type(other)
     for field in () if other is None else fields(other):
         first, second = getattr(mine, field.name), getattr(other, field.name)
@@ -109,8 +111,8 @@ def assert_same(mine: Any, other: Any) -> None:
             assert first == second, field.name
 
 
-def test_a_document_shows_what_the_file_shows(folder: Path) -> None:
-    """Its scene, settings, cameras and up."""
+def test_document_equals_the_loaded_file(folder: Path) -> None:
+    """Scene, settings, cameras and up."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [entry.kind for entry in document.entries] == ["splats", "meshes", "lights", "environment"]
     assert_same_scene(document.scene(), ls.load(folder / "scene.toml"))  # pyright: ignore[reportArgumentType]
@@ -118,8 +120,8 @@ def test_a_document_shows_what_the_file_shows(folder: Path) -> None:
     assert [camera.name for camera in document.cameras] == ["front"] and document.animation is None
 
 
-def test_what_is_saved_is_what_was_seen(folder: Path) -> None:
-    """After an edit of each kind, in another folder; and the file that was opened is as it was."""
+def test_saved_document_loads_as_the_edited_scene(folder: Path) -> None:
+    """After an edit of each kind, in another folder; the opened file is unchanged."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     document = document.placed(0, np.diag([2.0, 2.0, 2.0, 1.0])).changed(1, material={"roughness": 0.7})
     document = document.changed(2, target=None, direction=[0.0, 1.0, -1.0], intensity=7.0)
@@ -138,8 +140,8 @@ def test_what_is_saved_is_what_was_seen(folder: Path) -> None:
     assert (folder / "scene.toml").read_text() == SCENE
 
 
-def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
-    """One line, and the file stays; asked to, it is replaced. Only scene files are written."""
+def test_existing_files_are_overwritten_only_on_request(folder: Path) -> None:
+    """Only .toml files are written."""
     document = ls.io.SceneDocument.open(folder / "scene.toml").removed(3)
     with pytest.raises(ls.FormatError, match="exists already"):
         document.save(folder / "scene.toml")
@@ -150,8 +152,8 @@ def test_files_that_are_there_are_not_overwritten_unasked(folder: Path) -> None:
         document.save(folder / "row.ply", overwrite=True)
 
 
-def test_edits_share_what_they_leave(folder: Path) -> None:
-    """The same objects: renderers know assets by identity, and to undo is to keep the old document."""
+def test_edits_share_unchanged_objects(folder: Path) -> None:
+    """Renderers cache assets by identity, and undo goes back to the old document."""
     before = ls.io.SceneDocument.open(folder / "scene.toml")
     scene = before.scene()
     after = before.placed(0, np.eye(4)).changed(2, intensity=3.0)
@@ -160,8 +162,8 @@ def test_edits_share_what_they_leave(folder: Path) -> None:
     assert before.scene() is scene and before.entry(2).lights[0].intensity == 1.0
 
 
-def test_refused_edits_name_the_key_and_change_nothing(folder: Path) -> None:
-    """An unknown key, a value out of range, a file that is not there, a kind and an id that there are not."""
+def test_invalid_edits_name_the_key_and_change_nothing(folder: Path) -> None:
+    """Unknown keys, kinds and ids, values out of range, and missing files."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     entries = document.entries
     with pytest.raises(ls.FormatError, match="roughness is 7"):
@@ -181,8 +183,8 @@ def test_refused_edits_name_the_key_and_change_nothing(folder: Path) -> None:
     assert document.entries is entries
 
 
-def test_hidden_entries_are_left_out_and_owners_follow(folder: Path) -> None:
-    """Instances count captures first, then meshes; lights that are hidden are off."""
+def test_hidden_entries_are_skipped_in_instance_numbers(folder: Path) -> None:
+    """Captures are numbered first, then meshes; hidden lights are disabled."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     assert [document.owner(number).id for number in range(3)] == [0, 1, 1]
     hidden = document.changed(0, hidden=True).changed(2, enabled=False)
@@ -193,8 +195,8 @@ def test_hidden_entries_are_left_out_and_owners_follow(folder: Path) -> None:
         hidden.owner(2)
 
 
-def test_split_entries_show_the_same(folder: Path) -> None:
-    """Each mesh of the file by itself, where it was, with the material that it had."""
+def test_split_entry_renders_the_same(folder: Path) -> None:
+    """Each mesh of the file has its transform and material."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     split = document.split(1)
     assert [entry.name for entry in split.entries if entry.kind == "meshes"] == ["red", "blue"]
@@ -206,16 +208,16 @@ def test_split_entries_show_the_same(folder: Path) -> None:
         split.split(split.entries[-1].id)
 
 
-def test_ids_are_never_used_again(folder: Path) -> None:
-    """Whoever holds the id of something that is gone does not get another one's."""
+def test_entry_ids_are_never_reused(folder: Path) -> None:
+    """The id of a removed entry never refers to another one."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     document, first = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     _, second = document.removed(first).added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     assert first != second
 
 
-def test_files_that_cannot_be_read_are_left_out_and_listed(folder: Path) -> None:
-    """A line each; if nothing is left, that is an error."""
+def test_unreadable_files_are_listed_as_problems(folder: Path) -> None:
+    """One line each; if no file is left, opening fails."""
     (folder / "broken.ply").write_text("ply\nnonsense")
     document = ls.io.SceneDocument.open([folder / "row.ply", folder / "broken.ply", folder / "gone.obj"])
     assert len(document.entries) == 1 and len(document.problems) == 2
@@ -227,7 +229,7 @@ def test_files_that_cannot_be_read_are_left_out_and_listed(folder: Path) -> None
 
 
 def memory_scene() -> ls.Scene:
-    """A scene that no file holds: shared and sheared assets, textures, colours, all kinds of lights."""
+    """Returns a scene without files: shared and sheared assets, textures, colours, all light types."""
     rng = np.random.default_rng(1)
     texture = rng.integers(0, 256, (4, 8, 3), np.uint8)
     material = ls.MaterialPbr(base_color_texture=texture, roughness=0.123456789, emissive=(2.0, 0.0, 1.5), name="tile")
@@ -253,8 +255,8 @@ def memory_scene() -> ls.Scene:
     )
 
 
-def test_scenes_in_memory_are_saved_with_their_assets(tmp_path: Path) -> None:
-    """The file shows the same, and names files of its own folder; what is shared is written once."""
+def test_in_memory_scenes_are_saved_with_their_assets(tmp_path: Path) -> None:
+    """The file shows the same scene; shared assets are written once."""
     scene = memory_scene()
     document = ls.io.SceneDocument.of(scene)
     assert_same_scene(document.scene(), scene)
@@ -268,8 +270,8 @@ def test_scenes_in_memory_are_saved_with_their_assets(tmp_path: Path) -> None:
     )
 
 
-def test_actors_in_memory_are_shown_and_not_saved(tmp_path: Path) -> None:
-    """They can be hidden; saving names the one that has no file."""
+def test_in_memory_actors_can_be_hidden_but_not_saved(tmp_path: Path) -> None:
+    """The error names the actor."""
     still = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
     motion = ls.Keyframes([0.0, 1.0], [[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]], still, [1.0, 1.0])
     animation = ls.Animation(ls.Scene([row()]), [ls.Actor(row(), motion, name="walker")], fps=10.0, frame_count=11)
@@ -305,8 +307,8 @@ LIGHTS = st.one_of(
 
 
 @given(LIGHTS)
-def test_lights_come_back_from_their_tables(light: Any) -> None:
-    """All kinds, through text and reader."""
+def test_light_table_round_trip(light: Any) -> None:
+    """All light types, through text."""
     table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
     assert_same(read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table), light)
 
@@ -319,13 +321,13 @@ VALUES = st.recursive(
 
 
 @given(st.dictionaries(st.text(), VALUES, max_size=4))
-def test_toml_text_reads_back_to_what_was_written(values: dict[str, Any]) -> None:
-    """Whatever the keys, the texts and the nesting."""
+def test_toml_round_trip_is_exact(values: dict[str, Any]) -> None:
+    """For any keys, text and nesting."""
     assert tomllib.loads(toml_text(values)) == values
 
 
-def test_arrays_stay_on_one_line_and_floats_are_short() -> None:
-    """Files are edited by hand: a matrix is one line, a number no longer than needed."""
+def test_toml_arrays_are_on_one_line_with_short_floats() -> None:
+    """Files are edited by hand."""
     text = toml_text({"splats": [{"path": Path("a.ply"), "transform": np.eye(4), "scale": 0.1}]})
     row = "0.0, 0.0, 0.0"
     assert text.splitlines()[1:3] == [
@@ -336,12 +338,12 @@ def test_arrays_stay_on_one_line_and_floats_are_short() -> None:
 
 
 def tilted(degrees: float) -> np.ndarray:
-    """A unit vector that leans by an angle from y down towards z."""
+    """Returns a unit vector that leans by an angle from y down towards z."""
     return np.array([0.0, -math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
 
 
-def test_what_stands_upright_stands_upright_in_another_up(tmp_path: Path) -> None:
-    """About its foot, at its size; captures, lights and what leans stay, and the saved file shows the same."""
+def test_upright_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
+    """About their foot, at their size; captures, lights and tilted objects stay."""
     ls.save(tmp_path / "row.ply", row())
     (tmp_path / "two.obj").write_text(TWO)
     (tmp_path / "scene.toml").write_text(
@@ -380,8 +382,8 @@ def test_what_stands_upright_stands_upright_in_another_up(tmp_path: Path) -> Non
         np.testing.assert_allclose(one.transform, other.transform, atol=1e-9)
 
 
-def test_meshes_without_a_capture_stay_in_another_up(tmp_path: Path) -> None:
-    """They have the ground by which up is measured; their words become numbers, which mean the same in the new up."""
+def test_meshes_without_captures_stay_when_up_changes(tmp_path: Path) -> None:
+    """Their named placement keys are replaced by numbers, which do not depend on up."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\nupright = true\nground = 1.0\n')
     before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
     after = before.with_up("z-up")
@@ -393,8 +395,8 @@ def test_meshes_without_a_capture_stay_in_another_up(tmp_path: Path) -> None:
     np.testing.assert_allclose(saved.meshes[0].transform, before.scene().meshes[0].transform, atol=1e-9)
 
 
-def test_an_environment_that_is_upright_turns_with_up(tmp_path: Path) -> None:
-    """Its horizon is that of the scene; one that leans was turned on purpose, and stays."""
+def test_upright_environment_rotates_with_up(tmp_path: Path) -> None:
+    """A tilted one was rotated on purpose and stays."""
     write_radiance(tmp_path / "sky.exr", np.ones((4, 8, 3), np.float32))
     text = '[[splats]]\npath = "row.ply"\n[environment]\npath = "sky.exr"\nrotation_wxyz = [{}, 1.0, 0.0, 0.0]\n'
     ls.save(tmp_path / "row.ply", row())
@@ -408,8 +410,8 @@ def test_an_environment_that_is_upright_turns_with_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
-def test_an_up_that_is_no_direction_is_refused(up: Any) -> None:
-    """In one line, and the document stays as it was."""
+def test_invalid_up_is_refused(up: Any) -> None:
+    """In one line; the document is unchanged."""
     document = ls.io.SceneDocument.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="up is"):
         document.with_up(up)

@@ -1,4 +1,4 @@
-"""NumPy archives of strangers: nothing is allocated, executed or waited for before their headers are checked."""
+"""Untrusted NumPy archives: nothing is allocated or executed before headers are checked."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ KIND = "a table of numbers"
 
 
 def header(shape: tuple[int, ...], descr: str = "<f4") -> bytes:
-    """The header of an array file that claims a shape."""
+    """Returns the header of an array file that claims a shape."""
     stream = io.BytesIO()
     np.lib.format.write_array_header_1_0(stream, {"descr": descr, "fortran_order": False, "shape": shape})
     return stream.getvalue()
 
 
 def archive(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_STORED) -> Path:
-    """A zip archive of these members."""
+    """Writes a zip archive of the given members."""
     with zipfile.ZipFile(path, "w", method) as file:
         for name, content in members:
             file.writestr(name, content)
@@ -34,8 +34,8 @@ def archive(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_S
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_arrays_come_back_as_they_were_written(tmp_path: Path, save: Any) -> None:
-    """All kinds of numbers, empty arrays, scalars, Fortran's order and text."""
+def test_array_round_trip_is_exact(tmp_path: Path, save: Any) -> None:
+    """All number types, empty arrays, scalars, Fortran order and text."""
     written = {
         "a": np.arange(6, dtype=np.float32).reshape(2, 3),
         "b": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
@@ -64,14 +64,14 @@ def test_arrays_come_back_as_they_were_written(tmp_path: Path, save: Any) -> Non
     ],
     ids=["endless", "negative", "short", "long", "objects", "cut", "empty", "text", "version"],
 )
-def test_what_is_no_array_is_one_line(tmp_path: Path, members: list[tuple[str, bytes]]) -> None:
-    """Headers that lie, objects that would run code, and other files."""
+def test_invalid_archives_give_one_line(tmp_path: Path, members: list[tuple[str, bytes]]) -> None:
+    """False headers, pickled objects that would run code, and other files."""
     with pytest.raises(ls.FormatError, match=f"a.npz: is damaged, or not {KIND}$"):
         read_arrays(archive(tmp_path / "a.npz", *members), KIND)
 
 
-def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    """A gigabyte of zeros in a megabyte; without compression, no such file is taken at all."""
+def test_decompression_bomb_is_refused_before_unpacking(tmp_path: Path) -> None:
+    """A gigabyte of zeros in a megabyte; without ``compressed`` no compressed file is accepted."""
     size = 2**28
     path = archive(tmp_path / "a.npz", ("a.npy", header((size,)) + bytes(4 * size)), method=zipfile.ZIP_DEFLATED)
     tracemalloc.start()
@@ -85,8 +85,8 @@ def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
         tracemalloc.stop()
 
 
-def test_members_that_share_their_bytes_are_refused(tmp_path: Path) -> None:
-    """A directory that names one array many times would take many times the memory of the file."""
+def test_overlapping_archive_members_are_refused(tmp_path: Path) -> None:
+    """Many directory entries for one array would take many times the memory of the file."""
     path, content = tmp_path / "a.npz", header((2**16,)) + bytes(2**18)
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("a.npy", content)
@@ -112,7 +112,7 @@ def test_pipes_folders_and_missing_files_are_named(tmp_path: Path) -> None:
         read_arrays(tmp_path / "missing.npz", KIND)
 
 
-def test_an_array_is_of_the_expected_shape_and_finite() -> None:
+def test_arrays_must_have_the_expected_shape_and_be_finite() -> None:
     """Other ranks, lengths, types and values are refused by name."""
     arrays: dict[str, Any] = {"a": np.ones((4, 3)), "text": np.array(["1"]), "huge": np.array([1e300])}
     assert checked_array(arrays, "a", (None, 3), np.float32).dtype == np.float32

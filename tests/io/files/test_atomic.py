@@ -1,4 +1,4 @@
-"""Output appears complete or not at all."""
+"""Atomic writing: output appears complete or not at all."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from lumisplat.io.files.atomic import atomic_write
 from support.files.splat_files import capture
 
 
-def test_success_renames(tmp_path: Path) -> None:
-    """The file appears only when the block ends, in a folder made for it, and nothing else stays."""
+def test_successful_write_leaves_only_the_file(tmp_path: Path) -> None:
+    """The file appears when the block ends, in a folder made for it."""
     target = tmp_path / "new" / "deep" / "file.spz"
     with atomic_write(target) as temporary:
         temporary.write_text("done")
@@ -30,8 +30,8 @@ def test_success_renames(tmp_path: Path) -> None:
     assert list(target.parent.iterdir()) == [target]
 
 
-def test_failures_leave_no_folder_that_was_made_for_the_file(tmp_path: Path) -> None:
-    """But those that were there, or that somebody has used meanwhile."""
+def test_failed_write_removes_the_folders_it_made(tmp_path: Path) -> None:
+    """Existing folders stay, and so do those that another process has used meanwhile."""
     (tmp_path / "old").mkdir()
     with pytest.raises(FormatError), atomic_write(tmp_path / "old" / "new" / "deep" / "a.ply"):
         raise OSError(28, "No space left on device")
@@ -43,8 +43,8 @@ def test_failures_leave_no_folder_that_was_made_for_the_file(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["meta.json", "lod-meta.json"])
-def test_folders_that_are_not_finished_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    """Of a format of many files none is left where one of them cannot be written; others there stay."""
+def test_failed_multi_file_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """If one file of several cannot be written, the others are removed; unrelated files stay."""
     folder = tmp_path / "new" / "deep"
     replace, done = os.replace, list[Path]()
 
@@ -66,8 +66,8 @@ def test_folders_that_are_not_finished_go(tmp_path: Path, monkeypatch: pytest.Mo
     assert list(folder.iterdir()) == [folder / "notes.txt"]
 
 
-def test_errors_without_a_number_are_of_the_disk(tmp_path: Path) -> None:
-    """As NumPy's of an array that a full disk cuts off."""
+def test_write_errors_without_errno_suggest_a_full_disk(tmp_path: Path) -> None:
+    """Such as NumPy's for an array that a full disk cuts off."""
     message = "cannot be written: 400 requested and 16 written: is the disk full"
     with pytest.raises(FormatError, match=message), atomic_write(tmp_path / "a.npy"):
         raise OSError("400 requested and 16 written")
@@ -75,8 +75,8 @@ def test_errors_without_a_number_are_of_the_disk(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="elsewhere folders have no descriptors")
-def test_the_disk_has_a_file_before_it_has_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And the folder after: a power cut leaves the file of before, or that of now."""
+def test_file_is_synced_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Then the folder: after a power cut, either the old or the new file is there."""
     target = tmp_path / "file.ply"
     done: list[tuple[str, int, int]] = []
     fsync, replace = os.fsync, os.replace
@@ -99,8 +99,8 @@ def test_the_disk_has_a_file_before_it_has_its_name(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, OSError])
-def test_failure_leaves_the_old_file(tmp_path: Path, failure: type[BaseException]) -> None:
-    """Whatever stops the block, the old content stays and the temporary file goes."""
+def test_failed_write_keeps_the_old_file(tmp_path: Path, failure: type[BaseException]) -> None:
+    """For any exception in the block; the temporary file is removed."""
     target = tmp_path / "file.ply"
     target.write_text("old")
     with pytest.raises((failure, FormatError)), atomic_write(target) as temporary:
@@ -110,37 +110,37 @@ def test_failure_leaves_the_old_file(tmp_path: Path, failure: type[BaseException
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_folder_in_the_way(tmp_path: Path) -> None:
-    """A folder of that name is refused before a file is written."""
+def test_writing_to_a_folder_path_is_refused(tmp_path: Path) -> None:
+    """Before a file is written."""
     (tmp_path / "out.ply").mkdir()
     with pytest.raises(FormatError, match=r"out\.ply: is a folder"):
         ls.save(tmp_path / "out.ply", capture(3))
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.compressed.ply", "a.spz"])
-def test_unwritable_folder(tmp_path: Path, name: str) -> None:
-    """A parent that cannot be a folder is one clear error for every writer."""
+def test_unwritable_parent_gives_one_error_in_every_writer(tmp_path: Path, name: str) -> None:
+    """A parent that is a file."""
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FormatError, match="cannot be written"):
         ls.save(tmp_path / "file" / name, capture(3))
     assert (tmp_path / "file").read_text() == "in the way"
 
 
-def test_unknown_output_extension(tmp_path: Path) -> None:
-    """The known ones are listed."""
+def test_unknown_output_extension_lists_the_known_ones(tmp_path: Path) -> None:
+    """For ``save``."""
     with pytest.raises(FormatError, match=r"unknown extension '\.xyz', expected \.ply"):
         ls.save(tmp_path / "out.xyz", capture(3))
     assert not list(tmp_path.iterdir())
 
 
-def test_only_gaussians_are_saved(tmp_path: Path) -> None:
-    """The error for anything else names its type."""
+def test_saving_a_scene_as_ply_lists_the_scene_formats(tmp_path: Path) -> None:
+    """A .ply stores only Gaussians."""
     with pytest.raises(FormatError, match=r"stores only Gaussians: save scenes and meshes as \.glb, \.gltf"):
         ls.save(tmp_path / "out.ply", cast(Any, ls.Scene()))
 
 
-def test_symbolic_links_stay(tmp_path: Path) -> None:
-    """The file that a link leads to is written, in its own folder, whether it is there or not."""
+def test_symbolic_links_are_kept_and_their_target_written(tmp_path: Path) -> None:
+    """In the target's own folder, whether the target exists or not."""
     shelf, link = tmp_path / "shelf", tmp_path / "link.ply"
     shelf.mkdir()
     link.symlink_to(shelf / "real.ply")
@@ -156,16 +156,16 @@ def test_symbolic_links_stay(tmp_path: Path) -> None:
         pass
 
 
-def test_pipes_are_refused(tmp_path: Path) -> None:
-    """What is no regular file is neither replaced nor written to."""
+def test_writing_to_a_pipe_is_refused(tmp_path: Path) -> None:
+    """Only regular files are replaced."""
     os.mkfifo(tmp_path / "pipe.ply")
     with pytest.raises(FormatError, match=r"pipe\.ply: is a device, a pipe or a socket"):
         ls.save(tmp_path / "pipe.ply", capture(3))
     assert (tmp_path / "pipe.ply").is_fifo()
 
 
-def test_leftovers_of_killed_processes_go(tmp_path: Path) -> None:
-    """The next process that writes into the folder removes them, but no file that is still being written."""
+def test_leftovers_of_killed_processes_are_removed(tmp_path: Path) -> None:
+    """By the next process that writes into the folder; files that are still being written stay."""
     program = """
 import os, signal, sys, time
 from lumisplat.io.files.atomic import atomic_write
@@ -193,8 +193,8 @@ with atomic_write(sys.argv[1]) as temporary:
     assert {path.name for path in tmp_path.iterdir()} == {own.name, "slow.ply", "next.ply"}
 
 
-def test_swapped_arguments_are_named() -> None:
-    """The path comes first, and who begins with the asset is told so."""
+def test_swapped_arguments_of_save_are_explained() -> None:
+    """The message says that the path comes first."""
     with pytest.raises(ConfigError, match=r"save\(path, asset\): the path comes first, got Mesh"):
         ls.save(cast(Any, ls.box()), cast(Any, "box.glb"))
     with pytest.raises(ConfigError, match=r"save_cameras\(path, cameras\): the path comes first, got list"):

@@ -1,4 +1,4 @@
-"""File names of any bytes, in every reader and writer: what the system can name, the library can read and write."""
+"""Any file name that the system allows works in every reader and writer."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from lumisplat.io.images.exr import write_exr
 from support.files.splat_files import capture
 
 FOREIGN = os.fsdecode(b"fa\xe7ade")
-"""A name in Latin-1, as old archives have it: no UTF-8."""
+"""A Latin-1 name, as in old archives, which is not valid UTF-8."""
 FACES = "\N{GRINNING FACE}" * 60
-"""240 bytes."""
+"""A name of 240 bytes."""
 
 
 def _camera() -> ls.Camera:
@@ -43,8 +43,8 @@ ROUND_TRIPS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]
 
 @pytest.mark.parametrize("stem", [FOREIGN, FACES, "plain"], ids=["latin-1", "emoji", "plain"])
 @pytest.mark.parametrize("suffix", ROUND_TRIPS)
-def test_every_format_takes_any_name(tmp_path: Path, stem: str, suffix: str) -> None:
-    """Also in a folder whose name is no UTF-8; nothing else is left beside the file."""
+def test_every_format_accepts_any_file_name(tmp_path: Path, stem: str, suffix: str) -> None:
+    """Also in a folder whose name is not UTF-8; no other file is left."""
     write, read = ROUND_TRIPS[suffix]
     path = tmp_path / FOREIGN / f"{stem}{suffix}"
     write(path)
@@ -53,8 +53,8 @@ def test_every_format_takes_any_name(tmp_path: Path, stem: str, suffix: str) -> 
 
 
 @pytest.mark.parametrize("name", ["null\0.ply", "half\ud800.ply"], ids=["null", "surrogate"])
-def test_impossible_names(tmp_path: Path, name: str) -> None:
-    """Names that no file can have are one clear error, to write and to read."""
+def test_impossible_file_names_give_a_clear_error(tmp_path: Path, name: str) -> None:
+    """For writing and reading."""
     with pytest.raises(FormatError, match="no file can have this name"):
         ls.save(tmp_path / name, capture(3))
     with pytest.raises(FormatError):
@@ -64,14 +64,14 @@ def test_impossible_names(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     "read", [ls.load, ls.load_cameras, ls.load_image, ls.avatars.load_rig, lambda path: ls.io.load_sequence(path, 5.0)]
 )
-def test_too_long_names(tmp_path: Path, read: Callable[[Path], object]) -> None:
-    """Longer than the system can hold."""
-    with pytest.raises(FormatError, match=r"File name too long|no such f"):  # Python 3.14 finds no file of that name
+def test_too_long_file_names_give_a_clear_error(tmp_path: Path, read: Callable[[Path], object]) -> None:
+    """Longer than the file system allows."""
+    with pytest.raises(FormatError, match=r"File name too long|no such f"):  # Python 3.14 reports the file as missing
         read(tmp_path / f"{'x' * 300}.glb")
 
 
-def test_damaged_exr_says_one_line(tmp_path: Path) -> None:
-    """OpenEXR writes lines of its own to both streams, from C++: they stay off the terminal."""
+def test_damaged_exr_prints_only_one_line(tmp_path: Path) -> None:
+    """OpenEXR's C++ code prints to both streams, which is silenced."""
     _picture(tmp_path / "sky.exr")
     stored = (tmp_path / "sky.exr").read_bytes()
     (tmp_path / "sky.exr").write_bytes(stored[: len(stored) // 2])

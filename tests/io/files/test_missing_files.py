@@ -1,4 +1,4 @@
-"""Files that do not exist: one error of ours that is also Python's own, from everything that loads."""
+"""Missing files: every loader raises an error that is also Python's FileNotFoundError."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ LOADERS: dict[str, Callable[[Path], Any]] = {
 
 @pytest.mark.parametrize("name", LOADERS)
 @pytest.mark.parametrize("kind", [FileNotFoundError, ls.FormatError, ls.errors.MissingFileError])
-def test_a_missing_file_is_caught_either_way(tmp_path: Path, name: str, kind: type[Exception]) -> None:
-    """As a FileNotFoundError and as the error of files; the message and ``path`` name it."""
+def test_missing_file_is_format_error_and_file_not_found(tmp_path: Path, name: str, kind: type[Exception]) -> None:
+    """The message and ``path`` name the file."""
     with pytest.raises(kind, match=r": no such (file|folder)$") as caught:
         LOADERS[name](tmp_path / name)
     assert isinstance(caught.value, ls.errors.MissingFileError) and caught.value.path == str(tmp_path / name)
 
 
-def test_other_files_that_cannot_be_read_are_not_missing(tmp_path: Path) -> None:
-    """Damaged files and folders are errors of files alone."""
+def test_unreadable_files_are_not_reported_as_missing(tmp_path: Path) -> None:
+    """Damaged files and folders are only FormatErrors."""
     (tmp_path / "a.ply").write_bytes(b"ply")
     for path in (tmp_path / "a.ply", tmp_path):
         with pytest.raises(ls.FormatError) as caught:
@@ -47,8 +47,8 @@ def test_other_files_that_cannot_be_read_are_not_missing(tmp_path: Path) -> None
         assert not isinstance(caught.value, OSError)
 
 
-def test_errors_cross_processes(tmp_path: Path) -> None:
-    """A pickled one is the same, with its path: worker processes raise them, too."""
+def test_file_errors_can_be_pickled(tmp_path: Path) -> None:
+    """With their path: worker processes raise them, too."""
     with pytest.raises(ls.errors.MissingFileError) as raised:
         ls.load(tmp_path / "none.ply")
     error = pickle.loads(pickle.dumps(raised.value))

@@ -1,4 +1,4 @@
-"""Files that files name: regular ones of bounded size, in the folder of the file that names them unless allowed."""
+"""Files that files refer to: regular, of limited size, and inside the folder unless allowed."""
 
 from __future__ import annotations
 
@@ -60,18 +60,18 @@ NAMERS: dict[str, tuple[Callable[[Path, str], Path], bytes]] = {
     "map": (_mtl_texture, png_bytes()),
     "ply texture": (_ply_texture, png_bytes()),
 }
-"""Writers of a file that names another one, and what that one holds."""
+"""Writers of files that refer to another file, with the content of that file."""
 
 
 @pytest.fixture(params=NAMERS)
 def namer(request) -> tuple[Callable[[Path, str], Path], bytes]:
-    """One of `NAMERS`."""
+    """Returns one of `NAMERS`."""
     return NAMERS[request.param]
 
 
 @pytest.mark.parametrize("absolute", [False, True])
-def test_names_stay_in_their_folder(tmp_path: Path, namer, absolute: bool) -> None:
-    """A name that leads out of the folder is refused, before it is read, unless the caller allows it."""
+def test_references_outside_the_folder_need_permission(tmp_path: Path, namer, absolute: bool) -> None:
+    """They are refused before they are read."""
     write, content = namer
     (tmp_path / "model" / "sub").mkdir(parents=True)
     (tmp_path / "secret").write_bytes(content)
@@ -83,8 +83,8 @@ def test_names_stay_in_their_folder(tmp_path: Path, namer, absolute: bool) -> No
     ls.load(path, allow_outside=True)
 
 
-def test_backslashes_are_slashes_where_no_file_has_the_name(tmp_path: Path, namer) -> None:
-    """Windows programs write backslashes; a file whose name holds one is found by it, and none is found outside."""
+def test_backslashes_are_slashes_unless_a_file_has_the_name(tmp_path: Path, namer) -> None:
+    """Windows programs write backslashes; none leads outside the folder."""
     write, content = namer
     (tmp_path / "model" / "my files").mkdir(parents=True)
     (tmp_path / "model" / "my files" / "one 1").write_bytes(content)
@@ -97,16 +97,16 @@ def test_backslashes_are_slashes_where_no_file_has_the_name(tmp_path: Path, name
         ls.load(write(tmp_path / "model", "..\\secret"))
 
 
-def test_scene_files_may_have_backslashes(tmp_path: Path) -> None:
-    """Paths of a scene file, too, are those of the user's system."""
+def test_scene_file_paths_may_have_backslashes(tmp_path: Path) -> None:
+    """As written on Windows."""
     (tmp_path / "parts").mkdir()
     _obj_library(tmp_path / "parts", "none.mtl")
     (tmp_path / "scene.toml").write_text("[[meshes]]\npath = 'parts\\tri.obj'\n")
     ls.load(tmp_path / "scene.toml")
 
 
-def test_the_shell_allows_it_too(tmp_path: Path, capsys) -> None:
-    """The option of the message."""
+def test_allow_outside_option_permits_references(tmp_path: Path, capsys) -> None:
+    """The option that the error message names."""
     (tmp_path / "model").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     path = _mtl_texture(tmp_path / "model", "../wood.png")
@@ -115,8 +115,8 @@ def test_the_shell_allows_it_too(tmp_path: Path, capsys) -> None:
     assert main(["info", str(path), "--allow-outside"]) == 0
 
 
-def test_materials_share_the_folder_of_their_mesh(tmp_path: Path) -> None:
-    """A library below the mesh may name textures beside it."""
+def test_material_libraries_may_use_the_folder_of_their_mesh(tmp_path: Path) -> None:
+    """A library in a subfolder may refer to textures beside the mesh."""
     (tmp_path / "materials").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     (tmp_path / "materials" / "paint.mtl").write_text("newmtl paint\nmap_Kd ../wood.png\n")
@@ -125,8 +125,8 @@ def test_materials_share_the_folder_of_their_mesh(tmp_path: Path) -> None:
     assert mesh.material.base_color_texture is not None
 
 
-def test_links_and_scene_files_are_the_users_own(tmp_path: Path) -> None:
-    """A symbolic link in the folder is followed, and a scene file names what it likes; its meshes do not."""
+def test_symbolic_links_and_scene_files_are_trusted(tmp_path: Path) -> None:
+    """Links are followed, and a scene file may refer to any file; its meshes may not."""
     (tmp_path / "model").mkdir()
     (tmp_path / "wood.png").write_bytes(png_bytes())
     (tmp_path / "model" / "link.png").symlink_to(tmp_path / "wood.png")
@@ -141,7 +141,7 @@ def test_links_and_scene_files_are_the_users_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_only_regular_files_are_read(tmp_path: Path, namer, kind: str) -> None:
+def test_referenced_pipes_and_devices_are_refused(tmp_path: Path, namer, kind: str) -> None:
     """A pipe would wait for its writer, a device may never end."""
     write, _ = namer
     name = "/dev/zero"
@@ -157,8 +157,8 @@ def test_only_regular_files_are_read(tmp_path: Path, namer, kind: str) -> None:
     "read", [ls.load, ls.load_cameras, ls.io.load_radiance, ls.load_image, ls.load_config, ls.DeepShadowMap.load]
 )
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".obj", ".glb", ".toml", ".json", ".exr"])
-def test_no_reader_waits_for_a_pipe(tmp_path: Path, read: Callable[[Path], object], suffix: str) -> None:
-    """Also of files that the user names."""
+def test_named_pipes_are_refused_by_every_reader(tmp_path: Path, read: Callable[[Path], object], suffix: str) -> None:
+    """Also if the user names the pipe."""
     os.mkfifo(tmp_path / f"pipe{suffix}")
     with pytest.raises(FormatError, match="is a device, a pipe or a socket"):
         read(tmp_path / f"pipe{suffix}")
@@ -176,16 +176,16 @@ def test_no_reader_waits_for_a_pipe(tmp_path: Path, read: Callable[[Path], objec
     ],
 )
 @pytest.mark.parametrize("name", ["/dev/zero", "pipe"])
-def test_scene_files_read_regular_files(tmp_path: Path, text: str, read, name: str) -> None:
-    """Whatever they name."""
+def test_scene_files_refuse_pipes(tmp_path: Path, text: str, read, name: str) -> None:
+    """In every entry with a path."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "scene.toml").write_text(text.replace("{}", name))
     with pytest.raises(FormatError, match=r"scene\.toml: line \d.* is '.*': a device, a pipe or a socket"):
         read(tmp_path / "scene.toml")
 
 
-def test_images_of_cameras_are_regular_files(tmp_path: Path) -> None:
-    """A frame without a size looks for its image: a pipe of that name is none."""
+def test_camera_image_that_is_a_pipe_counts_as_missing(tmp_path: Path) -> None:
+    """Loading looks for the image of a frame without a size."""
     os.mkfifo(tmp_path / "image.png")
     frame = {"file_path": "image.png", "transform_matrix": np.eye(4).tolist()}
     (tmp_path / "transforms.json").write_text(json.dumps({"camera_angle_x": 0.8, "frames": [frame]}))
@@ -193,8 +193,8 @@ def test_images_of_cameras_are_regular_files(tmp_path: Path) -> None:
         ls.load_cameras(tmp_path / "transforms.json")
 
 
-def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file of holes takes no room on the disk, but would in memory."""
+def test_oversized_sparse_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take no disk space, but would fill the memory."""
     monkeypatch.setattr(source, "FILE_BYTES_MAX", 10**6)
     with (tmp_path / "huge.png").open("wb") as file:
         file.truncate(10**6 + 1)
@@ -203,7 +203,7 @@ def test_sizes_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def _bombs(folder: Path, count: int) -> Path:
-    """A glTF with ``count`` materials, each with a texture of 170 MB that takes 0.3 MB of the file."""
+    """Returns a glTF with ``count`` materials, each with a texture of 170 MB stored in 0.3 MB."""
     flat = io.BytesIO()
     Image.new("RGB", (7536, 7536)).save(flat, "PNG")
     gltf = quad_gltf()
@@ -222,7 +222,7 @@ def _bombs(folder: Path, count: int) -> Path:
     return folder / "quad.gltf"
 
 
-def test_textures_are_bounded_together(tmp_path: Path) -> None:
-    """Each image alone is small enough; the file is refused before it fills the memory."""
+def test_total_texture_size_is_limited(tmp_path: Path) -> None:
+    """Each image is small enough alone."""
     with pytest.raises(FormatError, match=r"quad\.gltf: textures up to \d\.png would take 1,\d+,\d+,\d+ bytes"):
         ls.load(_bombs(tmp_path, 10))

@@ -1,4 +1,4 @@
-"""Text files of Windows: a byte order mark, or UTF-16, changes nothing of what a file says."""
+"""Text files from Windows: a byte order mark or UTF-16 changes nothing."""
 
 from __future__ import annotations
 
@@ -50,8 +50,10 @@ def _gltf(folder: Path, encoding: str) -> Path:
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("write", [_obj, _stl, _gltf])
-def test_meshes_may_begin_with_a_mark(tmp_path: Path, write: Callable[[Path, str], Path], encoding: str) -> None:
-    """The first line counts, whether it names materials, a solid or an asset."""
+def test_mesh_files_may_have_a_byte_order_mark(
+    tmp_path: Path, write: Callable[[Path, str], Path], encoding: str
+) -> None:
+    """Before the first line of an OBJ, MTL, STL or glTF."""
     mesh = _mesh(write(tmp_path, encoding))
     np.testing.assert_array_equal(mesh.positions[mesh.indices], QUAD[QUAD_TRIANGLES])
     if write is not _stl:
@@ -62,15 +64,15 @@ def test_meshes_may_begin_with_a_mark(tmp_path: Path, write: Callable[[Path, str
 
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian"])
-def test_ply_may_begin_with_a_mark(tmp_path: Path, order: str) -> None:
-    """Rows begin where the header ends, mark included."""
+def test_ply_may_have_a_byte_order_mark(tmp_path: Path, order: str) -> None:
+    """The offset of the rows includes the mark."""
     (tmp_path / "quad.ply").write_bytes(b"\xef\xbb\xbf" + ply_text(order))
     np.testing.assert_array_equal(_mesh(tmp_path / "quad.ply").positions, QUAD)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_scene_files_may_begin_with_a_mark(tmp_path: Path, encoding: str, capsys) -> None:
-    """The shell reads headings of scene files by itself, too."""
+def test_scene_files_may_have_a_byte_order_mark(tmp_path: Path, encoding: str, capsys) -> None:
+    """The command line reads headings of scene files itself, too."""
     write_obj(tmp_path)
     (tmp_path / "scene.toml").write_text(
         'up = "y-up"\n[[meshes]]\npath = "quad.obj"\n[[cameras]]\nname = "ä"\neye = [0, 0, 3]\ntarget = [0, 0, 0]\n'
@@ -87,8 +89,8 @@ def test_scene_files_may_begin_with_a_mark(tmp_path: Path, encoding: str, capsys
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_cameras_may_begin_with_a_mark(tmp_path: Path, encoding: str) -> None:
-    """In transforms.json and in COLMAP's text, whose first line need not be a comment."""
+def test_camera_files_may_have_a_byte_order_mark(tmp_path: Path, encoding: str) -> None:
+    """transforms.json, and COLMAP's text files, whose first line need not be a comment."""
     cameras = ring_cameras()
     ls.save_cameras(tmp_path / "transforms.json", cameras)
     assert len(ls.load_cameras(_marked(tmp_path / "transforms.json", encoding))) == len(cameras)
@@ -100,8 +102,8 @@ def test_cameras_may_begin_with_a_mark(tmp_path: Path, encoding: str) -> None:
     assert [camera.name for camera in ls.load_cameras(model)] == [camera.name for camera in cameras]
 
 
-def test_sog_and_settings_may_begin_with_a_mark(tmp_path: Path) -> None:
-    """The lists of captures in several files, and the tables of data sets."""
+def test_sog_and_settings_may_have_a_byte_order_mark(tmp_path: Path) -> None:
+    """The meta.json and lod-meta.json of SOGs, and data set settings."""
     rng = np.random.default_rng(1)
     gaussians = ls.Gaussians(
         rng.normal(size=(9, 3)),
@@ -121,8 +123,8 @@ def test_sog_and_settings_may_begin_with_a_mark(tmp_path: Path) -> None:
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("name", ["a.usda", "a.usd"])
 @pytest.mark.parametrize("how", ["itself", "reference", "sublayer"])
-def test_layers_of_text_may_begin_with_a_mark(tmp_path: Path, how: str, name: str, encoding: str) -> None:
-    """A file of OpenUSD, and one of which it is composed."""
+def test_usd_text_layers_may_have_a_byte_order_mark(tmp_path: Path, how: str, name: str, encoding: str) -> None:
+    """The root layer, a referenced layer or a sublayer."""
     body = """def Mesh "m" {
     point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
     int[] faceVertexCounts = [3]

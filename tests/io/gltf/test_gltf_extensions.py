@@ -1,4 +1,4 @@
-"""Extensions of glTF: those that are read for what they show, and a line for each other that changes the picture."""
+"""glTF extensions: those that are read, and the log line for others that change the image."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HALF = math.sqrt(0.5)
 
 
 def loaded(folder: Path, gltf: Gltf) -> ls.Scene:
-    """The scene of a document."""
+    """Returns the scene of a document."""
     (folder / "a.glb").write_bytes(gltf.glb())
     scene = ls.load(folder / "a.glb")
     assert isinstance(scene, ls.Scene)
@@ -30,14 +30,14 @@ def loaded(folder: Path, gltf: Gltf) -> ls.Scene:
 
 
 def glossy(folder: Path, **extension: Any) -> ls.MaterialPbr:
-    """The quad's material, of specular-glossiness alone."""
+    """Gives the quad a specular-glossiness material."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"] = [{"name": "old", "extensions": {GLOSSY: extension}}]
     return pbr_of(loaded(folder, gltf).meshes[0].mesh)
 
 
 def test_specular_glossiness_keeps_colour_and_roughness(tmp_path: Path) -> None:
-    """The diffuse colour is the base colour of a dielectric; defaults are those of the extension."""
+    """The diffuse colour becomes the base colour of a dielectric; defaults are those of the extension."""
     material = glossy(tmp_path, diffuseFactor=[1, 0.25, 0, 0.5], glossinessFactor=0.2)
     assert (material.base_color, material.metallic, material.alpha) == ((1.0, 0.25, 0.0), 0.0, 0.5)
     assert material.roughness == pytest.approx(0.8)
@@ -54,10 +54,10 @@ def test_specular_glossiness_keeps_colour_and_roughness(tmp_path: Path) -> None:
         ((0.0, 0.0, 0.0), (0.56, 0.57, 0.58), (0.56, 0.57, 0.58), 1.0),
     ],
 )
-def test_metals_of_specular_glossiness(
+def test_specular_glossiness_metals_are_recognized(
     tmp_path: Path, diffuse: Any, specular: Any, color: Any, metallic: float
 ) -> None:
-    """Black that mirrors a colour is a metal of that colour; what mirrors as dielectrics do is one."""
+    """A black diffuse colour with a coloured specular one is a metal; a specular colour of 4 % is a dielectric."""
     material = glossy(tmp_path, diffuseFactor=[*diffuse, 1.0], specularFactor=[*specular])
     assert material.metallic == pytest.approx(metallic, abs=1e-6)
     np.testing.assert_allclose(material.base_color, color, atol=1e-6)
@@ -65,8 +65,8 @@ def test_metals_of_specular_glossiness(
 
 @pytest.mark.parametrize("base", [0.1, 0.5, 0.9])
 @pytest.mark.parametrize("metallic", [0.0, 0.2, 0.7, 1.0])
-def test_what_was_metallic_roughness_comes_back(tmp_path: Path, base: float, metallic: float) -> None:
-    """A grey of any metalness, written as the colours that it scatters and mirrors, is found again."""
+def test_specular_glossiness_inverts_metallic_roughness(tmp_path: Path, base: float, metallic: float) -> None:
+    """Greys of any metalness are recovered from the diffuse and specular colours that they give."""
     mirrored = 0.04 * (1.0 - metallic) + base * metallic
     scattered = base * (1.0 - metallic) * 0.96 / (1.0 - mirrored)
     material = glossy(tmp_path, diffuseFactor=[scattered] * 3 + [1], specularFactor=[mirrored] * 3)
@@ -74,8 +74,8 @@ def test_what_was_metallic_roughness_comes_back(tmp_path: Path, base: float, met
     np.testing.assert_allclose(material.base_color, [base] * 3, atol=1e-5)
 
 
-def test_textures_of_specular_glossiness(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The diffuse texture is that of the base colour, and the alpha of the other one, times its factor, glossiness."""
+def test_specular_glossiness_textures_are_converted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The diffuse texture becomes the base colour; the alpha of the other, times its factor, is glossiness."""
     gltf = quad_gltf()
     gloss = np.full((2, 2, 4), 255, np.uint8)
     gloss[..., 3] = [[0, 255], [100, 200]]
@@ -90,15 +90,15 @@ def test_textures_of_specular_glossiness(tmp_path: Path, caplog: pytest.LogCaptu
     assert "become dielectrics (first materials[0] 'old')" in caplog.text
 
 
-def test_metallic_roughness_beside_it_counts(tmp_path: Path) -> None:
-    """A writer that gives both has converted them."""
+def test_metallic_roughness_wins_over_specular_glossiness(tmp_path: Path) -> None:
+    """Writers that give both have converted the material themselves."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {GLOSSY: {"diffuseFactor": [0, 0, 1, 1]}}
     assert pbr_of(loaded(tmp_path, gltf).meshes[0].mesh).base_color == (0.5, 0.25, 1.0)
 
 
 def instanced(gltf: Gltf, **arrays: np.ndarray) -> Gltf:
-    """Instances of the mesh of the first node."""
+    """Adds instances of the first node's mesh."""
     attributes = {}
     for name, values in arrays.items():
         integer = values.dtype.kind == "i"
@@ -107,8 +107,8 @@ def instanced(gltf: Gltf, **arrays: np.ndarray) -> Gltf:
     return gltf
 
 
-def test_instances_stand_where_they_are_placed(tmp_path: Path) -> None:
-    """Translation, rotation and scale of each, below the transform of the node; the mesh is there once."""
+def test_instances_have_their_transforms(tmp_path: Path) -> None:
+    """Translation, rotation and scale apply below the node's transform; the mesh is stored once."""
     places = np.array([(0, 0, 0), (3, 0, 0), (0, 5, 0)], np.float32)
     turns = np.array([(0, 0, 0, 1), (0, 0, HALF, HALF), (0, 0, 0, 1)], np.float32)
     sizes = np.array([(1, 1, 1), (2, 2, 2), (1, 3, 1)], np.float32)
@@ -120,8 +120,8 @@ def test_instances_stand_where_they_are_placed(tmp_path: Path) -> None:
         np.testing.assert_allclose(QUAD @ one.transform[:3, :3].T + one.transform[:3, 3], stood, atol=1e-6)
 
 
-def test_instances_may_have_some_of_it_only(tmp_path: Path) -> None:
-    """Rotations as normalised integers, sizes alone; those of size 0 are hidden."""
+def test_instance_attributes_are_optional(tmp_path: Path) -> None:
+    """Rotations as normalized integers, or scales only; instances of scale 0 are hidden."""
     turns = np.array([(0, 0, 0, 127), (0, 127, 0, 0)], np.int8)
     scene = loaded(tmp_path, instanced(quad_gltf(), ROTATION=turns))
     np.testing.assert_allclose(scene.meshes[1].transform[:3, :3], np.diag([-1.0, 1.0, -1.0]), atol=1e-6)
@@ -129,8 +129,8 @@ def test_instances_may_have_some_of_it_only(tmp_path: Path) -> None:
     assert len(scene.meshes) == 1 and scene.meshes[0].transform[0, 0] == 2.0
 
 
-def test_captures_and_animations_have_instances_too(tmp_path: Path) -> None:
-    """Gaussians stand in several places, and what moves does so in each."""
+def test_captures_and_animated_meshes_can_be_instanced(tmp_path: Path) -> None:
+    """Each instance of an animated mesh moves."""
     places = np.array([(0, 0, 0), (3, 0, 0)], np.float32)
     scene = loaded(tmp_path, instanced(splat_gltf(), TRANSLATION=places))
     assert [tuple(one.transform[:3, 3]) for one in scene.splats] == [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
@@ -155,14 +155,14 @@ def test_captures_and_animations_have_instances_too(tmp_path: Path) -> None:
         ({"TRANSLATION": np.zeros((2, 4), np.float32)}, "has type VEC4"),
     ],
 )
-def test_bad_instances_are_named(tmp_path: Path, arrays: dict[str, np.ndarray], problem: str) -> None:
-    """One line with the node."""
+def test_bad_instances_name_their_node(tmp_path: Path, arrays: dict[str, np.ndarray], problem: str) -> None:
+    """The error is one line."""
     with pytest.raises(ls.FormatError, match=problem):
         loaded(tmp_path, instanced(quad_gltf(), **arrays))
 
 
-def test_endless_instances_are_refused(tmp_path: Path) -> None:
-    """A count without data is what the file claims, not what it holds."""
+def test_impossible_instance_counts_are_refused(tmp_path: Path) -> None:
+    """An accessor without data can claim any count."""
     gltf = instanced(quad_gltf(), TRANSLATION=np.zeros((2, 3), np.float32))
     accessor = gltf.json["accessors"][-1]
     del accessor["bufferView"]
@@ -172,10 +172,10 @@ def test_endless_instances_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("extension", ["KHR_texture_basisu", "MSFT_texture_dds"])
-def test_textures_in_other_formats_are_left_out(
+def test_unsupported_texture_formats_are_dropped_and_named(
     tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Without a PNG or JPEG beside it, the colour is shown without it, and a line names the extension."""
+    """Unless a PNG or JPEG is given, too, the colour is used without the texture."""
     gltf = quad_gltf()
     gltf.json["textures"] = [{"extensions": {extension: {"source": 0}}}]
     gltf.json["images"] = [{"uri": "missing.ktx2", "mimeType": "image/ktx2"}]
@@ -190,8 +190,8 @@ def test_textures_in_other_formats_are_left_out(
 @pytest.mark.parametrize(
     "name", ["KHR_materials_iridescence", "KHR_materials_anisotropy", "EXT_lights_image_based", "ACME_fur"]
 )
-def test_other_extensions_are_named(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Wherever they are, whether the file lists them or not; those without an effect on pictures need no line."""
+def test_unknown_extensions_are_logged(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Wherever they are used, listed or not; extensions that cannot change the image are not logged."""
     gltf = quad_gltf()
     place = gltf.json["materials"][0] if "materials" in name else gltf.json["nodes"][0]
     place["extensions"] = {name: {}, "KHR_xmp_json_ld": {}}
@@ -199,8 +199,8 @@ def test_other_extensions_are_named(tmp_path: Path, name: str, caplog: pytest.Lo
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: extensions not read, though they may change the image: {name}"]
 
 
-def test_colours_of_highlights_are_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Of KHR_materials_specular, only the factor is read."""
+def test_unread_specular_colours_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Only the factor of KHR_materials_specular is read."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["extensions"] = {
         "KHR_materials_specular": {"specularFactor": 0.5, "specularColorFactor": [1, 0, 0]}
@@ -209,8 +209,8 @@ def test_colours_of_highlights_are_named(tmp_path: Path, caplog: pytest.LogCaptu
     assert "specularColorFactor of 1 material is not used (first materials[0] 'painted')" in caplog.text
 
 
-def test_invisible_nodes_are_not_shown(tmp_path: Path) -> None:
-    """KHR_node_visibility hides a node and all below it."""
+def test_invisible_nodes_are_skipped(tmp_path: Path) -> None:
+    """KHR_node_visibility hides a node and its descendants."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, name="child")
     gltf.add("nodes", children=[1], extensions={"KHR_node_visibility": {"visible": False}})

@@ -1,6 +1,6 @@
-"""Our glTF files and those of other people's programs, read by each other, where Node and its packages are at hand.
+"""Exchange of glTF files with other programs, if Node and its packages are installed.
 
-They are looked for in ~/.cache/lumisplat/node, or in the folder that LUMISPLAT_NODE names:
+They are searched in ~/.cache/lumisplat/node, or in the folder in LUMISPLAT_NODE:
 ``npm install --prefix ~/.cache/lumisplat/node gltf-validator @playcanvas/splat-transform@2.7.1 three``.
 """
 
@@ -65,7 +65,7 @@ console.log(JSON.stringify({things, splats: Object.fromEntries(splats)}));
 
 
 def needed(package: str) -> None:
-    """Skips a test that needs a package which is not there."""
+    """Skips a test if an npm package is missing."""
     if NODE is None:
         pytest.skip("no node")
     if not (FOLDER / "node_modules" / package).is_dir():
@@ -73,7 +73,7 @@ def needed(package: str) -> None:
 
 
 def node(*args: str | Path) -> str:
-    """What node prints."""
+    """Returns the output of a node command."""
     done = subprocess.run(
         [str(NODE), *map(str, args)], cwd=FOLDER, capture_output=True, text=True, timeout=120, check=False
     )
@@ -82,14 +82,14 @@ def node(*args: str | Path) -> str:
 
 
 def script(folder: Path, text: str, file: Path) -> Any:
-    """What a module prints as JSON, given a file."""
+    """Returns the JSON output of a JavaScript module for a file."""
     (folder / "node_modules").symlink_to(FOLDER / "node_modules")
     (folder / "script.mjs").write_text(text)
     return json.loads(node(folder / "script.mjs", file))
 
 
 def whole_scene() -> tuple[ls.Scene, ls.Camera]:
-    """All that we write: materials with all their extensions, a mirrored mesh, every light, both kinds of captures."""
+    """Returns a scene with every written feature: material extensions, a mirrored mesh, all lights and captures."""
     texture = np.random.default_rng(0).integers(0, 256, (4, 4, 4)).astype(np.uint8)
     materials = [
         ls.MaterialPbr(
@@ -119,11 +119,11 @@ def whole_scene() -> tuple[ls.Scene, ls.Camera]:
 
 
 @pytest.mark.parametrize("extension", ["glb", "gltf"])
-def test_the_validator_finds_nothing(tmp_path: Path, extension: str) -> None:
-    """Khronos' validator has no error but one, which it has of every file with Gaussians.
+def test_khronos_validator_accepts_written_files(tmp_path: Path, extension: str) -> None:
+    """The validator reports one error, which every file with Gaussians gets.
 
-    Its latest release, 2.0.0-dev.3.10, is older than the extension, and knows no names of attributes with a colon. It
-    warns of normal maps without tangents, which glTF defines and readers make.
+    Its latest release, 2.0.0-dev.3.10, predates the extension and rejects attribute names with a colon. It warns about
+    normal maps without tangents, which glTF allows and readers compute.
     """
     needed("gltf-validator")
     scene, camera = whole_scene()
@@ -137,8 +137,8 @@ def test_the_validator_finds_nothing(tmp_path: Path, extension: str) -> None:
     assert {(one["severity"], one["code"]) for one in rest} <= {(1, "MESH_PRIMITIVE_GENERATED_TANGENT_SPACE")}
 
 
-def test_splat_transform_writes_what_we_read(tmp_path: Path) -> None:
-    """Its GLB is the PLY turned by half a turn about z; ours, as SPZ, by one about x: half a turn about y between."""
+def test_files_of_splat_transform_are_read(tmp_path: Path) -> None:
+    """Its GLB is the PLY rotated by a half turn about z, ours by one about x: a half turn about y between."""
     needed("@playcanvas/splat-transform")
     given = capture(50, 3)
     ls.save(tmp_path / "a.ply", given)
@@ -146,22 +146,26 @@ def test_splat_transform_writes_what_we_read(tmp_path: Path) -> None:
     node(command, tmp_path / "a.ply", tmp_path / "a.glb")
     read = load_gaussians(tmp_path / "a.glb")
     turned = ls.transform(read, rotation_degrees=(0, 180, 0))
-    order = np.argsort(turned.means[:, 0])[np.argsort(np.argsort(given.means[:, 0]))]  # it may sort them
+    order = np.argsort(turned.means[:, 0])[
+        np.argsort(np.argsort(given.means[:, 0]))
+    ]  # splat-transform may reorder the Gaussians
     turned = turned.subset(order)
     np.testing.assert_allclose(turned.means, given.means, rtol=0, atol=1e-5)
     np.testing.assert_allclose(turned.scales, given.scales, rtol=1e-4)
     np.testing.assert_allclose(turned.opacities, given.opacities, rtol=0, atol=1e-5)
     np.testing.assert_allclose(turned.sh, given.sh, rtol=0, atol=1e-5)
-    # The axes of an ellipsoid may point the other way.
+    # The axes of an ellipsoid may have the opposite sign.
     axes = [matrices_from_quaternions(one.rotations_wxyz) for one in (turned, given)]
     np.testing.assert_allclose(np.abs(np.einsum("nji,njk->nik", *axes)), np.tile(np.eye(3), (50, 1, 1)), atol=1e-4)
 
 
-def test_three_reads_what_we_write(tmp_path: Path) -> None:
-    """three.js finds every thing in its place, lamps as bright, and the very numbers of the Gaussians."""
+def test_three_js_reads_written_files(tmp_path: Path) -> None:
+    """Objects have their transforms, lights their intensities, and Gaussians identical numbers."""
     needed("three")
     scene, camera = whole_scene()
-    plain = [ls.MeshInstance(ls.Mesh(QUAD, QUAD_TRIANGLES), position=(4, 5, 6), name="quad")]  # Node decodes no images
+    plain = [
+        ls.MeshInstance(ls.Mesh(QUAD, QUAD_TRIANGLES), position=(4, 5, 6), name="quad")
+    ]  # Node cannot decode images
     given = ls.Scene(splats=scene.splats, meshes=plain, lights=scene.lights, up="y-up")
     ls.save(tmp_path / "scene.glb", given, cameras=[camera])
     found = script(tmp_path, READ_BY_THREE, tmp_path / "scene.glb")

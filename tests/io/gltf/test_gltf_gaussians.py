@@ -1,4 +1,4 @@
-"""Gaussians of glTF files: attributes of every type, axes, colour spaces, drafts, and what is refused."""
+"""Gaussians in glTF: attribute types, axes, colour spaces, draft formats, and refused files."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from support.files.mesh_files import QUAD, QUAD_TRIANGLES
 
 TURN_SIGNS = np.array([1, -1, -1], np.float32)
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
-"""About x: from glTF, which has y up, to captures and back."""
+"""Half turn about x between glTF, which is y up, and captures."""
 DIRECTIONS = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, -0.8, 0.0), (-0.48, 0.6, 0.64)])
 
 
 def matrices(xyzw: np.ndarray) -> np.ndarray:
-    """Rotation matrices of quaternions with the scalar last, as the extension's equation for C has them."""
+    """Returns rotation matrices of x, y, z, w quaternions, by the extension's equation for C."""
     x, y, z, w = xyzw.astype(np.float64).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -42,18 +42,18 @@ def matrices(xyzw: np.ndarray) -> np.ndarray:
 
 
 def covariances(xyzw: np.ndarray, scales: np.ndarray, linear: np.ndarray) -> np.ndarray:
-    """``M C C^T M^T``, with C the rotation times the scales."""
+    """Returns ``M C C^T M^T``, where C is the rotation times the scales."""
     axes = linear @ (matrices(xyzw) * scales[:, None, :].astype(np.float64))
     return axes @ axes.transpose(0, 2, 1)
 
 
-def own_covariances(gaussians: ls.Gaussians, linear: np.ndarray) -> np.ndarray:
-    """Covariances of a capture under a matrix, shape (3, 3)."""
+def capture_covariances(gaussians: ls.Gaussians, linear: np.ndarray) -> np.ndarray:
+    """Returns the covariances of a capture under a matrix, shape (3, 3)."""
     return covariances(np.roll(gaussians.rotations_wxyz, -1, axis=1), gaussians.scales, linear)
 
 
-def test_values_are_taken_as_they_are(tmp_path: Path) -> None:
-    """Positions, ellipsoids, opacities and colours are those of the file, after half a turn about x."""
+def test_values_match_the_file_up_to_a_half_turn(tmp_path: Path) -> None:
+    """Positions, ellipsoids, opacities and colours, after a half turn about x."""
     values = stored_values(degree=3)
     read = loaded_gaussians(tmp_path, splat_gltf(values))
     np.testing.assert_array_equal(read.means, values["POSITION"] * TURN_SIGNS)
@@ -61,11 +61,11 @@ def test_values_are_taken_as_they_are(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.opacities, values["OPACITY"])
     np.testing.assert_array_equal(read.sh[:, 0], values["SH_DEGREE_0_COEF_0"])
     expected = covariances(values["ROTATION"], values["SCALE"], HALF_TURN)
-    np.testing.assert_allclose(own_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(capture_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-8)
 
 
-def test_colours_turn_with_the_axes(tmp_path: Path) -> None:
-    """Seen along a direction that turns with it, a Gaussian has the colour that the extension's polynomials give."""
+def test_sh_rotate_with_the_axes(tmp_path: Path) -> None:
+    """Along a rotated direction, a Gaussian has the colour that the extension's polynomials give."""
     values = stored_values(degree=1)
     read = loaded_gaussians(tmp_path, splat_gltf(values))
     for direction in DIRECTIONS:
@@ -88,8 +88,8 @@ def test_colours_turn_with_the_axes(tmp_path: Path) -> None:
         ("OPACITY", np.uint16, 65535),
     ],
 )
-def test_normalised_integers(tmp_path: Path, name: str, dtype: type[np.integer], top: int) -> None:
-    """Normalised integers stand for themselves over the largest one."""
+def test_normalized_integers_are_fractions(tmp_path: Path, name: str, dtype: type[np.integer], top: int) -> None:
+    """An integer is divided by the largest value of its type."""
     values = stored_values()
     integers = np.round(values[name] * top).astype(dtype)
     read = loaded_gaussians(tmp_path, splat_gltf(values | {name: integers}))
@@ -98,7 +98,7 @@ def test_normalised_integers(tmp_path: Path, name: str, dtype: type[np.integer],
         case "ROTATION":
             unit = (decoded / np.linalg.norm(decoded, axis=1, keepdims=True)).astype(np.float32)
             expected = covariances(unit, values["SCALE"], HALF_TURN)
-            np.testing.assert_allclose(own_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-7)
+            np.testing.assert_allclose(capture_covariances(read, np.eye(3)), expected, rtol=0, atol=1e-7)
         case "SCALE":
             np.testing.assert_allclose(read.scales, np.maximum(decoded, SCALE_MIN), rtol=1e-6)
         case _:
@@ -106,8 +106,8 @@ def test_normalised_integers(tmp_path: Path, name: str, dtype: type[np.integer],
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_plain_integers_are_scales(tmp_path: Path, dtype: type[np.integer]) -> None:
-    """Scales may be whole numbers of scene units; 0, which is none, becomes the least that there is."""
+def test_integer_scales_are_scene_units(tmp_path: Path, dtype: type[np.integer]) -> None:
+    """A scale of 0 becomes the smallest allowed scale."""
     integers = np.array([[1, 2, 3], [0, 9, 200]], dtype)
     gltf = splat_gltf(stored_values(2) | {"SCALE": integers})
     accessor = gltf.json["accessors"][primitive_of(gltf)["attributes"][f"{EXTENSION}:SCALE"]]
@@ -116,8 +116,8 @@ def test_plain_integers_are_scales(tmp_path: Path, dtype: type[np.integer]) -> N
     np.testing.assert_array_equal(read.scales, np.maximum(integers, np.float32(SCALE_MIN)))
 
 
-def test_logarithms_of_the_draft(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One negative scale is enough to tell the logarithms of the draft of January 2026, and a line says so."""
+def test_negative_scales_mean_logarithms(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One negative scale identifies the draft of January 2026, which is logged."""
     values = stored_values()
     logs = np.log(values["SCALE"])
     logs[1:] = np.abs(logs[1:])
@@ -126,8 +126,8 @@ def test_logarithms_of_the_draft(tmp_path: Path, caplog: pytest.LogCaptureFixtur
     assert "has 3 negative values of SCALE: they are read as logarithms" in caplog.text
 
 
-def test_opacities_outside_their_range_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Where some are negative, or the scales are logarithms; a line says so."""
+def test_opacities_outside_0_to_1_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Also if the scales are logarithms; a log line says so."""
     logits = np.array([-3.0, 0.0, 0.5, 2.0, 4.0], np.float32)
     read = loaded_gaussians(tmp_path, splat_gltf(stored_values() | {"OPACITY": logits}))
     np.testing.assert_allclose(read.opacities, 1.0 / (1.0 + np.exp(-logits)), rtol=1e-6)
@@ -139,16 +139,16 @@ def test_opacities_outside_their_range_are_logits(tmp_path: Path, caplog: pytest
 
 
 @pytest.mark.parametrize("space", ["srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb"])
-def test_display_colours_keep_their_coefficients(tmp_path: Path, space: str) -> None:
-    """Colours of a display are ours, under all names that they have had."""
+def test_srgb_colours_keep_their_sh(tmp_path: Path, space: str) -> None:
+    """Under all names of the colour space that drafts used."""
     values = stored_values()
     read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
     np.testing.assert_array_equal(read.sh[:, 0], values["SH_DEGREE_0_COEF_0"])
 
 
 @pytest.mark.parametrize("space", ["lin_rec709_display", "BT.709-linear"])
-def test_linear_colours_are_encoded(tmp_path: Path, space: str, caplog: pytest.LogCaptureFixture) -> None:
-    """A colour without view dependence is encoded exactly, black stays black, and a line says what differs."""
+def test_linear_colours_are_encoded_as_srgb(tmp_path: Path, space: str, caplog: pytest.LogCaptureFixture) -> None:
+    """View-independent colours are encoded exactly, black stays black, and a line says what differs."""
     values = stored_values(degree=0)
     values["SH_DEGREE_0_COEF_0"][0] = (-3.0, 0.0, 2.0)
     read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
@@ -158,7 +158,7 @@ def test_linear_colours_are_encoded(tmp_path: Path, space: str, caplog: pytest.L
 
 
 def test_color_0_and_the_material_are_ignored(tmp_path: Path) -> None:
-    """What is there for programs without Gaussians changes nothing."""
+    """Both are fallbacks for programs without Gaussian support."""
     plain = loaded_gaussians(tmp_path, splat_gltf())
     gltf = splat_gltf(stored_values() | {"COLOR_0": np.zeros((5, 4), np.uint8)})
     gltf.add("materials", pbrMetallicRoughness={"baseColorFactor": [1, 0, 0, 1]})
@@ -168,8 +168,8 @@ def test_color_0_and_the_material_are_ignored(tmp_path: Path) -> None:
         np.testing.assert_array_equal(array, read.arrays()[name])
 
 
-def test_interleaved_and_sparse_accessors(tmp_path: Path) -> None:
-    """Attributes of one view with a stride, and values that replace a few others, are read as they are."""
+def test_interleaved_and_sparse_gaussian_attributes_are_read(tmp_path: Path) -> None:
+    """Attributes that share a strided view, and sparse replacements."""
     values = stored_values()
     gltf = splat_gltf(values)
     rows = np.concatenate([values["POSITION"], values["SCALE"]], axis=1)
@@ -193,8 +193,8 @@ def test_interleaved_and_sparse_accessors(tmp_path: Path) -> None:
 # --- Nodes ---
 
 
-def test_a_turned_node_turns_means_shapes_and_colours(tmp_path: Path) -> None:
-    """Rotation, uniform scale and translation of a node, of a file that is one capture: `transform` about all axes."""
+def test_node_transform_applies_to_single_capture(tmp_path: Path) -> None:
+    """Rotation, uniform scale and translation act as `transform` on means, covariances and SH."""
     values = stored_values(degree=3)
     gltf = splat_gltf(values)
     q = np.array([0.1, -0.7, 0.3, 0.64])
@@ -205,7 +205,7 @@ def test_a_turned_node_turns_means_shapes_and_colours(tmp_path: Path) -> None:
     world = 2.0 * values["POSITION"] @ turn.T + (1.0, 2.0, 3.0)
     np.testing.assert_allclose(read.means, world @ HALF_TURN, rtol=0, atol=1e-5)
     expected = covariances(values["ROTATION"], values["SCALE"], 2.0 * HALF_TURN @ turn)
-    np.testing.assert_allclose(own_covariances(read, np.eye(3)), expected, rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(capture_covariances(read, np.eye(3)), expected, rtol=1e-5, atol=1e-7)
     still = loaded_gaussians(tmp_path, splat_gltf(values))
     for direction in DIRECTIONS:
         before = colors_along(still, np.tile(HALF_TURN @ direction, (5, 1)))
@@ -214,15 +214,15 @@ def test_a_turned_node_turns_means_shapes_and_colours(tmp_path: Path) -> None:
 
 
 def with_camera(gltf: Gltf) -> Gltf:
-    """The document with a camera, which makes a scene of it."""
+    """Adds a camera, so that the file is read as a scene."""
     gltf.add("cameras", type="perspective", perspective={"yfov": 1.0, "znear": 0.1})
     gltf.json["scenes"][0]["nodes"].append(gltf.add("nodes", camera=0))
     return gltf
 
 
 @pytest.mark.parametrize("scale", [(1.0, 1.0, 1.0), (0.5, 0.5, 0.5), (2.0, 0.5, 1.25)])
-def test_scales_of_nodes_scale_covariances(tmp_path: Path, scale: tuple[float, float, float]) -> None:
-    """Sigma = M C C^T M^T of the world matrix of a node with a parent, also for a different scale along each axis."""
+def test_node_scales_apply_to_covariances(tmp_path: Path, scale: tuple[float, float, float]) -> None:
+    """Sigma = M C C^T M^T for the world matrix M of a child node, also with non-uniform scale."""
     values = stored_values()
     gltf = splat_gltf(values)
     gltf.json["nodes"][0] |= {"scale": list(scale), "rotation": [0.0, 0.6, 0.0, 0.8]}
@@ -234,10 +234,10 @@ def test_scales_of_nodes_scale_covariances(tmp_path: Path, scale: tuple[float, f
     linear = rotation @ np.diag(scale)
     expected = covariances(values["ROTATION"], values["SCALE"], linear)
     np.testing.assert_allclose(
-        own_covariances(splat.gaussians, splat.transform[:3, :3]), expected, rtol=1e-4, atol=1e-7
+        capture_covariances(splat.gaussians, splat.transform[:3, :3]), expected, rtol=1e-4, atol=1e-7
     )
     np.testing.assert_allclose(splat.world_means, values["POSITION"] @ linear.T + (0.0, 5.0, 0.0), atol=1e-5)
-    # What is seen along a turned direction is what is seen along the direction in a file without the node.
+    # The colour along a rotated direction equals the colour along the original one without the node.
     still = loaded_gaussians(tmp_path, splat_gltf(values))
     factor = splat.scale
     for direction in DIRECTIONS:
@@ -247,7 +247,7 @@ def test_scales_of_nodes_scale_covariances(tmp_path: Path, scale: tuple[float, f
 
 
 def test_instances_share_their_gaussians(tmp_path: Path) -> None:
-    """Nodes of one mesh are instances of one capture; those that stretch alike share the stretched one."""
+    """Nodes with one mesh share a capture; nodes with equal stretch share the stretched one."""
     gltf = splat_gltf()
     for extra in ({}, {"scale": [1, 2, 1]}, {"scale": [1, 2, 1], "translation": [5, 0, 0]}, {"scale": [0, 0, 0]}):
         gltf.json["scenes"][0]["nodes"].append(gltf.add("nodes", mesh=0, name="copy", **extra))
@@ -259,16 +259,18 @@ def test_instances_share_their_gaussians(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "done"), [((-1.0, 1.0, 1.0), "mirrors"), ((1.0, 0.0, 1.0), "flattens")])
-def test_nodes_that_mirror_or_flatten_are_refused(tmp_path: Path, scale: tuple[float, float, float], done: str) -> None:
-    """Their Gaussians are not defined."""
+def test_mirroring_or_flattening_nodes_are_refused(
+    tmp_path: Path, scale: tuple[float, float, float], done: str
+) -> None:
+    """Gaussians cannot represent such transforms."""
     gltf = splat_gltf()
     gltf.json["nodes"][0] |= {"scale": list(scale), "name": "glass"}
     with pytest.raises(ls.FormatError, match=rf"nodes\[0\] 'glass' {done} its Gaussians: expected a positive scale"):
         loaded(tmp_path, gltf)
 
 
-def test_stretched_captures_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small file cannot ask for a copy of its capture for each of many nodes."""
+def test_stretched_copies_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small file cannot request a stretched copy of its capture for each of many nodes."""
     monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
     monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 1)
     gltf = splat_gltf()
@@ -278,11 +280,11 @@ def test_stretched_captures_are_bounded(tmp_path: Path, monkeypatch: pytest.Monk
         loaded(tmp_path, gltf)
 
 
-# --- What a file is loaded as ---
+# --- Scene or capture ---
 
 
-def test_beside_meshes_and_lights_it_is_a_scene(tmp_path: Path) -> None:
-    """All of a file is in its scene, in the axes of the file, y up; cameras are loaded as ever."""
+def test_captures_beside_meshes_or_lights_give_a_scene(tmp_path: Path) -> None:
+    """In the axes of the file, y up; cameras are loaded as usual."""
     values = stored_values()
     gltf = with_camera(splat_gltf(values))
     gltf.json |= {"extensions": {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 7.0}]}}}
@@ -297,14 +299,14 @@ def test_beside_meshes_and_lights_it_is_a_scene(tmp_path: Path) -> None:
     assert len(ls.load_cameras(tmp_path / "splats.glb")) == 1
 
 
-def test_points_without_the_extension_are_no_gaussians(tmp_path: Path) -> None:
-    """A point cloud beside a capture is left out."""
+def test_point_clouds_are_not_gaussians(tmp_path: Path) -> None:
+    """A point primitive without the extension is skipped."""
     gltf = splat_gltf()
     gltf.json["meshes"][0]["primitives"].append({"attributes": {"POSITION": gltf.accessor(QUAD)}, "mode": 0})
     assert loaded_gaussians(tmp_path, gltf).count == 5
 
 
-# --- What is refused ---
+# --- Errors ---
 
 
 def change_attribute(gltf: Gltf, name: str, array: np.ndarray | None) -> Gltf:
@@ -330,8 +332,8 @@ def change_attribute(gltf: Gltf, name: str, array: np.ndarray | None) -> Gltf:
         ),
     ],
 )
-def test_unknown_kinds_are_named(tmp_path: Path, extension: dict, problem: str) -> None:
-    """Kernels, colour spaces and compressions that are not known are refused by name, with where they are."""
+def test_unknown_kernels_and_colour_spaces_are_named(tmp_path: Path, extension: dict, problem: str) -> None:
+    """Compression extensions, too; the message names the primitive."""
     with pytest.raises(ls.FormatError, match=rf"splats\.glb: meshes\[0\]\.primitives\[0\] {problem}"):
         loaded(tmp_path, splat_gltf(**extension))
 
@@ -353,15 +355,15 @@ def test_unknown_kinds_are_named(tmp_path: Path, extension: dict, problem: str) 
         ("SCALE", np.full((5, 3), np.nan, np.float32), "5 NaN or infinite values in scale_0"),
     ],
 )
-def test_bad_attributes_are_named(tmp_path: Path, name: str, array: np.ndarray | None, problem: str) -> None:
-    """What is missing, of another type, too short or invalid is refused in one line."""
+def test_bad_attributes_are_refused_by_name(tmp_path: Path, name: str, array: np.ndarray | None, problem: str) -> None:
+    """Missing, of another type, too short or invalid."""
     with pytest.raises(ls.FormatError, match=problem) as raised:
         loaded(tmp_path, change_attribute(splat_gltf(), name, array))
     assert "\n" not in str(raised.value)
 
 
-def test_triangles_of_gaussians_are_refused(tmp_path: Path) -> None:
-    """The extension is of points."""
+def test_gaussians_need_point_primitives(tmp_path: Path) -> None:
+    """A triangle primitive with the extension is refused."""
     gltf = splat_gltf()
     primitive_of(gltf)["mode"] = 4
     with pytest.raises(ls.FormatError, match="has Gaussians and mode 4, expected 0"):
@@ -369,7 +371,7 @@ def test_triangles_of_gaussians_are_refused(tmp_path: Path) -> None:
 
 
 def test_invalid_gaussians_are_dropped_on_request(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """As of every other format."""
+    """As for every other format."""
     values = stored_values()
     values["POSITION"][2, 1] = np.inf
     gltf = splat_gltf(values)
@@ -379,8 +381,8 @@ def test_invalid_gaussians_are_dropped_on_request(tmp_path: Path, caplog: pytest
     assert "dropped 1 Gaussians" in caplog.text
 
 
-def test_materials_of_others_are_not_taken(tmp_path: Path) -> None:
-    """Custom attributes have our meaning in our files alone; there, values out of range are refused."""
+def test_foreign_material_attributes_are_ignored(tmp_path: Path) -> None:
+    """Custom attributes are read only from files of Lumisplat, where values out of range are refused."""
     values = stored_values() | {"_ROUGHNESS": np.full(5, 3.0, np.float32)}
     gltf = splat_gltf(values)
     assert loaded_gaussians(tmp_path, gltf).roughness is None
@@ -389,8 +391,8 @@ def test_materials_of_others_are_not_taken(tmp_path: Path) -> None:
         loaded(tmp_path, gltf)
 
 
-def test_a_required_extension_is_known(tmp_path: Path) -> None:
-    """Files may require the extension; one that requires a compression is refused."""
+def test_gaussian_extension_may_be_required(tmp_path: Path) -> None:
+    """A required compression extension is refused."""
     gltf = splat_gltf()
     gltf.json["extensionsRequired"] = [EXTENSION]
     assert loaded_gaussians(tmp_path, gltf).count == 5

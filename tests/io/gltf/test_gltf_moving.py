@@ -1,4 +1,4 @@
-"""glTF files as animations: where nodes are at a time, against numbers worked out by hand."""
+"""glTF files as animations, compared with numbers worked out by hand."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from support.files.splat_files import capture
 from support.kinds import expect_kind
 
 Sampler = tuple[str, list[float], Any, str]
-"""Path, times, values, interpolation."""
+"""Path, times, values and interpolation."""
 IDLE = ("translation", [0.0, 1.0], [(0.0, 0.0, 0.0)] * 2, "LINEAR")
 
 
 def gltf_of(nodes: list[dict[str, Any]], clips: dict[str, list[tuple[int, Sampler]]]) -> Gltf:
-    """A file in which mesh 0 is one triangle at (0, 0, 0), (1, 0, 0), (0, 1, 0)."""
+    """Returns a file in which mesh 0 is the triangle (0, 0, 0), (1, 0, 0), (0, 1, 0)."""
     gltf = Gltf()
     corners = gltf.accessor(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32))
     gltf.add("meshes", primitives=[{"attributes": {"POSITION": corners}}], name="triangle")
@@ -45,20 +45,20 @@ def gltf_of(nodes: list[dict[str, Any]], clips: dict[str, list[tuple[int, Sample
 
 
 def written(path: Path, nodes: list[dict[str, Any]], samplers: list[tuple[int, Sampler]]) -> ls.Animation:
-    """The animation of such a file."""
+    """Writes such a file, and returns its animation."""
     path.write_bytes(gltf_of(nodes, {"walk": samplers}).glb())
     return ls.load_animation(path)
 
 
 def corners(animation: ls.Animation, time: float) -> np.ndarray:
-    """The corners of the only mesh that moves, in the world, at a time."""
+    """Returns the world-space corners of the only animated mesh at a time."""
     (instance,) = animation.actors_at(time)
     mesh = expect_kind(ls.MeshInstance, instance)
     return mesh.mesh.positions @ mesh.transform[:3, :3].T + mesh.transform[:3, 3]
 
 
-def test_translations_in_three_ways(tmp_path: Path) -> None:
-    """From x = 0 at 0 s to x = 1 at 2 s: a line, a step at the end, and a spline with tangents 2 and 0."""
+def test_linear_step_and_cubic_translations(tmp_path: Path) -> None:
+    """From x = 0 at 0 s to x = 1 at 2 s; the cubic spline has tangents 2 and 0."""
     keys = [0.0, 2.0]
     ends = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
     zero = (0.0, 0.0, 0.0)
@@ -69,11 +69,11 @@ def test_translations_in_three_ways(tmp_path: Path) -> None:
         assert (moving.fps, moving.frame_count) == (25.0, 51)
         np.testing.assert_allclose(corners(moving, 0.5)[0], (expected, 0.0, 0.0), atol=1e-6)
         np.testing.assert_allclose(corners(moving, 2.0)[0], (1.0, 0.0, 0.0), atol=1e-6)
-        np.testing.assert_allclose(corners(moving, 9.0)[0], (1.0, 0.0, 0.0), atol=1e-6)  # it does not repeat
+        np.testing.assert_allclose(corners(moving, 9.0)[0], (1.0, 0.0, 0.0), atol=1e-6)  # the animation does not loop
 
 
-def test_rotation_and_scale_below_a_parent(tmp_path: Path) -> None:
-    """The parent turns by a quarter about z in 1 s, the child, one unit along x, grows to 3: at the half 45 degrees."""
+def test_animated_parent_and_child_compose(tmp_path: Path) -> None:
+    """The parent rotates 90 degrees about z in 1 s, while its child at x = 1 grows to 3; checked halfway."""
     turn = [(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))]
     nodes = [{"children": [1]}, {"mesh": 0, "translation": [1.0, 0.0, 0.0]}]
     moving = written(
@@ -91,8 +91,8 @@ def test_rotation_and_scale_below_a_parent(tmp_path: Path) -> None:
     np.testing.assert_allclose(corners(moving, 1.0), [(0, 1, 0), (0, 4, 0), (-1, 1, 0)], atol=1e-6)
 
 
-def test_what_stands_still_is_the_scene(tmp_path: Path) -> None:
-    """Meshes, lights and cameras of other nodes; a camera below a node that moves is a path."""
+def test_static_nodes_form_the_scene(tmp_path: Path) -> None:
+    """A camera below an animated node becomes the camera path."""
     nodes = [
         {"mesh": 0, "name": "still"},
         {"mesh": 0, "name": "moves", "children": [2]},
@@ -107,8 +107,8 @@ def test_what_stands_still_is_the_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(moving.camera_path.at(0.5).eye, (0.0, 1.0, 5.0), atol=1e-6)
 
 
-def test_a_camera_that_jumps_does_not_swing(tmp_path: Path) -> None:
-    """At any rate of frames it is at one of its keys, before a jump and after it."""
+def test_step_camera_does_not_overshoot(tmp_path: Path) -> None:
+    """At any frame rate the camera is at one of its keys, before and after a STEP."""
     jumps = ("translation", [0.0, 1.0, 2.0], [(0, 0, 5), (4, 0, 5), (0, 3, 5)], "STEP")
     path = written(tmp_path / "a.glb", [{"camera": 0}], [(0, jumps)]).camera_path
     assert path is not None
@@ -117,8 +117,8 @@ def test_a_camera_that_jumps_does_not_swing(tmp_path: Path) -> None:
     np.testing.assert_allclose(path.at(2.0).eye, (0, 3, 5), atol=1e-5)
 
 
-def test_very_long_animations_are_refused(tmp_path: Path) -> None:
-    """Of cameras and captures, which have many samples, in a line and at once; those of meshes have none."""
+def test_very_long_camera_and_capture_animations_are_refused(tmp_path: Path) -> None:
+    """These need many samples; animations of meshes do not."""
     turn = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(
         ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras and captures"
@@ -128,7 +128,7 @@ def test_very_long_animations_are_refused(tmp_path: Path) -> None:
 
 
 def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
-    """The animation of a file with a capture, whose node has these properties and one such sampler."""
+    """Returns the animation of a file with a capture whose node has these properties and this sampler."""
     ls.save(folder / "still.gltf", capture(6))
     document = json.loads((folder / "still.gltf").read_text())
     moved = gltf_of([{}], {"walk": [(0, sampler)]})
@@ -155,7 +155,7 @@ def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
 
 @pytest.mark.parametrize("way", ["LINEAR", "STEP"])
 def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
-    """With uniform scale; at each frame they are where the node is."""
+    """With uniform scale, at each frame."""
     moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], way))
     assert not moving.scene.splats
     for time in moving.times:
@@ -166,8 +166,8 @@ def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
         np.testing.assert_allclose(instance.transform, expected @ CAPTURE_FROM_FILE, atol=1e-5)
 
 
-def test_captures_that_turn_may_be_stretched(tmp_path: Path) -> None:
-    """By one stretch at all times, which their Gaussians have then."""
+def test_rotating_captures_may_have_a_constant_stretch(tmp_path: Path) -> None:
+    """The stretch is applied to the Gaussians."""
     turn = ("rotation", [0.0, 1.0], [(0.0, 0.0, 0.0, 1.0), (0.0, 0.6, 0.0, 0.8)], "LINEAR")
     moving = moving_capture(tmp_path, turn, scale=[1.0, 2.0, 0.5])
     for time, degrees in ((0.0, 0.0), (1.0, 2.0 * math.degrees(math.asin(0.6)))):
@@ -180,16 +180,16 @@ def test_captures_that_turn_may_be_stretched(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scales", [(0.0, 1.0), (1.0, 0.0)])
-def test_captures_that_come_or_go_are_refused(tmp_path: Path, scales: tuple[float, float]) -> None:
-    """In a line, whether they are hidden first or later; nothing vanishes without one."""
+def test_captures_hidden_by_animation_are_refused(tmp_path: Path, scales: tuple[float, float]) -> None:
+    """Hidden at the start or later; the error is one line."""
     sampler = ("scale", [0.0, 1.0], [(scale,) * 3 for scale in scales], "LINEAR")
     with pytest.raises(ls.FormatError, match="is stretched or hidden by the animation"):
         moving_capture(tmp_path, sampler)
 
 
 @pytest.mark.parametrize("key", ["shadow_catcher", "shadow_only"])
-def test_captures_keep_their_settings(tmp_path: Path, key: str) -> None:
-    """A shadow catcher, by its present or old key, and its SH degree, as in a file in which nothing moves."""
+def test_animated_captures_keep_their_settings(tmp_path: Path, key: str) -> None:
+    """Shadow catcher, by its current or old key, and SH degree."""
     sampler = ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], "LINEAR")
     moving = moving_capture(tmp_path, sampler, extras={"lumisplat": {key: True, "sh_degree": 0}})
     (instance,) = moving.actors_at(0.5)
@@ -197,8 +197,8 @@ def test_captures_keep_their_settings(tmp_path: Path, key: str) -> None:
     assert splat.shadow_catcher and splat.sh_degree == 0
 
 
-def test_skins_move(tmp_path: Path) -> None:
-    """As the rig of the same file does, once."""
+def test_skins_match_the_rig_of_the_same_file(tmp_path: Path) -> None:
+    """Positions are equal at each time, and the mesh appears once."""
     path = TubeRig(clips={"bend": BEND}).write(tmp_path / "tube.glb")
     moving, rig = ls.load_animation(path), ls.avatars.load_rig(path)
     assert moving.frame_count == round(rig.duration("bend") * 25.0) + 1
@@ -209,8 +209,8 @@ def test_skins_move(tmp_path: Path) -> None:
         )
 
 
-def test_remarks_and_mistakes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The first of several animations is played; lights stay; a file without any says what to do."""
+def test_ignored_animations_and_lights_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Only the first animation is played, and lights are static; a file without animation is refused with advice."""
     light = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "name": "lamp"}
     gltf = gltf_of([{"mesh": 0, "children": [1]}, light], {"walk": [(0, IDLE)], "run": [(0, IDLE)]})
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}]}}
@@ -224,8 +224,8 @@ def test_remarks_and_mistakes(tmp_path: Path, caplog: pytest.LogCaptureFixture) 
         ls.load_animation(tmp_path / "still.glb")
 
 
-def test_the_command_plays_it(tmp_path: Path) -> None:
-    """Frames of `lumisplat animate` differ where the triangle moves; at another rate there are fewer."""
+def test_animate_command_renders_a_gltf(tmp_path: Path) -> None:
+    """Frames differ where the triangle moves; at a lower frame rate there are fewer."""
     nodes = [{"mesh": 0}, {"camera": 0, "translation": [0.5, 0.5, 4.0]}]
     step = ("translation", [0.0, 1.0], [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "LINEAR")
     written(tmp_path / "a.glb", nodes, [(0, step)])

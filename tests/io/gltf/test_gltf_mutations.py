@@ -1,4 +1,4 @@
-"""Damaged glTF files with captures, meshes, lights and cameras: one clear line each, or something valid."""
+"""Damaged glTF files with captures, meshes, lights and cameras: a one-line error, or a valid scene."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ ODD: tuple[Any, ...] = (
     *(None, True, -1, 0, 1, 3, 255, 5121, 2**31, 2**63, 10**30, 0.5, -1e30, 1e308, float("nan"), float("inf")),
     *("", "ellipse", "VEC4", "nowhere.bin", "data:;base64,AAAA", [], {}, [0], [1e308] * 16, {"0": 0}),
 )
-"""Values to put into the place of others."""
+"""Values that replace others."""
 MEMORY_MAX = 64 * 2**20
-"""Bytes that no damaged file of a few thousand may take."""
+"""Memory in bytes that a damaged file of a few thousand bytes may take."""
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """A file with everything that we write, and a little that we only read."""
+    """Returns a file with everything that is written, and some that is only read."""
     path = tmp_path_factory.mktemp("gltf") / "whole.glb"
     texture = np.zeros((2, 2, 3), np.uint8)
     mesh = ls.Mesh(QUAD, QUAD_TRIANGLES, uvs=QUAD_UVS, material=ls.MaterialPbr(base_color_texture=texture))
@@ -45,30 +45,30 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """The JSON of a GLB, and all that follows."""
+    """Returns the JSON of a GLB, and the bytes after it."""
     size = struct.unpack_from("<I", data, 12)[0]
     return json.loads(data[20 : 20 + size]), data[20 + size :]
 
 
 def packed(document: dict[str, Any], rest: bytes) -> bytes:
-    """The inverse of `chunks`."""
+    """Returns a GLB of JSON and bytes, the inverse of `chunks`."""
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON") + text + rest
 
 
-def places(value: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
-    """All containers of a document with the keys of their values."""
+def containers(value: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
+    """Returns all containers of a document with the keys of their values."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, inner in items:
         found.append((value, key))
-        places(inner, found)
+        containers(inner, found)
     return found
 
 
 def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
-    """Removes a value somewhere in a document, exchanges it, or moves a number a little."""
-    container, key = (found := places(document, []))[rng.integers(len(found))]
+    """Removes or replaces a value somewhere in a document, or changes a number a little."""
+    container, key = (found := containers(document, []))[rng.integers(len(found))]
     way = rng.integers(4)
     if way == 0:
         del container[key]
@@ -82,7 +82,7 @@ def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
 
 
 def play(animation: ls.Animation) -> None:
-    """Poses all that moves, at its frames and between them."""
+    """Poses everything that moves, at frames and between them."""
     for time in (0.0, 0.013, 0.1, float(animation.times[-1])):
         animation.actors_at(time)
         if animation.camera_path is not None:
@@ -90,12 +90,12 @@ def play(animation: ls.Animation) -> None:
 
 
 def moving(whole: bytes) -> bytes:
-    """A file with each of its nodes in an animation, in the three ways of glTF in turn."""
+    """Returns a file that animates each of its nodes, with all interpolations in turn."""
     document, rest = chunks(whole)
     data = rest[8:]
 
     def stored(values: list[Any], kind: str) -> int:
-        """An accessor of numbers that are put after all others."""
+        """Appends numbers to the buffer, and returns their accessor."""
         nonlocal data
         packed_values = np.array(values, np.float32).tobytes()
         view = {"buffer": 0, "byteOffset": len(data), "byteLength": len(packed_values)}
@@ -110,8 +110,8 @@ def moving(whole: bytes) -> bytes:
         if "matrix" in node:
             continue
         way = ways[index % 3]
-        places = [(0.1 * row, 1.0, 0.0) for row in range(9 if way == "CUBICSPLINE" else 3)]
-        keys = {"input": stored([0.0, 0.1, 0.2], "SCALAR"), "output": stored(places, "VEC3")}
+        values = [(0.1 * row, 1.0, 0.0) for row in range(9 if way == "CUBICSPLINE" else 3)]
+        keys = {"input": stored([0.0, 0.1, 0.2], "SCALAR"), "output": stored(values, "VEC3")}
         channels.append({"sampler": len(samplers), "target": {"node": index, "path": "translation"}})
         samplers.append({**keys, "interpolation": way})
     document["animations"] = [{"samplers": samplers, "channels": channels}]
@@ -121,14 +121,14 @@ def moving(whole: bytes) -> bytes:
 
 
 def morphing(folder: Path) -> bytes:
-    """A rig of joints and morph targets."""
+    """Returns a rig with joints and morph targets."""
     rig = TubeRig(clips={"bend": [*BEND, (0, "weights", [0.0, 0.2, 1.0], [0.0, 1.0, 0.5, 0.0, 1.0, 0.2], "STEP")]})
     rig.targets = [np.full_like(rig.positions, 0.1), -rig.positions]
     return rig.write(folder / "tube.glb").read_bytes()
 
 
 def survives(path: Path, data: bytes, *, moves: bool = False) -> bool:
-    """Whether the data load, as an animation, too, if something moves; if not, one line names the file."""
+    """Returns whether the data load, also as an animation if something moves; else checks the one-line error."""
     path.write_bytes(data)
     try:
         ls.load(path)
@@ -144,25 +144,25 @@ def survives(path: Path, data: bytes, *, moves: bool = False) -> bool:
 
 @pytest.fixture(autouse=True)
 def _quiet() -> Iterator[None]:
-    """No log lines: of damaged files there would be hundreds."""
+    """Silences log lines, of which damaged files give hundreds."""
     logging.getLogger("lumisplat").setLevel(logging.CRITICAL)
     yield
     logging.getLogger("lumisplat").setLevel(logging.NOTSET)
 
 
 def check_all(folder: Path, variants: list[bytes], low: float, high: float) -> None:
-    """All variants load or are refused, of each kind a share within bounds."""
+    """Checks that all variants load or are refused, with fractions of each within bounds."""
     good = sum(survives(folder / "mutated.glb", data) for data in variants)
     assert low < good / len(variants) < high
 
 
 FEW_AND_ALL = [120, pytest.param(2000, marks=pytest.mark.deep)]
-"""Numbers of files: of the daily suite, and of the deep one."""
+"""Number of files in the daily and in the deep test suite."""
 
 
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_fields_of_the_json(tmp_path: Path, whole: bytes, count: int) -> None:
-    """Documents with one field removed, replaced by something odd, moved a little or taken from elsewhere."""
+def test_mutated_json_loads_or_is_refused(tmp_path: Path, whole: bytes, count: int) -> None:
+    """One field is removed, replaced, changed a little, or copied from elsewhere."""
     rng = np.random.default_rng(21)
     variants: list[bytes] = []
     for _ in range(count):
@@ -173,8 +173,8 @@ def test_fields_of_the_json(tmp_path: Path, whole: bytes, count: int) -> None:
 
 
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_bytes(tmp_path: Path, whole: bytes, count: int) -> None:
-    """Files with a few random bytes, or cut short."""
+def test_mutated_bytes_load_or_are_refused(tmp_path: Path, whole: bytes, count: int) -> None:
+    """A few random bytes are changed, or the file is cut off."""
     rng = np.random.default_rng(22)
     variants: list[bytes] = []
     for k in range(count):
@@ -187,8 +187,8 @@ def test_bytes(tmp_path: Path, whole: bytes, count: int) -> None:
 
 @pytest.mark.parametrize("kind", ["rig", "scene"])
 @pytest.mark.parametrize("count", FEW_AND_ALL)
-def test_files_that_move(tmp_path: Path, whole: bytes, count: int, kind: str) -> None:
-    """Joints and morph targets, or captures, meshes, lights and cameras: their documents and their bytes in turn."""
+def test_mutated_animations_load_or_are_refused(tmp_path: Path, whole: bytes, count: int, kind: str) -> None:
+    """Rigs with morph targets, and captures, meshes, lights and cameras: their JSON and their bytes in turn."""
     rng = np.random.default_rng(23)
     original = morphing(tmp_path) if kind == "rig" else moving(whole)
     assert survives(tmp_path / "mutated.glb", original, moves=True)
@@ -207,8 +207,8 @@ def test_files_that_move(tmp_path: Path, whole: bytes, count: int, kind: str) ->
     assert 0.1 < good / count < 0.9
 
 
-def test_shared_accessors_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Primitives may have one accessor together, but not so many of them that their copies fill the memory."""
+def test_copies_of_shared_accessors_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many primitives may share an accessor, but their copies must not fill the memory."""
     monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
     monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 2)
     for asset in (capture(300), ls.sphere(1.0)):
@@ -221,8 +221,8 @@ def test_shared_accessors_are_bounded(tmp_path: Path, monkeypatch: pytest.Monkey
             ls.load(tmp_path / "mutated.glb")
 
 
-def test_buffers_beside_the_file_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small .gltf may name a large buffer: what is stored there is stored."""
+def test_external_buffers_count_as_stored_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small .gltf may refer to a large buffer."""
     monkeypatch.setattr("lumisplat.io.files.source.DECODED_BYTES_FREE", 1000)
     monkeypatch.setattr("lumisplat.io.files.source.EXPANSION_MAX", 2)
     ls.save(tmp_path / "a.glb", capture(2000))
@@ -234,8 +234,8 @@ def test_buffers_beside_the_file_count(tmp_path: Path, monkeypatch: pytest.Monke
     assert isinstance(ls.load(tmp_path / "a.gltf"), ls.Gaussians)
 
 
-def test_absurd_counts_take_no_memory(tmp_path: Path, whole: bytes) -> None:
-    """Accessors that claim a milliard rows, of their view or of none, are refused before anything is allocated."""
+def test_impossible_accessor_counts_take_no_memory(tmp_path: Path, whole: bytes) -> None:
+    """A billion rows, with or without a buffer view, are refused before anything is allocated."""
     count = len(chunks(whole)[0]["accessors"])
     for index in (*range(0, count, 3), count - 1):
         for with_view in (True, False):

@@ -1,4 +1,4 @@
-"""Rigs of glTF files: poses against a float64 twin, rigid motion, morphs, several meshes, and files that are broken."""
+"""glTF rigs: poses compared with a float64 reference, rigid motion, morph targets, broken files."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from support.oracles.rig_oracle import posed, world_matrices
 
 
 def load(rig: TubeRig, folder: Path) -> ls.avatars.Rig:
-    """The rig, written and read."""
+    """Writes and reads a rig."""
     return ls.avatars.load_rig(rig.write(folder / "tube.glb"))
 
 
 def random_rig(seed: int) -> TubeRig:
-    """Joints that rest askew, two sets of weights, a bind pose of its own, and a clip of all ways and paths."""
+    """Returns a rig with skewed joints, two weight sets, a bind pose, and a clip of all channels and interpolations."""
     rng = np.random.default_rng(seed)
     rig = TubeRig()
     count = len(rig.positions)
@@ -54,8 +54,8 @@ def random_rig(seed: int) -> TubeRig:
     return rig
 
 
-def test_bound_pose_is_the_mesh(tmp_path: Path) -> None:
-    """With joints where they were bound, vertices and normals are those of the file, to float32."""
+def test_bind_pose_reproduces_the_mesh(tmp_path: Path) -> None:
+    """Vertices and normals are those of the file, to float32."""
     rig = TubeRig(clips={"bend": BEND})
     loaded = load(rig, tmp_path)
     assert loaded.clips == ("bend",) and loaded.duration() == 1.0
@@ -66,8 +66,8 @@ def test_bound_pose_is_the_mesh(tmp_path: Path) -> None:
     assert loaded.mesh.material.base_color == pytest.approx((0.8, 0.4, 0.2))
 
 
-def test_a_carried_rig_is_a_rigid_body(tmp_path: Path) -> None:
-    """If only the root moves, all vertices and normals move with it."""
+def test_moving_only_the_root_is_a_rigid_motion(tmp_path: Path) -> None:
+    """All vertices and normals move along."""
     rig = TubeRig(clips={"carry": CARRY})
     loaded = load(rig, tmp_path)
     for time in (0.3, 1.0, 1.9):
@@ -78,20 +78,20 @@ def test_a_carried_rig_is_a_rigid_body(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_poses_match_the_twin(seed: int, tmp_path: Path) -> None:
-    """Every interpolation of every channel, eight influences per vertex, before, during and after the clip."""
+def test_poses_match_a_float64_reference(seed: int, tmp_path: Path) -> None:
+    """All interpolations and channels, eight influences per vertex, before, during and after the clip."""
     rig = random_rig(seed)
     loaded = load(rig, tmp_path)
     for time in (-1.0, 0.0, *np.linspace(0.05, loaded.duration("all"), 13), 99.0):
         positions, normals = posed(rig, "all", float(time))
         mesh = loaded.pose(float(time), "all")
         np.testing.assert_allclose(mesh.positions, positions, atol=1e-5 * np.abs(positions).max())
-        # float32 accessors bound what nearly flat joint matrices leave of a normal.
+        # Nearly singular joint matrices amplify the float32 rounding of normals.
         np.testing.assert_allclose(present(mesh.normals), normals, atol=2e-4)
 
 
-def test_the_rest_is_what_load_shows(tmp_path: Path) -> None:
-    """`load` and the rig agree on the pose at rest, also where a node mirrors."""
+def test_rest_pose_equals_the_loaded_mesh(tmp_path: Path) -> None:
+    """Also where a node mirrors."""
     rig = random_rig(7)
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     loaded = load(rig, tmp_path)
@@ -102,7 +102,7 @@ def test_the_rest_is_what_load_shows(tmp_path: Path) -> None:
 
 
 def test_mirrored_rigs_face_outwards(tmp_path: Path) -> None:
-    """A rig whose root mirrors has its triangles reversed, and its normals with them."""
+    """A mirroring root reverses triangles and normals."""
     rig = TubeRig()
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     mesh = load(rig, tmp_path).mesh
@@ -114,7 +114,7 @@ def test_mirrored_rigs_face_outwards(tmp_path: Path) -> None:
 
 
 def test_meshes_without_a_skin_follow_their_node(tmp_path: Path) -> None:
-    """A mesh that is moved by its node alone is a rig as well: its vertices follow the node."""
+    """A mesh that only its node moves is a rig, too."""
     rig = TubeRig(joints=None, weights=None, clips={"go": [(0, *CARRY[0][1:]), (0, *CARRY[1][1:])]})
     del rig.nodes[0]["skin"]
     loaded = load(rig, tmp_path)
@@ -123,7 +123,7 @@ def test_meshes_without_a_skin_follow_their_node(tmp_path: Path) -> None:
 
 
 def test_morph_weights_are_animated(tmp_path: Path) -> None:
-    """Targets add by weight, before the joints pose; without a clip, by the weights of the mesh."""
+    """Targets are added by weight before skinning; without a clip, the mesh's own weights are used."""
     rng = np.random.default_rng(3)
     rig = TubeRig()
     rig.targets = list(rng.standard_normal((2, *rig.positions.shape)).astype(np.float32))
@@ -134,8 +134,8 @@ def test_morph_weights_are_animated(tmp_path: Path) -> None:
     np.testing.assert_allclose(loaded.pose(0.25).positions, wanted, atol=1e-6)
 
 
-def test_targets_that_move_nothing_that_is_read_have_weights_too(tmp_path: Path) -> None:
-    """A target of tangents alone, after one of positions."""
+def test_morph_targets_without_offsets_still_count(tmp_path: Path) -> None:
+    """A target with tangents only, after one with positions."""
     rig = TubeRig(clips={"melt": [(0, "weights", [0, 1], [0.0, 0.0, 1.0, 1.0])]}, normals=None)
     rig.targets = [np.full_like(rig.positions, 0.5)]
     gltf = rig.gltf()
@@ -147,7 +147,7 @@ def test_targets_that_move_nothing_that_is_read_have_weights_too(tmp_path: Path)
 
 
 def two_primitives(rig: TubeRig, same_material: bool) -> Gltf:
-    """The tube twice in one mesh, the copy without its first triangle."""
+    """Returns the tube twice in one mesh, the copy without its first triangle."""
     gltf = rig.gltf()
     first = gltf.json["meshes"][0]["primitives"][0]
     material = 0 if same_material else gltf.add("materials", name="other")
@@ -156,8 +156,8 @@ def two_primitives(rig: TubeRig, same_material: bool) -> Gltf:
     return gltf
 
 
-def test_primitives_of_one_material_are_one_mesh(tmp_path: Path) -> None:
-    """Primitives of one material are joined; others are separate meshes, which `poses` gives and `pose` refuses."""
+def test_primitives_with_one_material_are_joined(tmp_path: Path) -> None:
+    """Others are separate meshes, which `poses` returns and `pose` refuses."""
     rig = TubeRig(clips={"bend": BEND})
     count, faces = len(rig.positions), len(rig.triangles)
     (tmp_path / "one.glb").write_bytes(two_primitives(rig, True).glb())
@@ -174,16 +174,16 @@ def test_primitives_of_one_material_are_one_mesh(tmp_path: Path) -> None:
         _ = two.mesh
 
 
-def test_what_is_scaled_to_nothing_is_left_out(tmp_path: Path) -> None:
-    """A rig that is scaled to nothing has no meshes at that time, and `pose` raises an error."""
+def test_zero_scale_rig_has_no_meshes(tmp_path: Path) -> None:
+    """`pose` raises an error at that time."""
     loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
     assert loaded.poses(1.0) == ()
     with pytest.raises(ls.SceneError, match="no triangles at 1 s: its clip scales it to nothing"):
         loaded.pose(1.0)
 
 
-def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path: Path) -> None:
-    """Poses share their triangle arrays, by which shadow maps recognise a surface, also if some are left out."""
+def test_poses_share_triangles_despite_degenerate_ones(tmp_path: Path) -> None:
+    """Shadow maps recognize a surface by its triangle array."""
     rig = TubeRig(clips={"bend": BEND})
     rig.triangles = np.concatenate([rig.triangles, np.array([[0, 0, 1]], np.uint16)])
     read = load(rig, tmp_path)
@@ -192,8 +192,8 @@ def test_triangles_without_area_do_not_make_each_pose_another_surface(tmp_path: 
     assert early.indices is late.indices
 
 
-def test_what_is_hidden_at_rest_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A mesh that its node hides by a scale of 0 is left out with a log line; a rig without other meshes is refused."""
+def test_meshes_hidden_at_rest_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A mesh with a node scale of 0 is dropped with a log line; a rig without other meshes is refused."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes.append({"mesh": 0, "name": "hidden", "scale": [0.0, 0.0, 0.0]})
     gltf = rig.gltf()
@@ -221,8 +221,8 @@ def test_clips_are_chosen_by_name(tmp_path: Path) -> None:
             loaded.pose(time)
 
 
-def test_rigs_without_clips_stand_still(tmp_path: Path) -> None:
-    """A skin without animation is posed at rest at any time, and has no duration."""
+def test_rigs_without_clips_stay_at_rest(tmp_path: Path) -> None:
+    """At any time, with no duration."""
     loaded = load(TubeRig(), tmp_path)
     np.testing.assert_array_equal(loaded.pose(5.0).positions, loaded.mesh.positions)
     with pytest.raises(ls.SceneError, match="the rig has no clips"):
@@ -230,23 +230,23 @@ def test_rigs_without_clips_stand_still(tmp_path: Path) -> None:
 
 
 def without_skin(rig: TubeRig) -> None:
-    """Neither skin nor weights."""
+    """Removes the skin and the weights."""
     del rig.nodes[0]["skin"]
     rig.joints = rig.weights = None
 
 
 def keys(rig: TubeRig, path: str, times: list, values: list, way: str = "LINEAR", node: int = 3) -> None:
-    """One track."""
+    """Returns a document with one track."""
     rig.clips["clip"] = [(node, path, times, values, way)]
 
 
 def unweighted(rig: TubeRig, value: float) -> None:
-    """All weights of two vertices replaced."""
+    """Replaces all weights of two vertices."""
     present(rig.weights)[[3, 5]] = value
 
 
 def broken_bind(rig: TubeRig) -> None:
-    """A matrix that is not finite."""
+    """Makes an inverse bind matrix non-finite."""
     rig.joint_from_bind = np.tile(np.eye(4, dtype=np.float32), (3, 1, 1))
     rig.joint_from_bind[1, 0, 0] = np.nan
 
@@ -275,8 +275,8 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("breaks", "problem"), BROKEN, ids=[problem[:40] for _, problem in BROKEN])
-def test_broken_rigs_are_refused(breaks: Callable[[TubeRig], None], problem: str, tmp_path: Path) -> None:
-    """One line that names the file and the item, and counts what is not finite."""
+def test_broken_rigs_are_refused_by_item(breaks: Callable[[TubeRig], None], problem: str, tmp_path: Path) -> None:
+    """The one-line error names the file and item, and counts non-finite values."""
     rig = TubeRig()
     breaks(rig)
     with pytest.raises(ls.FormatError) as caught:
@@ -287,7 +287,7 @@ def test_broken_rigs_are_refused(breaks: Callable[[TubeRig], None], problem: str
 
 
 def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
-    """Random bytes anywhere give one line, or a rig that can be posed; nothing else."""
+    """Random bytes give a one-line error, or a rig that can be posed."""
     rng = np.random.default_rng(0)
     data = TubeRig(clips={"bend": BEND, "carry": CARRY}).gltf().glb()
     refused = 0
@@ -308,8 +308,8 @@ def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
     assert 10 < refused < 80
 
 
-def test_other_kinds_of_files_are_no_rigs(tmp_path: Path) -> None:
-    """Files are refused by their extensions, before their contents are parsed; capital letters are allowed."""
+def test_rigs_are_refused_by_extension(tmp_path: Path) -> None:
+    """Before the content is parsed; upper-case extensions are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
         ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"
@@ -318,16 +318,16 @@ def test_other_kinds_of_files_are_no_rigs(tmp_path: Path) -> None:
     assert ls.avatars.load_rig(TubeRig(clips={"bend": BEND}).write(tmp_path / "TUBE.GLB")).clips == ("bend",)
 
 
-def test_a_matrix_is_not_animated(tmp_path: Path) -> None:
-    """A node with a matrix has no parts that a clip could animate."""
+def test_animating_a_node_with_a_matrix_is_refused(tmp_path: Path) -> None:
+    """Only translation, rotation and scale can be animated."""
     rig = TubeRig(clips={"bend": BEND})
     rig.nodes[3] = {"children": [4], "matrix": np.eye(4).reshape(-1).tolist()}
     with pytest.raises(ls.FormatError, match=r"animates nodes\[3\], which has a matrix"):
         load(rig, tmp_path)
 
 
-def test_black_vertex_colours_of_textured_meshes_are_left_out(caplog: pytest.LogCaptureFixture) -> None:
-    """Masks would hide the texture; colours stay, and so do black ones where there is no texture."""
+def test_black_vertex_colours_of_textured_meshes_are_dropped(caplog: pytest.LogCaptureFixture) -> None:
+    """They are masks; other colours stay, and so do black ones of meshes without a texture."""
     texture = np.zeros((2, 2, 3), np.uint8)
     plain, textured = ls.MaterialPbr(), ls.MaterialPbr(base_color_texture=texture)
     black, gray = np.zeros((4, 3), np.float32), np.full((4, 3), 0.2, np.float32)
@@ -340,8 +340,10 @@ def test_black_vertex_colours_of_textured_meshes_are_left_out(caplog: pytest.Log
     assert used.endswith("'head' black: if it is no colour, export it")
 
 
-def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Vertex colours multiply the base colour, as the format demands; nearly black ones are logged, or left out."""
+def test_black_vertex_colours_are_logged_or_dropped_on_request(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Vertex colours multiply the base colour, as the format demands."""
     rig = TubeRig()
     rig.attributes["COLOR_0"] = np.zeros((len(rig.positions), 4), np.float32)
     path = rig.write(tmp_path / "tube.glb")
@@ -356,8 +358,8 @@ def test_black_vertex_colours_are_logged_and_left_out(tmp_path: Path, caplog: py
 
 
 @pytest.mark.data
-def test_the_walker_walks(data_dir: Path) -> None:
-    """The real avatar: one clip, which ends as it begins, and moves in between; at rest it is what `load` shows."""
+def test_real_avatar_plays_its_looping_clip(data_dir: Path) -> None:
+    """The clip ends as it begins; the rest pose equals the mesh from `load`."""
     path = data_dir / "avatars" / "walk.glb"
     rig = ls.avatars.load_rig(path, vertex_colors=False)
     assert len(rig.clips) == 1

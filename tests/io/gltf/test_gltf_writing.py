@@ -1,4 +1,4 @@
-"""Scenes written as glTF: captures to the bit, meshes, materials, lights and cameras, and what is said of the rest."""
+"""Written glTF scenes: exact captures, meshes, materials, lights and cameras, and reported losses."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from support.kinds import expect_kind, present
 
 QUAD_MESH = ls.Mesh(QUAD, QUAD_TRIANGLES, uvs=QUAD_UVS, name="quad")
 TURN = np.array([[0.36, 0.48, -0.8, 1.0], [-0.8, 0.6, 0.0, -2.0], [0.48, 0.64, 0.6, 3.0], [0.0, 0.0, 0.0, 1.0]])
-"""A rotation and a translation."""
+"""A rotation with a translation."""
 
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """The file that is written."""
+    """Returns the path of the written file."""
     return tmp_path / "scene.glb"
 
 
 def document(path: Path) -> dict[str, Any]:
-    """The JSON of a GLB, after a check of its two chunks."""
+    """Returns the JSON of a GLB, after checking its two chunks."""
     data = path.read_bytes()
     magic, version, length, size, kind = struct.unpack_from("<4sIII4s", data)
     assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
@@ -44,16 +44,16 @@ def document(path: Path) -> dict[str, Any]:
     return json.loads(data[20 : 20 + size])
 
 
-def again(path: Path, scene: ls.Scene, cameras: tuple[ls.Camera, ...] = ()) -> ls.Scene:
-    """A scene that has been written and loaded."""
+def round_trip(path: Path, scene: ls.Scene, cameras: tuple[ls.Camera, ...] = ()) -> ls.Scene:
+    """Writes a scene and loads it."""
     ls.save(path, scene, cameras=cameras)
     return expect_kind(ls.Scene, ls.load(path))
 
 
-def mesh_again(path: Path, material: ls.MaterialPbr | ls.MaterialSimple, **changes: Any) -> ls.Mesh:
-    """A quad of a material, written and loaded."""
+def mesh_round_trip(path: Path, material: ls.MaterialPbr | ls.MaterialSimple, **changes: Any) -> ls.Mesh:
+    """Writes a quad with a material and loads it."""
     scene = ls.Scene(meshes=[replace(QUAD_MESH, material=material, **changes)])
-    return again(path, scene).meshes[0].mesh
+    return round_trip(path, scene).meshes[0].mesh
 
 
 # --- Captures ---
@@ -61,8 +61,8 @@ def mesh_again(path: Path, material: ls.MaterialPbr | ls.MaterialSimple, **chang
 
 @pytest.mark.parametrize("extension", ["glb", "gltf"])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_captures_keep_their_bits(tmp_path: Path, degree: int, extension: str) -> None:
-    """All that a capture has comes back as it was: as an exact format must."""
+def test_capture_round_trip_is_exact(tmp_path: Path, degree: int, extension: str) -> None:
+    """All fields, bit by bit."""
     rng = np.random.default_rng(5)
     extras = {"normals": rng.normal(size=(40, 3)), "albedo": rng.random((40, 3)), "metallic": rng.random(40)}
     if degree % 2:
@@ -78,29 +78,29 @@ def test_captures_keep_their_bits(tmp_path: Path, degree: int, extension: str) -
         assert getattr(read, name) == getattr(given, name)
 
 
-def test_files_are_y_up(path: Path) -> None:
-    """Half a turn about x is baked, so that no node has a transform; the extension says what it must."""
+def test_single_capture_is_baked_to_y_up(path: Path) -> None:
+    """The half turn about x is applied to the Gaussians, so that no node has a transform."""
     given = capture(3)
     ls.save(path, given)
-    said = document(path)
-    assert said["nodes"] == [{"mesh": 0}]
-    (primitive,) = said["meshes"][0]["primitives"]
-    bounds = said["accessors"][primitive["attributes"]["POSITION"]]
+    gltf = document(path)
+    assert gltf["nodes"] == [{"mesh": 0}]
+    (primitive,) = gltf["meshes"][0]["primitives"]
+    bounds = gltf["accessors"][primitive["attributes"]["POSITION"]]
     turned = given.means * np.array([1, -1, -1], np.float32)
     assert (bounds["min"], bounds["max"]) == (turned.min(axis=0).tolist(), turned.max(axis=0).tolist())
     extension = primitive["extensions"]["KHR_gaussian_splatting"]
     assert (extension["kernel"], extension["colorSpace"]) == ("ellipse", "srgb_rec709_display")
-    assert (primitive["mode"], said["extensionsUsed"]) == (0, ["KHR_gaussian_splatting"])
-    assert "extensionsRequired" not in said
+    assert (primitive["mode"], gltf["extensionsUsed"]) == (0, ["KHR_gaussian_splatting"])
+    assert "extensionsRequired" not in gltf
 
 
 def test_color_0_is_linear(path: Path) -> None:
-    """Programs without Gaussians show points of the mean colour, which glTF has in linear light."""
+    """Programs without Gaussian support show points in the mean colour, which glTF stores linear."""
     given = capture(6, sh=np.linspace(-3.0, 3.0, 6 * 4 * 3).reshape(6, 4, 3))
     ls.save(path, given)
-    said, data = document(path), path.read_bytes()
-    accessor = said["accessors"][said["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
-    view = said["bufferViews"][accessor["bufferView"]]
+    gltf, data = document(path), path.read_bytes()
+    accessor = gltf["accessors"][gltf["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    view = gltf["bufferViews"][accessor["bufferView"]]
     start = 28 + struct.unpack_from("<I", data, 12)[0] + view["byteOffset"]
     stored = np.frombuffer(data, np.uint8, view["byteLength"], start).reshape(-1, 4) / 255.0
     display = np.clip(SH_C0 * given.sh[:, 0] + 0.5, 0.0, 1.0)
@@ -108,8 +108,8 @@ def test_color_0_is_linear(path: Path) -> None:
     np.testing.assert_allclose(stored[:, 3], given.opacities, rtol=0, atol=0.5 / 255 + 1e-6)
 
 
-def test_placed_captures_are_instances(path: Path) -> None:
-    """A capture that is placed twice is stored once; what reflects light on it, and what it shows, are kept."""
+def test_repeated_captures_are_instances(path: Path) -> None:
+    """A capture used twice is stored once; materials and settings of its instances are kept."""
     given = capture(20)
     material = ls.MaterialPbr(roughness=0.25, sheen_color=(0.1, 0.2, 0.3), name="cloth")
     simple = ls.MaterialSimple(ambient=(0.5, 0.5, 0.5), shininess=9.0)
@@ -121,7 +121,7 @@ def test_placed_captures_are_instances(path: Path) -> None:
             ls.SplatInstance(given, placed, name="b", material=simple, shadow_catcher=True),
         ]
     )
-    read = again(path, scene)
+    read = round_trip(path, scene)
     assert len(document(path)["meshes"]) == 1
     first, second = read.splats
     assert (first.name, second.name) == ("a", "b")
@@ -135,12 +135,14 @@ def test_placed_captures_are_instances(path: Path) -> None:
     np.testing.assert_array_equal(second.transform, upright @ placed)
 
 
-def test_a_capture_alone_that_is_relit_stays_a_scene(path: Path) -> None:
-    """What is known of one capture alone is not lost: its material, and that it only casts a shadow."""
+def test_single_capture_with_settings_stays_a_scene(path: Path) -> None:
+    """Its material and its shadow catcher flag are not lost."""
     relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
-    assert expect_kind(ls.MaterialPbr, again(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
+    assert expect_kind(ls.MaterialPbr, round_trip(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
     assert not holds_one_capture(path)
-    assert again(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_catcher=True)])).splats[0].shadow_catcher
+    assert (
+        round_trip(path, ls.Scene(splats=[ls.SplatInstance(capture(5), shadow_catcher=True)])).splats[0].shadow_catcher
+    )
     ls.save(path, ls.Scene(splats=[ls.SplatInstance(capture(5), name="a")]))
     assert isinstance(ls.load(path), ls.Gaussians) and holds_one_capture(path)
 
@@ -149,11 +151,11 @@ def test_a_capture_alone_that_is_relit_stays_a_scene(path: Path) -> None:
     ("up", "to_file"),
     [("y-down", (1, -2, -3)), ("y-up", (1, 2, 3)), ("z-up", (1, 3, -2)), ("x-up", None), ((0.0, -1.0, 0.2), None)],
 )
-def test_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None) -> None:
-    """What stands upright in the scene stands upright in the file, rigidly; the usual axes are exchanged exactly."""
+def test_scene_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None) -> None:
+    """By a rotation; the usual axes are exchanged exactly."""
     given = capture(4)
     scene = ls.Scene(splats=[given], meshes=[QUAD_MESH], up=up)
-    read = again(path, scene)
+    read = round_trip(path, scene)
     turn = read.splats[0].transform
     np.testing.assert_allclose(turn[:3, :3] @ turn[:3, :3].T, np.eye(3), atol=1e-12)
     np.testing.assert_allclose(turn[:3, :3] @ scene.up_direction, (0.0, 1.0, 0.0), atol=1e-12)
@@ -166,13 +168,13 @@ def test_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None) -> N
 # --- Meshes ---
 
 
-def test_meshes_keep_their_bits(path: Path) -> None:
+def test_mesh_round_trip_is_exact(path: Path) -> None:
     """Vertices, normals, texture coordinates, colours and triangles; instances share them."""
     rng = np.random.default_rng(2)
     normals = rng.normal(size=(4, 3))
     mesh = replace(QUAD_MESH, normals=normals, colors=rng.random((4, 3)))
     moved = TURN @ np.diag([2.0, -1.0, 3.0, 1.0])
-    read = again(path, ls.Scene(meshes=[mesh, ls.MeshInstance(mesh, moved, name="copy")]))
+    read = round_trip(path, ls.Scene(meshes=[mesh, ls.MeshInstance(mesh, moved, name="copy")]))
     assert len(document(path)["meshes"]) == 1
     first, second = read.meshes
     assert first.mesh is second.mesh
@@ -183,26 +185,26 @@ def test_meshes_keep_their_bits(path: Path) -> None:
 
 
 def test_flat_meshes_stay_flat(path: Path) -> None:
-    """Without normals in a file, faces are flat."""
-    assert mesh_again(path, ls.MaterialPbr()).normals is None
+    """Meshes without normals stay without."""
+    assert mesh_round_trip(path, ls.MaterialPbr()).normals is None
 
 
-def test_large_meshes_have_long_indices(path: Path) -> None:
-    """65,535 restarts strips, and is no index of 16 bits."""
+def test_large_meshes_have_32_bit_indices(path: Path) -> None:
+    """65,535 is not a valid 16-bit index, because it restarts primitives."""
     rng = np.random.default_rng(0)
     for count, width in ((65535, 5123), (65536, 5125)):
         mesh = ls.Mesh(rng.random((count, 3)), [[0, 1, count - 1]])
-        np.testing.assert_array_equal(again(path, ls.Scene(meshes=[mesh])).meshes[0].mesh.indices, mesh.indices)
-        said = document(path)
-        assert said["accessors"][said["meshes"][0]["primitives"][0]["indices"]]["componentType"] == width
+        np.testing.assert_array_equal(round_trip(path, ls.Scene(meshes=[mesh])).meshes[0].mesh.indices, mesh.indices)
+        gltf = document(path)
+        assert gltf["accessors"][gltf["meshes"][0]["primitives"][0]["indices"]]["componentType"] == width
 
 
-def test_sheared_meshes_are_written_as_they_stand(path: Path) -> None:
-    """No node can shear; vertices, normals and windings are those of the world instead."""
+def test_sheared_meshes_are_written_in_world_space(path: Path) -> None:
+    """Nodes cannot shear: vertices, normals and windings are transformed instead."""
     shear = np.eye(4)
     shear[0, 1], shear[2, 2] = 0.5, -1.0
     mesh = replace(QUAD_MESH, normals=np.tile([0.6, 0.0, 0.8], (4, 1)))
-    (read,) = again(path, ls.Scene(meshes=[ls.MeshInstance(mesh, shear)])).meshes
+    (read,) = round_trip(path, ls.Scene(meshes=[ls.MeshInstance(mesh, shear)])).meshes
     np.testing.assert_array_equal(read.transform, np.eye(4))
     np.testing.assert_allclose(read.mesh.positions, QUAD @ shear[:3, :3].T, atol=1e-6)
     np.testing.assert_array_equal(read.mesh.indices, QUAD_TRIANGLES[:, ::-1])
@@ -214,7 +216,7 @@ def test_sheared_meshes_are_written_as_they_stand(path: Path) -> None:
 
 
 def texels(seed: int, channels: int = 3) -> np.ndarray:
-    """A small texture."""
+    """Returns a small texture."""
     return np.random.default_rng(seed).integers(0, 256, (3, 5, channels)).astype(np.uint8)
 
 
@@ -261,9 +263,9 @@ MATERIALS = [
 
 
 @pytest.mark.parametrize("material", MATERIALS, ids=lambda material: material.name or "")
-def test_materials_come_back(path: Path, material: ls.MaterialPbr | ls.MaterialSimple) -> None:
-    """Every field of a material that glTF can say, textures to the bit."""
-    read = mesh_again(path, material).material
+def test_material_round_trip(path: Path, material: ls.MaterialPbr | ls.MaterialSimple) -> None:
+    """Every field that glTF can store, textures bit by bit."""
+    read = mesh_round_trip(path, material).material
     assert type(read) is type(material)
     for field in fields(material):
         given, found = getattr(material, field.name), getattr(read, field.name)
@@ -277,23 +279,23 @@ def test_materials_come_back(path: Path, material: ls.MaterialPbr | ls.MaterialS
             assert found == given, field.name
 
 
-def test_textures_without_coordinates_are_left_out(path: Path) -> None:
-    """GlTF does not allow them, and no picture shows them."""
-    mesh = mesh_again(path, ls.MaterialPbr(base_color_texture=texels(1), roughness=0.125), uvs=None)
+def test_textures_without_uvs_are_not_written(path: Path) -> None:
+    """Textures without coordinates are invalid in glTF."""
+    mesh = mesh_round_trip(path, ls.MaterialPbr(base_color_texture=texels(1), roughness=0.125), uvs=None)
     assert expect_kind(ls.MaterialPbr, mesh.material).roughness == 0.125
     assert "textures" not in document(path)
 
 
-def test_equal_things_are_stored_once(path: Path) -> None:
-    """Materials and textures are shared by meshes that share them."""
+def test_shared_materials_and_textures_are_stored_once(path: Path) -> None:
+    """Meshes that share them refer to the same items."""
     shared = texels(1)
     material = ls.MaterialPbr(base_color_texture=shared, emissive=(1.0, 1.0, 1.0))
     shared = material.base_color_texture
     other = ls.MaterialPbr(base_color_texture=shared, wrap_u=CLAMP)
     meshes = [replace(QUAD_MESH, material=one) for one in (material, material, other)]
     ls.save(path, ls.Scene(meshes=meshes))
-    said = document(path)
-    counts = [len(said[name]) for name in ("meshes", "materials", "images", "textures", "samplers")]
+    gltf = document(path)
+    counts = [len(gltf[name]) for name in ("meshes", "materials", "images", "textures", "samplers")]
     assert counts == [3, 2, 1, 2, 2]
 
 
@@ -308,9 +310,9 @@ LIGHTS = [
 ]
 
 
-def test_lights_come_back(path: Path) -> None:
-    """Punctual lights, in a scene that is y up, with the sizes that only we know."""
-    read = again(path, ls.Scene(lights=LIGHTS, up="y-up"))
+def test_punctual_light_round_trip(path: Path) -> None:
+    """In a y-up scene, with the sizes that only Lumisplat reads."""
+    read = round_trip(path, ls.Scene(lights=LIGHTS, up="y-up"))
     for light, found in zip(LIGHTS, read.lights, strict=True):
         assert type(found) is type(light)
         for field in fields(light):
@@ -320,33 +322,33 @@ def test_lights_come_back(path: Path) -> None:
             assert getattr(found, field.name) == expected, field.name
 
 
-def test_colours_above_one_are_intensity(path: Path) -> None:
-    """The extension has colours up to 1."""
-    (light,) = again(path, ls.Scene(lights=[ls.LightPoint((0, 0, 0), (4.0, 2.0, 1.0), 3.0)])).lights
+def test_light_colours_above_one_scale_the_intensity(path: Path) -> None:
+    """The extension limits colours to 1."""
+    (light,) = round_trip(path, ls.Scene(lights=[ls.LightPoint((0, 0, 0), (4.0, 2.0, 1.0), 3.0)])).lights
     assert not isinstance(light, ls.LightEnvironment)
     assert (light.color, light.intensity) == ((1.0, 0.5, 0.25), 12.0)
 
 
-def test_spheres_become_points(path: Path) -> None:
-    """From outside, a sphere shines as a point of its radiance times its disc; here with its radius, too."""
-    (light,) = again(path, ls.Scene(lights=[ls.LightSphere((1, 2, 3), 0.5, intensity=8.0)], up="y-up")).lights
+def test_sphere_lights_become_point_lights(path: Path) -> None:
+    """With the intensity of radiance times disk area, and with the radius for Lumisplat."""
+    (light,) = round_trip(path, ls.Scene(lights=[ls.LightSphere((1, 2, 3), 0.5, intensity=8.0)], up="y-up")).lights
     point = expect_kind(ls.LightPoint, light)
     assert point.intensity == pytest.approx(8.0 * math.pi * 0.25)
     assert (point.radius, point.position) == (0.5, (1.0, 2.0, 3.0))
 
 
 def cameras() -> Iterator[ls.Camera]:
-    """Cameras that glTF can hold."""
+    """Returns cameras that glTF can store."""
     base = ls.Camera.look_at((3.0, 1.0, 5.0), (0.0, 0.5, 0.0), width=320, height=200, fov_y=0.7, name="first")
     yield base
     yield replace(base, name="second", exposure=-1.5, aperture=0.25, focus_distance=3.0, near=0.5)
     yield ls.Camera.look_at((0.0, 0.0, 9.0), (0.0, 0.0, 0.0), model="orthographic", width=64, height=64, name="third")
 
 
-def test_cameras_come_back(path: Path) -> None:
-    """Fields of view, poses and near planes; and what only we know: sizes, exposures, lenses."""
+def test_camera_round_trip(path: Path) -> None:
+    """Fields of view, poses and near planes, and in extras image size, exposure and lens."""
     given = tuple(cameras())
-    again(path, ls.Scene(meshes=[QUAD_MESH]), given)
+    round_trip(path, ls.Scene(meshes=[QUAD_MESH]), given)
     for camera, found in zip(given, ls.load_cameras(path), strict=True):
         for field in fields(camera):
             expected = getattr(camera, field.name)
@@ -356,23 +358,23 @@ def test_cameras_come_back(path: Path) -> None:
                 assert getattr(found, field.name) == expected
 
 
-# --- What is said, and what is refused ---
+# --- Log lines and errors ---
 
 
-def said(caplog: pytest.LogCaptureFixture) -> str:
-    """The only log line."""
+def logged_line(caplog: pytest.LogCaptureFixture) -> str:
+    """Returns the only log line."""
     (record,) = caplog.records
     return record.getMessage()
 
 
-def test_nothing_is_said_of_what_is_kept(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A scene that glTF holds as it is."""
+def test_lossless_scenes_are_written_silently(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A scene that glTF can store completely."""
     ls.save(path, ls.Scene(splats=[capture(3)], meshes=[QUAD_MESH], lights=LIGHTS), cameras=tuple(cameras()))
     assert not caplog.records
 
 
 def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Each thing that other programs will not see, and how many of it."""
+    """Each feature that other programs will not see, with its count."""
     camera = next(cameras())
     scene = ls.Scene(
         splats=[
@@ -396,7 +398,7 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
         replace(camera, camera_from_world_end=camera.camera_from_world),
     ]
     ls.save(path, scene, cameras=shown)
-    assert said(caplog) == (
+    assert logged_line(caplog) == (
         f"{path}: glTF cannot store relighting of captures (1 look as captured in other programs); the antialiased "
         "flag of captures (1 look sharper in other programs); kernels of degree 4 (Gaussians in other programs); "
         "simple materials (chalk are approximated); priorities of overlapping media; area lights (panel, a disk); the "
@@ -406,8 +408,8 @@ def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixt
     assert len(ls.load_cameras(path)) == 2
 
 
-def test_nothing_to_write_is_refused(path: Path) -> None:
-    """An empty scene, and one of which glTF can hold nothing, leave no file."""
+def test_scenes_with_nothing_to_write_are_refused(path: Path) -> None:
+    """An empty scene, and one that glTF cannot store at all, leave no file."""
     with pytest.raises(ls.FormatError, match="the scene is empty"):
         ls.save(path, ls.Scene())
     with pytest.raises(ls.FormatError, match="glTF cannot store the environment: there is nothing else to write"):
@@ -415,8 +417,8 @@ def test_nothing_to_write_is_refused(path: Path) -> None:
     assert not path.exists()
 
 
-def test_a_failure_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Files appear whole or not at all."""
+def test_failed_write_keeps_the_old_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Files appear complete or not at all."""
     ls.save(path, capture(3))
     before = path.read_bytes()
     monkeypatch.setattr("lumisplat.io.gltf.container._GLB_MAX", 100)
@@ -426,8 +428,8 @@ def test_a_failure_leaves_the_old_file(path: Path, monkeypatch: pytest.MonkeyPat
     assert [one.name for one in path.parent.iterdir()] == [path.name]
 
 
-def test_other_formats_hold_gaussians_alone(tmp_path: Path) -> None:
-    """A scene, a mesh or cameras in a format of captures are refused, with the formats that hold them."""
+def test_capture_formats_refuse_scenes(tmp_path: Path) -> None:
+    """Scenes, meshes and cameras are refused, and the error lists the formats that store them."""
     for asset, shown in ((ls.Scene(meshes=[QUAD_MESH]), ()), (QUAD_MESH, ()), (capture(3), tuple(cameras()))):
         with pytest.raises(
             ls.FormatError, match=r"a\.ply: stores only Gaussians: save scenes and meshes .* \.glb, \.gltf"
@@ -439,13 +441,13 @@ def test_other_formats_hold_gaussians_alone(tmp_path: Path) -> None:
         ls.io.check_format(tmp_path / "a.obj", scene=True)
 
 
-def test_names_that_are_no_text(path: Path) -> None:
-    """Names of files with other bytes than UTF-8 are written with question marks, not refused."""
+def test_undecodable_names_are_written_with_question_marks(path: Path) -> None:
+    """File names that are not UTF-8 are not refused."""
     scene = ls.Scene(meshes=[replace(QUAD_MESH, name="no\udce9l"), replace(QUAD_MESH, name="Stück")])
-    assert [mesh.name for mesh in again(path, scene).meshes] == ["no?l", "Stück"]
+    assert [mesh.name for mesh in round_trip(path, scene).meshes] == ["no?l", "Stück"]
 
 
-def test_a_mesh_alone(path: Path) -> None:
-    """A mesh is saved as a scene of itself."""
+def test_single_mesh_is_saved_as_a_scene(path: Path) -> None:
+    """Loading gives a scene with one mesh."""
     ls.save(path, QUAD_MESH)
     assert expect_kind(ls.Scene, ls.load(path)).meshes[0].mesh.name == "quad"

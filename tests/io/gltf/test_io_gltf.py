@@ -1,4 +1,4 @@
-"""glTF: hierarchy, accessors in all their forms, materials, textures, skins; the real files load."""
+"""glTF: hierarchy, accessors in all forms, materials, textures, skins, and real files."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ def read(tmp_path: Path, gltf: Gltf) -> Scene:
     return expect_kind(Scene, read_gltf(tmp_path / "a.glb"))
 
 
-def one(scene: Scene) -> MeshInstance:
-    """The only mesh instance."""
+def only_mesh(scene: Scene) -> MeshInstance:
+    """Returns the only mesh instance."""
     assert len(scene.meshes) == 1
     return scene.meshes[0]
 
 
 @pytest.mark.parametrize("container", ["glb", "data uri", "external"])
-def test_quad_with_texture(tmp_path: Path, container: str) -> None:
-    """Geometry, factors and texture come through every container unchanged."""
+def test_textured_quad_is_equal_in_every_container(tmp_path: Path, container: str) -> None:
+    """Geometry, factors and texture are unchanged."""
     gltf = quad_gltf()
     if container == "glb":
-        instance = one(read(tmp_path, gltf))
+        instance = only_mesh(read(tmp_path, gltf))
     else:
         (tmp_path / "my data.bin").write_bytes(gltf.data)
         (tmp_path / "a.gltf").write_bytes(gltf.gltf("my%20data.bin" if container == "external" else None))
-        instance = one(expect_kind(Scene, read_gltf(tmp_path / "a.gltf")))
+        instance = only_mesh(expect_kind(Scene, read_gltf(tmp_path / "a.gltf")))
     mesh = instance.mesh
     np.testing.assert_array_equal(mesh.positions, QUAD)
     np.testing.assert_array_equal(mesh.indices, QUAD_TRIANGLES)
@@ -49,61 +49,61 @@ def test_quad_with_texture(tmp_path: Path, container: str) -> None:
     assert instance.name == "quad"
 
 
-def test_image_beside_the_file(tmp_path: Path) -> None:
-    """A texture may be a file of its own."""
+def test_texture_may_be_an_external_file(tmp_path: Path) -> None:
+    """The image lies beside the .gltf."""
     gltf = quad_gltf()
     gltf.json["images"] = [{"uri": "paint.png"}]
     (tmp_path / "paint.png").write_bytes(png_bytes())
-    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
+    np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
 
 
-def test_parents_then_children(tmp_path: Path) -> None:
-    """A child's TRS applies before its parent's column-major matrix."""
+def test_child_transform_applies_before_its_parents(tmp_path: Path) -> None:
+    """A TRS child below a parent with a column-major matrix."""
     half = np.sqrt(0.5)
     gltf = quad_gltf(translation=[1, 0, 0], rotation=[0, 0, half, half], scale=[2, 1, 1])
     matrix = np.diag([1.0, 1.0, -1.0, 1.0])
     matrix[:3, 3] = (0, 0, 5)
     gltf.add("nodes", children=[0], matrix=matrix.T.reshape(-1).tolist())
     gltf.add("scenes", nodes=[1])
-    world_from_object = one(read(tmp_path, gltf)).transform
-    # (1, 0, 0): doubled, turned a quarter from x to y, moved by 1 in x; then the parent.
+    world_from_object = only_mesh(read(tmp_path, gltf)).transform
+    # (1, 0, 0) is doubled, rotated by 90 degrees from x to y and moved by 1 in x, then by the parent.
     np.testing.assert_allclose(world_from_object @ (1, 0, 0, 1), (1, 2, 5, 1), atol=1e-12)
     np.testing.assert_allclose(world_from_object @ (0, 1, 1, 1), (0, 0, 4, 1), atol=1e-12)
 
 
 def test_shared_mesh_is_read_once(tmp_path: Path) -> None:
-    """Two nodes with one mesh are two instances of the same object, so that it is uploaded once."""
+    """Two nodes with one mesh give two instances of one object, which is uploaded once."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
     first, second = read(tmp_path, gltf).meshes
     assert first.mesh is second.mesh
 
 
-def test_only_the_default_scene(tmp_path: Path) -> None:
-    """Nodes of other scenes, and nodes scaled to nothing, are not shown."""
+def test_only_the_default_scene_is_read(tmp_path: Path) -> None:
+    """Nodes of other scenes and nodes of zero scale are skipped."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, scale=[0, 0, 0])
     gltf.add("nodes", mesh=0, name="shown")
     gltf.json |= {"scenes": [{"nodes": [0]}, {"nodes": [1, 2]}], "scene": 1}
-    assert one(read(tmp_path, gltf)).name == "shown"
+    assert only_mesh(read(tmp_path, gltf)).name == "shown"
 
 
 @pytest.mark.parametrize(
     ("mode", "corners", "triangles"),
     [(5, [0, 1, 3, 2], [(0, 1, 3), (1, 2, 3)]), (6, [0, 1, 2, 3], [(0, 1, 2), (0, 2, 3)])],
 )
-def test_strips_and_fans(tmp_path: Path, mode: int, corners: list, triangles: list) -> None:
-    """Strips and fans become triangles of one winding."""
+def test_strips_and_fans_become_triangles(tmp_path: Path, mode: int, corners: list, triangles: list) -> None:
+    """All triangles have the same winding."""
     gltf = quad_gltf(textured=False)
     gltf.json["meshes"][0]["primitives"][0] |= {"mode": mode, "indices": gltf.accessor(np.array(corners, np.uint8))}
-    mesh = one(read(tmp_path, gltf)).mesh
+    mesh = only_mesh(read(tmp_path, gltf)).mesh
     np.testing.assert_array_equal(mesh.indices, triangles)
     a, b, c = (mesh.positions[mesh.indices[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
 
 
-def test_interleaved_normalised_and_sparse_accessors(tmp_path: Path) -> None:
-    """Strides, offsets, normalised integers and sparse replacements are decoded as section 3.6.2 defines."""
+def test_interleaved_normalized_and_sparse_accessors(tmp_path: Path) -> None:
+    """Strides, offsets, normalized integers and sparse values are decoded as in section 3.6.2."""
     gltf = quad_gltf(textured=False)
     rows = b"".join(struct.pack("<3f4B", *p, 255, 51, 0, 255) for p in QUAD)
     view = gltf.view(rows, byteStride=16)
@@ -123,40 +123,40 @@ def test_interleaved_normalised_and_sparse_accessors(tmp_path: Path) -> None:
         "accessors", bufferView=view, byteOffset=12, componentType=5121, type="VEC4", count=4, normalized=True
     )
     gltf.json["meshes"][0]["primitives"][0]["attributes"] = {"POSITION": positions, "COLOR_0": colors}
-    mesh = one(read(tmp_path, gltf)).mesh
+    mesh = only_mesh(read(tmp_path, gltf)).mesh
     np.testing.assert_array_equal(mesh.positions, [QUAD[0], QUAD[1], (7, 8, 9), QUAD[3]])
     np.testing.assert_allclose(present(mesh.colors), [(1.0, 0.2, 0.0)] * 4)
 
 
-def test_quantized_positions(tmp_path: Path) -> None:
-    """KHR_mesh_quantization: signed normalised integers reach -1 at both of their lowest values."""
+def test_quantized_positions_are_decoded(tmp_path: Path) -> None:
+    """KHR_mesh_quantization: signed normalized integers are -1 at both of their lowest values."""
     gltf = quad_gltf(textured=False)
     gltf.json["extensionsRequired"] = ["KHR_mesh_quantization"]
     stored = np.array([(-128, 0, 0), (127, 0, 0), (0, -127, 0), (0, 127, 0)], np.int8)
     attributes = {"POSITION": gltf.accessor(stored, normalized=True)}
     gltf.json["meshes"][0]["primitives"][0]["attributes"] = attributes
     expected = [(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0)]
-    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.positions, expected)
+    np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.positions, expected)
 
 
-def test_texture_transform_turns_counter_clockwise() -> None:
-    """A quarter turn takes +u to -v, which points up in the image; scale comes first, offset last."""
+def test_texture_transform_rotates_counter_clockwise() -> None:
+    """A quarter turn maps +u to -v, which is up in the image; scale applies first, offset last."""
     uvs = np.array([(1, 0), (0, 1)], dtype=np.float32)
     turned = UvTransform(rotation=np.pi / 2, scale=(2, 3), offset=(10, 20)).apply(uvs)
     np.testing.assert_allclose(turned, [(10, 18), (13, 20)], atol=1e-5)
 
 
-def test_texture_uses_its_own_uv_set(tmp_path: Path) -> None:
-    """The base colour texture's texCoord selects the set."""
+def test_texture_uses_its_texcoord_set(tmp_path: Path) -> None:
+    """The texCoord of the base colour texture selects it."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
     attributes["TEXCOORD_1"] = gltf.accessor(QUAD_UVS * np.float32(0.5))
-    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.uvs, QUAD_UVS * 0.5)
+    np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.uvs, QUAD_UVS * 0.5)
 
 
 def test_material_extensions_and_defaults(tmp_path: Path) -> None:
-    """Refraction index and specular are read; a primitive without material gets glTF's default."""
+    """The index of refraction and specular are read; a primitive without material gets glTF's default."""
     gltf = quad_gltf(textured=False)
     extensions = {"KHR_materials_ior": {"ior": 1.33}, "KHR_materials_specular": {"specularFactor": 0.4}}
     gltf.json["materials"][0]["extensions"] = extensions
@@ -175,33 +175,33 @@ GLASS = {
 }
 
 
-def test_glass(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A solid that transmits is read without a log line; missing factors are those of the extensions."""
+def test_transmissive_solid_is_read_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Missing factors have the defaults of the extensions."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0] = {
         "extensions": GLASS,
         "pbrMetallicRoughness": {"roughnessFactor": 0, "metallicFactor": 0},
     }
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        material = pbr_of(one(read(tmp_path, gltf)).mesh)
+        material = pbr_of(only_mesh(read(tmp_path, gltf)).mesh)
         assert (material.transmission, material.ior, material.roughness) == (0.75, 1.45, 0.0)
         gltf.json["materials"][0]["extensions"] = {"KHR_materials_transmission": {}, "KHR_materials_ior": {}}
-        material = pbr_of(one(read(tmp_path, gltf)).mesh)
+        material = pbr_of(only_mesh(read(tmp_path, gltf)).mesh)
         assert (material.transmission, material.ior, material.specular) == (0.0, 1.5, 1.0)
     assert not caplog.records
 
 
-def test_the_inside_of_glass(tmp_path: Path) -> None:
-    """With a thickness it absorbs as the volume says; without one it is a thin wall."""
+def test_thickness_makes_a_solid_with_absorption(tmp_path: Path) -> None:
+    """Without a thickness the material is thin-walled."""
     gltf = quad_gltf(textured=False)
     volume = {"thicknessFactor": 1, "attenuationDistance": 2, "attenuationColor": [0.5, 0.25, 1]}
     gltf.json["materials"][0]["extensions"] = GLASS | {"KHR_materials_volume": volume}
-    material = pbr_of(one(read(tmp_path, gltf)).mesh)
+    material = pbr_of(only_mesh(read(tmp_path, gltf)).mesh)
     assert not material.thin_walled
     assert (material.attenuation_distance, material.attenuation_color) == (2.0, (0.5, 0.25, 1.0))
     for thin in ({}, {"thicknessFactor": 0, "attenuationDistance": 2}):
         gltf.json["materials"][0]["extensions"] = GLASS | {"KHR_materials_volume": thin}
-        material = pbr_of(one(read(tmp_path, gltf)).mesh)
+        material = pbr_of(only_mesh(read(tmp_path, gltf)).mesh)
         assert material.thin_walled
         assert material.attenuation_distance == np.inf
     volume["attenuationDistance"] = -1
@@ -211,50 +211,50 @@ def test_the_inside_of_glass(tmp_path: Path) -> None:
 
 
 def with_alpha(gltf: Gltf, alpha: int = 7) -> Gltf:
-    """The same, its texture with an alpha channel."""
+    """Gives the document's texture an alpha channel."""
     rgba = np.dstack([TEXELS, np.full((2, 2), alpha, np.uint8)])
     gltf.json["images"][0]["bufferView"] = gltf.view(png_bytes(rgba))
     return gltf
 
 
-def test_alpha_is_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The mode, the cutoff, the factor, and the texture's fourth channel; of unlit materials as well."""
+def test_alpha_mode_cutoff_and_factor_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """With the texture's fourth channel; also for unlit materials."""
     for extensions in ({}, {"KHR_materials_unlit": {}}):
         gltf = with_alpha(quad_gltf())
         material = gltf.json["materials"][0]
         material |= {"alphaMode": "MASK", "alphaCutoff": 0.25, "extensions": extensions}
         material["pbrMetallicRoughness"]["baseColorFactor"] = [1, 1, 1, 0.75]
         with caplog.at_level(logging.WARNING, "lumisplat"):
-            read_back = one(read(tmp_path, gltf)).mesh.material
+            read_back = only_mesh(read(tmp_path, gltf)).mesh.material
         assert not caplog.records
         assert (read_back.alpha_mode, read_back.alpha, read_back.alpha_cutoff) == (ls.AlphaMode.MASK, 0.75, 0.25)
         assert present(read_back.base_color_texture).shape == (2, 2, 4)
     gltf.json["materials"][0] = {"alphaMode": "BLEND"}
-    assert one(read(tmp_path, gltf)).mesh.material.alpha_mode is ls.AlphaMode.BLEND
+    assert only_mesh(read(tmp_path, gltf)).mesh.material.alpha_mode is ls.AlphaMode.BLEND
 
 
-def test_an_unknown_alpha_mode_is_refused(tmp_path: Path) -> None:
-    """One line, with the modes that there are."""
+def test_unknown_alpha_mode_is_refused(tmp_path: Path) -> None:
+    """The error lists the known modes."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["alphaMode"] = "HALF"
     with pytest.raises(ls.FormatError, match=r"alpha_mode is 'half', expected 'opaque', 'mask' or 'blend'"):
         read(tmp_path, gltf)
 
 
-def test_samplers_say_how_textures_wrap(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Along each axis, and each texture in its own way; another number is an error."""
+def test_samplers_set_wrap_modes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Along each axis and for each texture; unknown modes are refused."""
     gltf = quad_gltf()
-    assert one(read(tmp_path, gltf)).mesh.material.wrap_u is ls.TextureWrap.REPEAT
+    assert only_mesh(read(tmp_path, gltf)).mesh.material.wrap_u is ls.TextureWrap.REPEAT
     gltf.add("samplers", wrapS=33071, wrapT=33648)
     gltf.json["textures"][0]["sampler"] = 0
-    material = pbr_of(one(read(tmp_path, gltf)).mesh)
+    material = pbr_of(only_mesh(read(tmp_path, gltf)).mesh)
     assert (material.wrap_u, material.wrap_v) == (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)
     assert material.texture_wraps is None
     gltf.add("textures", source=0)
     gltf.json["materials"][0]["emissiveTexture"] = {"index": 1}
     gltf.json["materials"][0]["normalTexture"] = {"index": 0}
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        material = pbr_of(one(read(tmp_path, gltf)).mesh)
+        material = pbr_of(only_mesh(read(tmp_path, gltf)).mesh)
     assert not caplog.records
     assert (material.wrap_u, material.wrap_v) == (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)
     assert material.texture_wraps == {"emissive_texture": (ls.TextureWrap.REPEAT, ls.TextureWrap.REPEAT)}
@@ -263,23 +263,23 @@ def test_samplers_say_how_textures_wrap(tmp_path: Path, caplog: pytest.LogCaptur
         read(tmp_path, gltf)
 
 
-def test_texture_is_opaque(tmp_path: Path) -> None:
-    """An alpha channel that is not used does not reach the scene."""
+def test_unused_alpha_channels_are_dropped(tmp_path: Path) -> None:
+    """Opaque materials get three channels."""
     gltf = with_alpha(quad_gltf())
-    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
+    np.testing.assert_array_equal(only_mesh(read(tmp_path, gltf)).mesh.material.base_color_texture, TEXELS)
 
 
-def test_texture_without_coordinates_is_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A texture without its set of coordinates is dropped with a log line."""
+def test_texture_without_uvs_is_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """With a log line."""
     gltf = quad_gltf()
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):
-        assert one(read(tmp_path, gltf)).mesh.material.base_color_texture is None
+        assert only_mesh(read(tmp_path, gltf)).mesh.material.base_color_texture is None
     assert ["the texture of 'painted' is left out" in record.message for record in caplog.records] == [True]
 
 
-def test_skin_poses_the_mesh_once(tmp_path: Path) -> None:
-    """Vertices follow joint pose times inverse bind matrix, blended; the mesh node's own transform is ignored."""
+def test_skin_ignores_the_transform_of_its_mesh_node(tmp_path: Path) -> None:
+    """Vertices follow the blended joint transforms times inverse bind matrices."""
     gltf = quad_gltf(textured=False, translation=[100, 0, 0], skin=0)
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
     attributes["NORMAL"] = gltf.accessor(np.array([(0, 0, 1)] * 4, np.float32))
@@ -290,9 +290,9 @@ def test_skin_poses_the_mesh_once(tmp_path: Path) -> None:
     bind[1, :3, 3] = (-1, 0, 0)
     half = np.sqrt(0.5)
     gltf.add("nodes", translation=[0, 0, 2], children=[2])
-    gltf.add("nodes", translation=[1, 0, 0], rotation=[half, 0, 0, half])  # y to z about x
+    gltf.add("nodes", translation=[1, 0, 0], rotation=[half, 0, 0, half])  # rotates y to z about x
     gltf.add("skins", joints=[1, 2], inverseBindMatrices=gltf.accessor(bind))
-    instance = one(read(tmp_path, gltf))
+    instance = only_mesh(read(tmp_path, gltf))
     np.testing.assert_array_equal(instance.transform, np.eye(4))
     expected = [(0, 0, 2), (1, 0, 2), (1, 0, 3), (0, 0.5, 2.5)]
     np.testing.assert_allclose(instance.mesh.positions, expected, atol=1e-6)
@@ -300,21 +300,23 @@ def test_skin_poses_the_mesh_once(tmp_path: Path) -> None:
     np.testing.assert_allclose(instance.mesh.normals[:3], [(0, 0, 1), (0, 0, 1), (0, -1, 0)], atol=1e-6)
 
 
-def test_morph_targets_at_default_weights(tmp_path: Path) -> None:
-    """Offsets of the morph targets are added with the mesh's weights."""
+def test_morph_targets_have_default_weights(tmp_path: Path) -> None:
+    """Their offsets are added with the mesh's weights."""
     gltf = quad_gltf(textured=False)
     offsets = gltf.accessor(np.array([(0, 0, 4)] * 4, np.float32))
     gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": offsets}]
     gltf.json["meshes"][0]["weights"] = [0.25]
-    np.testing.assert_array_equal(one(read(tmp_path, gltf)).mesh.positions, QUAD + np.array([0, 0, 1], np.float32))
+    np.testing.assert_array_equal(
+        only_mesh(read(tmp_path, gltf)).mesh.positions, QUAD + np.array([0, 0, 1], np.float32)
+    )
 
 
 def test_zero_normals_are_rebuilt(tmp_path: Path) -> None:
-    """A normal of zero length becomes that of the triangles around it, not NaN."""
+    """A normal of zero length becomes that of the adjacent triangles, not NaN."""
     gltf = quad_gltf(textured=False)
     normals = gltf.accessor(np.array([(0, 0, 0), (0, 3, 0), (0, 0, 0), (1, 0, 0)], np.float32))
     gltf.json["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
-    rebuilt = present(one(read(tmp_path, gltf)).mesh.normals)
+    rebuilt = present(only_mesh(read(tmp_path, gltf)).mesh.normals)
     np.testing.assert_allclose(rebuilt, [(0, 0, 1), (0, 1, 0), (0, 0, 1), (1, 0, 0)])
 
 
@@ -323,8 +325,8 @@ def test_zero_normals_are_rebuilt(tmp_path: Path) -> None:
     ("name", "instances", "faces"),
     [("meshes/Duck.glb", 1, 4212), ("meshes/statue.glb", 5, 16259), ("avatars/walk.glb", 1, 6050)],
 )
-def test_real_files(data_dir: Path, name: str, instances: int, faces: int) -> None:
-    """Real exports load with their textures, unit normals, and stand upright: y is the tallest side."""
+def test_real_files_load_upright(data_dir: Path, name: str, instances: int, faces: int) -> None:
+    """Real exports have their textures and unit normals; y is the tallest side."""
     scene = expect_kind(Scene, read_gltf(data_dir / name))
     assert (len(scene.meshes), scene.face_count) == (instances, faces)
     for instance in scene.meshes:

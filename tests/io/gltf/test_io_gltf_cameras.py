@@ -1,4 +1,4 @@
-"""Cameras of glTF files: axes, sizes, and refused cameras."""
+"""glTF cameras: axes, image sizes, and refused cameras."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LENS = {"yfov": 0.8, "znear": 0.1, "aspectRatio": 1.5}
 
 
 def camera_gltf(camera: dict[str, Any], **node: Any) -> Gltf:
-    """A document of one camera and nothing else."""
+    """Returns a document with a single camera."""
     gltf = Gltf()
     gltf.add("cameras", **camera)
     gltf.add("nodes", camera=0, **node)
@@ -25,19 +25,19 @@ def camera_gltf(camera: dict[str, Any], **node: Any) -> Gltf:
 
 
 def read(tmp_path: Path, gltf: Gltf, **size: int) -> list[ls.Camera]:
-    """The cameras of a document."""
+    """Returns the cameras of a document."""
     (tmp_path / "a.glb").write_bytes(gltf.glb())
     return ls.load_cameras(tmp_path / "a.glb", **size)
 
 
 def perspective(**changes: Any) -> dict[str, Any]:
-    """A perspective camera; None removes a key."""
+    """Returns a perspective camera; None removes a key."""
     lens = {key: value for key, value in (LENS | changes).items() if value is not None}
     return {"type": "perspective", "perspective": lens, "name": "lens"}
 
 
-def test_axes(tmp_path: Path) -> None:
-    """At the identity a camera has -z forward and y up; nodes move it, and their scales and mirrorings do not count."""
+def test_cameras_look_along_minus_z_with_y_up(tmp_path: Path) -> None:
+    """Nodes move cameras, but scales and mirrorings are ignored."""
     (camera,) = read(tmp_path, camera_gltf(perspective()))
     np.testing.assert_allclose(camera.camera_from_world, np.diag([1.0, -1.0, -1.0, 1.0]), atol=1e-15)
     gltf = camera_gltf(perspective(), rotation=[0, HALF, 0, HALF], translation=[0, 0, 1], scale=[2, 3, 4], name="door")
@@ -62,8 +62,10 @@ def test_axes(tmp_path: Path) -> None:
         (1.5, {"width": 100, "height": 300}, (100, 300)),
     ],
 )
-def test_sizes(tmp_path: Path, aspect: float | None, given: dict[str, int], size: tuple[int, int]) -> None:
-    """A file has an aspect ratio at most, which is fitted into 1280 x 720 or into the given size; fov_y stays."""
+def test_aspect_ratio_is_fitted_into_the_image_size(
+    tmp_path: Path, aspect: float | None, given: dict[str, int], size: tuple[int, int]
+) -> None:
+    """Into 1280 x 720 or the requested size; fov_y is unchanged."""
     (camera,) = read(tmp_path, camera_gltf(perspective(aspectRatio=aspect)), **given)
     assert (camera.width, camera.height) == size
     assert camera.fov_y == pytest.approx(0.8)
@@ -71,8 +73,8 @@ def test_sizes(tmp_path: Path, aspect: float | None, given: dict[str, int], size
     assert camera.near == 0.1
 
 
-def test_orthographic(tmp_path: Path) -> None:
-    """The magnifications are half of what the image shows; znear may be 0."""
+def test_orthographic_magnifications_are_half_sizes(tmp_path: Path) -> None:
+    """The near plane may be at 0."""
     lens = {"xmag": 3.0, "ymag": 2.0, "znear": 0.0, "zfar": 10.0}
     gltf = camera_gltf({"type": "orthographic", "orthographic": lens}, scale=[5, 5, 5])
     (camera,) = read(tmp_path, gltf, height=200)
@@ -82,8 +84,8 @@ def test_orthographic(tmp_path: Path) -> None:
     assert 0.0 < camera.near <= 0.01
 
 
-def test_many_cameras_and_none(tmp_path: Path) -> None:
-    """Cameras have the order of the nodes and distinct names; a file without cameras gives an empty list."""
+def test_cameras_have_node_order_and_unique_names(tmp_path: Path) -> None:
+    """A file without cameras gives an empty list."""
     gltf = camera_gltf(perspective(), name="left")
     gltf.add("nodes", camera=0)
     gltf.add("nodes", camera=0, name="left")
@@ -91,8 +93,8 @@ def test_many_cameras_and_none(tmp_path: Path) -> None:
     assert read(tmp_path, quad_gltf()) == []
 
 
-def test_a_file_of_cameras_is_a_scene(tmp_path: Path) -> None:
-    """A file with cameras only is an empty scene."""
+def test_file_with_only_cameras_is_an_empty_scene(tmp_path: Path) -> None:
+    """Loading it is not an error."""
     read(tmp_path, camera_gltf(perspective()))
     scene = ls.load(tmp_path / "a.glb")
     assert isinstance(scene, ls.Scene)
@@ -119,8 +121,10 @@ def test_a_file_of_cameras_is_a_scene(tmp_path: Path) -> None:
         (perspective(), {"translation": [0, 0, math.nan]}, r"nodes\[0\] has translation .* finite"),
     ],
 )
-def test_wrong_cameras_are_refused(tmp_path: Path, camera: dict[str, Any], node: dict[str, Any], message: str) -> None:
-    """In one line that names the file and the camera."""
+def test_invalid_cameras_are_refused_by_name(
+    tmp_path: Path, camera: dict[str, Any], node: dict[str, Any], message: str
+) -> None:
+    """The error is one line."""
     gltf = camera_gltf(camera)
     gltf.json["nodes"][0] |= node
     with pytest.raises(ls.FormatError, match=message) as caught:

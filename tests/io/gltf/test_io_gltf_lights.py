@@ -1,4 +1,4 @@
-"""KHR_lights_punctual: properties of lights, placement by nodes, and refused lights."""
+"""KHR_lights_punctual: light properties, node transforms, and refused lights."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from support.kinds import expect_kind
 
 HALF = math.sqrt(0.5)
 TURN_DOWN = [-HALF, 0.0, 0.0, HALF]
-"""xyzw: a quarter turn about x that takes -z to -y."""
+"""Quaternion x, y, z, w of a quarter turn about x that maps -z to -y."""
 
 
-def lamp(light: dict[str, Any], **node: Any) -> Gltf:
-    """A document of one light and nothing else."""
+def light_gltf(light: dict[str, Any], **node: Any) -> Gltf:
+    """Returns a document with a single light."""
     gltf = Gltf()
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [light]}}
     gltf.json["extensionsUsed"] = ["KHR_lights_punctual"]
@@ -28,17 +28,17 @@ def lamp(light: dict[str, Any], **node: Any) -> Gltf:
 
 
 def read(tmp_path: Path, gltf: Gltf) -> ls.Scene:
-    """The scene of a document."""
+    """Returns the scene of a document."""
     (tmp_path / "a.glb").write_bytes(gltf.glb())
     scene = ls.load(tmp_path / "a.glb")
     assert isinstance(scene, ls.Scene)
     return scene
 
 
-def test_a_point_light(tmp_path: Path) -> None:
-    """Colour, candela and range are the file's; a file of lights alone loads."""
+def test_point_light_properties_are_read(tmp_path: Path) -> None:
+    """Colour, candela and range; a file with only lights loads."""
     light = {"type": "point", "color": [1.0, 0.5, 0.25], "intensity": 40.0, "range": 7.0, "name": "bulb"}
-    scene = read(tmp_path, lamp(light, translation=[1, 2, 3]))
+    scene = read(tmp_path, light_gltf(light, translation=[1, 2, 3]))
     assert not scene.meshes
     (point,) = scene.lights
     assert isinstance(point, ls.LightPoint)
@@ -47,9 +47,9 @@ def test_a_point_light(tmp_path: Path) -> None:
     assert point.radius == 0.0 and point.enabled and point.casts_shadow
 
 
-def test_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
-    """White, 1 candela, no end, and a cone that fades from its axis to 45 degrees."""
-    (spot,) = read(tmp_path, lamp({"type": "spot", "spot": {}})).lights
+def test_light_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
+    """White, 1 candela, infinite range, and a cone that fades from its axis to 45 degrees."""
+    (spot,) = read(tmp_path, light_gltf({"type": "spot", "spot": {}})).lights
     assert isinstance(spot, ls.LightSpot)
     assert (spot.color, spot.intensity, spot.range) == ((1.0, 1.0, 1.0), 1.0, math.inf)
     assert (spot.inner_angle, spot.outer_angle) == (0.0, math.pi / 4)
@@ -57,30 +57,30 @@ def test_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scale", [[1, 1, 1], [3, 3, 3], [1, 2, 5]])
-def test_nodes_place_a_spot(tmp_path: Path, scale: list[float]) -> None:
-    """A spot shines along -z from the origin of its node; scales move it, and change neither intensity nor range."""
+def test_spot_shines_along_minus_z_of_its_node(tmp_path: Path, scale: list[float]) -> None:
+    """Node scales move the spot, but change neither intensity nor range."""
     light = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}}
-    gltf = lamp(light, translation=[0, 1, 0], rotation=TURN_DOWN, name="over the table")
+    gltf = light_gltf(light, translation=[0, 1, 0], rotation=TURN_DOWN, name="over the table")
     gltf.add("nodes", children=[0], translation=[10, 0, 0], scale=scale, rotation=[0, 0, 1, 0])
     (spot,) = read(tmp_path, gltf).lights
     assert isinstance(spot, ls.LightSpot)
-    # The parent is turned by half about z: its y points down, so that the spot, 1 above it, hangs below and shines up.
+    # The parent's half turn about z points its y down: the spot, at y = 1, is below it and shines up.
     np.testing.assert_allclose(spot.position, (10.0, -scale[1], 0.0), atol=1e-12)
     np.testing.assert_allclose(spot.direction, (0.0, 1.0, 0.0), atol=1e-12)
     assert (spot.intensity, spot.range, spot.name) == (9.0, 4.0, "over the table")
     assert (spot.inner_angle, spot.outer_angle) == (0.1, 0.5)
 
 
-def test_the_sun(tmp_path: Path) -> None:
-    """A directional light has lux and a direction, and no position."""
-    (sun,) = read(tmp_path, lamp({"type": "directional", "intensity": 5.0}, rotation=TURN_DOWN)).lights
+def test_directional_light_is_in_lux(tmp_path: Path) -> None:
+    """It has a direction and no position."""
+    (sun,) = read(tmp_path, light_gltf({"type": "directional", "intensity": 5.0}, rotation=TURN_DOWN)).lights
     assert isinstance(sun, ls.LightDirectional)
     np.testing.assert_allclose(sun.direction, (0.0, -1.0, 0.0), atol=1e-12)
     assert sun.intensity == 5.0
 
 
-def test_lights_beside_meshes(tmp_path: Path) -> None:
-    """A file may have meshes and lights; nodes may share a light; other scenes and hidden nodes have none."""
+def test_lights_may_be_shared_by_nodes(tmp_path: Path) -> None:
+    """Lights of other scenes and hidden nodes are skipped."""
     gltf = quad_gltf()
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point"}, {"type": "directional"}]}}
     for which, keys in enumerate([{"translation": [1, 0, 0]}, {"translation": [2, 0, 0]}, {"scale": [0, 0, 0]}, {}]):
@@ -95,10 +95,10 @@ def test_lights_beside_meshes(tmp_path: Path) -> None:
     ("inner", "outer"),
     [(0.5, 0.5), (0.5000004, 0.5), (math.pi / 2, math.pi / 2), (0.4, None), (0.0, 0.0), (1.5709, 1.5709)],
 )
-def test_cones_on_the_border_get_an_edge(tmp_path: Path, inner: float, outer: float | None, caplog) -> None:
-    """Equal angles are a hard edge in other programs: ours is a thousandth wide; rounding is no error either."""
+def test_equal_cone_angles_get_a_narrow_edge(tmp_path: Path, inner: float, outer: float | None, caplog) -> None:
+    """Other programs allow a hard edge; ours is a thousandth of a radian wide. Rounding is accepted, too."""
     cone = {"innerConeAngle": inner} | ({"outerConeAngle": outer} if outer is not None else {})
-    scene = read(tmp_path, lamp({"type": "spot", "name": "bulb", "spot": cone}))
+    scene = read(tmp_path, light_gltf({"type": "spot", "name": "bulb", "spot": cone}))
     spot = expect_kind(ls.LightSpot, scene.lights[0])
     wanted = math.pi / 4 if outer is None else outer
     assert abs(spot.outer_angle - wanted) < 2.1e-3
@@ -108,9 +108,9 @@ def test_cones_on_the_border_get_an_edge(tmp_path: Path, inner: float, outer: fl
 
 @pytest.mark.parametrize("kind", ["point", "spot"])
 @pytest.mark.parametrize("reach", [0.0, -0.0, -1.0])
-def test_a_range_of_nothing_is_none(tmp_path: Path, kind: str, reach: float, caplog) -> None:
-    """Programs whose 0 means that a light reaches everywhere write it; a line says how it is read."""
-    (light,) = read(tmp_path, lamp({"type": kind, "name": "bulb", "range": reach})).lights
+def test_range_zero_means_infinite(tmp_path: Path, kind: str, reach: float, caplog) -> None:
+    """Programs such as three.js write 0; a log line says how it is read."""
+    (light,) = read(tmp_path, light_gltf({"type": kind, "name": "bulb", "range": reach})).lights
     assert isinstance(light, ls.LightPoint | ls.LightSpot) and light.range == math.inf
     assert f"lights[0] 'bulb': range {reach:g} is read as infinite" in caplog.text
 
@@ -137,10 +137,10 @@ def test_a_range_of_nothing_is_none(tmp_path: Path, kind: str, reach: float, cap
         ({"type": "spot", "spot": {"innerConeAngle": -0.1}}, r"lights\[0\] 'bulb': inner_angle is -0.1"),
     ],
 )
-def test_wrong_lights_are_refused(tmp_path: Path, light: dict[str, Any], message: str) -> None:
-    """In one line that names the file and the light."""
+def test_invalid_lights_are_refused_by_name(tmp_path: Path, light: dict[str, Any], message: str) -> None:
+    """The error is one line."""
     with pytest.raises(ls.FormatError, match=message) as caught:
-        read(tmp_path, lamp({"name": "bulb", **light}))
+        read(tmp_path, light_gltf({"name": "bulb", **light}))
     assert str(caught.value).startswith(f"{tmp_path / 'a.glb'}: ")
     assert "\n" not in str(caught.value)
 
@@ -155,16 +155,16 @@ def test_wrong_lights_are_refused(tmp_path: Path, light: dict[str, Any], message
         ({"children": [0]}, r"nodes\[0\] is its own ancestor"),
     ],
 )
-def test_wrong_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message: str) -> None:
-    """Bad references, NaN in a transform and a node that is its own ancestor are one line each."""
-    gltf = lamp({"type": "point"})
+def test_invalid_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message: str) -> None:
+    """Bad references, NaN in a transform, and a node that is its own ancestor."""
+    gltf = light_gltf({"type": "point"})
     gltf.json["nodes"][0] |= node
     with pytest.raises(ls.FormatError, match=message):
         read(tmp_path, gltf)
 
 
-def test_a_file_of_nothing_is_refused(tmp_path: Path) -> None:
-    """A file without mesh, light or camera is refused."""
+def test_file_without_content_is_refused(tmp_path: Path) -> None:
+    """It has neither mesh, light nor camera."""
     gltf = Gltf()
     gltf.add("nodes", name="empty")
     with pytest.raises(ls.FormatError, match="no Gaussians, triangle mesh, light or camera"):

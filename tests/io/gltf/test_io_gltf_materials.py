@@ -1,4 +1,4 @@
-"""glTF materials: all textures, emission, unlit ones, and the textures that one set of coordinates can place."""
+"""glTF materials: textures, emission, unlit materials, and textures that can share coordinates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.kinds import expect_kind, pbr_of
 
 
 def textured(**material: Any) -> Gltf:
-    """The quad, its material with these keys, and four textures besides the base colour's."""
+    """Returns the quad with these material keys, and four textures besides the base colour's."""
     gltf = quad_gltf()
     for shade in (1, 2, 3, 4):
         gltf.add("images", bufferView=gltf.view(png_bytes(TEXELS // 8 + np.uint8(10 * shade))), mimeType="image/png")
@@ -26,19 +26,19 @@ def textured(**material: Any) -> Gltf:
 
 
 def texels(shade: int) -> np.ndarray:
-    """What texture number ``shade`` holds."""
+    """Returns the contents of texture number ``shade``."""
     return TEXELS // 8 + np.uint8(10 * shade)
 
 
 def read(tmp_path: Path, gltf: Gltf) -> ls.Mesh:
-    """The only mesh of a document."""
+    """Returns the only mesh of a document."""
     (tmp_path / "a.glb").write_bytes(gltf.glb())
     (instance,) = expect_kind(ls.Scene, read_gltf(tmp_path / "a.glb")).meshes
     return instance.mesh
 
 
-def test_every_texture_has_its_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """All textures and their factors are as stored, and there is no log line."""
+def test_all_textures_and_factors_are_read_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """As stored, without a log line."""
     gltf = textured(
         normalTexture={"index": 2, "scale": 0.5},
         occlusionTexture={"index": 3, "strength": 0.25},
@@ -60,8 +60,8 @@ def test_every_texture_has_its_place(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert not caplog.records
 
 
-def test_without_textures_and_emission(tmp_path: Path) -> None:
-    """Missing values have the format's defaults: no emission, whatever its strength."""
+def test_missing_values_have_the_defaults_of_gltf(tmp_path: Path) -> None:
+    """Without emission, its strength has no effect."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}}
     material = read(tmp_path, gltf).material
@@ -74,15 +74,15 @@ def test_without_textures_and_emission(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stored", "expected"), [({}, False), ({"doubleSided": False}, False), ({"doubleSided": True}, True)]
 )
-def test_emission_is_on_one_side_unless_said_otherwise(tmp_path: Path, stored: dict[str, bool], expected: bool) -> None:
-    """By ``doubleSided``, whose default is one side."""
+def test_emission_is_one_sided_unless_double_sided(tmp_path: Path, stored: dict[str, bool], expected: bool) -> None:
+    """The default of ``doubleSided`` is one side."""
     material = read(tmp_path, textured(emissiveFactor=[1.0, 0.5, 0.25], **stored)).material
     assert isinstance(material, ls.MaterialPbr)
     assert material.double_sided is expected
 
 
-def test_unlit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """KHR_materials_unlit shines by its base colour and reflects nothing; its other textures are ignored."""
+def test_unlit_material_emits_its_base_colour(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """KHR_materials_unlit reflects nothing, and its other textures are ignored."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, extensions={"KHR_materials_unlit": {}})
     with caplog.at_level(logging.WARNING, "lumisplat"):
         material = read(tmp_path, gltf).material
@@ -96,8 +96,8 @@ def test_unlit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
 TRANSFORM = {"KHR_texture_transform": {"scale": [2.0, 2.0]}}
 
 
-def test_textures_placed_otherwise_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Textures with other coordinates or another transform than the base colour are named in one line."""
+def test_textures_with_other_coordinates_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Another set or transform than the base colour's; one line names them."""
     gltf = textured(
         normalTexture={"index": 2, "texCoord": 1},
         occlusionTexture={"index": 3},
@@ -117,8 +117,8 @@ def test_textures_placed_otherwise_are_left_out(tmp_path: Path, caplog: pytest.L
     )
 
 
-def test_textures_that_share_a_transform_are_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """The transform is applied to the coordinates; transforms are equal if their numbers are."""
+def test_textures_with_equal_transforms_are_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The transform is applied to the coordinates."""
     gltf = textured(
         normalTexture={"index": 2, "extensions": {"KHR_texture_transform": {"scale": [2, 2], "offset": [0, 0]}}}
     )
@@ -130,8 +130,8 @@ def test_textures_that_share_a_transform_are_kept(tmp_path: Path, caplog: pytest
     assert not caplog.records
 
 
-def test_without_a_base_colour_texture_the_first_one_leads(tmp_path: Path) -> None:
-    """The normal texture's coordinates are used if it is the material's first texture."""
+def test_first_texture_sets_the_coordinates(tmp_path: Path) -> None:
+    """For example the normal texture, if there is no base colour texture."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, occlusionTexture={"index": 3})
     del gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
@@ -142,8 +142,8 @@ def test_without_a_base_colour_texture_the_first_one_leads(tmp_path: Path) -> No
     assert mesh.material.normal_texture is not None and mesh.material.occlusion_texture is None
 
 
-def test_textures_without_coordinates_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """All textures are left out, and one line counts them."""
+def test_textures_without_uvs_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """One line counts them."""
     gltf = textured(normalTexture={"index": 2})
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -163,15 +163,15 @@ def test_textures_without_coordinates_are_left_out(tmp_path: Path, caplog: pytes
         ({"normalTexture": {"index": 2, "extensions": {"KHR_texture_transform": {"scale": "big"}}}}, "damaged"),
     ],
 )
-def test_wrong_materials_are_refused(tmp_path: Path, material: dict[str, Any], message: str) -> None:
-    """In one line that names the material."""
+def test_invalid_materials_are_refused_by_name(tmp_path: Path, material: dict[str, Any], message: str) -> None:
+    """The error is one line."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         read(tmp_path, textured(**material))
     assert "\n" not in str(caught.value)
 
 
-def test_layers_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Transmission, clearcoat and sheen by their factors and textures, without a line."""
+def test_transmission_clearcoat_and_sheen_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """With factors and textures, without a log line."""
     glass = {"transmissionFactor": 0.75, "transmissionTexture": {"index": 4}}
     coat: dict[str, Any] = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25}
     sheen: dict[str, Any] = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.75}
@@ -197,8 +197,8 @@ def test_layers_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
         read(tmp_path, gltf)
 
 
-def test_textures_of_layers_have_the_coordinates_of_the_first(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Else they are left out with a line, like the others."""
+def test_layer_textures_need_the_same_coordinates(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Others are dropped with a log line."""
     coat = {"clearcoatTexture": {"index": 1, "texCoord": 1}, "clearcoatRoughnessTexture": {"index": 2}}
     with caplog.at_level(logging.WARNING, "lumisplat"):
         material = pbr_of(read(tmp_path, textured(extensions={"KHR_materials_clearcoat": coat})))
@@ -209,10 +209,10 @@ def test_textures_of_layers_have_the_coordinates_of_the_first(tmp_path: Path, ca
 @pytest.mark.parametrize(
     ("extension", "texture"), [("clearcoat", "clearcoatNormalTexture"), ("volume", "thicknessTexture")]
 )
-def test_textures_without_use_are_told_of(
+def test_unused_textures_are_logged_with_the_reason(
     extension: str, texture: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In one line, with the reason: the coat has one normal with the rest, and rays measure the thickness."""
+    """Clearcoat has the base layer's normals, and rays measure thickness."""
     gltf = textured(extensions={f"KHR_materials_{extension}": {texture: {"index": 1}}})
     with caplog.at_level(logging.WARNING, "lumisplat"):
         read(tmp_path, gltf)

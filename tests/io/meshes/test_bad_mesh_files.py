@@ -1,4 +1,4 @@
-"""Bad mesh and glTF files: one FormatError that names the path, never another exception, never a wild allocation."""
+"""Bad mesh and glTF files: a FormatError that names the path, no other exception, no huge allocation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ VALID: dict[str, tuple[str, Callable[[Path], bytes]]] = {
 
 
 def refuses(path: Path, data: bytes, match: str) -> None:
-    """The data are refused in one line that begins with the path."""
+    """Checks that the data are refused in one line that begins with the path."""
     path.write_bytes(data)
     with pytest.raises(FormatError, match=match) as raised:
         ls.load(path)
@@ -36,7 +36,7 @@ def refuses(path: Path, data: bytes, match: str) -> None:
 
 
 def survives(path: Path, data: bytes) -> None:
-    """The data load, or are refused in one line; nothing else may happen."""
+    """Checks that the data load, or are refused in one line."""
     path.write_bytes(data)
     try:
         ls.load(path)
@@ -46,8 +46,8 @@ def survives(path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_empty_missing_and_folder(tmp_path: Path, kind: str) -> None:
-    """An empty file, a missing file and a folder have their own messages."""
+def test_empty_missing_and_folder_paths_have_own_messages(tmp_path: Path, kind: str) -> None:
+    """An empty file, a missing file and a folder."""
     path = tmp_path / f"a{VALID[kind][0]}"
     with pytest.raises(FormatError, match="no such file"):
         ls.load(path)
@@ -59,8 +59,8 @@ def test_empty_missing_and_folder(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_truncated_anywhere(tmp_path: Path, kind: str) -> None:
-    """A file cut at any byte is refused, or is a shorter valid one (text formats, at the end of a line)."""
+def test_truncated_files_are_refused_or_shorter(tmp_path: Path, kind: str) -> None:
+    """A text file cut at the end of a line is a valid, shorter file."""
     extension, make = VALID[kind]
     data = make(tmp_path)
     for size in np.random.default_rng(7).integers(1, len(data), 60):
@@ -68,8 +68,8 @@ def test_truncated_anywhere(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["ply ascii", "ply little", "ply big", "stl binary", "stl ascii", "glb", "gltf"])
-def test_half_a_file_is_refused(tmp_path: Path, kind: str) -> None:
-    """Formats that store the size of their contents never load half of it."""
+def test_formats_with_sizes_refuse_half_a_file(tmp_path: Path, kind: str) -> None:
+    """Formats that store the size of their content."""
     extension, make = VALID[kind]
     data = make(tmp_path)
     refuses(tmp_path / f"a{extension}", data[: len(data) // 2], ".")
@@ -77,8 +77,8 @@ def test_half_a_file_is_refused(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", VALID)
-def test_flipped_bytes(tmp_path: Path, kind: str) -> None:
-    """Random bytes in random places load as something valid or are refused."""
+def test_random_bytes_load_or_are_refused(tmp_path: Path, kind: str) -> None:
+    """In random positions."""
     extension, make = VALID[kind]
     data = make(tmp_path)
     rng = np.random.default_rng(11)
@@ -105,8 +105,8 @@ def test_flipped_bytes(tmp_path: Path, kind: str) -> None:
         ("hello", "no vertex and no face, expected an OBJ file"),
     ],
 )
-def test_bad_obj(tmp_path: Path, text: str, expected: str) -> None:
-    """An error in an OBJ names the line."""
+def test_obj_errors_name_the_line(tmp_path: Path, text: str, expected: str) -> None:
+    """One error of each kind."""
     refuses(tmp_path / "a.obj", text.encode(), expected)
 
 
@@ -147,40 +147,40 @@ TRIANGLE = "0 0 0\n1 0 0\n0 1 0\n"
         ),
     ],
 )
-def test_bad_ply(tmp_path: Path, text: str, expected: str) -> None:
-    """Counts larger than the file, unknown types and bad indices are refused before anything is allocated."""
+def test_bad_ply_is_refused_before_allocation(tmp_path: Path, text: str, expected: str) -> None:
+    """Counts above the file size, unknown types and bad indices."""
     refuses(tmp_path / "a.ply", text.encode(), expected)
 
 
 @pytest.mark.parametrize("properties", ["", "property int material\n"])
-def test_binary_faces_without_lists(tmp_path: Path, properties: str) -> None:
-    """Faces without a list, however many, are refused at once."""
+def test_binary_faces_without_lists_are_refused_at_once(tmp_path: Path, properties: str) -> None:
+    """However many the header claims."""
     header = (
         PLY_HEAD.format(3).replace("ascii", "binary_little_endian") + f"element face {10**18}\n{properties}end_header\n"
     )
     refuses(tmp_path / "a.ply", header.encode() + bytes(60), "the file holds 6|not a mesh: no polygons")
 
 
-def test_stl_with_a_wrong_count(tmp_path: Path) -> None:
-    """A binary STL whose count does not fit its length is refused."""
+def test_stl_count_must_match_its_length(tmp_path: Path) -> None:
+    """For binary files."""
     data = bytearray(stl_bytes(CORNERS).replace(b"solid", b"other"))
     data[80:84] = (4_000_000_000).to_bytes(4, "little")
     refuses(tmp_path / "a.stl", bytes(data), "expected 200,000,000,084 for an STL of 4,000,000,000 triangles")
 
 
 def primitive(gltf: Gltf) -> dict:
-    """The quad's primitive."""
+    """Returns the quad's primitive."""
     return gltf.json["meshes"][0]["primitives"][0]
 
 
 def cyclic(gltf: Gltf) -> None:
-    """Two nodes, each the other's child, beside a good one."""
+    """Adds two nodes that are each other's children, beside a valid one."""
     gltf.add("nodes", children=[2])
     gltf.add("nodes", children=[1])
 
 
 def two_parents(gltf: Gltf) -> None:
-    """A diamond."""
+    """Gives a node two parents."""
     gltf.add("nodes", children=[0])
     gltf.add("nodes", children=[0])
 
@@ -249,15 +249,15 @@ def edit(collection: str, index: int, **values: object) -> Callable[[Gltf], None
         ),
     ],
 )
-def test_bad_gltf(tmp_path: Path, damage: Callable[[Gltf], object], expected: str) -> None:
-    """Cycles, indices and sizes out of range, missing parts and unknown extensions are refused by name."""
+def test_bad_gltf_is_refused_by_item(tmp_path: Path, damage: Callable[[Gltf], object], expected: str) -> None:
+    """Cycles, indices and sizes out of range, missing parts and unknown extensions."""
     gltf = quad_gltf()
     damage(gltf)
     refuses(tmp_path / "a.glb", gltf.glb(), expected)
 
 
-def test_obj_leaves_out_faces_without_vertices(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Faces with a vertex that does not exist are counted, triangle by triangle, and the rest is read."""
+def test_obj_faces_with_missing_vertices_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Their triangles are counted, and the rest is read."""
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 1 2 4 9\nf 2 4 3\n")
     mesh = ls.load(path)
@@ -266,19 +266,19 @@ def test_obj_leaves_out_faces_without_vertices(tmp_path: Path, caplog: pytest.Lo
     assert "triangles left out: 2 with an index that is no vertex" in caplog.text
 
 
-def test_index_beyond_the_vertices(tmp_path: Path) -> None:
-    """A mesh whose only triangle uses a vertex that does not exist is refused."""
+def test_mesh_with_only_out_of_range_triangles_is_refused(tmp_path: Path) -> None:
+    """Its only triangle uses a missing vertex."""
     gltf = quad_gltf()
     primitive(gltf)["indices"] = gltf.accessor(np.array([0, 1, 4], np.uint32))
     refuses(tmp_path / "a.glb", gltf.glb(), "has no usable triangles: 1 with")
 
 
 FLAT = np.array([[(0, 0, 0), (1, 0, 0), (1, 0, 0)], [(0, 0, 0), (1, 1, 0), (3, 3, 0)]], np.float32)
-"""Corners that coincide, corners on a line."""
+"""Triangles with coincident corners and with collinear corners."""
 
 
 def flawed_gltf(_: Path) -> bytes:
-    """Two primitives: a quad with two bad triangles, and one bad triangle alone."""
+    """Returns two primitives: a quad with two bad triangles, and one bad triangle alone."""
     gltf = quad_gltf()
     both = [gltf.accessor(np.array(i, np.uint32)) for i in ([*QUAD_TRIANGLES.reshape(-1), 0, 1, 9, 3, 3, 1], [2, 2, 2])]
     attributes = primitive(gltf)["attributes"]
@@ -297,10 +297,10 @@ def flawed_gltf(_: Path) -> bytes:
     ],
     ids=["obj", "ply", "stl binary", "stl ascii", "glb"],
 )
-def test_unusable_triangles_are_left_out(
+def test_unusable_triangles_are_dropped_and_counted(
     tmp_path: Path, extension: str, make: Callable, problems: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Unusable triangles are removed, and one line counts them for the whole file; the quad stays."""
+    """One line for the whole file; the quad stays."""
     path = tmp_path / f"a.{extension}"
     path.write_bytes(make(tmp_path))
     with caplog.at_level("WARNING", "lumisplat"):
@@ -312,7 +312,7 @@ def test_unusable_triangles_are_left_out(
 
 
 def test_corner_uvs_stay_with_their_triangles(tmp_path: Path) -> None:
-    """A triangle that is left out takes its texture coordinates along."""
+    """A dropped triangle takes its texture coordinates along."""
     (tmp_path / "a.ply").write_text(
         PLY_HEAD.format(3) + "element face 3\nproperty list uchar int vertex_indices\n"
         "property list uchar float texcoord\nend_header\n" + TRIANGLE + "3 0 1 1 6 9 9 9 9 9 9\n"
@@ -323,8 +323,8 @@ def test_corner_uvs_stay_with_their_triangles(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.uvs, [(0, 0), (0.25, 0), (0.5, 0.25)])
 
 
-def test_a_restarted_strip_is_not_flawed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Repeated corners, which restart a strip, are not counted as unusable triangles."""
+def test_strip_restarts_are_not_unusable_triangles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Repeated corners restart a strip and are not counted."""
     gltf = quad_gltf(textured=False)
     strip = gltf.accessor(np.array([0, 1, 2, 2, 0, 0, 0, 2, 3], np.uint8))
     primitive(gltf).update(mode=5, indices=strip)
@@ -336,8 +336,8 @@ def test_a_restarted_strip_is_not_flawed(tmp_path: Path, caplog: pytest.LogCaptu
     assert not caplog.records
 
 
-def test_nan_position(tmp_path: Path) -> None:
-    """NaN in an accessor is counted and refused."""
+def test_nan_positions_are_counted_and_refused(tmp_path: Path) -> None:
+    """In a glTF accessor."""
     gltf = quad_gltf()
     positions = QUAD.copy()
     positions[1, 2] = np.nan
@@ -345,8 +345,8 @@ def test_nan_position(tmp_path: Path) -> None:
     refuses(tmp_path / "a.glb", gltf.glb(), "positions has 1 non-finite")
 
 
-def test_bad_containers(tmp_path: Path) -> None:
-    """A missing or short external buffer, bad base64 and broken JSON each have their own message."""
+def test_bad_containers_have_own_messages(tmp_path: Path) -> None:
+    """A missing or short external buffer, bad base64 and broken JSON."""
     gltf = quad_gltf()
     path = tmp_path / "a.gltf"
     path.write_bytes(gltf.gltf("none.bin"))

@@ -1,4 +1,4 @@
-"""OBJ, PLY and STL: geometry, texture orientation, materials, colours; trimesh and the real meshes agree."""
+"""OBJ, PLY and STL: geometry, texture orientation, materials and colours, compared with trimesh and real meshes."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from support.kinds import pbr_of, present
 
 
 def read_one(path: Path) -> Mesh:
-    """The only mesh of a file."""
+    """Returns the only mesh of a file."""
     mesh = ls.load(path)
     assert isinstance(mesh, Mesh)
     return mesh
 
 
-def test_obj_has_the_texture_right_way_up(tmp_path: Path) -> None:
-    """OBJ has v from the bottom, we from the top: the lower left corner must show the image's lower left texel."""
+def test_obj_textures_are_upright(tmp_path: Path) -> None:
+    """OBJ starts v at the bottom: the lower left corner shows the image's lower left texel."""
     mesh = read_one(write_obj(tmp_path))
     np.testing.assert_array_equal(mesh.positions, QUAD)
     np.testing.assert_array_equal(mesh.indices, QUAD_TRIANGLES)
@@ -46,16 +46,16 @@ def test_obj_has_the_texture_right_way_up(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.material.base_color_texture, TEXELS)
 
 
-def test_obj_material_and_unit_normals(tmp_path: Path) -> None:
-    """Kd is the linear base colour, and normals of any length come out at length 1."""
+def test_obj_kd_is_linear_and_normals_are_normalized(tmp_path: Path) -> None:
+    """Kd is the linear base colour."""
     mesh = read_one(write_obj(tmp_path))
     assert mesh.material.base_color == (0.5, 0.25, 1.0)
     assert mesh.material.name == "painted"
     np.testing.assert_allclose(present(mesh.normals), [(0, 0, 1)] * 4)
 
 
-def test_obj_index_of_refraction(tmp_path: Path) -> None:
-    """Ni is the ior; values below 1, which some exporters write, become 1."""
+def test_obj_ni_is_the_index_of_refraction(tmp_path: Path) -> None:
+    """Values below 1, which some exporters write, become 1."""
     path = write_obj(tmp_path)
     for stored, ior in (("1.33", 1.33), ("0.001", 1.0)):
         (tmp_path / "quad.mtl").write_text(f"newmtl painted\nNi {stored}\n")
@@ -67,7 +67,7 @@ def test_obj_index_of_refraction(tmp_path: Path) -> None:
     [("", 1.0, 0), ("Kd 0 0 0\n", 1.0, 1), ("Kd 0.5 0.5 0.5\n", 0.5, 0), ("Kd 0 0 0.1\n", None, 0)],
 )
 @pytest.mark.parametrize("texture_first", [False, True])
-def test_textures_of_obj_without_a_colour_are_shown_as_they_are(
+def test_obj_textures_without_kd_are_unscaled(
     tmp_path: Path,
     color: str,
     expected: float | None,
@@ -75,7 +75,7 @@ def test_textures_of_obj_without_a_colour_are_shown_as_they_are(
     texture_first: bool,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """Exporters leave Kd out, or write black, for what a texture colours; any other Kd multiplies it."""
+    """Exporters omit Kd or write black for textured materials; any other Kd multiplies the texture."""
     path = write_obj(tmp_path)
     parts = ["map_Kd quad texture.png\n", color][:: 1 if texture_first else -1]
     (tmp_path / "quad.mtl").write_text("newmtl painted\n" + "".join(parts))
@@ -86,8 +86,8 @@ def test_textures_of_obj_without_a_colour_are_shown_as_they_are(
     assert len(caplog.messages) == lines
 
 
-def test_obj_that_is_black_without_a_texture_stays_black(tmp_path: Path) -> None:
-    """A colour of 0 is one."""
+def test_obj_black_kd_without_texture_stays_black(tmp_path: Path) -> None:
+    """Kd 0 is a valid colour."""
     path = write_obj(tmp_path)
     (tmp_path / "quad.mtl").write_text("newmtl painted\nKd 0 0 0\n")
     assert read_one(path).material.base_color == (0.0, 0.0, 0.0)
@@ -105,7 +105,7 @@ def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
     ]
 
 
-def test_obj_seam_splits_a_vertex(tmp_path: Path) -> None:
+def test_obj_uv_seams_split_vertices(tmp_path: Path) -> None:
     """One position with two texture coordinates becomes two vertices; shared corners stay one."""
     (tmp_path / "a.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 1\nf 1/1 2/1 3/1\nf 1/2 3/1 4/1\n"
@@ -117,21 +117,21 @@ def test_obj_seam_splits_a_vertex(tmp_path: Path) -> None:
 
 
 def test_obj_relative_indices_comments_and_continuations(tmp_path: Path) -> None:
-    """Negative indices count from the latest vertex; comments and continued lines are understood."""
+    """Negative indices count back from the latest vertex; comments and continued lines are parsed."""
     (tmp_path / "a.obj").write_text("# by hand\nv 9 9 9\nv 0 0 0 # one\nv 1 0 0\nv 0 1 0\nf -3 \\\n -2 -1\n")
     np.testing.assert_array_equal(read_one(tmp_path / "a.obj").positions, [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
 
 
-def test_obj_vertex_colors(tmp_path: Path) -> None:
-    """Six numbers in a vertex line are a position and an sRGB colour, under a white base colour."""
+def test_obj_vertex_colours_are_srgb(tmp_path: Path) -> None:
+    """Six numbers are a position and an sRGB colour, with a white base colour."""
     (tmp_path / "a.obj").write_text("v 0 0 0 1 0 0\nv 1 0 0 0 0.5 0\nv 0 1 0 0 0 1\nf 1 2 3\n")
     mesh = read_one(tmp_path / "a.obj")
     np.testing.assert_allclose(present(mesh.colors), np.diag([1.0, float(decode_srgb(0.5)), 1.0]), rtol=1e-6)
     assert mesh.material.base_color == (1.0, 1.0, 1.0)
 
 
-def test_obj_without_its_library_warns(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Geometry without its MTL still loads, and one log line names the missing file."""
+def test_obj_without_its_mtl_loads_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The log line names the missing file."""
     (tmp_path / "a.obj").write_text(OBJ)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert read_one(tmp_path / "a.obj").material.base_color_texture is None
@@ -139,8 +139,8 @@ def test_obj_without_its_library_warns(tmp_path: Path, caplog: pytest.LogCapture
 
 
 @pytest.mark.parametrize("damage", ["missing", "corrupt"])
-def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> None:
-    """A missing or corrupt texture is an error about the texture's own file."""
+def test_obj_texture_errors_name_the_texture_file(tmp_path: Path, damage: str) -> None:
+    """Missing or corrupt textures."""
     path = write_obj(tmp_path)
     texture = tmp_path / "quad texture.png"
     texture.unlink() if damage == "missing" else texture.write_bytes(png_bytes()[:40])
@@ -149,8 +149,8 @@ def test_obj_texture_trouble_names_the_texture(tmp_path: Path, damage: str) -> N
 
 
 @pytest.mark.parametrize("space", [b"end solid", b"END  SOLID", b"end\tsolid"])
-def test_stl_ends_may_have_spaces(tmp_path: Path, space: bytes) -> None:
-    """Also those of facets and loops."""
+def test_ascii_stl_may_have_spaces_in_end_keywords(tmp_path: Path, space: bytes) -> None:
+    """Such as "end facet" and "end loop"."""
     text = stl_text(QUAD[QUAD_TRIANGLES])
     for name in (b"facet", b"loop"):
         text = text.replace(b"end" + name, space.replace(b"solid", name).replace(b"SOLID", name))
@@ -159,18 +159,16 @@ def test_stl_ends_may_have_spaces(tmp_path: Path, space: bytes) -> None:
 
 
 @pytest.mark.parametrize("extra", [1, 2, 50, 1000])
-def test_bytes_after_a_binary_stl_are_left_out(tmp_path: Path, extra: int, caplog: pytest.LogCaptureFixture) -> None:
-    """Padding of a writer, or of a download; a line counts it."""
+def test_bytes_after_a_binary_stl_are_ignored(tmp_path: Path, extra: int, caplog: pytest.LogCaptureFixture) -> None:
+    """Padding by a writer or a download; a log line counts it."""
     (tmp_path / "quad.stl").write_bytes(stl_bytes(QUAD[QUAD_TRIANGLES]) + b"\0" * extra)
     assert read_one(tmp_path / "quad.stl").face_count == 2
     assert f"{extra:,} bytes after its last triangle are ignored" in caplog.text
 
 
 @pytest.mark.parametrize("extension", ["obj", "ply"])
-def test_texture_without_coordinates_is_left_out(
-    tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A texture without coordinates is dropped with one log line, and the mesh keeps its colour."""
+def test_texture_without_uvs_is_dropped(tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture) -> None:
+    """With one log line; the mesh keeps its colour."""
     path = write_obj(tmp_path) if extension == "obj" else tmp_path / "a.ply"
     if extension == "obj":
         path.write_text("mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl painted\nf 1 2 3\n")
@@ -186,8 +184,8 @@ def test_texture_without_coordinates_is_left_out(
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("quad_first", [True, False])
-def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str, quad_first: bool) -> None:
-    """Mixed polygons are fanned, and 8-bit sRGB colours decoded, in every encoding."""
+def test_ply_polygons_become_fans_with_linear_colours(tmp_path: Path, order: str, quad_first: bool) -> None:
+    """8-bit sRGB colours are decoded, in every encoding."""
     (tmp_path / "a.ply").write_bytes(ply_text(order, quad_first))
     mesh = read_one(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.positions, QUAD)
@@ -198,14 +196,14 @@ def test_ply_polygons_and_linear_colors(tmp_path: Path, order: str, quad_first: 
 
 
 STRIP = [(0, 1, 3, 2), (0, 1, 2, 2, 2, 3, 0)]
-"""The quad as a strip, and with repeated corners that end one piece of it and begin another."""
+"""The quad as a triangle strip, and with repeated corners that join two strips."""
 
 
 @pytest.mark.parametrize("corners", STRIP)
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("kind", ["int", "uint"])
-def test_ply_triangle_strips(tmp_path: Path, corners: tuple[int, ...], order: str, kind: str) -> None:
-    """Several in a list with -1 between them, and in several lists; all triangles face the same way."""
+def test_ply_triangle_strips_have_one_winding(tmp_path: Path, corners: tuple[int, ...], order: str, kind: str) -> None:
+    """Several strips in a list, separated by -1, or in several lists."""
     first, second = (*corners, -1, 0, 1, 2), (1, 2, 3)
     header = f"ply\nformat {order} 1.0\nelement vertex 4\n" + "".join(f"property float {n}\n" for n in "xyz")
     header += f"element tristrips 2\nproperty list int {kind} vertex_indices\nend_header\n"
@@ -227,8 +225,8 @@ def test_ply_triangle_strips(tmp_path: Path, corners: tuple[int, ...], order: st
 
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("triangles", [False, True])
-def test_ply_colours_of_faces(tmp_path: Path, order: str, triangles: bool) -> None:
-    """Each face has its colour, sRGB, whatever comes before and after it; polygons give theirs to all triangles."""
+def test_ply_face_colours_are_read(tmp_path: Path, order: str, triangles: bool) -> None:
+    """sRGB, with other properties before and after; all triangles of a polygon get its colour."""
     faces = [(0, 1, 2), (2, 3, 0)] if triangles else [(0, 1, 2, 3), (0, 1, 2)]
     colors = [(255, 0, 0), (0, 188, 0)]
     header = f"ply\nformat {order} 1.0\nelement vertex 4\n" + "".join(f"property float {n}\n" for n in "xyz")
@@ -251,8 +249,8 @@ def test_ply_colours_of_faces(tmp_path: Path, order: str, triangles: bool) -> No
     np.testing.assert_array_equal(mesh.positions[mesh.indices][0], QUAD[[0, 1, 2]])
 
 
-def test_ply_texture_and_corner_uvs(tmp_path: Path) -> None:
-    """Texture coordinates of corners split the vertices, and the named texture is decoded."""
+def test_ply_corner_uvs_split_vertices(tmp_path: Path) -> None:
+    """The texture named in a comment is decoded."""
     (tmp_path / "t.png").write_bytes(png_bytes())
     (tmp_path / "a.ply").write_text(
         "ply\nformat ascii 1.0\ncomment TextureFile t.png\nelement vertex 3\nproperty float x\nproperty float y\n"
@@ -267,8 +265,8 @@ def test_ply_texture_and_corner_uvs(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encode", [stl_bytes, stl_text])
-def test_stl_triangles(tmp_path: Path, encode: Callable[[np.ndarray], bytes]) -> None:
-    """Both encodings give the triangles as stored, also if a binary header begins with "solid"."""
+def test_stl_triangles_are_read_as_stored(tmp_path: Path, encode: Callable[[np.ndarray], bytes]) -> None:
+    """Both encodings, also if a binary header begins with "solid"."""
     corners = QUAD[QUAD_TRIANGLES]
     (tmp_path / "a.stl").write_bytes(encode(corners))
     mesh = read_one(tmp_path / "a.stl")
@@ -276,8 +274,8 @@ def test_stl_triangles(tmp_path: Path, encode: Callable[[np.ndarray], bytes]) ->
 
 
 @pytest.mark.parametrize("extension", ["obj", "ply", "stl"])
-def test_trimesh_writes_what_we_read(tmp_path: Path, extension: str) -> None:
-    """Files of another program: a sphere that trimesh exported has the same triangles here."""
+def test_files_of_trimesh_are_read(tmp_path: Path, extension: str) -> None:
+    """A sphere that trimesh exported has the same triangles."""
     trimesh = pytest.importorskip("trimesh")
     sphere = trimesh.creation.icosphere(subdivisions=2, radius=0.7)
     sphere.export(tmp_path / f"s.{extension}")
@@ -287,8 +285,8 @@ def test_trimesh_writes_what_we_read(tmp_path: Path, extension: str) -> None:
 
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "faces"), [("spot", 5856), ("teapot", 6320), ("stanford-bunny", 69451)])
-def test_real_meshes(data_dir: Path, name: str, faces: int) -> None:
-    """The classic meshes load with all their triangles and lie in a finite box."""
+def test_real_meshes_load_completely(data_dir: Path, name: str, faces: int) -> None:
+    """The classic meshes have all their triangles in a finite box."""
     mesh = read_one(data_dir / "meshes" / f"{name}.obj")
     assert mesh.face_count == faces
     assert (mesh.bounds()[1] > mesh.bounds()[0]).all()

@@ -1,4 +1,4 @@
-"""Meshes in map coordinates: an origin in float64, as captures have it."""
+"""Meshes in map coordinates: a float64 origin, as for captures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
 
 
 def written(folder: Path, kind: str, shift: np.ndarray) -> Path:
-    """A mesh of two triangles, with positions in full."""
+    """Writes a mesh of two triangles with full-precision positions."""
     corners, path = CORNERS + shift, folder / f"mesh.{kind}"
     if kind == "obj":
         lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in corners.tolist()]
@@ -31,22 +31,20 @@ def written(folder: Path, kind: str, shift: np.ndarray) -> Path:
 
 
 def in_world(mesh: ls.Mesh) -> np.ndarray:
-    """Positions in the mesh's own coordinates, float64."""
+    """Returns the mesh's positions plus its origin, float64."""
     return mesh.positions.astype(np.float64) + mesh.origin
 
 
 def loaded(path: Path) -> ls.Mesh:
-    """A file that is a mesh."""
+    """Returns the mesh of a file."""
     mesh = ls.load(path)
     assert isinstance(mesh, ls.Mesh)
     return mesh
 
 
 @pytest.mark.parametrize("kind", ["obj", "ply"])
-def test_meshes_in_map_coordinates_are_about_an_origin(
-    tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Nothing is torn, and a line says so; around zero they are as they were."""
+def test_map_coordinates_get_an_origin(tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture) -> None:
+    """Without loss of precision, and with a log line; meshes near zero are unchanged."""
     mesh = loaded(written(tmp_path, kind, UTM))
     assert any(mesh.origin) and "positions are relative to the origin" in caplog.text
     np.testing.assert_allclose(in_world(mesh), CORNERS + UTM, atol=2e-7, rtol=0)
@@ -58,8 +56,8 @@ def test_meshes_in_map_coordinates_are_about_an_origin(
 
 
 @pytest.mark.parametrize("end", ["glb", "usdc", "ply"])
-def test_files_of_meshes_keep_the_origin(tmp_path: Path, end: str) -> None:
-    """As the transform of a node, also where it shears; or as doubles."""
+def test_saved_meshes_keep_the_origin(tmp_path: Path, end: str) -> None:
+    """As the node's transform, also if it shears, or as doubles."""
     if end == "usdc":
         pytest.importorskip("pxr")
     mesh = loaded(written(tmp_path, "obj", UTM))
@@ -79,8 +77,8 @@ def test_files_of_meshes_keep_the_origin(tmp_path: Path, end: str) -> None:
         assert 1.0 < sizes[0] < 3.0 and 1.0 < sizes[1] < 1.4
 
 
-def test_what_is_made_of_a_mesh_is_where_it_is(tmp_path: Path) -> None:
-    """Gaussians that cover it, and the mesh of an instance."""
+def test_results_made_from_a_mesh_have_its_origin(tmp_path: Path) -> None:
+    """Gaussians that cover the mesh, and an instance's mesh."""
     mesh = loaded(written(tmp_path, "obj", UTM))
     gaussians = ls.gaussians_from_mesh(mesh, 50)
     assert gaussians.origin == mesh.origin

@@ -346,7 +346,7 @@ def exhausted(path: Path) -> None:
 
 
 def test_exhausted_memory_is_reported_as_memory_limit(tmp_path: Path) -> None:
-    """The message does not call the file damaged before it names the limit."""
+    """The library's std::bad_alloc is not reported as a damaged file."""
     usd_core()
     with pytest.raises(FormatError, match=r"or takes more than 0\.8 GB of memory"):
         process.read_in_child(tmp_path / "a.usda", exhausted)

@@ -50,7 +50,7 @@ def test_animation_round_trip(tmp_path: Path, extension: str, up: str) -> None:
     loaded = ls.load_animation(path)
     assert (loaded.fps, loaded.frame_count) == (10.0, 11)
     turn = np.eye(4)
-    turn[:3, :3] = y_up_from(saved.scene.up_direction)  # it stands with y up
+    turn[:3, :3] = y_up_from(saved.scene.up_direction)  # the loaded scene has y up
     assert [actor.name for actor in loaded.actors] == ["flies", "slides"]
     assert [one.name for one in loaded.scene.splats] == ["still"] and not loaded.scene.meshes
     assert loaded.camera_path is not None and saved.camera_path is not None
@@ -116,7 +116,7 @@ def test_rigs_and_rigged_gaussians_are_baked_exactly(tmp_path: Path, caplog: pyt
     mean = np.mean([expect_kind(ls.MeshInstance, one).mesh.positions for one in ends], axis=0)
     np.testing.assert_allclose(expect_kind(ls.MeshInstance, middle).mesh.positions, mean, atol=1e-6)
     again = expect_kind(ls.MeshInstance, loaded.actors[0].at(0.125)[0])
-    assert again.mesh is expect_kind(ls.MeshInstance, middle).mesh  # nothing is read, nor uploaded, twice
+    assert again.mesh is expect_kind(ls.MeshInstance, middle).mesh  # the mesh is neither read nor uploaded again
     assert len(expect_kind(ls.Scene, ls.load(tmp_path / "walk.usdc")).meshes) == 1
     assert "animated shapes, of which only the first is used (skin, fur)" in caplog.text
 

@@ -149,7 +149,7 @@ def test_missing_or_short_attributes_get_defaults(tmp_path: Path) -> None:
     assert loaded.sh.shape == (2, 1, 3) and not loaded.sh.any()
     np.testing.assert_array_equal(loaded.scales, np.ones((2, 3)))
     np.testing.assert_array_equal(loaded.opacities, (1.0, 1.0))
-    np.testing.assert_array_equal(np.abs(loaded.rotations_wxyz), [(0, 1, 0, 0)] * 2)  # turned to y down
+    np.testing.assert_array_equal(np.abs(loaded.rotations_wxyz), [(0, 1, 0, 0)] * 2)  # rotated to y down
     long = {"float[] opacities": "[0.25, 0.5, 0.75]"}
     loaded = load_gaussians(write_usda(tmp_path / "b.usda", field(long)))
     np.testing.assert_array_equal(loaded.opacities, (0.25, 0.5))
@@ -276,7 +276,7 @@ def test_nested_transforms_rotate_and_stretch_gaussians(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         (axes @ axes.transpose(0, 2, 1))[0], matrix @ np.diag([1.0, 4.0, 9.0]) @ matrix.T, atol=1e-5
     )
-    # Basis functions of degree 1 are -y, z, -x: what was along x is along y, what was along y is along -x.
+    # Basis functions of degree 1 are -y, z, -x; the rotation maps x to y and y to -x.
     seen = expect_kind(ls.Scene, ls.load(tmp_path / "a.usda")).splats[0].gaussians.sh[0, :, 0]
     np.testing.assert_allclose(seen, (0.0, 3.0, 2.0, -1.0), atol=1e-6)
 

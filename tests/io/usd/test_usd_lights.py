@@ -91,7 +91,7 @@ def test_distant_light_gives_lux(tmp_path: Path) -> None:
     assert sun.angle == pytest.approx(math.radians(0.265)) and sun.direction == (0.0, 0.0, -1.0)
     lux = "float inputs:intensity = 7\nbool inputs:normalize = 1"
     assert light(tmp_path, "DistantLight", lux).intensity == pytest.approx(7.0)
-    wide = "float inputs:angle = 270\nfloat inputs:intensity = 1"  # wider than half of the sky: 2 - sin(135 deg)^2
+    wide = "float inputs:angle = 270\nfloat inputs:intensity = 1"  # wider than a hemisphere: 2 - sin(135 deg)^2
     assert light(tmp_path, "DistantLight", wide).intensity == pytest.approx(1.5 * math.pi)
     parallel = "float inputs:intensity = 7\nfloat inputs:angle = 0"
     assert light(tmp_path, "DistantLight", parallel).intensity == pytest.approx(7.0)
@@ -145,7 +145,7 @@ def test_blackbody_temperature_multiplies_colour(tmp_path: Path) -> None:
     [
         ('upAxis = "Y"', "DomeLight", "", (0.0, 0.0, 1.0)),
         ('upAxis = "Y"', "DomeLight_1", "", (0.0, 0.0, 1.0)),
-        ('upAxis = "Z"', "DomeLight_1", "", (0.0, 0.0, 1.0)),  # to -y in the stage, +z once it is turned
+        ('upAxis = "Z"', "DomeLight_1", "", (0.0, 0.0, 1.0)),  # -y in the stage is +z in the world
         ('upAxis = "Y"', "DomeLight_1", 'uniform token poleAxis = "Z"', (0.0, -1.0, 0.0)),
     ],
 )
@@ -163,19 +163,21 @@ def test_dome_light_image_orientation(
     np.testing.assert_array_equal(sky.image, image)
     w, x, y, z = np.asarray(sky.rotation_wxyz)
     forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
-    np.testing.assert_allclose(-forward, expected, atol=1e-6)  # our images have -z in the middle
+    np.testing.assert_allclose(-forward, expected, atol=1e-6)  # images of LightEnvironment have -z in the middle
 
 
 def test_quarter_of_dome_image_is_plus_x(tmp_path: Path) -> None:
     """The direction a quarter of the width from the left edge is +x."""
     usd_core()
     image = np.zeros((2, 4, 3), np.float32)
-    image[:, :2] = 1.0  # the left half of the sky
+    image[:, :2] = 1.0  # the left half of the image
     write_exr(tmp_path / "sky.exr", {name: image[:, :, k] for k, name in enumerate("RGB")})
     sky = expect_kind(ls.LightEnvironment, light(tmp_path, "DomeLight", "asset inputs:texture:file = @./sky.exr@"))
     w, x, y, z = np.asarray(sky.rotation_wxyz)
     right = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-    np.testing.assert_allclose(-right, (1.0, 0.0, 0.0), atol=1e-6)  # +x of our skies is to the right of the middle
+    np.testing.assert_allclose(
+        -right, (1.0, 0.0, 0.0), atol=1e-6
+    )  # images of LightEnvironment have +x right of the middle
 
 
 def test_shadow_settings_and_visibility_of_lights(tmp_path: Path) -> None:

@@ -314,7 +314,9 @@ def test_point_instancer_transforms(tmp_path: Path) -> None:
     assert len(scene.meshes) == 3
     moved = [m.transform @ (0, 0, 0, 1) for m in scene.meshes]
     np.testing.assert_allclose([one[:3] for one in moved], [(11, 0, 0), (0, 12, 0), (0, 0, 10)], atol=2e-3)
-    np.testing.assert_allclose(scene.meshes[1].transform[:3, :3] @ (1, 0, 0), (0, 2, 0), atol=2e-3)  # by halves
+    np.testing.assert_allclose(
+        scene.meshes[1].transform[:3, :3] @ (1, 0, 0), (0, 2, 0), atol=2e-3
+    )  # orientations are half floats
 
 
 def test_cubes_spheres_and_planes_have_their_sizes(tmp_path: Path) -> None:
@@ -358,8 +360,8 @@ def test_invalid_meshes_are_refused_or_cleaned(tmp_path: Path, geometry: str, me
         ls.load(path)
 
 
-def test_missing_texture_and_its_shader_are_named(tmp_path: Path) -> None:
-    """The message names the missing file and the stage that needs it."""
+def test_missing_texture_and_its_stage_are_named(tmp_path: Path) -> None:
+    """The message names the texture file and the stage that needs it."""
     nodes = READER + texture("c", "float3 outputs:rgb", file="gone.png")
     with pytest.raises(FormatError, match=r"gone\.png: no such file \(needed by .*a\.usda\)"):
         quad_material(tmp_path, "color3f inputs:diffuseColor.connect = </mat/c.outputs:rgb>", nodes, ST)

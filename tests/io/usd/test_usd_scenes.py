@@ -43,7 +43,7 @@ def assert_same(saved: Any, loaded: Any, label: str, moved: float) -> None:
         if field.name in ("mesh", "gaussians", "material") and a is not None:
             assert_same(a, b, where, moved)
         elif field.name == "name" and "mesh" in label.split(".")[1:]:
-            continue  # a mesh that stands at one place has the name of its instance
+            continue  # a mesh with one instance is named after the instance
         elif isinstance(a, np.ndarray) or (isinstance(a, tuple | float) and not isinstance(a, bool)):
             limit = LIMITS.get(field.name, moved)
             exact = isinstance(a, np.ndarray) and a.dtype != np.float64 and field.name != "uvs"
