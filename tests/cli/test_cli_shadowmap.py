@@ -120,7 +120,7 @@ def test_meshes_that_cast_are_put_onto_the_capture(work: Workplace, caplog: pyte
     """Where `render` puts them beside it; --keep-coordinates leaves them in their files' places."""
     args = ("shadowmap", "@mesh.obj", "--onto", "@capture.ply", "--light", LIGHT, "--device", "cpu")
     put = work.run(*args, "-o", "@put.ply")
-    assert put.status == 0 and "mesh.obj says no place, and stands upright on the ground" in caplog.text
+    assert put.status == 0 and "mesh.obj has no position, and is put upright on the ground" in caplog.text
     caplog.clear()
     kept = work.run(*args, "--keep-coordinates", "-o", "@kept.ply")
     assert kept.status == 0 and not caplog.text

@@ -130,7 +130,11 @@ def insert_entry(
         matrix[:3, 3] = 0.0
         _warn(table, "has no position, and is rotated upright where its file has it (upright = false: as in its file)")
     else:
-        _warn(table, f"has no position, and is put upright {found.where} (upright = false: as in its file): {found}")
+        _warn(
+            table,
+            f"has no position, and is put upright {found.where}{found.scaling} "
+            f"(upright = false: as in its file): {found}",
+        )
     return matrix
 
 

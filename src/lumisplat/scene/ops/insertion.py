@@ -123,6 +123,18 @@ class Insertion:
     """Of it."""
     where: str
     """What it stands on, or why on nothing, in words."""
+    size: float = 1.0
+    """Its size in its file, as a share of the scene's."""
+    fits: bool = False
+    """Whether the scale was chosen so that it fits, as it is in other units than the scene."""
+
+    @property
+    def scaling(self) -> str:
+        """The scale and its reason as the end of a message; empty if the size is kept."""
+        if not self.fits:
+            return ""
+        why = f"as it is {self.size:.3g} times as large as the scene"
+        return f" and scaled by {self.scale:.3g}, {why} (scale = 1 or --keep-coordinates keeps its size)"
 
     def __str__(self) -> str:
         """Returns the keys of a scene file that place it alike."""
@@ -161,7 +173,7 @@ def insert(
         found = insertion(scene, (*things.meshes, *things.splats), things.up, scale, front)
         matrix = found.world_from_thing
         label = name or next((i.name or i.mesh.name for i in things.meshes), "") or "the mesh"
-        _log.warning("%s says no place, and stands upright %s: %s", label, found.where, found)
+        _log.warning("%s has no position, and is put upright %s%s: %s", label, found.where, found.scaling, found)
 
     def placed(instance: SplatInstance | MeshInstance) -> dict[str, object]:
         return {"world_from_object": matrix @ instance.transform}
@@ -198,6 +210,7 @@ def insertion(
     points = np.concatenate([_points(thing) for thing in things]) @ own_turn.T
     low, high = points.min(axis=0), points.max(axis=0)
     seen = _Seen.of(scene, turn)
+    fits, share = scale is None, 0.0
     if scale is None:
         share = float(np.linalg.norm(high - low)) / seen.size
         largest = _SIZES[1] if seen.view is None else _SIZE_IN_VIEW
@@ -210,7 +223,7 @@ def insertion(
     matrix = np.eye(4)
     matrix[:3, :3] = scale * turn.T @ own_turn
     matrix[:3, 3] = turn.T @ moved
-    return Insertion(matrix, scale, where)
+    return Insertion(matrix, scale, where, share, fits and scale != 1.0)
 
 
 def _points(thing: MeshInstance | SplatInstance) -> Doubles:
