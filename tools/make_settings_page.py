@@ -20,7 +20,7 @@ TABLES: tuple[tuple[str, type], ...] = (
     ("Light of actors: `AvatarLightingConfig`, the table `[animation.lighting]`", config.AvatarLightingConfig),
     ("Data sets: `DatasetConfig`", config.DatasetConfig),
     ("Training: `TrainConfig`", config.TrainConfig),
-    ("Materials found from photographs: `MaterialsConfig`", config.MaterialsConfig),
+    ("Materials found from images: `MaterialsConfig`", config.MaterialsConfig),
     ("Materials and light of a capture alone: `DelightConfig`", config.DelightConfig),
 )
 """Titles and classes."""

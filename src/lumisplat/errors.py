@@ -23,6 +23,9 @@ import numpy as np
 class LumisplatError(Exception):
     """Base class of every error that Lumisplat raises on purpose."""
 
+    setting: str | None = None
+    """Name of the setting, field or parameter whose value was refused; None for other errors."""
+
 
 class ConfigError(LumisplatError, ValueError):
     """Raised for a setting outside its range."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+import pydoc
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
@@ -110,6 +112,24 @@ def test_every_setting_has_help(kind: Any) -> None:
     for one in settings_of(kind):
         assert one.help or (kind in GIVEN and one.name in undocumented), one.name
         assert ".." not in one.help.replace("...", "") or kind in GIVEN, one.name
+
+
+@pytest.mark.parametrize(("kind", "one"), list(numeric()))
+def test_an_error_names_the_refused_setting(kind: Any, one: Setting) -> None:
+    """Its ``setting`` is the field, also where a prefix such as camera stands before it in the message."""
+    with pytest.raises(ERRORS) as caught:
+        made(kind, one, "many")
+    assert caught.value.setting == one.name
+    assert pickle.loads(pickle.dumps(caught.value)).setting == one.name
+
+
+@pytest.mark.parametrize("kind", CONFIGS, ids=lambda kind: kind.__name__)
+def test_help_of_a_class_describes_each_field(kind: Any) -> None:
+    """With the docstring below the field, its values and its default."""
+    text = " ".join(pydoc.plain(pydoc.render_doc(kind)).replace("|", "").split())
+    for one in settings_of(kind):
+        described = " ".join(f"{one.name}: {one.help} {one.limits}".split())
+        assert described in text
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)

@@ -252,7 +252,7 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
         ("view = 9", "line 1: unknown 'view', did you mean 'views'?"),
         ("views = 0", "line 1: views is 0, expected a whole number from 1 to 10000000"),
         ('layers = ["dept"]', "line 1: layers has 'dept', did you mean 'depth'?"),
-        ("split = [1, 2]", "line 1: split is (1, 2), expected three shares"),
+        ("split = [1, 2]", "line 1: split is (1, 2), expected three fractions"),
         (
             "[poses]\nelevation = [60, 5]",
             "line 2, poses: elevation is (60, 5), expected the least and the largest value",
@@ -262,7 +262,7 @@ def test_the_guide_shows_every_setting_with_its_default(tmp_path) -> None:
         ("[lights]\nlamps = [0.5, 2]", "lamps is (0.5, 2), expected the least and the largest number, whole ones"),
         ("[lights]\nsun_elevatoin = 3", "unknown 'sun_elevatoin', did you mean 'sun_elevation'?"),
         ('[objects]\nfiles = ["lost.glb"]', "line 2, objects: files has 'lost.glb', no such file"),
-        ('[objects]\nfiles = "lost.glb"', "files is 'lost.glb', expected a list of names of files"),
+        ('[objects]\nfiles = "lost.glb"', "files is 'lost.glb', expected a list of file names"),
         ("[objects]\ncount = [-1, 2]", "count is (-1, 2), expected the least and the largest number"),
         ("seed = ", "is not valid TOML"),
     ],

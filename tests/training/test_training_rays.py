@@ -130,10 +130,10 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
 def test_incompatible_settings_are_refused(tmp_path: Path) -> None:
     """Each in one line."""
     refused: list[tuple[dict[str, Any], str]] = [
-        ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show: use Pipeline.TRACE"),
+        ({"kernel_degree": 4}, "kernel_degree is 4, which needs rays: use Pipeline.TRACE"),
         ({"kernel_degree": 6, "pipeline": "trace"}, "kernel_degree is 6, expected"),
-        ({"pipeline": "path"}, "pipeline is path, expected raster or trace"),
-        ({"pipeline": "trace", "densification": "adaptive"}, "densification is adaptive, which looks at splats"),
+        ({"pipeline": "path"}, "pipeline is 'path', expected 'raster' or 'trace'"),
+        ({"pipeline": "trace", "densification": "adaptive"}, "densification is adaptive, which needs splats"),
     ]
     for settings, problem in refused:
         with pytest.raises(ls.ConfigError, match=problem):

@@ -153,9 +153,9 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
 def test_incompatible_settings_are_refused() -> None:
     """Each in one line."""
     refused: list[tuple[dict[str, Any], str]] = [
-        ({"pipeline": "trace"}, r"projection is unscented, which is of Pipeline\.RASTER"),
-        ({"kernel_degree": 4}, "kernel_degree is 4, which rays alone show"),
-        ({"densification": "adaptive"}, "densification is adaptive, which looks at splats"),
+        ({"pipeline": "trace"}, r"projection is unscented, which is for Pipeline\.RASTER"),
+        ({"kernel_degree": 4}, "kernel_degree is 4, which needs rays"),
+        ({"densification": "adaptive"}, "densification is adaptive, which needs splats"),
     ]
     for settings, problem in refused:
         with pytest.raises(ls.ConfigError, match=problem):

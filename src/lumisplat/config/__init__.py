@@ -1,4 +1,4 @@
-"""Frozen settings, one dataclass a stage. Edit with ``dataclasses.replace``."""
+"""Settings of all stages, one frozen dataclass a stage. ``dataclasses.replace`` edits them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,33 @@ from lumisplat.config.render import (
     Shadows,
     ToneMap,
 )
+from lumisplat.config.setting import document_fields
 from lumisplat.config.training import Densification, LearningRates, MaterialsConfig, TrainConfig
+
+document_fields(
+    AvatarLightingConfig,
+    DatasetConfig,
+    DatasetLights,
+    DatasetObjects,
+    DatasetPoses,
+    DeepShadowConfig,
+    DelightConfig,
+    FilterConfig,
+    LearningRates,
+    LightEstimationConfig,
+    MaterialsConfig,
+    PathConfig,
+    ProbeConfig,
+    RadianceCacheConfig,
+    RasterConfig,
+    RealtimeConfig,
+    RelightConfig,
+    RenderConfig,
+    ResponseConfig,
+    ShadowConfig,
+    TraceConfig,
+    TrainConfig,
+)
 
 __all__ = [
     "Absorption",

@@ -1,4 +1,4 @@
-"""Checks of single values, which settings, scenes and functions share. Values come from users: no type is relied on."""
+"""Checks of single values, shared by settings, scenes and functions. Values come from users and may have any type."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _Choice = TypeVar("_Choice", bound=Enum)
 _Kind = TypeVar("_Kind")
 
 FLOAT32_MAX = float(np.finfo(np.float32).max)
-"""Largest number that a kernel can be given."""
+"""Largest finite number that kernels can use."""
 
 
 def plain(value: Any) -> Any:  # noqa: PLR0911
-    """Returns scalars of NumPy, and arrays without dimensions, as numbers of Python; all else as it is."""
+    """Returns NumPy scalars and zero-dimensional arrays as Python numbers, and other values unchanged."""
     if type(value) in _PLAIN:
         return value
     if isinstance(value, np.bool_):
@@ -43,42 +43,56 @@ def plain(value: Any) -> Any:  # noqa: PLR0911
 _PLAIN = (bool, int, float, str, tuple, list, type(None))
 
 
+def refusal(error: type[LumisplatError], name: str, value: object, expected: str) -> LumisplatError:
+    """Returns an error about a value, whose ``setting`` is the last word of ``name``: ``width`` of ``camera width``.
+
+    Args:
+        error: Type of the error.
+        name: Name of the setting, field or parameter, as the message begins with it.
+        value: The refused value.
+        expected: The rest of the message, such as ``expected a whole number``.
+    """
+    refused = error(f"{name} is {quoted(value)}, {expected}")
+    refused.setting = name.rpartition(" ")[2]
+    return refused
+
+
 def is_number(value: object) -> TypeGuard[float]:
-    """Returns whether ``value`` is one real number: Python's, NumPy's, or an array without dimensions."""
+    """Returns whether ``value`` is a real number: Python's, NumPy's, or a zero-dimensional array."""
     return type(plain(value)) in (int, float)
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Returns whether ``value`` is an integer: Python's, NumPy's, or an array without dimensions."""
+    """Returns whether ``value`` is an integer: Python's, NumPy's, or a zero-dimensional array."""
     return type(plain(value)) is int
 
 
 def is_flag(value: object) -> TypeGuard[bool]:
-    """Returns whether ``value`` is a bool: Python's, NumPy's, or an array without dimensions."""
+    """Returns whether ``value`` is a bool: Python's, NumPy's, or a zero-dimensional array."""
     return type(plain(value)) is bool
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The numbers that a field takes, whole ones for ``int``; for a pair, of both its ends."""
+    """Range of the numbers that a field accepts: integers for ``int`` fields, and both ends for pairs."""
 
     low: float = -math.inf
-    """Least number."""
+    """Smallest number."""
     high: float = math.inf
-    """Largest number. Without an end, numbers are finite in float32, which kernels compute in."""
+    """Largest number. Numbers have to be finite in float32 even without limits, as kernels use float32."""
     unit: str = ""
     """Unit of the numbers."""
     above: bool = False
-    """Whether ``low`` itself is refused."""
+    """True if ``low`` itself is excluded."""
     below: bool = False
-    """Whether ``high`` itself is refused."""
+    """True if ``high`` itself is excluded."""
     step: int = 1
-    """A whole number is a multiple of it."""
+    """Integers have to be multiples of this."""
     infinite: bool = False
-    """Whether infinity is taken."""
+    """True if infinity is accepted."""
 
     def holds(self, number: float) -> bool:
-        """Returns whether a number is in the range (NaN never is)."""
+        """Returns whether the range contains a number; it never contains NaN."""
         if not (self.low < number if self.above else self.low <= number):
             return False
         if not (number < self.high if self.below else number <= self.high):
@@ -86,7 +100,7 @@ class Range:
         return (self.infinite or abs(number) <= FLOAT32_MAX) and (self.step == 1 or number % self.step == 0)
 
     def expected(self, kind: type = float) -> str:
-        """Returns the range as messages and tables say it: ``a whole number from 1 to 64``."""
+        """Returns the range in the words of messages and tables: ``a whole number from 1 to 64``."""
         low, high = (kind(end) if math.isfinite(end) else end for end in (self.low, self.high))
         if kind is int:
             multiple = f", a multiple of {self.step}" if self.step > 1 else ""
@@ -102,10 +116,10 @@ class Range:
         return f"a number {'above' if self.above else 'at least'} {low:g}{', or inf' if self.infinite else ''}"
 
     def taken(self, name: str, value: Any, kind: type, error: type[LumisplatError] = ConfigError) -> Any:
-        """Returns a value as a plain number of a kind, ``int`` or ``float``.
+        """Returns a value as a Python number of ``kind``, which is ``int`` or ``float``.
 
         Raises:
-            LumisplatError: It is no such number, or outside the range; of the type ``error``.
+            LumisplatError: The value is no such number, or outside the range; its type is ``error``.
         """
         if type(value) is kind and self.holds(value):  # most are: cameras are made in loops
             return value
@@ -113,106 +127,106 @@ class Range:
         is_kind = type(number) is int or (kind is float and type(number) is float)
         if not is_kind or not self.holds(number):
             unit = f" ({self.unit})" if self.unit else ""
-            raise error(f"{name} is {quoted(value)}, expected {self.expected(kind)}{unit}")
+            raise refusal(error, name, value, f"expected {self.expected(kind)}{unit}")
         return kind(number)
 
 
 def _short(number: float) -> str:
-    """Returns a number with at most seven digits, if it is not round."""
+    """Returns a number as text, with at most seven digits unless it is short."""
     return str(number) if len(str(number)) <= 12 else f"{number:.7g}"
 
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """The few whole numbers that a field takes."""
+    """Few integers that a field accepts."""
 
     values: tuple[int, ...]
-    """The numbers."""
+    """The accepted integers."""
 
     def expected(self, kind: type = int) -> str:
-        """Returns them as messages say them: ``4, 8 or 16``."""
+        """Returns the integers in the words of messages: ``4, 8 or 16``."""
         *others, last = map(str, self.values)
         return f"{', '.join(others)} or {last}"
 
     def taken(self, name: str, value: object, kind: type, error: type[LumisplatError] = ConfigError) -> int:
-        """Returns a value as a plain whole number.
+        """Returns a value as a Python integer.
 
         Raises:
-            LumisplatError: It is none of the values; of the type ``error``.
+            LumisplatError: The value is none of the integers; its type is ``error``.
         """
         number = plain(value)
         if type(number) is not int or number not in self.values:
-            raise error(f"{name} is {quoted(value)}, expected {self.expected()}")
+            raise refusal(error, name, value, f"expected {self.expected()}")
         return number
 
 
 def check_range(name: str, value: object, low: float, high: float, error: type[LumisplatError] = ConfigError) -> float:
-    """Returns a number with ``low <= value <= high`` as Python's.
+    """Returns a number with ``low <= value <= high`` as a Python number.
 
     Raises:
-        LumisplatError: ``value`` is something else.
+        LumisplatError: ``value`` is anything else.
     """
     return Range(low, high).taken(name, value, float, error)
 
 
 def check_positive(name: str, value: object, error: type[LumisplatError] = ConfigError) -> float:
-    """Returns a finite number above 0 as Python's.
+    """Returns a finite number above 0 as a Python number.
 
     Raises:
-        LumisplatError: ``value`` is something else.
+        LumisplatError: ``value`` is anything else.
     """
     return Range(0.0, above=True).taken(name, value, float, error)
 
 
 def check_whole(name: str, value: object, low: int, high: int, error: type[LumisplatError] = ConfigError) -> int:
-    """Returns a whole number with ``low <= value <= high`` as Python's.
+    """Returns an integer with ``low <= value <= high`` as a Python number.
 
     Raises:
-        LumisplatError: ``value`` is something else.
+        LumisplatError: ``value`` is anything else.
     """
     return Range(low, high).taken(name, value, int, error)
 
 
 def check_flag(name: str, value: object, error: type[LumisplatError] = ConfigError) -> bool:
-    """Returns a bool, Python's or NumPy's, as Python's.
+    """Returns a bool of Python or NumPy as Python's.
 
     Raises:
-        LumisplatError: ``value`` is something else.
+        LumisplatError: ``value`` is anything else.
     """
     flag = plain(value)
     if type(flag) is not bool:
-        raise error(f"{name} is {quoted(value)}, expected True or False")
+        raise refusal(error, name, value, "expected True or False")
     return flag
 
 
 def check_text(name: str, value: object, error: type[LumisplatError] = ConfigError) -> str:
-    """Returns ``value``, a text.
+    """Returns ``value`` if it is a text.
 
     Raises:
-        LumisplatError: It is something else.
+        LumisplatError: ``value`` is anything else.
     """
     if not isinstance(value, str):
-        raise error(f"{name} is {quoted(value)}, expected a text")
+        raise refusal(error, name, value, "expected a text")
     return value
 
 
 def check_kind(name: str, value: object, kind: type[_Kind], error: type[LumisplatError] = ConfigError) -> _Kind:
-    """Returns ``value``, a ``kind``.
+    """Returns ``value`` if it is an instance of ``kind``.
 
     Raises:
-        LumisplatError: It is something else.
+        LumisplatError: ``value`` is anything else.
     """
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
-        raise error(f"{name} is {quoted(value)}, expected {article} {kind.__name__}")
+        raise refusal(error, name, value, f"expected {article} {kind.__name__}")
     return value
 
 
 def enum_member(name: str, value: object, kind: type[_Choice], error: type[LumisplatError] = ConfigError) -> _Choice:
-    """Returns a member of ``kind``, given as such or by its value: ``Pipeline.TRACE`` or ``"trace"``.
+    """Returns a member of ``kind``, given itself or by its value: ``Pipeline.TRACE`` or ``"trace"``.
 
     Raises:
-        LumisplatError: ``value`` is neither.
+        LumisplatError: ``value`` is anything else.
     """
     if isinstance(value, kind):
         return value
@@ -220,17 +234,17 @@ def enum_member(name: str, value: object, kind: type[_Choice], error: type[Lumis
         for member in kind:
             if member.value == value:
                 return member
-    raise error(f"{name} is {quoted(value)}, expected {choices(kind)}")
+    raise refusal(error, name, value, f"expected {choices(kind)}")
 
 
 def choices(kind: type[Enum]) -> str:
-    """Returns the values of an enum as a message lists them: ``'raster', 'trace' or 'hybrid'``."""
+    """Returns the values of an enum in the words of messages: ``'raster', 'trace' or 'hybrid'``."""
     *others, last = (f"'{member.value}'" for member in kind)
     return f"{', '.join(others)} or {last}"
 
 
 def listed_names(value: object) -> tuple[str, ...] | None:
-    """Returns names that are given as a list, or as one text with commas; None: it is neither."""
+    """Returns names from a list of texts, or from a text with commas; None if the value is neither."""
     if isinstance(value, str):
         return tuple(name.strip() for name in value.split(",") if name.strip())
     names = list(cast(Iterable[object], value)) if isinstance(value, Iterable) else [None]
@@ -239,7 +253,7 @@ def listed_names(value: object) -> tuple[str, ...] | None:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Returns a hint for an unknown name: the most similar known name or one that it begins, else all known names."""
+    """Returns a question with the most similar known name, or one that begins like it; else lists all known names."""
     known = list(known)
     near = difflib.get_close_matches(name, known, n=1)
     near = near or [one for one in known if len(name) > 2 and one.startswith(name)]
@@ -247,51 +261,49 @@ def suggestion(name: str, known: Iterable[str]) -> str:
 
 
 def quoted(value: object) -> str:
-    """Returns a value as a message of one line shows it."""
+    """Returns a value as a one-line message shows it."""
     return str(value) if is_number(value) else " ".join(reprlib.repr(value).split())
 
 
 Color = tuple[float, float, float]
 
 NO_COLOR = ("transparent", "none")
-"""Words for no colour at all."""
+"""Texts that mean no colour."""
 
 
 class DisplayColor:
-    """Converts what is given for a display-referred colour; see `display_color`."""
+    """Converter of fields with a display-referred colour; see `display_color`."""
 
     kind = "color"
     is_linear = False
 
     def __call__(self, value: str | Iterable[float] | None, name: str = "color") -> Color | None:
-        """Returns the colour, or None for none."""
+        """Returns the colour, or None for no colour."""
         return display_color(name, value)
 
 
 def display_color(name: str, value: object) -> Color | None:
-    """Returns display-referred sRGB, 0..1 each, or None for no colour.
+    """Returns a display-referred sRGB colour with channels in 0..1, or None for no colour.
 
     Args:
-        name: What the colour is of, for messages.
-        value: Three numbers in 0..1; or a text: three numbers with commas or spaces, ``"#ff8800"``, ``"#f80"``, a name
-            of CSS such as ``"white"``, ``"transparent"`` or ``"none"``; or None.
+        name: Name of the colour, for messages.
+        value: Three numbers in 0..1; a text with three numbers, ``"#ff8800"``, ``"#f80"``, a CSS name such as
+            ``"white"``, ``"transparent"`` or ``"none"``; or None.
 
     Raises:
-        ConfigError: It is none of these.
+        ConfigError: ``value`` is anything else.
     """
     if value is None or (isinstance(value, str) and value.strip().lower() in NO_COLOR):
         return None
     parts = _color_from_text(value) if isinstance(value, str) else _color_from_numbers(value)
     if parts is None:
-        raise ConfigError(
-            f"{name} is {quoted(value)}, expected three numbers in 0..1, '#ff8800', a name such as 'white', "
-            "or 'transparent'"
-        )
+        expected = "expected three numbers in 0..1, '#ff8800', a name such as 'white', or 'transparent'"
+        raise refusal(ConfigError, name, value, expected)
     return parts
 
 
 def _color_from_numbers(value: object) -> Color | None:
-    """Returns three numbers in 0..1; None: it is something else."""
+    """Returns three numbers in 0..1 as a colour; None if the value is anything else."""
     if not isinstance(value, Iterable):
         return None
     parts = list(cast(Iterable[object], value))
@@ -303,7 +315,7 @@ def _color_from_numbers(value: object) -> Color | None:
 
 
 def _color_from_text(text: str) -> Color | None:
-    """Returns a colour that is written; None: no colour is written so."""
+    """Returns the colour that a text describes; None if it describes none."""
     from PIL import ImageColor
 
     try:

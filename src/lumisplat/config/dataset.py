@@ -1,4 +1,4 @@
-"""Settings of data sets: many views of a scene from random places, in random light, with objects put into it."""
+"""Settings of data sets: random views of a scene, with random light and objects."""
 
 from __future__ import annotations
 
@@ -10,39 +10,39 @@ from typing import Annotated
 
 import numpy as np
 
-from lumisplat.config.checks import Range, is_number, listed_names, quoted, suggestion
+from lumisplat.config.checks import Range, is_number, listed_names, refusal, suggestion
 from lumisplat.config.setting import Seed, Share, Span, WholeSpan, frozen, given, take_fields
 from lumisplat.errors import ConfigError
 
 DATASET_LAYERS = ("depth", "normal", "albedo", "alpha", "mask", "instance", "category", "exr")
-"""What data sets may hold beside the pictures."""
+"""Layers that a data set may have beside the images."""
 _VIEWS_MAX = 10_000_000
 
 
 class PosePlaces(Enum):
-    """Where the cameras of a data set stand."""
+    """Region of the cameras of a data set."""
 
     DOME = "dome"
-    """Around the scene, looking at it."""
+    """Positions around the scene, looking at it."""
     INSIDE = "inside"
-    """In its free space, looking anywhere."""
+    """Positions in the free space of the scene, looking in any direction."""
     CAMERAS = "cameras"
-    """Near given cameras: those of a capture's photographs, say, from where it looks best."""
+    """Positions near given cameras, such as those of a capture's training images, from where it looks best."""
 
 
 def _file_names(value: Iterable[str], name: str = "files") -> tuple[str, ...]:
-    """Returns a list of names as a tuple."""
+    """Returns a list of file names as a tuple."""
     names = None if isinstance(value, str) else listed_names(value)
     if names is None:
-        raise ConfigError(f"{name} is {quoted(value)}, expected a list of names of files")
+        raise refusal(ConfigError, name, value, "expected a list of file names")
     return names
 
 
 def _checked_layers(value: str | Iterable[str], name: str = "layers") -> tuple[str, ...]:
-    """Returns names of layers, in the order of `DATASET_LAYERS`, each once."""
+    """Returns names of layers without duplicates, in the order of `DATASET_LAYERS`."""
     names = listed_names(value)
     if names is None:
-        raise ConfigError(f"{name} is {quoted(value)}, expected some of {', '.join(DATASET_LAYERS)}")
+        raise refusal(ConfigError, name, value, f"expected some of {', '.join(DATASET_LAYERS)}")
     for layer in names:
         if layer not in (*DATASET_LAYERS, "color"):
             raise ConfigError(f"{name} has {layer!r}, {suggestion(layer, DATASET_LAYERS)}")
@@ -50,125 +50,126 @@ def _checked_layers(value: str | Iterable[str], name: str = "layers") -> tuple[s
 
 
 def _checked_split(value: Sequence[float], name: str = "split") -> tuple[float, float, float]:
-    """Returns three shares whose sum is 1."""
+    """Returns three fractions, scaled to a sum of 1."""
     shares: list[object] = list(value) if isinstance(value, tuple | list | np.ndarray) and np.ndim(value) == 1 else []
     numbers = [float(share) for share in shares if is_number(share) and 0.0 <= share < math.inf]
     if len(shares) != 3 or len(numbers) != 3 or not sum(numbers) > 0.0:
-        raise ConfigError(f"{name} is {quoted(value)}, expected three shares, to train, validate and test by")
+        raise refusal(ConfigError, name, value, "expected three fractions, for training, validation and test")
     train, validation, test = (number / sum(numbers) for number in numbers)
     return train, validation, test
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DatasetPoses:
-    """Where the cameras of a data set stand, and what they look at.
+    """Positions and viewing directions of the cameras of a data set.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     where: PosePlaces = PosePlaces.DOME
-    """Where they stand."""
+    """Region of the cameras."""
     azimuth: Annotated[Span, Range(-360.0, 360.0, "degrees")] = (0.0, 360.0)
-    """Of ``DOME``: angle about the vertical, counter-clockwise seen from above; 0 is the front."""
+    """Angle about the vertical with ``DOME``, counter-clockwise from above; 0 is the front."""
     elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (5.0, 60.0)
-    """Of ``DOME``: angle above the horizon."""
+    """Angle above the horizon with ``DOME``."""
     distance: Annotated[Span, Range(1e-3, 1e3)] = (1.0, 1.5)
-    """Of ``DOME``: distance from the point that is looked at, as a factor of the distance at which the whole scene just
-    fits into the image. Below 1, images may cut parts of the scene off."""
+    """Distance to the target with ``DOME``, as a factor of the distance at which the whole scene just fits into the
+    image. Below 1, images may cut off parts of the scene."""
     height: Annotated[Span, Range(0.0, 1.0)] = (0.2, 0.8)
-    """Of ``INSIDE``: height of the eye, as a share of the scene's."""
+    """Height of the camera with ``INSIDE``, as a fraction of the scene's height."""
     pitch: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (-25.0, 10.0)
-    """Of ``INSIDE``: angle by which cameras look up."""
+    """Angle of the viewing direction above the horizon with ``INSIDE``."""
     shift: Share = 0.02
-    """Of ``CAMERAS``: how far eyes are moved at most, as a share of the scene's diagonal."""
+    """Largest distance from a given camera with ``CAMERAS``, as a fraction of the scene's diagonal."""
     turn: Annotated[float, Range(0.0, 180.0, "degrees")] = 5.0
-    """Of ``CAMERAS``: angle by which cameras are turned at most, about any axis."""
+    """Largest rotation from a given camera with ``CAMERAS``, about any axis."""
     aim: Share = 0.1
-    """Of ``DOME``: how far from its middle the scene is looked at, as a share of its size along each axis."""
+    """Largest distance of the target from the scene's centre with ``DOME``, as a fraction of its size along each axis.
+    """
     roll: Annotated[float, Range(0.0, 180.0, "degrees")] = 0.0
-    """Angle by which cameras lean to a side at most."""
+    """Largest rotation of cameras about their viewing direction."""
     fov: Annotated[Span, Range(1.0, 179.0, "degrees")] = (35.0, 60.0)
     """Vertical field of view."""
     at_objects: Share = 0.5
-    """Share of views that look at one of the objects put into the scene, where there are any; not of
-    ``CAMERAS``."""
+    """Fraction of views that look at one of the added objects, if there are any; not with ``CAMERAS``."""
     object_distance: Annotated[Span, Range(1.0, 1e3)] = (3.0, 8.0)
-    """Of views of objects from ``DOME``: distance in radii of the object."""
+    """Distance to an object that a view of ``DOME`` looks at, in radii of the object."""
     clearance: Share = 0.02
-    """Free space that cameras have on all sides, as a share of the scene's diagonal."""
+    """Free space around cameras, as a fraction of the scene's diagonal."""
     seen: Share = 0.1
-    """Share of the picture that must show a surface."""
+    """Fraction of the image that must show a surface."""
 
     __post_init__ = take_fields
 
 
 @frozen(kw_only=True, eq=True)
 class DatasetLights:
-    """The light of a data set, another one in each view.
+    """Light of a data set, drawn anew for each view.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     own: bool = True
-    """Whether the lights of the scene stay."""
+    """Keeps the lights of the scene."""
     environments: tuple[str, ...] = given(converter=_file_names, default=())
-    """Files of environments, .hdr or .exr, one of which each view has, in place of the scene's own. In a settings file
-    paths begin at its folder."""
+    """Environment images, .hdr or .exr. Each view has one of them in place of the scene's own environment. In a
+    settings file paths are relative to its folder."""
     turned: bool = True
-    """Whether environments, the scene's own too, are turned about the vertical."""
+    """Rotates environments, also the scene's own, about the vertical."""
     brightness: Annotated[Span, Range(1e-6, 1e6)] = (0.5, 2.0)
-    """Factor of their radiance; its logarithm is spread evenly."""
+    """Factor of the environment's radiance, whose logarithm is uniform."""
     visible: bool = True
-    """Whether the environments of files are the background of pictures."""
+    """Shows the images of ``environments`` as background."""
     suns: Annotated[WholeSpan, Range(0, 16)] | None = None
-    """How many suns there are. None: one, if there is something to light and nothing else lights it."""
+    """Number of suns. None: one, if the scene has something to light and no other light."""
     sun_elevation: Annotated[Span, Range(-90.0, 90.0, "degrees")] = (15.0, 75.0)
-    """Angle above the horizon."""
+    """Angle of suns above the horizon."""
     sun_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
-    """Illuminance that a sun gives what faces it: what is white is as bright as display white at pi."""
+    """Illuminance of a sun on a surface that faces it: at pi, a white surface is as bright as display white."""
     sun_angle: Annotated[Span, Range(0.0, 90.0, "degrees")] = (0.0, 2.0)
-    """Angular radius, of soft shadows."""
+    """Angular radius of suns, which softens their shadows."""
     lamps: Annotated[WholeSpan, Range(0, 16)] = (0, 0)
-    """How many lamps there are: above and around the scene, or in its free space where cameras are in it."""
+    """Number of point lights: above and around the scene, or with ``INSIDE`` in its free space."""
     lamp_lux: Annotated[Span, Range(0.0, 1e6)] = (1.0, 4.0)
-    """Illuminance that a lamp gives the middle of the scene."""
+    """Illuminance of a point light at the centre of the scene."""
     sky: Annotated[Span, Range(0.0, 1e6)] = (0.1, 0.5)
-    """Radiance of an even, invisible sky in views with suns or lamps and without an environment."""
+    """Radiance of a constant, invisible environment in views that have suns or point lights, and no other environment.
+    """
     tint: Share = 0.2
-    """How coloured suns, lamps and skies are: each channel is between 1 less this and 1."""
+    """Saturation of suns, point lights and constant environments: each colour channel is between 1 minus this and 1."""
     exposure: Annotated[Span, Range(-100.0, 100.0, "stops")] = (0.0, 0.0)
-    """Added to the exposure of lit pictures."""
+    """Stops added to the exposure of lit images."""
 
     __post_init__ = take_fields
 
 
 @frozen(kw_only=True, eq=True)
 class DatasetObjects:
-    """What is put into the scene, elsewhere in each view.
+    """Objects that are added to the scene, at other positions in each view.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     files: tuple[str, ...] = given(converter=_file_names, default=())
-    """Captures, meshes and scenes, of which some are put into each view; a file may be named more than once. In a
-    settings file paths begin at its folder."""
+    """Captures, meshes and scenes, some of which are added to each view; a file may be listed more than once. In a
+    settings file paths are relative to its folder."""
     count: Annotated[WholeSpan, Range(0, 1000)] = (1, 3)
-    """How many there are; those that find no room are left out."""
+    """Number of objects in a view; objects without free space are left out."""
     size: Annotated[Span, Range(1e-6, 1e3)] = (0.08, 0.2)
-    """Diameter of an object's bounding sphere, as a share of the scene's diagonal."""
+    """Diameter of an object's bounding sphere, as a fraction of the scene's diagonal."""
     own_size: bool = False
-    """Whether they keep the size that they have, in place of ``size``, times ``scale``."""
+    """Keeps the objects' own sizes, times ``scale``, in place of ``size``."""
     scale: Annotated[Span, Range(1e-6, 1e6)] = (1.0, 1.0)
-    """Factor of the size of those that keep theirs."""
+    """Factor of the size of objects that keep their own."""
     upright: bool = True
-    """Whether they stay upright, turned about the vertical alone; else they lie any way round."""
+    """Keeps objects upright, rotated about the vertical alone; otherwise they have any orientation."""
     unevenness: Share = 0.1
-    """How uneven the ground below an object may be, as a share of its diameter."""
+    """Largest unevenness of the ground below an object, as a fraction of its diameter."""
     shadows: bool = True
-    """Whether captures that keep their look receive the shadows of objects in lit views."""
+    """Lets captures that are shown as captured receive the shadows of objects, in lit views."""
 
     __post_init__ = take_fields
 
@@ -182,27 +183,26 @@ class DatasetConfig:
     """
 
     views: Annotated[int, Range(1, _VIEWS_MAX)] = 100
-    """How many views there are. A view is the same however many there are."""
+    """Number of views. A view does not depend on it."""
     seed: Seed = 0
-    """Of all that is random. Each view has random numbers of its own, and its poses, lights and objects
-    have theirs."""
+    """Seed of all random numbers. Each view has its own sequences, one each for poses, lights and objects."""
     width: Annotated[int, Range(1, 65536, "pixels")] = 640
-    """Of pictures."""
+    """Width of images."""
     height: Annotated[int, Range(1, 65536, "pixels")] = 480
-    """Of pictures."""
+    """Height of images."""
     layers: tuple[str, ...] = given(converter=_checked_layers, default=("depth", "normal", "instance"))
-    """Beside the pictures, some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask``, ``instance``, ``category``
-    and ``exr``; as a list, or as a text with commas."""
+    """Layers beside the images: some of ``depth``, ``normal``, ``albedo``, ``alpha``, ``mask``, ``instance``,
+    ``category`` and ``exr``, as a list or a text with commas."""
     split: tuple[float, float, float] = given(converter=_checked_split, default=(0.8, 0.1, 0.1))
-    """Shares of views to train by, to validate by and to test by, at least 0; the sum counts as all. A view stays in
-    its part, however many there are."""
+    """Fractions of the views for training, validation and test, scaled to a sum of 1. A view stays in its part,
+    whatever the number of views."""
     shard_views: Annotated[int, Range(0, _VIEWS_MAX)] = 0
-    """Views of a shard, at most: shards of WebDataset beside the files. 0: no shards."""
+    """Largest number of views in a shard for WebDataset; 0 writes no shards."""
     poses: DatasetPoses = DatasetPoses()
-    """Where cameras stand."""
+    """Settings of the cameras."""
     lights: DatasetLights = DatasetLights()
-    """The light."""
+    """Settings of the light."""
     objects: DatasetObjects = DatasetObjects()
-    """What is put into the scene."""
+    """Settings of the added objects."""
 
     __post_init__ = take_fields

@@ -1,4 +1,4 @@
-"""Settings of light in captures: deep shadow maps, relighting, lights that are estimated, and the light of avatars."""
+"""Settings of light in captures: deep shadow maps, relighting, estimated lights and materials, and avatars."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from lumisplat.config.setting import Length, Seed, Share, take_fields
 
 
 class Absorption(Enum):
-    """How a Gaussian's opacity becomes absorption per length (docs/method/deep_shadow_maps.md#absorption).
+    """Absorption per length of a Gaussian with a given opacity (docs/method/deep_shadow_maps.md#absorption).
 
-    With optical depth ``tau = -ln(1 - opacity)``, precision ``A`` and scales ``s``. ``MASS`` and ``DIAGONAL``, the
-    paper's ``mass`` and ``diag``, have the covariance in place of the precision, and are one formula, as
-    ``sqrt(det(covariance))`` is the product of the scales.
+    The optical depth is ``tau = -ln(1 - opacity)``, the precision matrix ``A`` and the scales ``s``. ``MASS`` and
+    ``DIAGONAL``, the paper's ``mass`` and ``diag``, use the covariance in place of the precision. They are one formula,
+    as ``sqrt(det(covariance))`` is the product of the scales.
     """
 
     SIMPLE = "simple"
@@ -24,29 +24,29 @@ class Absorption(Enum):
     AVERAGE = "avg"
     """``tau sqrt(tr(A) / 3) / sqrt(2 pi)``: about the splat's own opacity, whatever its size."""
     MASS = "mass"
-    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: the same mass for all, so that small Gaussians are black."""
+    """``tau / ((2 pi)^(3/2) sqrt(det(covariance)))``: equal mass for all, so that small Gaussians are black."""
     DIAGONAL = "diag"
-    """``tau / ((2 pi)^(3/2) s_x s_y s_z)``: as ``MASS``."""
+    """``tau / ((2 pi)^(3/2) s_x s_y s_z)``: equals ``MASS``."""
 
 
 class AtlasLayout(Enum):
-    """How the directions around a light are laid out in a deep shadow map."""
+    """Layout of the directions around a light in a deep shadow map."""
 
     OCTAHEDRAL = "octahedral"
-    """One square, without seams."""
+    """One square without seams."""
     CUBEMAP = "cubemap"
-    """Six faces, with as many texels in all."""
+    """Six faces with the same number of texels in all."""
 
 
 class ReceiverSampling(Enum):
-    """Where a deep shadow map is read for a Gaussian that receives shadow."""
+    """Points at which a deep shadow map is read for a Gaussian that receives shadow."""
 
     CENTER = "center"
-    """At its mean."""
+    """Mean of the Gaussian."""
     STENCIL = "stencil"
-    """At its mean and one scale along each axis, 7 points."""
+    """Mean of the Gaussian, and one scale along each axis to both sides: 7 points."""
     MONTE_CARLO = "monte-carlo"
-    """At ``samples`` random points of it, which depend on its index and ``seed`` alone."""
+    """Random points of the Gaussian, ``samples`` of them, which depend on its index and ``seed`` alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,51 +58,50 @@ class DeepShadowConfig:
     """
 
     layout: AtlasLayout = AtlasLayout.OCTAHEDRAL
-    """How directions are laid out; a map of parallel light is a plane instead."""
+    """Layout of the directions around a light; the map of a directional light is a plane instead."""
     resolution: Annotated[int, Range(8, 8192, step=8)] = 2048
     """Texels across and down."""
     bins: Annotated[int, Range(1, 4096)] = 256
-    """Bins of distance from the light, K, evenly from 0 to ``max_distance``."""
+    """Number of distance bins, K, which are of equal size from 0 to ``max_distance``."""
     max_distance: Length | None = None
-    """Distance at which the bins end; None: behind all receivers, or without receivers, behind
-    all casters."""
+    """Distance from the light at which the bins end. None: behind all receivers, or without receivers, behind all
+    casters."""
     absorption: Absorption = Absorption.AVERAGE
-    """How opacity becomes absorption."""
+    """Formula from a Gaussian's opacity to its absorption per length."""
     strength: Annotated[float, Range(0.0, 100.0)] = 1.0
     """Factor kappa of the absorption."""
     region: bool = True
-    """Whether only the texels and bins that receivers read are tabulated."""
+    """Computes only the texels and bins that receivers read."""
     region_radius: Length | None = None
-    """Receivers farther than this from the box around the casters along x, y or z are left out:
-    they stay lit, except where a map that is used by itself holds the texels of nearer receivers. None: none is left
-    out."""
+    """Distance from the bounding box of the casters, along x, y or z, beyond which receivers are ignored and stay lit.
+    A map that is used by itself still shadows them where it holds texels of nearer receivers. None: no receiver is
+    ignored."""
     culling: bool = True
-    """Whether each tile has a list of the casters that its rays can hit, instead of testing all of them."""
+    """Lists for each tile the casters that its rays can hit; otherwise each ray tests all casters."""
     sampling: ReceiverSampling = ReceiverSampling.MONTE_CARLO
-    """Where the map is read for a receiver."""
+    """Points at which the map is read for a receiver."""
     samples: Annotated[int, Range(1, 1024)] = 8
-    """Points at which the map is read for a receiver, with ``MONTE_CARLO``."""
+    """Number of points at which the map is read for a receiver, with ``MONTE_CARLO``."""
     seed: Seed = 0
-    """Seed of these points."""
+    """Seed of the points of ``MONTE_CARLO``."""
 
     __post_init__ = take_fields
 
 
 class NormalEstimate(Enum):
-    """Where normals of Gaussians come from."""
+    """Source of the normals of Gaussians."""
 
     AUTO = "auto"
-    """The set's own ``normals``; a set without any uses `SMALLEST_AXIS`."""
+    """The set's own ``normals``, or without them `SMALLEST_AXIS`."""
     SMALLEST_AXIS = "smallest-axis"
-    """Each Gaussian's thinnest axis: sharp, and noisy where Gaussians are round."""
+    """Thinnest axis of each Gaussian: sharp, but noisy where Gaussians are round."""
     PCA = "pca"
-    """Normal of the plane through the neighbouring means, weighted by opacity and distance: smooth, and blunt at
-    edges."""
+    """Normal of the plane through neighbouring means, weighted by opacity and distance: smooth, but blunt at edges."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelightConfig:
-    """Settings of the transfer of a probe's light to Gaussians (docs/method/relighting.md#transfer).
+    """Settings of the transfer of a light probe's radiance to Gaussians (docs/method/relighting.md#transfer).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
@@ -113,13 +112,12 @@ class RelightConfig:
     scale_max: Annotated[float, Range(0.0, 1000.0)] = 4.0
     """Largest factor t_max of a Gaussian's colour, before ``gamma``."""
     gamma: Annotated[float, Range(0.0, 1000.0)] = 1.0
-    """Linear factor of all light. At 1, surroundings of radiance 1 (display white) leave colours as they
-    are."""
+    """Linear factor of all light. At 1, an environment of radiance 1 (display white) leaves colours unchanged."""
     normals: NormalEstimate = NormalEstimate.AUTO
-    """Where normals come from if none are given."""
+    """Source of the normals, if none are given."""
     rows: Annotated[int, Range(8, 128)] = 16
-    """Rows of the latitude-longitude grid, twice as wide as high, over which light is summed: with 16, the sum
-    is within 1 % of that over a fine grid, for probes of degree 3 and any exponent."""
+    """Rows of the latitude-longitude grid, twice as wide as high, over which light is summed. With 16 rows, the sum is
+    within 1 % of that over a fine grid, for probes of degree 3 and any exponent."""
 
     __post_init__ = take_fields
 
@@ -133,14 +131,16 @@ class DelightConfig:
     """
 
     cells: Annotated[int, Range(4, 32)] = 12
-    """The light at each Gaussian is traced in so many times so many cells of all directions."""
+    """Cells along each side of the map of directions in which the light at each Gaussian is traced."""
     inside: bool | None = None
-    """Whether the capture was taken from inside of it, as a room is; None: if a good part of it sees no sky."""
+    """Treats the capture as taken from its inside, like a room. None: if a good part of it does not see the
+    environment."""
     matt: bool = False
-    """Whether the materials that will relight the capture are matt (``MaterialPbr(specular=0)``): then all that it
-    shows is of the albedo. Else they are as `MaterialPbr` has them, and what such a surface mirrors is not."""
+    """Assumes that the materials that will relight the capture are matt (``MaterialPbr(specular=0)``), so that all
+    captured colour comes from the albedo. Otherwise the specular reflection of a default `MaterialPbr` is not part of
+    the albedo."""
     seed: Seed = 0
-    """Of rays and of which Gaussians are compared."""
+    """Seed of the rays, and of the choice of Gaussians that are compared."""
 
     __post_init__ = take_fields
 
@@ -149,34 +149,34 @@ class DelightConfig:
 class LightEstimationConfig:
     """Settings of `estimate_lights`.
 
-    Lengths that are None follow from the extent of the scene: ``radius`` if that is given, else the distance from the
-    character within which 98 % of the Gaussians lie.
+    Lengths that are None follow from the extent of the scene. The extent is ``radius`` if that is given, else the
+    distance from the character within which 98 % of the Gaussians lie.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     radius: Length | None = None
-    """Gaussians farther from the character's centre are ignored; None: 1.5 extents."""
+    """Distance from the character's centre beyond which Gaussians are ignored. None: 1.5 extents."""
     viewpoint_distance: Length | None = None
-    """Distance of the four outer viewpoints from the character's centre; None: a tenth of the
-    extent."""
+    """Distance of the four outer viewpoints from the character's centre. None: a tenth of the extent."""
     emitter_size: Length | None = None
-    """Largest size of a compact emitter; None: a twelfth of the extent. Gaussians nearer to the
-    character's centre than this are no lights."""
+    """Largest size of a compact emitter. Gaussians nearer to the character's centre than this are no lights. None: a
+    twelfth of the extent."""
     separation: Length | None = None
-    """Least distance between two lights; None: three times ``emitter_size``."""
+    """Smallest distance between two lights. None: three times ``emitter_size``."""
     compactness: Share = 0.5
-    """Share of its score by which a light must exceed its surroundings; at 0, bright walls and windows count as
+    """Fraction of its score by which a light must exceed the score around it. At 0, bright walls and windows count as
     lights, too."""
     weakest: Share = 0.05
-    """Gaussians whose score is below this share of the best are no lights."""
+    """Fraction of the best score below which Gaussians are no lights."""
     evidence: Share = 0.05
-    """Share of the light on surfaces around, beyond what smooth surroundings explain, that a light must explain;
-    twice that for what is low or broad. At 0, what is bright counts as a light, whether it lights anything or not."""
+    """Fraction of the light on nearby surfaces that a light must explain, beyond what a smooth environment explains.
+    Low or broad lights must explain twice as much. At 0, anything bright counts as a light, whether or not it lights
+    surfaces."""
     irradiance: Annotated[float, Range(1e-6, 1e6)] = math.pi
-    """Irradiance that all lights together give a surface at the character's centre which faces each of them:
-    with pi, white paper is white."""
+    """Irradiance that all lights together give a surface at the character's centre that faces each of them. With pi,
+    white paper is display white."""
 
     __post_init__ = take_fields
 
@@ -190,22 +190,22 @@ class AvatarLightingConfig:
     """
 
     shadows: bool = True
-    """Whether actors darken the captured scene."""
+    """Casts shadows of actors onto the captured scene."""
     shadow_map: DeepShadowConfig = field(default_factory=DeepShadowConfig)
     """Settings of the deep shadow map of each light."""
     direct: Share = 0.7
-    """Share of a receiver's light that that comes from the lights: the rest is never in shadow. With 1 and one light,
-    shadows are as in Mir et al. (2026), black where no light passes."""
+    """Fraction of a receiver's light that comes from the lights; the rest is never in shadow. With 1 and one light,
+    shadows equal those of Mir et al. (2026): black where no light passes."""
     relight: bool = True
-    """Whether actors take on the light of the place where they are."""
+    """Relights actors by the light at their position."""
     sun_on_actors: bool = True
-    """Whether suns that are given light actors made of Gaussians, too, with the irradiance that they have (pi: white
-    paper that faces them is white), where the scene does not block them, and beyond what the probe holds of them."""
+    """Lights actors made of Gaussians by given suns, too, with the suns' own irradiance (pi: white paper that faces
+    them is display white). The scene can block suns, and light that the probe holds already is not added."""
     transfer: RelightConfig = field(default_factory=RelightConfig)
-    """How a probe's light changes the colours of actors."""
+    """Settings of the transfer of a light probe's radiance to actors."""
     light_count: Annotated[int, Range(1, 64)] = 3
-    """Lights that are estimated if none are given."""
+    """Number of lights that are estimated if none are given."""
     estimation: LightEstimationConfig = field(default_factory=LightEstimationConfig)
-    """How lights are estimated."""
+    """Settings of the estimated lights."""
 
     __post_init__ = take_fields

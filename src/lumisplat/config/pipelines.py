@@ -1,4 +1,4 @@
-"""The pipelines: how each finds what the camera sees, how it carries light from there, and which settings it reads."""
+"""Pipelines: how each finds visible surfaces and computes their light, and which settings it reads."""
 
 from __future__ import annotations
 
@@ -6,78 +6,77 @@ from enum import Enum
 
 
 class Visibility(Enum):
-    """How primary hits are found."""
+    """Method that finds primary hits."""
 
     RASTERISED = "rasterised"
     TRACED = "traced"
 
 
 class Integrator(Enum):
-    """How light is carried to what the camera sees."""
+    """Method that computes the light at primary hits."""
 
     DIRECT = "direct"
-    """From the lights, without further rays but shadow rays."""
+    """Direct light of the lights, with shadow rays and no further rays."""
     WHITTED = "whitted"
-    """From the lights, also by way of mirrors and glass (Whitted 1980)."""
+    """Direct light of the lights, also by way of mirrors and glass (Whitted 1980)."""
     PATH = "path"
-    """By paths that bounce in all directions (Kajiya 1986)."""
+    """Paths that bounce in all directions (Kajiya 1986)."""
     REALTIME = "realtime"
-    """By bounces in all directions that the frames of a sequence share."""
+    """Indirect light from probes and caches that the frames of a sequence share."""
 
 
 class Pipeline(Enum):
-    """How the surfaces that the camera sees are found."""
+    """Algorithm that finds visible surfaces and computes their light."""
 
     RASTER = "raster"
-    """Sorted, tiled rasterisation."""
+    """Sorted, tiled rasterisation, with direct light."""
     TRACE = "trace"
-    """Rays through the Gaussians themselves, mirrors and glass included."""
+    """Rays through the Gaussians, with mirrors and glass."""
     HYBRID = "hybrid"
-    """Rasterised first; rays continue from there, for shadows, mirrors and glass."""
+    """Rasterised first hits, from which rays continue for shadows, mirrors and glass."""
     PATH = "path"
-    """Paths of light that bounces, in any direction and as often as ``max_bounces`` (docs/method/paths.md)."""
+    """Path tracing, with bounces in all directions up to ``max_bounces`` (docs/method/paths.md)."""
     REALTIME = "realtime"
-    """A sequence of rasterised frames in which light bounces: each adds to what those before it have found
-    (docs/method/realtime.md)."""
+    """Rasterised frames of a sequence with indirect light, which each frame refines (docs/method/realtime.md)."""
 
     @property
     def visibility(self) -> Visibility:
-        """How primary hits are found."""
+        """Method that finds primary hits."""
         return _RESOLVED[self][0]
 
     @property
     def integrator(self) -> Integrator:
-        """How lit frames carry light; unlit ones of ``PATH`` and ``REALTIME`` are those of `Integrator.WHITTED`."""
+        """Method that lights frames; unlit frames of ``PATH`` and ``REALTIME`` use `Integrator.WHITTED`."""
         return _RESOLVED[self][1]
 
     @property
     def rasterises(self) -> bool:
-        """Whether primary hits are rasterised; otherwise rays find them."""
+        """True if primary hits are rasterised, False if rays find them."""
         return self.visibility is Visibility.RASTERISED
 
     @property
     def spawns_rays(self) -> bool:
-        """Whether rays find hits to be shaded: primary ones, in mirrors, or after bounces; shadow rays find none."""
+        """True if rays find hits that are shaded: primary hits, reflections or bounces. Shadow rays do not count."""
         return self.integrator is not Integrator.DIRECT
 
     @property
     def traces_paths(self) -> bool:
-        """Whether each sample of a lit frame is a whole path."""
+        """True if each sample of a lit frame is a path."""
         return self.integrator is Integrator.PATH
 
     @property
     def is_differentiable(self) -> bool:
-        """Whether unlit frames have derivatives by their Gaussians, from which captures are trained."""
+        """True if unlit frames have gradients with respect to their Gaussians, which training needs."""
         return self in (Pipeline.RASTER, Pipeline.TRACE)
 
     @property
     def bounces_light(self) -> bool:
-        """Whether light bounces in all directions."""
+        """True if light bounces in all directions."""
         return self.integrator in (Integrator.PATH, Integrator.REALTIME)
 
     @property
     def is_sequence(self) -> bool:
-        """Whether each frame adds one sample a pixel to what those before it have found."""
+        """True if each frame adds one sample a pixel to the light that earlier frames have found."""
         return self.integrator is Integrator.REALTIME
 
 
@@ -88,7 +87,7 @@ _RESOLVED = {
     Pipeline.PATH: (Visibility.TRACED, Integrator.PATH),
     Pipeline.REALTIME: (Visibility.RASTERISED, Integrator.REALTIME),
 }
-"""The one place that says what the name of a pipeline means."""
+"""Visibility and integrator of each pipeline, defined here alone."""
 
 READ_BY: dict[str, tuple[Pipeline, ...]] = {
     "raster": tuple(one for one in Pipeline if one.rasterises),
@@ -101,12 +100,12 @@ READ_BY: dict[str, tuple[Pipeline, ...]] = {
     "adaptive": tuple(one for one in Pipeline if not one.rasterises),
     **dict.fromkeys(("samples", "noise", "time_limit"), tuple(one for one in Pipeline if not one.is_sequence)),
 }
-"""The pipelines that read a setting or group of `RenderConfig`; the others are read by all."""
+"""Pipelines that read a setting or group of `RenderConfig`; settings without an entry are read by all."""
 
 READ_IF_SAMPLED = ("samples", "time_limit", "noise", "seed", "jitter")
-"""Settings that frames do not read which are exact with one sample: unlit, sorted and rasterised by ellipses."""
+"""Settings without effect on frames that are exact with one sample: unlit, sorted and rasterised as ellipses."""
 
 READ_IF_LIT = (
     *("shadows", "shadow_rays", "tone_map", "exposure", "glossy_reflections", "capture_gain", "energy_compensation"),
 )
-"""Settings that only lit frames read; ``exposure`` is the camera's."""
+"""Settings that only lit frames read; ``exposure`` is a field of the camera."""

@@ -1,4 +1,4 @@
-"""Settings of frames in real time."""
+"""Settings of real-time frames."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _Settings = TypeVar("_Settings", bound="DataclassInstance")
 
 
 class RealtimeQuality(Enum):
-    """How good a frame in real time is, and how long it takes (docs/guide/realtime.md)."""
+    """Quality and time of real-time frames (docs/guide/realtime.md)."""
 
     PREVIEW = "preview"
-    """To see how a scene is lit: fewer samples, rays and passes of the filter."""
+    """Fewer samples, rays and filter passes, to judge the light of a scene."""
     BALANCED = "balanced"
-    """For animations: the settings as they are by default."""
+    """The default settings, for animations."""
     HIGH = "high"
-    """For pictures to keep: more rays, and means over more frames, which follow changes more slowly."""
+    """More rays, and means over more frames, for still images. They follow changes more slowly."""
 
 
 _QUALITY_PRESETS: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
@@ -41,23 +41,23 @@ _QUALITY_PRESETS: Mapping[RealtimeQuality, Mapping[str, Mapping[str, Any]]] = {
         "cache": {"tiles": 32_768, "cell_size": 1.0 / 16.0, "bounces": 16_384},
     },
 }
-"""Settings that take the place of defaults, by group; those of ``RealtimeConfig`` itself under no name."""
+"""Settings of each quality that replace defaults, by group; those of ``RealtimeConfig`` itself have an empty name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilterConfig:
-    """How the noise of a frame is taken out (docs/method/realtime.md#filters).
+    """Settings of the denoising filters (docs/method/realtime.md#filters).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     frames: Annotated[int, Range(1, 1024)] = 32
-    """Frames over which light is averaged: more are less noisy, and slower to follow what changes."""
+    """Frames over which direct light is averaged: more frames are less noisy, and follow changes more slowly."""
     indirect_frames: Annotated[int, Range(1, 1024)] = 8
-    """The same of indirect light, if that is fewer: the probes that find it have histories of their own."""
+    """Frames over which indirect light is averaged, at most ``frames``: screen probes have histories of their own."""
     passes: Annotated[int, Range(0, 6)] = 4
-    """Times that each pixel is averaged with those around it, twice as far apart each time."""
+    """Passes that average each pixel with its neighbours, which are twice as far apart in each further pass."""
     radius: Annotated[int, Range(1, 2)] = 1
     """Neighbours to each side in a pass."""
 
@@ -66,53 +66,54 @@ class FilterConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeConfig:
-    """Settings of screen probes: what gathers indirect light in real time (docs/method/realtime.md#screen-probes).
+    """Settings of screen probes, which gather indirect light (docs/method/realtime.md#screen-probes).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     tile: Annotated[int, Range(8, 64, "pixels")] = 8
-    """Side of the square of pixels that has a probe: 16 takes a tenth less time on CPUs, for errors nearly
-    twice as large."""
+    """Side of the square of pixels that has one probe. 16 takes a tenth less time on CPUs, with errors nearly twice as
+    large."""
     cells: Annotated[int, Range(4, 16)] = 8
-    """Cells along each side of a probe's map of all directions; each refresh takes a ray a cell."""
+    """Cells along each side of a probe's map of directions; a refresh traces one ray a cell."""
     refreshed: Annotated[float, Range(0.01, 1.0)] = 0.25
-    """Probes that a frame refreshes, as a share of the number of tiles: with 8-pixel tiles and 8 x 8 cells,
-    0.25 is one ray for 4 pixels."""
+    """Probes that a frame refreshes, as a fraction of the number of tiles. With 8-pixel tiles and 8 x 8 cells, 0.25 is
+    one ray for 4 pixels."""
     history: Annotated[int, Range(1, 256)] = 4
-    """Refreshes that a cell's mean goes back: more of them are quieter, and follow light more slowly."""
+    """Refreshes over which a cell is averaged: more are less noisy, and follow changes more slowly."""
     adaptive: Share = 0.5
-    """Most probes besides one a tile, as a share of the number of tiles: for surfaces that those miss."""
+    """Largest number of probes besides one a tile, as a fraction of the number of tiles. They cover surfaces that the
+    regular probes miss."""
 
     __post_init__ = take_fields
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadianceCacheConfig:
-    """Settings of the cache of radiance in world space (docs/method/realtime.md#radiance-cache).
+    """Settings of the world-space radiance cache (docs/method/realtime.md#radiance-cache).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     tiles: Annotated[int, Range(64, 2**20)] = 16_384
-    """Most tiles that are kept, each 8 x 8 cells and 4.9 KiB. When all are in use, those unused longest go."""
+    """Largest number of tiles in the cache, each of 8 x 8 cells and 4.9 KiB. A full cache drops the least recently
+    used."""
     cell_size: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 1.0 / 8.0
-    """Largest width of a cell as a share of its distance from the eye; widths are powers of two."""
+    """Largest width of a cell as a fraction of its distance from the camera; widths are powers of two."""
     history: Annotated[int, Range(1, 1024)] | None = None
-    """Frames that a mean of direct light is taken over. None: 16 on CUDA, 32 on CPUs, whose frames have fewer
-    rays."""
+    """Frames over which direct light is averaged. None: 16 on CUDA, 32 on CPUs, whose frames have fewer rays."""
     bounce_history: Annotated[int, Range(1, 1024)] = 4
-    """Rays that a mean of indirect light is taken over. Light that bounces often is the sooner there the fewer
-    they are; probes average what noise they leave."""
+    """Rays over which indirect light is averaged. With fewer, light of many bounces arrives sooner; probes average the
+    remaining noise."""
     samples_min: Annotated[int, Range(1, 1024)] = 8
-    """Samples below which a mean counts as noisy, and one over more cells is taken."""
+    """Samples below which a cell counts as noisy, and a mean over several cells is used."""
     bounces: Annotated[int, Range(128, 2**20)] = 8192
-    """Rays of a frame that leave cells, for the light that these receive from other surfaces: one a cell, or up to 16
-    where fewer cells share them."""
+    """Rays that a frame traces from cells to find their indirect light: one a cell, or up to 16 if there are few
+    cells."""
     unused_frames: Annotated[int, Range(1, 10_000)] = 50
-    """A tile that no ray has hit for so many frames is forgotten."""
+    """Frames without a hit after which a tile is dropped."""
 
     __post_init__ = take_fields
 
@@ -126,27 +127,26 @@ class RealtimeConfig:
     """
 
     quality: RealtimeQuality = RealtimeQuality.BALANCED
-    """What all other settings here are that have their defaults; those that differ from them stay as they are."""
+    """Preset of all other settings here that have their default values; settings with other values keep them."""
     light_interval: Annotated[int, Range(1, 2)] = 1
-    """Frames in which each pixel has one sample of direct and of indirect light: with 2, half of the blocks of
-    4 x 4 pixels in one frame, the others in the next. It is 1 where ``filter.passes`` is below 2: new surfaces would be
-    black."""
+    """Frames in which each pixel gets one sample of direct and of indirect light. With 2, each frame samples half of
+    the blocks of 4 x 4 pixels. It is 1 where ``filter.passes`` is below 2, as newly visible surfaces would be black."""
     highlight_rays: bool = True
-    """Narrow highlights show what rays of their own see, one for four pixels; else what probes see, blurred."""
+    """Traces rays for narrow highlights, one for four pixels; otherwise highlights show blurred probes."""
     antialiasing: bool = True
-    """Pixels are means over frames, whose samples are elsewhere in them each time: edges are smooth."""
+    """Averages pixels over frames with changing sample positions, which smooths edges."""
     filter: FilterConfig = field(default_factory=FilterConfig)
-    """How the noise is taken out."""
+    """Settings of the denoising filters."""
     probes: ProbeConfig = field(default_factory=ProbeConfig)
-    """How the pixels' surroundings are looked at."""
+    """Settings of the screen probes."""
     cache: RadianceCacheConfig = field(default_factory=RadianceCacheConfig)
-    """What is kept of the surfaces around."""
+    """Settings of the radiance cache."""
 
     __post_init__ = take_fields
 
     @property
     def of_quality(self) -> RealtimeConfig:
-        """The settings that frames have: what ``quality`` says in place of defaults."""
+        """The settings that frames use: defaults replaced by those of ``quality``."""
         changes = _QUALITY_PRESETS[self.quality]
         groups = {
             "filter": _changed(self.filter, changes.get("filter", {})),
@@ -158,7 +158,7 @@ class RealtimeConfig:
 
 
 def _changed(settings: _Settings, changes: Mapping[str, Any]) -> _Settings:
-    """Settings with changes, except of those that are not at their defaults."""
+    """Returns settings with changes to those that have their default values."""
     defaults = type(settings)()
     free = {name: value for name, value in changes.items() if getattr(settings, name) == getattr(defaults, name)}
     return replace(settings, **free)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Annotated
 
-from lumisplat.config.checks import Color, DisplayColor, Range, listed_names, quoted, suggestion
+from lumisplat.config.checks import Color, DisplayColor, Range, listed_names, refusal, suggestion
 from lumisplat.config.gaussians import (
     Projection,
     RasterConfig,
@@ -23,56 +23,56 @@ from lumisplat.constants import SAMPLES_MAX
 from lumisplat.errors import ConfigError
 
 CAPTURE_GAIN_MAX = 16.0
-"""Stops by which the light of captures is brightened at most: 65,536 times."""
+"""Largest ``capture_gain``, stops: a factor of 65,536."""
 
 
 class Shadows(Enum):
-    """Whether shadow rays are followed, and to which point of a light."""
+    """Shadow rays: none, or to which point of a light."""
 
     OFF = "off"
     """No shadow rays: light passes through everything."""
     HARD = "hard"
-    """To the centre of each light; as ``SOFT`` in frames of paths and in real time."""
+    """Shadow rays to the centre of each light. Path-traced and real-time frames use ``SOFT`` instead."""
     SOFT = "soft"
-    """To a random point of each light, another one for each sample: penumbrae, once samples average them."""
+    """Shadow rays to a random point of each light, a new one in each sample. Samples average them to penumbrae."""
 
 
 class ToneMap(Enum):
-    """How linear light becomes display colours."""
+    """Mapping from linear light to display colours."""
 
     NONE = "none"
-    """The sRGB curve; what is brighter than white is clipped."""
+    """The sRGB curve, clipped at white."""
     NEUTRAL = "neutral"
-    """Khronos PBR Neutral: true colours, highlights compressed."""
+    """Khronos PBR Neutral, which keeps hues and compresses highlights."""
     AGX = "agx"
-    """AgX: filmic, highlights lose their colour."""
+    """AgX, a filmic curve that desaturates highlights."""
 
 
 PATH_PARTS = ("direct_diffuse", "indirect_diffuse", "direct_glossy", "indirect_glossy", "emission")
-"""Images whose sum is a frame of paths; the other pipelines have the last one."""
+"""Layers whose sum is a path-traced frame; other pipelines have only ``emission``."""
 
 EVERY_FRAME = ("color", "alpha", "depth", "depth_z", "normal", "gaussian_index", "instance_index", "position")
-"""Images of every frame."""
+"""Layers that every frame has."""
 
 PATH_AOVS = (*PATH_PARTS[:4], "bounces")
-"""Images that only frames of paths have."""
+"""Layers of path-traced frames; real-time frames have them, too, except ``bounces``."""
 
 REALTIME_AOVS = ("motion", "history", "probes", "cache", "cache_cells")
-"""Images that only frames in real time have: how surfaces have moved, and what frames keep for the next one."""
+"""Layers that only real-time frames have: motion of surfaces, and data that the next frame reuses."""
 
 AOVS = (
     *("albedo", "emission", "reflection", "lights", "hits", "variance", "sample_count", "shadow_ratio"),
     *PATH_AOVS,
     *REALTIME_AOVS,
 )
-"""Images of a frame that are made only where ``RenderConfig.aovs`` asks for them."""
+"""Layers that a frame has only if ``RenderConfig.aovs`` lists them."""
 
 
 def _checked_aovs(aovs: str | Iterable[str], name: str = "aovs") -> tuple[str, ...]:
-    """Returns names of images, in the order of `AOVS`, each once."""
+    """Returns names of layers without duplicates, in the order of `AOVS`."""
     names = listed_names(aovs)
     if names is None:
-        raise ConfigError(f"{name} is {quoted(aovs)}, expected some of {', '.join(AOVS)}")
+        raise refusal(ConfigError, name, aovs, f"expected some of {', '.join(AOVS)}")
     for aov in names:
         if aov in EVERY_FRAME:
             raise ConfigError(f"{name} has {aov!r}, which every frame has: leave it out")
@@ -82,25 +82,25 @@ def _checked_aovs(aovs: str | Iterable[str], name: str = "aovs") -> tuple[str, .
 
 
 class PathPrimary(Enum):
-    """What paths meet first, where the camera sees relit Gaussians."""
+    """First surface of a path where the camera sees relit Gaussians."""
 
     PARTICLE = "particle"
-    """One Gaussian, drawn by the opacities of all, with its own normal and material; as at all later surfaces."""
+    """One Gaussian with its own normal and material, drawn by the opacities of all. Later surfaces are drawn alike."""
     ISO = "iso"
-    """The surface of the other pipelines: at the depth of ``TraceConfig.depth_iso_transmittance``, with the normals and
-    colours of all Gaussians on the ray blended."""
+    """The iso-opacity surface of the other pipelines, with normals and colours blended over the ray. Its depth is that
+    of ``TraceConfig.depth_iso_transmittance``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PathConfig:
-    """Settings of paths, read by ``Pipeline.PATH`` (docs/method/paths.md).
+    """Settings of path tracing, read by ``Pipeline.PATH`` (docs/method/paths.md).
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     primary: PathPrimary = PathPrimary.PARTICLE
-    """What paths meet first. ``ISO`` is what pipelines in real time can converge to."""
+    """First surface of a path where the camera sees relit Gaussians. Real-time frames can converge to ``ISO``."""
 
     __post_init__ = take_fields
 
@@ -109,22 +109,22 @@ class PathConfig:
 class RenderConfig:
     """Settings of a frame.
 
-    Each group is read by the stage that it is named after and by no other. Which pipelines have that stage:
+    The stage that a group is named after reads it, and no other stage does. Pipelines have these stages:
 
     ===============  =====================  ===========================  =================
     group            ``RASTER``             ``HYBRID``, ``REALTIME``     ``TRACE``, ``PATH``
     ===============  =====================  ===========================  =================
-    ``raster``       all that is seen       what the camera sees first   not read
-    ``trace``        not read               what mirrors and glass show  all that is seen
+    ``raster``       all visible surfaces   primary hits                 not read
+    ``trace``        not read               mirrors and glass            all visible surfaces
     ``response``     shadow rays            mirrored and shadow rays     all rays
     ``shadow_rays``  shadow rays            shadow rays                  shadow rays
     ===============  =====================  ===========================  =================
 
-    ``path`` is read by ``PATH`` alone. Its paths meet relit Gaussians one at a time, whatever ``trace.strategy`` says,
-    and lights have the size that they have, whatever ``shadows`` says unless it is off. ``realtime`` is read by
-    ``REALTIME`` alone, whose frames have one sample a pixel.
+    Only ``PATH`` reads ``path``. Its paths hit relit Gaussians one at a time, whatever ``trace.strategy`` is, and its
+    lights keep their size, whatever ``shadows`` is unless ``OFF``. Only ``REALTIME`` reads ``realtime``; its frames
+    have one sample a pixel.
 
-    A choice may be given by its value, here and in all other settings: ``pipeline="hybrid"`` is
+    Choices of this and all other settings accept their value, too: ``pipeline="hybrid"`` equals
     ``pipeline=Pipeline.HYBRID``.
 
     Raises:
@@ -132,76 +132,76 @@ class RenderConfig:
     """
 
     pipeline: Pipeline = Pipeline.RASTER
-    """How the surfaces that the camera sees are found."""
+    """Algorithm that finds visible surfaces and computes their light."""
     background: Color | None = given(converter=DisplayColor(), default=(0.0, 0.0, 0.0))
-    """Display-referred sRGB behind everything; None leaves the frame transparent. Also accepted are
-    ``"#ff8800"``, names such as ``"white"``, and ``"transparent"``, which become numbers or None."""
+    """Display-referred sRGB colour behind the scene; None makes the frame transparent. Also accepts ``"#ff8800"``,
+    names such as ``"white"``, and ``"transparent"``."""
     raster: RasterConfig = field(default_factory=RasterConfig)
     """Settings of the rasteriser."""
     trace: TraceConfig = field(default_factory=TraceConfig)
     """Settings of the ray tracer."""
     path: PathConfig = field(default_factory=PathConfig)
-    """Settings of paths."""
+    """Settings of path tracing."""
     realtime: RealtimeConfig = field(default_factory=RealtimeConfig)
-    """Settings of frames in real time."""
+    """Settings of real-time frames."""
     response: ResponseConfig = field(default_factory=ResponseConfig)
-    """How Gaussians respond to rays of all kinds."""
+    """Response of Gaussians to rays of all kinds."""
     lighting: bool | None = None
-    """Whether lights illuminate the scene; a scene without any has a headlight at the camera. None: if it has any, or
-    is of meshes alone, which would be flat areas of colour otherwise; ``PATH`` and ``REALTIME`` frames always. Rays of
-    ``trace_rays`` have no headlight then, and are lit if the scene has lights or, with ``PATH``, shines."""
+    """Illuminates the scene by its lights; a scene without lights has a headlight at the camera. None: if the scene
+    has lights or consists of meshes alone, and always for ``PATH`` and ``REALTIME``. With None, rays of ``trace_rays``
+    have no headlight; they are lit if the scene has lights or, with ``PATH``, emits light."""
     shadows: Shadows = Shadows.HARD
-    """Whether lights are blocked by what stands in their way, in lit frames."""
+    """Shadows of lights in lit frames."""
     shadow_rays: ShadowConfig = field(default_factory=ShadowConfig)
     """Settings of shadow rays."""
     tone_map: ToneMap = ToneMap.NONE
-    """How lit frames become pictures; pixels that show only a capture stay as captured."""
+    """Mapping from linear light to display colours in lit frames; pixels that show only a capture stay as captured."""
     aovs: tuple[str, ...] = given(converter=_checked_aovs, default=())
-    """Further images of a lit frame: some of ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
-    ``variance``, ``sample_count``, ``shadow_ratio``; ``hits``, ``variance`` and ``sample_count`` of an unlit one, too.
-    Paths have no ``reflection``, but also ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``,
-    ``indirect_glossy`` and ``bounces``. Frames in real time have these but ``bounces``, and ``motion``, ``history``,
-    ``probes``, ``cache`` and ``cache_cells``. A single name, or several with commas, becomes a tuple."""
+    """Further layers of the frame. Lit frames have ``albedo``, ``emission``, ``reflection``, ``lights``, ``hits``,
+    ``variance``, ``sample_count`` and ``shadow_ratio``; unlit frames have ``hits``, ``variance`` and ``sample_count``.
+    Path-traced frames have ``direct_diffuse``, ``indirect_diffuse``, ``direct_glossy``, ``indirect_glossy`` and
+    ``bounces`` in place of ``reflection``. Real-time frames have all of these but ``bounces``, and ``motion``,
+    ``history``, ``probes``, ``cache`` and ``cache_cells``. A text with commas becomes a tuple."""
     samples: Annotated[int, Range(1, SAMPLES_MAX)] | None = None
-    """Samples a pixel, averaged. None: 64 paths; else as many as random light needs, 16 for an environment
-    and for soft shadows of lights that have a size, 8 for an environment on splat sets alone; else 1. The unlit, sorted
-    raster is exact with one, and takes no more, but with ``UNSCENTED``, which samples antialias."""
+    """Samples a pixel, whose mean is the frame. None: 64 for paths; 16 for an environment, or for soft shadows of
+    lights that have a size; 8 for an environment on captures alone; else 1. An unlit, sorted raster frame is exact with
+    one sample and takes no more, except with ``UNSCENTED``, which samples antialias."""
     time_limit: Annotated[float, Range(0.0, unit="seconds", above=True)] | None = None
-    """Time that the samples of a frame take; ``samples`` is then the most of them, and None as many as
-    there is time for, at least one. None: no limit."""
+    """Time for the samples of a frame, which takes at least one. ``samples`` limits their number, too, unless None.
+    None: no limit."""
     noise: Annotated[float, Range(0.0, 1.0, above=True, below=True)] | None = None
-    """Relative error at which a frame has samples enough: 95 % of its pixels are estimated to be
-    below it (docs/method/samples.md). ``samples`` is then the most of them, and None as many as it takes. None: the
-    noise ends no frame."""
+    """Relative error at which sampling stops: 95 % of the pixels are estimated to be below it
+    (docs/method/samples.md). ``samples`` limits the number of samples, too, unless None. None: sampling does not depend
+    on noise."""
     adaptive: bool | None = None
-    """Whether noisy pixels have more samples than others, ``samples`` being the most: in the trace and path pipelines,
-    from the 17th sample on. None: if ``noise`` is given."""
+    """Gives noisy pixels more samples than others, at most ``samples``, from the 17th sample on. Trace and path
+    pipelines only. None: if ``noise`` is given."""
     glossy_reflections: bool | None = None
-    """Whether rough metals and glossy surfaces reflect what is around them, in lit frames of the trace and hybrid
-    pipelines; without, they reflect lights and the environment only. One ray a sample, from the first surface: noisy,
-    samples average it. None: if a rough metal and something else are in the scene. Paths always have it."""
+    """Lets rough metals and glossy surfaces reflect the scene in lit trace and hybrid frames; otherwise they reflect
+    lights and the environment only. Each sample traces one ray from the first surface, so the noise needs samples.
+    None: if the scene has a rough metal and another object. Paths always reflect the scene."""
     capture_gain: Annotated[float, Range(-CAPTURE_GAIN_MAX, CAPTURE_GAIN_MAX, "stops")] = 0.0
-    """How much the light is brightened that captures shine onto what they light: their light sources are clipped
-    at a display's white. What is seen of captures, in mirrors as well, stays as it is. `estimate_capture_gain` finds a
-    value. Of frames in which captures light anything: paths, real time, glossy reflections, and meshes in scenes
-    without lights."""
+    """Brightening of the light that captures cast onto other surfaces, as captured light sources are clipped at
+    display white. Captures themselves stay as they are, in mirrors as well. Applies where captures light surfaces: in
+    paths, real time, glossy reflections, and on meshes in scenes without lights. `estimate_capture_gain` estimates a
+    value."""
     energy_compensation: bool = False
-    """Whether rough metals reflect what single scattering between their microfacets loses, in lit frames. Not by
-    default, as in glTF's own viewer: white metal of roughness 1 then keeps half of its light."""
+    """Returns the energy to rough metals in lit frames that single scattering between microfacets loses. Off as in
+    glTF's own viewer: white metal of roughness 1 then reflects half of the light."""
     jitter: bool = True
-    """Samples after the first spread over their pixel, which antialiases; the first goes through its centre. In all
-    pipelines, wherever ``samples`` counts."""
+    """Spreads samples after the first over their pixel, which antialiases; the first goes through its centre. Applies
+    in all pipelines wherever ``samples`` does."""
     seed: Seed = 0
-    """Of all random numbers: the same seed gives the same image."""
+    """Seed of all random numbers: the same seed gives the same image."""
     max_bounces: Annotated[int, Range(0, 64)] | None = None
-    """Reflections and refractions that a ray follows, in the trace and hybrid pipelines, beyond which it sees
-    the background; in the path pipeline bounces of any kind, beyond which there is no light: 0 is direct light. In real
-    time those of reflections, and 0 is direct light, too. None: 3, and 8 in the path pipeline."""
+    """Bounces of a ray at most. Trace and hybrid pipelines count reflections and refractions, behind which a ray sees
+    the background. The path pipeline counts bounces of any kind, and real time those of reflections; 0 is direct light.
+    None: 8 in the path pipeline, else 3."""
 
     __post_init__ = take_fields
 
     def is_lit(self, *, by_default: bool) -> bool:
-        """Whether lights light the frames of a scene.
+        """Returns whether lights illuminate the frames of a scene.
 
         Args:
             by_default: Whether the scene itself asks for light: `Scene.is_lit_by_default`.
@@ -209,21 +209,21 @@ class RenderConfig:
         return by_default or self.pipeline.bounces_light if self.lighting is None else self.lighting
 
     def unused_settings(self, *, lit: bool) -> dict[str, str]:
-        """Returns the settings, and groups of settings, without an effect on frames, each with what would give it one.
+        """Returns the settings and groups without effect on frames, each with the condition that would give it one.
 
         Args:
-            lit: Whether frames are lit, as `is_lit` says.
+            lit: Whether frames are lit: `is_lit`.
         """
         unused = {name: _readers(pipelines) for name, pipelines in READ_BY.items() if self.pipeline not in pipelines}
         if not self.pipeline.spawns_rays and not (lit and self.shadows is not Shadows.OFF):
-            unused["response"] = "Used where rays are followed: with shadows, or by other pipelines than raster."
+            unused["response"] = "Used where rays are traced: with shadows, or by other pipelines than raster."
         is_exact = self.raster.strategy is RasterStrategy.SORTED and self.raster.projection is Projection.EWA
         if not self.pipeline.spawns_rays and not lit and is_exact:
-            unused |= dict.fromkeys(READ_IF_SAMPLED, "Used where lights shine, and by other pipelines than raster.")
+            unused |= dict.fromkeys(READ_IF_SAMPLED, "Used in lit frames, and by other pipelines than raster.")
         if self.shadows is Shadows.OFF:
             unused["shadow_rays"] = "Used with shadows, hard or soft."
         if not lit:
-            unused |= dict.fromkeys(READ_IF_LIT, "Used where lights shine: add one, or switch lighting on.")
+            unused |= dict.fromkeys(READ_IF_LIT, "Used in lit frames: add a light, or switch lighting on.")
         return unused
 
 

@@ -1,7 +1,7 @@
-"""Declares settings: one statement of a field, from which checks, controls, options, keys and tables follow.
+"""Declares settings once: checks, viewer controls, options, TOML keys and table rows follow from the declaration.
 
-The type says the kind, `Range` or `OneOf` in ``Annotated`` the values and the unit, the default what holds unless
-something is given, and the docstring below the field is its help::
+The type states the kind, `Range` or `OneOf` in ``Annotated`` the accepted values and their unit, and the docstring
+below the field its help::
 
     @dataclass(frozen=True, slots=True, kw_only=True)
     class TraceConfig:
@@ -10,8 +10,8 @@ something is given, and the docstring below the field is its help::
 
         __post_init__ = take_fields
 
-`take_fields` checks an object when it is made: numbers of NumPy, arrays without dimensions and values of enums become
-plain Python. `settings_of` lists what a class declares; `all_settings` does so with its groups, by names such as
+`take_fields` checks new objects, and converts NumPy numbers, zero-dimensional arrays and values of enums to Python
+types. `settings_of` lists the fields of a class; `all_settings` includes those of its groups, by names such as
 ``trace.hits``.
 """
 
@@ -22,6 +22,7 @@ import inspect
 import math
 import re
 import sys
+import textwrap
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
@@ -53,7 +54,7 @@ from lumisplat.config.checks import (
     choices,
     enum_member,
     plain,
-    quoted,
+    refusal,
 )
 from lumisplat.errors import ConfigError, LumisplatError
 
@@ -62,7 +63,7 @@ if TYPE_CHECKING:
 
 Kind = Literal["flag", "choice", "whole", "number", "color", "vector", "span", "names", "text", "group", "other"]
 Take = Callable[[Any, str], Any]
-"""Returns what a field becomes, of a value and the field's name; raises a LumisplatError if the value is refused."""
+"""Function from a value and the field's name to the value of the field; raises a LumisplatError if it is refused."""
 
 _Class = TypeVar("_Class")
 _Given = TypeVar("_Given")
@@ -73,7 +74,7 @@ Share = Annotated[float, Range(0.0, 1.0)]
 Length = Annotated[float, Range(1e-6, 1e9, "scene units")]
 Seed = Annotated[int, Range(0, 2**32 - 1)]
 Span = tuple[float, float]
-"""The least and the largest value, both included. A single number is both."""
+"""Smallest and largest value, both included. A single number stands for both."""
 WholeSpan = tuple[int, int]
 
 
@@ -82,13 +83,13 @@ def given(*, converter: Callable[[_Given], _Taken], kw_only: bool = False) -> _T
 @overload
 def given(*, converter: Callable[[_Given], _Taken], default: _Given, kw_only: bool = False) -> _Taken: ...
 def given(*, converter: Any, default: Any = MISSING, kw_only: bool = False) -> Any:
-    """Declares a field that accepts more than what it becomes, such as any array for a vector.
+    """Declares a field that accepts more types than it stores, such as any array for a vector.
 
     Args:
-        converter: Called with the value and the field's name; returns what the field becomes, or raises a
-            LumisplatError. Type checkers take the type of its first parameter for that of the constructor's.
+        converter: Function from the value and the field's name to the stored value; it raises a LumisplatError if the
+            value is refused. Type checkers use the type of its first parameter for the constructor.
         default: The value if none is given.
-        kw_only: Whether it is given by name only.
+        kw_only: Whether the field is keyword-only.
     """
     return field(default=default, kw_only=kw_only, metadata={"converter": converter})
 
@@ -103,21 +104,21 @@ def frozen(
 ) -> Callable[[type[_Class]], type[_Class]]: ...
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field, given))
 def frozen(cls: Any = None, /, *, kw_only: bool = False, eq: bool = False, weakref_slot: bool = False) -> Any:
-    """Makes a class a frozen dataclass with slots, whose fields `given` may declare."""
+    """Makes a class a frozen dataclass with slots, in which `given` may declare fields."""
     make = dataclass(frozen=True, slots=True, kw_only=kw_only, eq=eq, weakref_slot=weakref_slot)
     return make if cls is None else make(cls)
 
 
 def take_fields(settings: DataclassInstance, prefix: str = "", error: type[LumisplatError] = ConfigError) -> None:
-    """Makes the fields of a new object what they declare; the ``__post_init__`` of a class of settings.
+    """Checks and converts the fields of a new object; the ``__post_init__`` of settings classes.
 
     Args:
         settings: The object.
-        prefix: Stands before names in messages.
+        prefix: Text before the names in messages.
         error: Type of the errors.
 
     Raises:
-        LumisplatError: A value is of the wrong kind or outside its range.
+        LumisplatError: A value has the wrong type or is outside its range.
     """
     for name, default, take in _takes(type(settings), error):
         # Tests take the default once.
@@ -126,47 +127,50 @@ def take_fields(settings: DataclassInstance, prefix: str = "", error: type[Lumis
 
 
 _ANY = Range()
+_DOC_WIDTH = 100
+"""Columns of the fields in a class docstring."""
 _SENTENCE_END = re.compile(r"(?<!et al)\. ")
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What a class declares of one of its fields."""
+    """Declaration of one field."""
 
     name: str
     """Name of the field."""
     kind: Kind
-    """What it is: ``vector`` is three numbers, ``span`` two, ``other`` what nobody types, such as an array."""
+    """Kind of its values. ``vector`` is three numbers, ``span`` two, and ``other`` anything that is not typed, such as
+    arrays."""
     help: str
-    """The docstring below the field, on one line, with what each choice means."""
+    """Docstring below the field on one line, followed by the meaning of each choice."""
     is_optional: bool = False
-    """Whether it may be None, that is automatic."""
+    """True if the value may be None, which means automatic."""
     range: Range = _ANY
-    """Of numbers, those of spans included."""
+    """Range of numbers, and of both numbers of spans."""
     choices: tuple[Enum, ...] = ()
-    """The members of its enum."""
+    """Members of the field's enum."""
     numbers: tuple[int, ...] = ()
-    """The few whole numbers that it takes; empty: all in the range."""
+    """The few integers that the field accepts; empty if it accepts all of the range."""
     group: type[Any] | None = None
-    """The class of a group of fields."""
+    """Class of the settings in a group; None for single settings."""
     default: Any = None
-    """The value if none is given; `dataclasses.MISSING` where a value is needed."""
+    """Default value; `dataclasses.MISSING` if a value is required."""
     is_linear: bool = True
-    """Whether a colour is linear light; else it is as displays show it."""
+    """True if a colour is linear, False if it is display-referred."""
 
     @property
     def low(self) -> float | None:
-        """Least number; None: there is none."""
+        """Smallest number; None without a limit."""
         return self.range.low if math.isfinite(self.range.low) else None
 
     @property
     def high(self) -> float | None:
-        """Largest number; None: there is none."""
+        """Largest number; None without a limit."""
         return self.range.high if math.isfinite(self.range.high) else None
 
     @property
     def expected(self) -> str:
-        """The values, in the words of messages: ``a whole number from 1 to 64``; empty where any text is one."""
+        """Accepted values in the words of messages, ``a whole number from 1 to 64``; empty if any text is accepted."""
         match self.kind:
             case "flag":
                 return "True or False"
@@ -182,22 +186,33 @@ class Setting:
                 return ""
 
     @property
+    def described(self) -> str:
+        """Help, accepted values and default, a sentence each."""
+        default = "" if self.default is MISSING or self.group else f"Default: {_shown(self.default)}."
+        return " ".join(filter(None, (self.help, self.limits, default)))
+
+    @property
     def limits(self) -> str:
-        """Range and unit of numbers as a sentence: ``Takes 0.0 to 10.0, in stops.``; empty if there are none."""
+        """Range and unit of numbers as a sentence, ``Takes 0.0 to 10.0, in stops.``; empty for other kinds."""
         if self.kind not in ("whole", "number", "span") or not (self.range != _ANY or self.numbers):
             return ""
         return f"Takes {self.expected}{self.range.unit and ', in ' + self.range.unit}."
 
 
+def _shown(value: object) -> str:
+    """Returns a default value as a user of Python types it."""
+    return repr(value.value if isinstance(value, Enum) else value)
+
+
 @cache
 def settings_of(cls: type) -> tuple[Setting, ...]:
-    """Returns what a dataclass declares of its fields, in their order."""
+    """Returns the declarations of a dataclass's fields, in their order."""
     hints, helps = get_type_hints(cls, include_extras=True), _docstrings(cls)
     return tuple(_setting(one, hints[one.name], helps.get(one.name, "")) for one in fields(cls))
 
 
 def all_settings(cls: type) -> Mapping[str, Setting]:
-    """Returns the settings of a class and of its groups by name, those of groups as ``group.name``."""
+    """Returns the settings of a class and of its groups by name; settings of groups are named ``group.name``."""
     found: dict[str, Setting] = {}
     for one in settings_of(cls):
         if one.group is None:
@@ -207,8 +222,38 @@ def all_settings(cls: type) -> Mapping[str, Setting]:
     return found
 
 
+class FieldDocs:
+    """Class docstring that ends with the fields and their docstrings, so that ``help`` shows them.
+
+    The descriptor builds the text on first use, as it parses the source for the docstrings below fields.
+
+    Args:
+        text: The docstring in the source.
+    """
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+
+    def __get__(self, instance: object, cls: type) -> str:
+        wrapped = textwrap.TextWrapper(
+            _DOC_WIDTH,
+            initial_indent=4 * " ",
+            subsequent_indent=8 * " ",
+            break_on_hyphens=False,
+            break_long_words=False,
+        )
+        rows = [wrapped.fill(f"{one.name}: {one.described}") for one in settings_of(cls)]
+        return "\n".join([inspect.cleandoc(self._text), "", "Attributes:", *rows])
+
+
+def document_fields(*classes: type) -> None:
+    """Adds the fields to the docstrings of settings classes: see `FieldDocs`."""
+    for cls in classes:
+        cls.__doc__ = FieldDocs(cls.__doc__ or "")  # pyright: ignore[reportAttributeAccessIssue]
+
+
 def _setting(one: Any, hint: Any, text: str) -> Setting:
-    """Returns what a field declares."""
+    """Returns the declaration of a field."""
     default = one.default_factory() if one.default_factory is not MISSING else one.default
     base, limits, is_optional = _declared(hint)
     converter = one.metadata.get("converter")
@@ -230,7 +275,7 @@ def _setting(one: Any, hint: Any, text: str) -> Setting:
 
 
 def _declared(hint: Any) -> tuple[Any, Range | OneOf | None, bool]:
-    """Returns the plain type of a hint, its limits, and whether None is another value."""
+    """Returns the plain type of a hint, its limits, and whether None is accepted."""
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     rest = [option for option in options if option is not types.NoneType]
     limits = None
@@ -264,7 +309,7 @@ def _kind(base: Any) -> Kind:
 
 @cache
 def _takes(cls: type, error: type[LumisplatError]) -> tuple[tuple[str, object, Take], ...]:
-    """Returns name, default and check of the fields that have one; made once a class."""
+    """Returns name, default and check of the fields that have a check; computed once for each class."""
     hints = get_type_hints(cls, include_extras=True)
     found: list[tuple[str, object, Take]] = []
     for one in fields(cls):
@@ -275,7 +320,7 @@ def _takes(cls: type, error: type[LumisplatError]) -> tuple[tuple[str, object, T
 
 
 def _take(hint: Any, error: type[LumisplatError]) -> Take | None:
-    """Returns what checks and converts values of a type; None: nothing does."""
+    """Returns the function that checks and converts values of a type; None if there is none."""
     base, limits, is_optional = _declared(hint)
     take = _take_kind(base, limits, error)
     if take is None or not is_optional:
@@ -306,7 +351,7 @@ def _take_kind(  # noqa: PLR0911
 
 
 def _span(value: object, name: str, limits: Range, kind: type, error: type[LumisplatError]) -> Any:
-    """Returns the least and the largest value as plain numbers; a single number is both."""
+    """Returns the smallest and the largest value as Python numbers; a single number stands for both."""
     single = plain(value)
     pair = (single, single) if isinstance(single, int | float) else single
     ends = [plain(end) for end in cast("list[object]", pair)] if isinstance(pair, tuple | list | np.ndarray) else []
@@ -314,12 +359,12 @@ def _span(value: object, name: str, limits: Range, kind: type, error: type[Lumis
     if len(ends) != 2 or len(numbers) != 2 or not all(map(limits.holds, numbers)) or numbers[0] > numbers[1]:
         low, high = limits.low, limits.high
         what = f"number, whole ones from {low} to {high}" if kind is int else f"value, {low:g} to {high:g}"
-        raise error(f"{name} is {quoted(value)}, expected the least and the largest {what}")
+        raise refusal(error, name, value, f"expected the least and the largest {what}")
     return kind(numbers[0]), kind(numbers[1])
 
 
 def _choice_help(cls: type[Enum]) -> list[str]:
-    """Returns what each member of an enum means, shortened to its first clause."""
+    """Returns the meaning of each member of an enum, shortened to its first sentence."""
     helps = _docstrings(cls)
     firsts = {name: _SENTENCE_END.split(" ".join(text.split()), 1)[0].rstrip(".") for name, text in helps.items()}
     return [f"{member.value}: {firsts[member.name]}." for member in cls if member.name in firsts]
@@ -327,7 +372,7 @@ def _choice_help(cls: type[Enum]) -> list[str]:
 
 @cache
 def _docstrings(cls: type) -> dict[str, str]:
-    """Returns the docstring below each field or member of a class, and of those that it derives from."""
+    """Returns the docstrings below the fields or members of a class, including inherited ones, by name."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__[:-1]):
         node = _definitions(base.__module__).get(base.__name__)
@@ -345,7 +390,7 @@ def _docstrings(cls: type) -> dict[str, str]:
 
 @cache
 def _definitions(module: str) -> dict[str, ast.ClassDef]:
-    """Returns the classes that a module's source defines, by name; each source is parsed once, as that takes long."""
+    """Returns the class definitions in a module's source by name; cached, as parsing is slow."""
     try:
         tree = ast.parse(inspect.getsource(sys.modules[module]))
     except (OSError, TypeError):

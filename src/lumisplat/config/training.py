@@ -1,4 +1,4 @@
-"""Settings of training: what photographs are fitted by, and how; and of materials found from photographs."""
+"""Settings of training captures from images, and of finding their materials."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Annotated
 
-from lumisplat.config.checks import Range
+from lumisplat.config.checks import Range, refusal
 from lumisplat.config.gaussians import Projection
 from lumisplat.config.pipelines import Pipeline
 from lumisplat.config.setting import Seed, Share, take_fields
@@ -17,45 +17,45 @@ Rate = Annotated[float, Range(0.0, 1.0, above=True)]
 
 
 class Densification(Enum):
-    """How Gaussians come and go."""
+    """Method that adds and removes Gaussians during training."""
 
     MCMC = "mcmc"
-    """As samples of a Markov chain: dead ones move to where others are, and their number grows to a cap (Kheradmand et
-    al. 2024)."""
+    """Gaussians are samples of a Markov chain: dead ones move to live ones, and their number grows to ``cap``
+    (Kheradmand et al. 2024)."""
     ADAPTIVE = "adaptive"
-    """Where the loss pulls, they are cloned or split; transparent ones go, and opacities are reset (Kerbl et al. 2023,
-    section 5)."""
+    """Gaussians with large gradients are cloned or split, transparent ones are removed, and opacities are reset at
+    intervals (Kerbl et al. 2023, section 5)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearningRates:
-    """How far parameters move in a step. Those of Kerbl et al. 2023.
+    """Learning rates of the parameters, with the values of Kerbl et al. 2023.
 
     Raises:
         ConfigError: A value is of the wrong type or outside its range.
     """
 
     means: Rate = 1.6e-4
-    """Of the first step, as a share of the extent of the cameras."""
+    """Rate of means in the first step, as a fraction of the extent of the cameras."""
     means_last: Rate = 1.6e-6
-    """Of the last step; between the two, it falls by the same factor in each."""
+    """Rate of means in the last step; in between, it falls by the same factor in each step."""
     rotations: Share = 1e-3
-    """Of rotations."""
+    """Rate of rotations."""
     log_scales: Share = 5e-3
-    """Of logarithms of scales."""
+    """Rate of logarithms of scales."""
     logits: Share = 5e-2
-    """Of opacities."""
+    """Rate of opacity logits."""
     sh: Share = 2.5e-3
-    """Of the constant colour; higher harmonics have a twentieth."""
+    """Rate of SH coefficients of degree 0; higher degrees have a twentieth."""
     exposures: Rate = 1e-2
-    """Of the exposures of photographs, of the first step."""
+    """Rate of image exposures in the first step."""
     exposures_last: Rate = 1e-3
-    """Of the last step, likewise."""
+    """Rate of image exposures in the last step; in between, it falls by the same factor in each step."""
     poses: Rate = 3e-3
-    """Of the poses of photographs, of the first step: radians, and shares of the distance to what the cameras look
-    at."""
+    """Rate of camera poses in the first step: radians, and fractions of the distance to the point that the cameras
+    look at."""
     poses_last: Rate = 1e-4
-    """Of the last step, likewise."""
+    """Rate of camera poses in the last step; in between, it falls by the same factor in each step."""
 
     __post_init__ = take_fields
 
@@ -69,69 +69,71 @@ class TrainConfig:
     """
 
     iterations: Annotated[int, Range(1, 10_000_000)] = 7000
-    """Steps, one photograph each."""
+    """Number of steps, each of one image."""
     cap: Annotated[int, Range(1, 100_000_000)] = 100_000
-    """Gaussians, at most."""
+    """Largest number of Gaussians."""
     sh_degree: Annotated[int, Range(0, 3)] = 3
-    """Of colours. Degrees come in one by one, a twelfth of the iterations apart."""
+    """SH degree of colours. Training starts with degree 0 and adds a degree after each twelfth of the iterations."""
     densification: Densification = Densification.MCMC
-    """How Gaussians come and go."""
+    """Method that adds and removes Gaussians."""
     initial: Annotated[int, Range(1, 100_000_000)] = 10_000
-    """Gaussians to begin with, where there are no points."""
+    """Number of random Gaussians to start with, if the images come without points."""
     ssim: Share = 0.2
-    """Share of SSIM in the loss; the rest is L1."""
+    """Weight of the SSIM term in the loss; the rest is L1."""
     random_background: bool = False
-    """Whether photographs that are transparent somewhere, and their frames, are over another colour in each step: what
-    is transparent is then neither filled by Gaussians of the background's colour nor left to them."""
+    """Gives images with transparency and their renders a new background colour in each step. Gaussians then neither
+    fill transparent regions with the background's colour nor leave them undefined."""
     alpha: Annotated[float, Range(0.0, 10.0)] = 0.1
-    """Weight of the error of alpha, of photographs that have one."""
+    """Weight of the alpha error, for images that have alpha."""
     mask_entropy: Annotated[float, Range(0.0, 10.0)] = 0.0
-    """Weight of the cross entropy between alpha and that of photographs: makes what is covered opaque, and all
-    else clear (R3DG, there 0.1)."""
+    """Weight of the cross entropy between rendered and image alpha, which makes covered pixels opaque and others clear
+    (R3DG uses 0.1)."""
     opacity_decay: Annotated[float, Range(0.0, 10.0)] = 0.01
-    """Weight of the mean opacity in the loss of MCMC: without need, Gaussians fade."""
+    """Weight of the mean opacity in the loss of MCMC, so that unneeded Gaussians fade."""
     scale_decay: Annotated[float, Range(0.0, 10.0)] = 0.01
-    """Weight of the mean scale, likewise."""
+    """Weight of the mean scale in the loss of MCMC, so that unneeded Gaussians shrink."""
     flatness: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Weight of the mean least scale of what is drawn, in extents: makes Gaussians flat (PGSR)."""
+    """Weight of the mean smallest scale of visible Gaussians, in scene extents, which makes Gaussians flat (PGSR)."""
     normals: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Weight of 1 less the cosine between normals of Gaussians and of the depth of their frame: makes them lie
-    on surfaces (2DGS)."""
+    """Weight of 1 minus the cosine between Gaussian normals and normals of the rendered depth, which aligns Gaussians
+    with surfaces (2DGS)."""
     depth_spread: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Weight of the standard deviation of depth along rays, in extents: makes surfaces thin (R3DG); one beyond
-    0.1 counts by ever less, for it is of fog without a surface."""
+    """Weight of the standard deviation of depth along rays, in scene extents, which makes surfaces thin (R3DG).
+    Deviations above 0.1 count less and less, as they come from floaters without a surface."""
     normal_smoothness: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Weight of the differences between normals of neighbouring pixels, where the photograph has no edge
-    (R3DG, there 0.01)."""
+    """Weight of the differences between normals of neighbouring pixels, where the image has no edge (R3DG uses 0.01).
+    """
     grow_pull: Share = 8e-4
-    """Mean pull of the loss at a splat, in halves of the image, above which adaptive densification adds to it;
-    of magnitudes (AbsGS), which do not cancel."""
+    """Mean gradient of the loss by a splat's image position, in half image widths, above which adaptive densification
+    clones or splits it. Magnitudes are averaged, which do not cancel (AbsGS)."""
     grow_turn: Annotated[float, Range(0.0, 1000.0)] = 0.0
-    """Mean derivative of terms on surfaces, summed over pixels, by the normal of a Gaussian, above which adaptive
-    densification adds to it, too; 0: whatever it is (R3DG, there 0.004)."""
+    """Mean gradient of the surface terms by a Gaussian's normal, summed over pixels, above which adaptive
+    densification also clones or splits it (R3DG uses 0.004). 0 disables this criterion."""
     coarse: Annotated[int, Range(0, 4)] = 0
-    """Photographs begin smaller, by this power of two: a quarter of the iterations for all smaller sizes."""
+    """Number of times that the image size is halved at the start; all smaller sizes together take a quarter of the
+    iterations."""
     pipeline: Pipeline = Pipeline.RASTER
-    """What draws the Gaussians while they are learnt: ``RASTER``, or ``TRACE``, through the derivatives of rays, which
-    is several times slower, and densified by MCMC alone."""
+    """Renderer of the training: ``RASTER``, or ``TRACE``, whose gradients of rays take several times longer and which
+    needs MCMC."""
     projection: Projection = Projection.EWA
-    """How ``RASTER`` sees Gaussians: ``UNSCENTED``, along rays, through lenses as they are, densified by MCMC alone."""
+    """Projection of ``RASTER``: ``UNSCENTED`` follows the rays of any lens, and needs MCMC."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = KERNEL_DEGREE
-    """Exponent of the distance in the response of Gaussians, 0 (linear) to 5 (quintic); others than 2 are of rays."""
+    """Exponent of the distance in the response of Gaussians: 0 is linear, 2 Gaussian, 5 quintic. Other degrees than 2
+    need ``TRACE``."""
     prune_below: Share = 0.01
-    """At the end, Gaussians that are never blended with so much weight in a pixel of a photograph are removed;
-    if none would be left, all stay."""
+    """Blending weight below which a Gaussian is removed at the end, if it reaches it in no pixel of any image. If no
+    Gaussian would remain, all do."""
     antialiased: bool = False
-    """Whether opacities are compensated for the width of pixels (Mip-Splatting)."""
+    """Compensates opacities for the dilation by a pixel's width (Mip-Splatting)."""
     exposures: bool = False
-    """Whether to learn how each photograph was exposed, an affine map of its colours (Kerbl et al. 2023, code); what
-    was held out is measured without one."""
+    """Optimises an exposure for each image, an affine map of its colours (Kerbl et al. 2023, code). Held-out images
+    are evaluated without one."""
     refine_poses: bool = False
-    """Whether the poses of photographs are learnt, too."""
+    """Optimises the camera poses of the images, too."""
     rates: LearningRates = LearningRates()
-    """How far parameters move."""
+    """Learning rates of the parameters."""
     seed: Seed = 0
-    """Of everything that is random: one seed, one result, on any number of threads."""
+    """Seed of all random numbers: the same seed gives the same result, on any number of threads."""
 
     def __post_init__(self) -> None:
         take_fields(self)
@@ -139,29 +141,31 @@ class TrainConfig:
 
     @property
     def makes_flat(self) -> bool:
-        """Whether there are terms on surfaces."""
+        """True if the loss has terms on surfaces."""
         return max(self.flatness, self.normals, self.depth_spread, self.normal_smoothness) > 0.0
 
     def _check_pipeline(self) -> None:
         if not self.pipeline.is_differentiable:
-            raise ConfigError(f"pipeline is {self.pipeline.value}, expected raster or trace: others cannot be trained")
+            raise refusal(
+                ConfigError, "pipeline", self.pipeline.value, "expected 'raster' or 'trace', which can be trained"
+            )
         if self.pipeline.rasterises and self.kernel_degree != KERNEL_DEGREE:
-            raise ConfigError(f"kernel_degree is {self.kernel_degree}, which rays alone show: use Pipeline.TRACE")
+            raise refusal(ConfigError, "kernel_degree", self.kernel_degree, "which needs rays: use Pipeline.TRACE")
         if not self.pipeline.rasterises and self.projection is not Projection.EWA:
-            raise ConfigError("projection is unscented, which is of Pipeline.RASTER: rays see every lens as it is")
+            raise ConfigError("projection is unscented, which is for Pipeline.RASTER: rays follow any lens already")
         if self.keeps_lenses and self.densification is Densification.ADAPTIVE:
-            raise ConfigError("densification is adaptive, which looks at splats of Pipeline.RASTER: use mcmc for rays")
+            raise ConfigError("densification is adaptive, which needs splats of Pipeline.RASTER: use mcmc for rays")
         if self.keeps_lenses and self.makes_flat:
             terms = "flatness, normals, depth_spread and normal_smoothness"
-            raise ConfigError(f"{terms} are of splats of Pipeline.RASTER: leave them at 0")
+            raise ConfigError(f"{terms} need splats of Pipeline.RASTER: leave them at 0")
         if self.grow_turn > 0.0 and self.densification is not Densification.ADAPTIVE:
-            raise ConfigError("grow_turn is of adaptive densification: leave it at 0 for mcmc")
+            raise ConfigError("grow_turn is for adaptive densification: leave it at 0 for mcmc")
         if self.grow_turn > 0.0 and max(self.normals, self.normal_smoothness) == 0.0:
-            raise ConfigError("grow_turn is of terms on normals, and both normals and normal_smoothness are 0")
+            raise ConfigError("grow_turn needs a term on normals, but normals and normal_smoothness are 0")
 
     @property
     def keeps_lenses(self) -> bool:
-        """Whether photographs of distorting lenses and fisheyes are learnt from as they are, along rays."""
+        """True if images of distorting and fisheye lenses are used as they are, along rays, without undistortion."""
         return not self.pipeline.rasterises or self.projection is Projection.UNSCENTED
 
 
@@ -174,14 +178,15 @@ class MaterialsConfig:
     """
 
     directions: Annotated[int, Range(32, 2048)] = 256
-    """In which light is traced and the sky is known: memory is some 40 bytes for each and each Gaussian."""
+    """Number of directions in which light is traced and the environment is stored. Memory is about 40 bytes for each
+    direction and Gaussian."""
     sky_steps: Annotated[int, Range(1, 100_000)] = 300
-    """By which the sky is found from albedos that are to be alike."""
+    """Steps that estimate the environment, from the assumption that albedos are similar."""
     iterations: Annotated[int, Range(0, 10_000_000)] = 300
-    """Steps that refine materials and sky by a photograph each."""
+    """Steps that refine materials and environment, each with one image."""
     roughness: Annotated[float, Range(0.1, 1.0)] = 0.5
-    """Of all Gaussians at the start."""
+    """Roughness of all Gaussians at the start."""
     seed: Seed = 0
-    """Of everything that is random: one seed, one result, on any number of threads."""
+    """Seed of all random numbers: the same seed gives the same result, on any number of threads."""
 
     __post_init__ = take_fields
