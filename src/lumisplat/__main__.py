@@ -26,9 +26,7 @@ def main() -> int:
     _open_standard_streams()
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     if "--debug" not in sys.argv:
-        warnings.simplefilter(
-            "ignore"
-        )  # Lumisplat logs what users must know itself
+        warnings.simplefilter("ignore")  # Lumisplat logs what users must know itself
     status = 0
     try:
         from lumisplat.cli import main as run_command  # slow, and may be interrupted

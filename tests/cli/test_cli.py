@@ -51,6 +51,49 @@ def test_render_picks_frames_and_scales(work):
     assert read_image(work.path("out/right.png"))["srgb"].shape == (24, 32, 3)
 
 
+@pytest.mark.parametrize("frame", ["right", "1", "1:"])
+def test_render_writes_one_of_several_cameras_to_a_file(work, frame):
+    """--frames selects it by name or number."""
+    options = ("--cameras", "@cameras.json", "--frames", frame, "--width", "32", "--device", "cpu")
+    assert work.run("render", "@capture.ply", "-o", "@one.png", *options).status == 0
+    assert work.run("render", "@capture.ply", "-o", "@all", *options).status == 0
+    assert work.path("one.png").read_bytes() == work.path("all/right.png").read_bytes()
+
+
+def test_a_camera_number_out_of_range_is_an_error(work):
+    """The message counts cameras, not frames of an animation."""
+    outcome = work.run("render", "@capture.ply", "--cameras", "@cameras.json", "--frames", "2", "-o", "@one.png")
+    assert outcome.status == 2
+    assert outcome.err == "error: --frames is '2', and '2' is out of range: there are 2 cameras, 0-1\n"
+
+
+def test_render_says_that_cameras_of_several_files_are_not_used(work, caplog):
+    """A glTF alone brings its cameras; beside another file, a line names the option that uses them."""
+    camera = front_camera(width=16, height=12, name="inside")
+    scene = ls.Scene(meshes=[ls.MeshInstance(ls.box())])
+    ls.save(work.path("a.glb"), scene, cameras=[camera])
+    ls.save(work.path("b.glb"), scene)
+    options = ("-o", "@a.png", "--width", "16", "--device", "cpu")
+    assert work.run("render", "@a.glb", "@b.glb", *options).status == 0
+    name = work.path("a.glb")
+    assert f"the cameras of {name} are not used beside other files: --cameras {name} uses them" in caplog.messages
+    caplog.clear()
+    assert work.run("render", "@a.glb", "@b.glb", "--cameras", "@a.glb", *options).status == 0
+    assert work.run("render", "@a.glb", *options).status == 0
+    assert "are not used" not in caplog.text
+
+
+def test_mistakes_of_a_scene_file_are_found_before_captures_are_loaded(work, monkeypatch):
+    """The scene file is read first, wherever it stands among the files."""
+    work.path("lit.toml").write_text('[[lights]]\ntype = "pointt"\n')
+    load = ls.load
+    loaded: list[str] = []
+    monkeypatch.setattr("lumisplat.load", lambda path, **options: loaded.append(path.name) or load(path, **options))
+    outcome = work.run("render", "@capture.ply", "@lit.toml", "-o", "@a.png", "--device", "cpu")
+    assert outcome.status == 2 and "lights[0]: type is 'pointt'" in outcome.err
+    assert loaded == ["lit.toml"]
+
+
 def test_render_sizes_cameras_without_a_size(work):
     """--width and --height are the image size where a camera file gives only an angle."""
     pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
@@ -167,14 +210,14 @@ def test_options_that_nothing_uses(work, monkeypatch, caplog):
     args = ("render", "@mesh.obj", "--lighting", "off", "--width", "16", "-o", "@a.png", "--device", "cpu")
     assert work.run(*args, *TRACE_OPTIONS).status == 0
     assert [line for line in caplog.messages if line.startswith("not used")] == [
-        "not used: --samples, --set seed, --set jitter (used where lights shine, and by other pipelines than raster)",
+        "not used: --samples, --set seed, --set jitter (used in lit frames, and by other pipelines than raster)",
         "not used: --set trace.strategy (used by the pipelines trace, hybrid, realtime)",
         "not used: --set max_bounces, --set trace.hit_distance, --set trace.normal_method, --set trace.hits_per_pass, "
         "--set trace.sh_degree, --set trace.transmittance_min (used by the pipelines trace, hybrid, path, realtime)",
         "not used: --set response.kernel_degree, --set response.min_response "
-        "(used where rays are followed: with shadows, or by other pipelines than raster)",
+        "(used where rays are traced: with shadows, or by other pipelines than raster)",
         "not used: --set shadow_rays.hit_distance, --set shadow_rays.transmittance_min "
-        "(used where lights shine: add one, or switch lighting on)",
+        "(used in lit frames: add a light, or switch lighting on)",
     ]
     caplog.clear()
     timed = ("bench", "@mesh.obj", "--repeats", "1", "--width", "8", "--device", "cpu")

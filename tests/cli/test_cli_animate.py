@@ -345,9 +345,9 @@ def test_options_without_effect_are_said(work, caplog):
     assert animate(work, "frames", "--frames", "0:2", "--set=response.kernel_degree=2", "--shadows", "off").status == 0
     lines = [record.message for record in caplog.records if "not used" in record.message]
     assert lines == [
-        "not used: --shadows (used where lights shine: add one, or switch lighting on)",
+        "not used: --shadows (used in lit frames: add a light, or switch lighting on)",
         "not used: --set response.kernel_degree "
-        "(used where rays are followed: with shadows, or by other pipelines than raster)",
+        "(used where rays are traced: with shadows, or by other pipelines than raster)",
     ]
 
 
@@ -396,9 +396,9 @@ def test_formats_and_stats(work):
     ("options", "named"),
     [
         (("--frames", "last"), "--frames is 'last', expected frames such as 1-100"),
-        (("--frames", "4"), "--frames is '4', of an animation of 4 frames, 0-3"),
-        (("--frames", "2:9"), "--frames is '2:9', of an animation of 4 frames"),
-        (("--frames", "2:2"), "--frames is '2:2', of an animation of 4 frames"),
+        (("--frames", "4"), "--frames is '4', and '4' is out of range: there are 4 frames, 0-3"),
+        (("--frames", "2:9"), "--frames is '2:9', and '2:9' is out of range"),
+        (("--frames", "2:2"), "--frames is '2:2', and '2:2' is out of range"),
         (("--fps", "0"), "--fps is 0"),
         (("--set=animation.lighting.direct=2",), "direct is 2"),
         (("--fps", "1e9"), "frame_count is 400,000,000 at 1e+09 frames a second, expected at most 1,000,000"),

@@ -115,5 +115,8 @@ def test_files_may_stand_between_options(scripts: dict[str, Path]) -> None:
             expected = ["a", *("b", "c")[has_value:], option, *("b",)[:has_value]]
             assert given == expected or option == "--objects", (name, option)
     typed = ["render", "a.ply", "--lod", "3", "b.obj", "--stats", "c.obj", "-o", "x.png"]
-    assert cli._arguments(typed) == ["render", "a.ply", "b.obj", "c.obj", "--lod", "3", "--stats", "-o", "x.png"]
-    assert cli._arguments(["dataset", "a", "--objects", "b", "c"]) == ["dataset", "a", "--objects", "b", "c"]
+    assert cli._arguments(typed) == (
+        ["render", "a.ply", "b.obj", "c.obj", "--lod", "3", "--stats", "-o", "x.png"],
+        "lumisplat render",
+    )
+    assert cli._arguments(["dataset", "a", "--objects", "b", "c"])[0] == ["dataset", "a", "--objects", "b", "c"]

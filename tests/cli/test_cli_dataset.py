@@ -114,7 +114,7 @@ def test_cameras_and_environments_of_options(work) -> None:
         (("--eye", "1,2,3"), "--eye is of one camera, and views are random"),
         (("--camera-path", "@cameras.json"), "--camera-path is of one camera"),
         (("--pipeline", "realtime"), "--pipeline realtime is of frames that follow from each other"),
-        (("--frames", "100"), "'100' is not among them"),
+        (("--frames", "100"), "'100' is out of range: there are 100 views, 0-99"),
         (("-o", "-"), "frames are many: give a folder"),
         (("--layers", "albedo", "--lighting", "off"), "--layers has albedo, which lit views have"),
         (("--objects", "@cameras.json"), "cameras.json: "),

@@ -185,11 +185,17 @@ def test_output_that_cannot_be_written(work, output, named):
 @pytest.mark.parametrize(
     ("args", "named"),
     [
-        (("render", "--widht", "5"), "--widht, 5; perhaps you meant --width (see lumisplat --help)"),
+        (
+            ("render", "--widht", "5"),
+            "--widht is no option of lumisplat render; perhaps you meant --width (see lumisplat render --help)",
+        ),
         (("paint",), "'paint' is no command (see lumisplat --help)"),
         (("rendr", "x.ply"), "'rendr' is no command; perhaps you meant render (see lumisplat --help)"),
         (("x.ply",), "'x.ply' is no command: lumisplat render x.ply renders it (see lumisplat --help)"),
-        (("render", "x.ply", "--format", "gif"), "'gif' for argument '--format'"),
+        (
+            ("render", "x.ply", "--format", "gif"),
+            "--format is 'gif', expected auto, exr, npz or png (see lumisplat render --help)",
+        ),
         (("render", "x.ply", "--width", "wide"), "'wide'"),
         (("render", "x.ply", "--set=trace.strategy=random"), "--set trace.strategy=random: strategy is 'random'"),
         (
@@ -202,16 +208,16 @@ def test_output_that_cannot_be_written(work, output, named):
         ),
         (
             ("bench", "x.ply", "--pipeline", "rays"),
-            "argument '--pipeline'. Expected one of hybrid, path, raster, realtime, trace.",
+            "--pipeline is 'rays', expected hybrid, path, raster, realtime or trace (see lumisplat bench --help)",
         ),
-        (("render", "x.ply", "--shadows", "dark"), "argument '--shadows'. Expected one of hard, off, soft."),
+        (("render", "x.ply", "--shadows", "dark"), "--shadows is 'dark', expected hard, off or soft"),
         (("render", "x.ply", "--shadow", "hard"), "perhaps you meant --shadow"),
         (("render", "x.ply", "--exposure", "bright"), "--exposure is 'bright', expected a number"),
-        (("render", "x.ply", "--aov"), "'--aov'"),
+        (("render", "x.ply", "--aov"), "--aov needs a value (see lumisplat render --help)"),
         (("view", "x.ply", "--capture-gain", "1"), "--capture-gain is a setting: --set capture_gain=1"),
         (
             ("view", "x.ply", "--exposure", "1"),
-            "--exposure (applied to lumisplat view) 1 (applied to lumisplat view) (see",
+            "--exposure is no option of lumisplat view, but of render, orbit, animate and 7 more (see",
         ),
         (("convert", "x.ply", "y.ply", "--box"), "--box"),
     ],
@@ -238,7 +244,7 @@ def test_unknown_arguments(work, args, named):
 )
 def test_panels_become_one_line(panel):
     """Whatever a terminal makes of the panel, its first paragraph is left."""
-    assert one_line(panel) == "It is wrong here."
+    assert one_line(panel, "lumisplat render") == "It is wrong here. (see lumisplat render --help)"
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.glb", "a.gltf", "a.spz", "a.sog", "a.toml", "a.json"])

@@ -62,7 +62,7 @@ def test_unlit_frames_are_not_denoised(work: Workplace, caplog: pytest.LogCaptur
     """A line says so."""
     pytest.importorskip("mitsuba_oidn", reason="the extra denoise is not installed")
     assert work.run(*RENDER, "--lighting", "off", "--denoise", "-o", "@flat.png").status == 0
-    assert "not used: --denoise (used where lights shine: add one, or switch lighting on)" in caplog.text
+    assert "not used: --denoise (used in lit frames: add a light, or switch lighting on)" in caplog.text
 
 
 def test_without_the_denoiser_nothing_is_rendered(work: Workplace, monkeypatch: pytest.MonkeyPatch) -> None:

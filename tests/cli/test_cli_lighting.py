@@ -281,13 +281,13 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
             ls.Scene(),
             [
                 "not used: --exposure, --set shadow_rays.offset "
-                "(used where lights shine: add one, or switch lighting on)",
+                "(used in lit frames: add a light, or switch lighting on)",
                 "not used: --samples, --set seed, --set jitter "
-                "(used where lights shine, and by other pipelines than raster)",
+                "(used in lit frames, and by other pipelines than raster)",
                 "not used: --set max_bounces, --set trace.normal_method "
                 "(used by the pipelines trace, hybrid, path, realtime)",
                 "not used: --set response.kernel_degree "
-                "(used where rays are followed: with shadows, or by other pipelines than raster)",
+                "(used where rays are traced: with shadows, or by other pipelines than raster)",
             ],
         ),
         (
@@ -295,11 +295,11 @@ LIGHT = EnvironmentOptions(lighting="auto", exposure=1.0)
             LAMP,
             [
                 "not used: --exposure, --set shadow_rays.offset "
-                "(used where lights shine: add one, or switch lighting on)",
+                "(used in lit frames: add a light, or switch lighting on)",
                 "not used: --set max_bounces, --set trace.normal_method "
                 "(used by the pipelines trace, hybrid, path, realtime)",
                 "not used: --set response.kernel_degree "
-                "(used where rays are followed: with shadows, or by other pipelines than raster)",
+                "(used where rays are traced: with shadows, or by other pipelines than raster)",
             ],
         ),
         (

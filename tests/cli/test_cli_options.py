@@ -12,8 +12,8 @@ import lumisplat as ls
 from lumisplat.cli import _Command, _commands, main
 from lumisplat.cli.commands.animate import Animate
 from lumisplat.cli.commands.render import Render
-from lumisplat.cli.input import arguments
 from lumisplat.cli.input.arguments import options_of
+from lumisplat.cli.input.unknown_options import FORMER_OPTIONS, FORMER_SETTINGS
 from lumisplat.cli.options.command import LIGHTING
 from lumisplat.config.setting import settings_of
 from lumisplat.io import change_config
@@ -107,7 +107,9 @@ def test_set_changes_one_setting_and_no_other() -> None:
         ("trace.hits_per_pas=8", "did you mean trace.hits_per_pass?"),
         ("trace.hits_per_pass=9", "hits_per_pass is 9, expected 4, 8, 16 or 32"),
         ("trace.hit_distance=peek", "hit_distance is 'peek', did you mean 'peak'?"),
-        ("trace=8", "there is no setting 'trace'"),
+        ("trace=8", "'trace' is a group of settings, such as trace.strategy, "),
+        ("foo=1", "there is no setting 'foo': docs/settings.md lists all"),
+        ("sample=4", "did you mean samples?"),
         ("samples", "expected NAME=VALUE, such as trace.hits_per_pass=8"),
         ("jitter=maybe", "jitter is 'maybe', expected true or false"),
     ],
@@ -119,7 +121,7 @@ def test_mistakes_of_set_are_one_line(text: str, message: str, capsys: pytest.Ca
     assert error.startswith(f"error: --set {text}: ") and message in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("option", [*arguments._SETTINGS, *arguments._OPTIONS])
+@pytest.mark.parametrize("option", [*FORMER_SETTINGS, *FORMER_OPTIONS])
 def test_an_option_that_moved_is_answered_by_what_is_typed_now(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     """In one line, which render or animate takes."""
     assert main(["animate" if option in ("--direct", "--gamma") else "render", "a.toml", option, "8"]) == 2
@@ -143,10 +145,10 @@ def test_the_help_shows_all_commands_on_a_screen(capsys: pytest.CaptureFixture[s
     """Each once, in a group, with the first line of its docstring."""
     assert main(["--help"]) == 0
     rows = capsys.readouterr().out.splitlines()
-    assert len(rows) <= 45 and [row for row in rows if row in ("look", "light", "make", "convert", "farm", "about")]
+    assert len(rows) <= 45 and [row for row in rows if row in ("look", "light", "train", "convert", "more")]
     for name, kind in COMMANDS.items():
         (row,) = (row for row in rows if row.split()[:1] == [name] and row.startswith("  "))
-        assert row.split(maxsplit=1)[1] == (kind.__doc__ or "").splitlines()[0] and len(row) <= 120
+        assert row.split(maxsplit=1)[1] == (kind.__doc__ or "").splitlines()[0] and len(row) <= 80
 
 
 @pytest.mark.parametrize(

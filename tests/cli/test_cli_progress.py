@@ -7,6 +7,7 @@ import re
 
 import pytest
 import warp as wp
+from rich.console import Console
 from rich.progress import Progress
 
 from lumisplat.cli.output import console
@@ -128,3 +129,18 @@ def test_where_there_is_no_terminal_a_line_comes_a_minute(
             report(f"training, {seconds:.0f} dB", 1.0 if seconds == 200.0 else seconds / 200.0)
     lines = capsys.readouterr().err.splitlines()
     assert lines == ["training, 61 dB: 30%, 2 min left", "training, 122 dB: 61%, 78 s left"]
+
+
+def test_percentage_and_times_stay_whole_in_80_columns(monkeypatch) -> None:
+    """A long description is shortened in their place."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    with progress_bars() as report:
+        bars = next(cell.cell_contents for cell in report.__closure__ or () if isinstance(cell.cell_contents, Progress))
+        report("frames, 3 of 20, 0.512 s of a worker each, 1 failed", 0.37)
+        bars.tasks[0].fields["left"] = "2 h 5 min left"
+        console = Console(width=80, color_system=None)
+        with console.capture() as printed:
+            console.print(bars.get_renderable())
+    (row,) = printed.get().splitlines()
+    assert row.startswith("frames, 3 of 20, 0.512 s of a worker") and "37%" in row and row.endswith("2 h 5 min left")

@@ -51,7 +51,7 @@ def test_rays_learn_kernels_of_other_degrees(tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("-o", "a.ply", "--kernel-degree", "4"), "--kernel-degree is 4, which rays alone show: use --pipeline trace"),
+        (("-o", "a.ply", "--kernel-degree", "4"), "--kernel-degree is 4, which needs rays: use --pipeline trace"),
         (("-o", "a.spz", "--pipeline", "trace", "--kernel-degree", "4"), "a.spz, but .spz cannot store kernel degree"),
         (("-o", "a.obj"), "-o is a.obj, expected a file that ends in .ply or .spz"),
         (("-o", "a.ply", "--stop-after", "soon"), "--stop-after is 'soon', expected a time such as 90s, 10m or 1.5h"),

@@ -46,28 +46,32 @@ from lumisplat.cli.input.arguments import (
     gathered_positionals,
     joined_numbers,
     logging_in_shell_words,
-    moved_option,
-    options_of,
     panels_as_errors,
     shell_words,
-    unknown_command,
 )
+from lumisplat.cli.input.unknown_options import unknown_command, unknown_option
 from lumisplat.cli.options.command import Command
 from lumisplat.cli.output.console import one_line
 
 _DESCRIPTION = "Lights 3D Gaussian captures and meshes, on the CPU or a CUDA GPU."
 
-_EXAMPLES = """  lumisplat demo -o out                        a scene to look at, nothing to download
-  lumisplat view garden.ply                    in a browser, to fly through, edit and light
+_EXAMPLES = """  lumisplat demo -o out                 render a built-in scene, without a download
+  lumisplat view garden.ply             show a capture in a browser, edit and light it
   lumisplat render scene.toml --pipeline path --samples 64 -o lit.png"""
 
 _GROUPS: dict[str, dict[str, type[Any]]] = {
     "look": {"render": Render, "view": View, "orbit": Orbit, "animate": Animate, "info": Info},
     "light": {"fit": Fit, "relight": Relight, "delight": Delight, "bake": Bake, "shadowmap": ShadowMap},
-    "make": {"extract-frames": ExtractFrames, "train": Train, "dataset": Dataset, "demo": Demo},
+    "train": {"extract-frames": ExtractFrames, "train": Train, "evaluate": Evaluate, "dataset": Dataset},
     "convert": {"convert": Convert, "export": Export, "blocks": Blocks},
-    "farm": {"farm": Farm},
-    "about": {"bench": Bench, "metrics": Metrics, "evaluate": Evaluate, "doctor": Doctor, "completion": Completion},
+    "more": {
+        "demo": Demo,
+        "farm": Farm,
+        "bench": Bench,
+        "metrics": Metrics,
+        "doctor": Doctor,
+        "completion": Completion,
+    },
 }
 """Classes of the commands by name, in the groups of ``lumisplat --help``."""
 
@@ -103,8 +107,9 @@ def main(args: Sequence[str] | None = None) -> int:
         print(_help())
         return 0
     try:
-        with panels_as_errors():
-            command = _parsed(_arguments(args))
+        words, program = _arguments(args)
+        with panels_as_errors(program):
+            command = _parsed(words)
     except ArgumentsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -127,27 +132,45 @@ def _help() -> str:
     for group, kinds in _GROUPS.items():
         lines = (f"  {name:<16}{(inspect.getdoc(kind) or '').splitlines()[0]}" for name, kind in kinds.items())
         rows.append("\n".join([group, *lines]))
-    return "\n".join([*rows, f"\nexamples\n{_EXAMPLES}", "\nlumisplat COMMAND --help explains a command."])
+    return "\n".join(
+        [
+            *rows,
+            f"\nexamples\n{_EXAMPLES}",
+            "\nlumisplat COMMAND --help lists its options, docs/settings.md all settings.",
+        ]
+    )
 
 
-def _arguments(args: Sequence[str]) -> list[str]:
-    """Arguments as the parser takes them: numbers of an option in one, files of a command together."""
+def _arguments(args: Sequence[str]) -> tuple[list[str], str]:
+    """Returns arguments as the parser takes them, and the command that they run, such as ``lumisplat farm render``.
+
+    Numbers of an option become one argument, and the files of a command follow each other.
+
+    Raises:
+        ArgumentsError: There is no such command, or it has no such option.
+    """
     words = joined_numbers(args)
     farmed = get_type_hints(Farm, include_extras=True)["what"]
     count = 2 if words[:1] == ["farm"] else 1
+    program = "lumisplat farm" if count == 2 else "lumisplat"
     commands = _commands(get_args(farmed)[0] if count == 2 else _Command)
     name = "".join(words[count - 1 : count])
     command = commands.get(name)
+    if count == 2 and not name:
+        raise ArgumentsError(f"{program} needs one of {', '.join(commands)} (see {program} --help)")
     if command is None and name in _RENAMED_COMMANDS:
         new = _RENAMED_COMMANDS[name]
         raise ArgumentsError(f"{name} is now {new}: lumisplat {shlex.join([new, *args[1:]])}")
     if command is None and name and not name.startswith("-"):
-        raise ArgumentsError(unknown_command(name, commands, "lumisplat farm" if count == 2 else "lumisplat"))
+        raise ArgumentsError(unknown_command(name, commands, program))
     if command is None:
-        return words
-    if moved := moved_option(words[count:], options_of(command)):
-        raise ArgumentsError(moved)
-    return [*words[:count], *gathered_positionals(words[count:], command)]
+        return words, program
+    program = f"{program} {name}"
+    farm = {f"farm {other}": kind for other, kind in _commands(get_args(farmed)[0]).items()}
+    commands = {other: kind for other, kind in _commands(_Command).items() if kind is not Farm} | farm
+    if line := unknown_option(words[count:], command, commands, program):
+        raise ArgumentsError(line)
+    return [*words[:count], *gathered_positionals(words[count:], command)], program
 
 
 def _commands(union: Any) -> dict[str, type[Any]]:
@@ -168,6 +191,7 @@ def _run(command: Command) -> int:
     except (ls.LumisplatError, OSError, MemoryError) as error:
         if command.debug:
             traceback.print_exc()
-        print(f"error: {shell_words(one_line(error), command)}", file=sys.stderr)
+        setting = error.setting if isinstance(error, ls.LumisplatError) else None
+        print(f"error: {shell_words(one_line(error), command, setting)}", file=sys.stderr)
         return getattr(error, "status", 2)  # 3 of a FramesMissingError
     return 0

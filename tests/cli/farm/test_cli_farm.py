@@ -52,7 +52,7 @@ def test_help_teaches(capsys) -> None:
     """What it is, an example, the statuses."""
     assert main(["farm", "--help"]) == 0
     out = capsys.readouterr().out
-    for words in ("animate", "orbit", "render", "Exit status", "--workers 2", "the same command continues"):
+    for words in ("animate", "orbit", "render", "Exit status", "--workers 2", "The same command continues"):
         assert words in out
     assert main(["farm", "animate", "--help"]) == 0
     assert "--address" in capsys.readouterr().out

@@ -46,7 +46,7 @@ def test_parts_of_an_orbit_make_the_whole(work) -> None:
         assert f"{count} frame{'s' * (count > 1)} in" in orbit(work, "parts", "--frames", part).out
     assert images(work, "parts") == images(work, "whole")
     refused = orbit(work, "parts", "--frames", "4-6")
-    assert refused.status == 2 and "of an animation of 6 frames, 0-5: '4-6' is not among them" in refused.err
+    assert refused.status == 2 and "and '4-6' is out of range: there are 6 frames, 0-5" in refused.err
 
 
 def render(work: Workplace, folder: str, *options: str):
@@ -91,7 +91,7 @@ def test_layers_come_before_the_picture_that_says_that_all_is_there(work, monkey
     [
         (("--resume", "--view", "normal"), "--view colours all pictures by the first of a run"),
         (("--resume", "-o", "out.png", "--frames", "left"), "is one picture, and frames are many: give a folder"),
-        (("--frames", "2"), "of an animation of 2 frames, 0-1"),
+        (("--frames", "2"), "there are 2 cameras, 0-1"),
     ],
 )
 def test_what_cannot_be_resumed_is_said(work, options: tuple[str, ...], message: str) -> None:

@@ -18,7 +18,7 @@ import lumisplat as ls
 from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
 from lumisplat.cli.input.loading import WITH_CAMERAS, file_fingerprints, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
-from lumisplat.cli.options.command import LIGHTING, Flag, given_settings, setting
+from lumisplat.cli.options.command import LIGHTING, Flag, given_settings, own_options_first, setting
 from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, found_light, print_stats, print_table, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
@@ -26,35 +26,37 @@ from lumisplat.cli.output.frame_source import FrameSource
 from lumisplat.cli.output.images import check_writable, refuse_standard_output
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Animate(FrameCommand):
     """Render the frames of an animated scene, and a video of them.
 
-    Actors cast shadows onto captures, and take on their light.
-    After an interruption, the same command continues: frames that are there stay.
+    Actors cast shadows onto captures, and are lit by them.
+    The same command continues after an interruption, and keeps existing frames.
+    Guide: docs/guide/animate.md.
     """
 
     scene: Positional[Annotated[Path, arg(metavar="SCENE")]]
-    """A scene.toml, an OpenUSD file, or a glTF with a clip."""
+    """Read a scene.toml, an OpenUSD file, or a glTF with a clip."""
     output: Annotated[
         Path | None,
-        arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="(default: named after the video, or frames)"),
+        arg(aliases=("-o",), metavar="DIR", help_behavior_hint="(default: named after the video, or frames)"),
     ] = None
-    """Write frames into this folder, with animate.json."""
+    """Write frames and animate.json into this folder."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write a video too: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
-    frames: Annotated[str, setting("FRAMES", "all")] = ""
-    """Render only these, from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
+    frames: Annotated[str, setting("LIST", "all")] = ""
+    """Render these only, numbered from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
     fps: Annotated[float | None, setting("FPS", "the scene's")] = None
     """Render so many frames a second; the duration stays."""
     overwrite: Flag = False
-    """Remove the frames that are there first."""
+    """Remove existing frames first."""
     cameras: Annotated[Path | None, setting("FILE", "the scene's, else the front")] = None
-    """Use the camera of this file, or its camera for each frame."""
+    """Use the camera of this file, or one camera for each frame."""
     camera: Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")] = None
     """Use the camera of this name for all frames."""
-    format: Literal["png", "exr", "npz"] = "png"
-    """Write this format; a video is made of PNGs."""
+    format: Annotated[Literal["png", "exr", "npz"], arg(metavar="png|exr|npz")] = "png"
+    """Write this format; a video needs png."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""

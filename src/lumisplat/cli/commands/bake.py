@@ -17,6 +17,7 @@ from lumisplat.cli.options.command import (
     InsertingCommand,
     SetCommand,
     changed_config,
+    own_options_first,
     setting,
     without_none,
 )
@@ -25,16 +26,15 @@ from lumisplat.cli.output.console import byte_size, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_output
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Bake(InsertingCommand, DeviceCommand, SetCommand):
     """Write a lit scene as a capture that every viewer shows.
 
-    The result has the splat sets as they look in its light, shadows and bounces included.
-
-    Every viewer of captures shows it. Meshes and lights do their part, and are not in it.
+    Bakes lights, shadows and bounces into the colours of Gaussians; meshes and lights are not in the result.
+    Takes minutes on a CPU.
+    Guide: docs/guide/bake.md.
     First try: lumisplat bake scene.toml -o baked.ply
-
-    Minutes on a CPU: each Gaussian is seen from --directions, along --samples paths each.
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
@@ -44,21 +44,21 @@ class Bake(InsertingCommand, DeviceCommand, SetCommand):
     degree: Annotated[int, arg(metavar="0..3")] = 3
     """Keep view-dependent colour up to this SH degree."""
     samples: Annotated[int, arg(metavar="N")] = 8
-    """Follow so many paths for each ray, at least 2."""
+    """Trace so many paths for each direction, at least 2."""
     directions: Annotated[int, arg(metavar="N")] = 32
     """View each Gaussian from so many directions, 4 to 1024."""
     direct: Flag = False
     """Bake lights and shadows only, without bounces."""
-    exposure: Annotated[float, arg(metavar="STOPS")] = 0.0
-    """Expose: 1 is twice as bright, -1 half."""
-    tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("{none,neutral,agx}", "none")] = None
-    """Map lit colours to the display: clipped, true or filmic."""
+    exposure: Annotated[float, arg(metavar="STOPS", help_behavior_hint="(default: 0)")] = 0.0
+    """Brighten by so many stops."""
+    tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("NAME", "none")] = None
+    """Map lit colours by none (clip), neutral (true hues) or agx (filmic)."""
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Light the scene by a latitude-longitude image, .hdr or .exr."""
-    environment_rotation: Annotated[float | None, setting("DEGREES", "0")] = None
-    """Turn the environment about the vertical, counter-clockwise from above."""
+    environment_rotation: Annotated[float | None, setting("N", "0")] = None
+    """Rotate the environment by N degrees about the vertical, counter-clockwise from above."""
     up: UpOption = "auto"
-    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
+    """Set the up direction: y-up, y-down, z-up ..., or a vector."""
 
     def run(self) -> None:
         """Loads, bakes, joins, writes."""

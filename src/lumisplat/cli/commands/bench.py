@@ -13,9 +13,16 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings
+from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings, warn_of_unused_cameras
 from lumisplat.cli.options.camera import ViewpointGroup, ViewpointOptions, parse_up
-from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, PipelineCommand, given_settings, setting
+from lumisplat.cli.options.command import (
+    DeviceCommand,
+    InsertingCommand,
+    PipelineCommand,
+    given_settings,
+    own_options_first,
+    setting,
+)
 from lumisplat.cli.options.frame import EnvironmentOptions, unused_options
 from lumisplat.cli.output.console import (
     Report,
@@ -43,16 +50,17 @@ class _SteadyFrames:
         return {name: statistics.median(row[name] for row in self.stage_ms) for name in self.stage_ms[0]}
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     """Time loading, the first frame and steady frames of a scene.
 
-    Every frame is of the same camera: the first of the file, or the one that render takes when it is given none. Times
-    are medians. The benchmarks against other renderers are `make bench` in the repository.
+    Times are medians of frames of one camera.
+    Guide: docs/guide/performance.md.
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures, meshes or a scene.toml, as for render; none: the demo scene."""
+    """Read captures, meshes or a scene.toml, as for render; none: the demo scene."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Use the first camera of this file."""
     width: Annotated[int | None, setting("PX", "the camera's")] = None
@@ -60,7 +68,7 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
     repeats: Annotated[int, arg(metavar="N")] = 20
     """Time so many steady frames."""
     viewpoint: ViewpointGroup = field(default_factory=ViewpointOptions)
-    """As for render."""
+    """Replace the cameras of files, as for render."""
 
     def run(self) -> None:
         """Measures and prints a table."""
@@ -68,6 +76,8 @@ class Bench(InsertingCommand, DeviceCommand, PipelineCommand):
             raise ls.ConfigError(f"--repeats is {self.repeats}, expected at least 1")
         self.viewpoint.check(self.cameras)
         config = self.pipeline_config(scene_settings(scene_file(self.scene)))
+        if self.cameras is None and not self.viewpoint.is_given:
+            warn_of_unused_cameras(self.scene)
         cameras_of = self.cameras or camera_file(self.scene)
         cameras = ls.load_cameras(cameras_of) if cameras_of else []
         with progress_bars() as report:

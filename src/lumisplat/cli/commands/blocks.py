@@ -14,31 +14,27 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import block_folder, size_on_disk
-from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.options.command import Flag, LoadingCommand, own_options_first
 from lumisplat.cli.output.console import Report, byte_size, counted, print_columns, progress_bars
 
 _LEVEL_SHARE = 1.34
 """Of what is written, that of the finest level is 1, that of each coarser one a quarter of the one before."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Blocks(LoadingCommand):
-    """Write a capture larger than memory in blocks of space.
+    """Write a capture larger than memory as spatial blocks.
 
-    A city, a file a district: lumisplat blocks north.ply south.ply -o city
-
-    With coarser levels for what is far: lumisplat blocks garden.ply --coarser 3 -o garden.blocks
-
-    What three workers would hold and load: lumisplat blocks garden.blocks --plan --cameras transforms.json --workers 3
-
-    A binary .ply is read a piece at a time, whatever its size; other captures are loaded, all of them. A folder
-    without its blocks.json is not whole. Rendered like any capture:
-    lumisplat render garden.blocks --cameras transforms.json.
+    render and orbit then load the blocks that a view sees.
+    Memory and loads of several workers: lumisplat blocks city --plan --cameras transforms.json --workers 3
+    Guide: docs/guide/captures.md.
+    First try: lumisplat blocks north.ply south.ply --coarser 3 -o city
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN...", help_behavior_hint="")]] = ()
     """Read these captures, or with --plan, a folder of blocks."""
-    output: Annotated[Path | None, arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="")] = None
+    output: Annotated[Path | None, arg(aliases=("-o",), metavar="DIR", help_behavior_hint="")] = None
     """Write into this new folder."""
     cell: Annotated[float | None, arg(metavar="LENGTH", help_behavior_hint="(default: as the file needs)")] = None
     """Cut space into cubes of at most this edge, in scene units."""
@@ -49,7 +45,7 @@ class Blocks(LoadingCommand):
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """With --plan: read the views from this camera file, in order."""
     workers: Annotated[int, arg(metavar="N")] = 1
-    """With --plan: share the views between so many workers."""
+    """With --plan: divide the views between so many workers."""
     memory: Annotated[float, arg(metavar="GB")] = 8.0
     """With --plan: give each worker so much memory for Gaussians."""
     lod_pixels: Annotated[float, arg(metavar="PX")] = 0.0

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from lumisplat.cli.options.command import Command
+from lumisplat.cli.options.command import Command, own_options_first
 
 FILES = {
     "bash": """
@@ -32,9 +32,10 @@ complete --command lumisplat --force-files
 """What is added to the script of each shell, so that it completes files where no word is known."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Completion(Command):
-    """Print a script by which a shell completes commands, options and files.
+    """Print a script that completes commands in a shell.
 
     bash, a line of ~/.bashrc: eval "$(lumisplat completion bash)"
 

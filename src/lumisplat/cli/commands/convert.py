@@ -15,7 +15,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns, size_on_disk
 from lumisplat.cli.input.numbers import numbers, vector
-from lumisplat.cli.options.command import Flag, LevelsCommand
+from lumisplat.cli.options.command import Flag, LevelsCommand, own_options_first
 from lumisplat.cli.output.console import Report, byte_size, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
@@ -23,23 +23,17 @@ _Range = tuple[float | None, float | None]
 _Edit = Callable[["ls.Gaussians"], "ls.Gaussians"]
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Convert(LevelsCommand):
     """Convert, cut, clean, thin and join captures.
 
-    Formats: .ply, .glb, .usdz (exact), .compressed.ply, .spz, .sog (small). Several captures are joined.
+    Middle of a scene, without floaters: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o middle.ply
 
-    Smaller: lumisplat convert garden.ply garden.spz
-
-    The middle of it, without strays: lumisplat convert garden.ply --sphere 0 0 3 5 --floaters 4 -o middle.ply
-
-    A quarter of the Gaussians: lumisplat convert garden.ply --decimate 25% -o quarter.spz
-
-    Two as one: lumisplat convert house.ply tree.ply -o both.ply
-
-    Whatever the order on the command line, captures are joined first; then follow --box and --sphere, --keep,
-    --floaters, --sh-degree, --decimate, --level, --scale, --rotate, --translate and --morton. So coordinates and sizes
-    are those of the files, as lumisplat info shows them. For another order, convert twice.
+    Edits apply in the order of this list: join, --box and --sphere, --keep, --floaters,
+    --sh-degree, --decimate, --level, --scale, --rotate, --translate, --morton.
+    Guide: docs/guide/edit.md, captures.md.
+    First try: lumisplat convert garden.ply garden.spz
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="IN... [OUT]", help_behavior_hint="")]] = ()
@@ -59,17 +53,17 @@ class Convert(LevelsCommand):
     sh_degree: Annotated[int | None, arg(metavar="0..3", help_behavior_hint="")] = None
     """Write SH of this degree, shortened or padded with zeros."""
     decimate: Annotated[str | None, arg(metavar="COUNT|N%", help_behavior_hint="")] = None
-    """Merge neighbours until so many are left: for previews, and for what is far away."""
+    """Merge neighbours until COUNT, or N%, are left."""
     level: Flag = False
-    """Turn the capture so that its up is an axis."""
-    scale: Annotated[float, arg(metavar="FACTOR")] = 1.0
-    """Larger or smaller about the origin."""
+    """Rotate the capture so that its up is an axis."""
+    scale: Annotated[float, arg(metavar="FACTOR", help_behavior_hint="(default: 1)")] = 1.0
+    """Scale the capture about the origin."""
     rotate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Turn about the x axis, then y, then z, in degrees."""
+    """Rotate about the x axis, then y, then z, in degrees."""
     translate: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Move, last of the three."""
-    columns: Literal["lumisplat", "r3dg"] = "lumisplat"
-    """Write materials in these columns of a .ply."""
+    """Translate, after --scale and --rotate."""
+    columns: Annotated[Literal["lumisplat", "r3dg"], arg(metavar="NAME")] = "lumisplat"
+    """Write material columns of a .ply as lumisplat or r3dg."""
     incident: Flag = False
     """Keep the incident light of a .ply of Relightable 3D Gaussians."""
     morton: Flag = False

@@ -14,7 +14,15 @@ from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
 from lumisplat.cli.input.loading import camera_file, file_fingerprints, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, InsertingCommand, given_options, given_settings, setting, without_none
+from lumisplat.cli.options.command import (
+    Flag,
+    InsertingCommand,
+    given_options,
+    given_settings,
+    own_options_first,
+    setting,
+    without_none,
+)
 from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, flat_settings
@@ -27,41 +35,42 @@ _NOT_IN_PROVENANCE = ("views", "shard_views")
 """Settings of which the views that are there do not depend."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Dataset(FrameCommand, InsertingCommand):
     """Render training data: random views, light and objects.
 
-    With layers such as depth, normals and ids, cameras for nerfstudio, and shards for WebDataset. A view follows from
-    --seed and its number: more --views add to those that are there. After an interruption, the same command continues.
+    The same command continues after an interruption; more --views add to existing ones.
+    Guide: docs/guide/dataset.md.
     First try: lumisplat dataset garden.ply --views 20 -o set
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures, meshes or a scene.toml, as for render."""
-    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("dataset")
+    """Read captures, meshes or a scene.toml, as for render."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("dataset")
     """Write images, layers, transforms.json and dataset.json into this folder."""
     file: Annotated[Path | None, arg(name="settings", metavar="FILE.toml", help_behavior_hint="")] = None
     """Read settings of poses, lights and objects from this file."""
     views: Annotated[int | None, setting("N", "100")] = None
-    """Make so many views."""
+    """Render so many views."""
     width: Annotated[int | None, setting("PX", "640")] = None
     """Set the image width."""
     height: Annotated[int | None, setting("PX", "480")] = None
     """Set the image height."""
     layers: Annotated[str | None, setting("LAYERS", "depth,normal,instance")] = None
-    """Write depth, normal, albedo, alpha, mask, instance, category or exr beside images; or none."""
+    """Write depth, normal, albedo, alpha, mask, instance, category or exr too; or none."""
     objects: Annotated[tuple[Path, ...], arg(metavar="FILE...", help_behavior_hint="")] = ()
     """Put some of these captures and meshes into each view."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Place views near the cameras of this file, not around the scene."""
+    """Put views near the cameras of this file, not around the scene."""
     seed: Annotated[int | None, setting("N", "0")] = None
     """Draw other poses, lights, objects and noise."""
     shards: Annotated[int | None, setting("N", "0")] = None
     """Write shards for WebDataset, of so many views each."""
-    frames: Annotated[str, setting("FRAMES", "all")] = ""
-    """Render only these views, from 0: 1-100, 1-100x2, 1,5,9 or 48:."""
+    frames: Annotated[str, setting("LIST", "all")] = ""
+    """Render these views only, numbered from 0: 1-100, 1-100x2, 1,5,9 or 48:."""
     overwrite: Flag = False
-    """Remove the views that are there first."""
+    """Remove existing views first."""
 
     def run(self) -> None:
         """Renders the views that are missing, then what follows from all of them."""
@@ -116,7 +125,7 @@ class Dataset(FrameCommand, InsertingCommand):
         """
         settings = self.settings()
         names = tuple(f"views/view_{index:06d}.json" for index in range(settings.views))
-        wanted = tuple(frame_numbers("--frames", self.frames, settings.views))
+        wanted = tuple(frame_numbers("--frames", self.frames, settings.views, "view"))
         base = scene_settings(scene_file(self.scene))
         albedo = ("albedo",) if "albedo" in settings.layers else ()
         config = self.frame_config(base, {"aovs": (*base.aovs, *albedo)}, without_none({"seed": self.seed}))

@@ -11,31 +11,37 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import holds_materials
 from lumisplat.cli.options.camera import UpOption, parse_up, upright, warn_if_up_is_guessed
-from lumisplat.cli.options.command import DeviceCommand, Flag, LevelsCommand, given_settings_of, setting
+from lumisplat.cli.options.command import (
+    DeviceCommand,
+    Flag,
+    LevelsCommand,
+    given_settings_of,
+    own_options_first,
+    setting,
+)
 from lumisplat.cli.output.console import Report, counted, progress_bars
 from lumisplat.cli.output.images import STANDARD_OUTPUT, check_folder, standard_output
 
 _INSIDE = {"auto": None, "yes": True, "no": False}
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Delight(LevelsCommand, DeviceCommand):
     """Find the materials of a capture, without its captured light.
 
-    No images are needed. The result has an albedo, a normal and a roughness for each Gaussian beside its captured
-    colours: lights of a scene then shine on it as on a mesh.
+    Needs no images. Lights of a scene then light the capture like a mesh.
+    Takes minutes for 100,000 Gaussians; --cells 8 takes half as long.
+    Guide: docs/guide/delight.md.
     First try: lumisplat delight garden.ply -o garden.relit.ply
-
-    Minutes for 100,000 Gaussians, more the fuzzier they are; --cells 8 takes half of it. Captures with harmonics (info
-    tells their degree) also give their roughness by highlights; it is 0.8 where nothing tells.
     """
 
     capture: Positional[Annotated[Path, arg(metavar="CAPTURE")]]
     """Read this capture."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Write .ply, glTF or OpenUSD, which hold materials; - is standard output."""
-    inside: Literal["auto", "yes", "no"] = "auto"
-    """Treat the capture as a room, which has no environment."""
+    inside: Annotated[Literal["auto", "yes", "no"], arg(metavar="auto|yes|no")] = "auto"
+    """Treat the capture as a room, which has no environment: auto, yes or no."""
     sky: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the environment that was found as an image, .exr."""
     up: UpOption = "auto"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 import lumisplat as ls
-from lumisplat.cli.options.command import DeviceCommand, Flag
+from lumisplat.cli.options.command import DeviceCommand, Flag, own_options_first
 from lumisplat.cli.output.console import Report, progress_bars
 from lumisplat.cli.output.images import check_writable, make_folder, plan_shots
 
@@ -24,14 +24,15 @@ if TYPE_CHECKING:
     from PIL import Image
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Demo(DeviceCommand):
     """Render the demo scene; nothing is downloaded."""
 
-    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("out")
+    output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("out")
     """Write the images into this folder."""
     width: Annotated[int | None, arg(metavar="PX", help_behavior_hint="")] = None
-    """Set the image width; lit images are twice as wide."""
+    """Set the image width; lit images are half as wide."""
     save_assets: Flag = False
     """Write demo.ply and transforms.json too, to try other commands."""
 

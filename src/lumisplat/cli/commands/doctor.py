@@ -7,19 +7,20 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import lumisplat as ls
-from lumisplat.cli.options.command import Command, Flag
+from lumisplat.cli.options.command import Command, Flag, own_options_first
 from lumisplat.cli.output.console import byte_size, counted, print_table, quiet_warp
 
 if TYPE_CHECKING:
     from lumisplat.diagnostics import ExtraFacts
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Doctor(Command):
     """Show what this machine has and lacks for Lumisplat.
 
-    Runs a small kernel on each device: some seconds on a new machine. Nothing is installed. The exit status is 2 if
-    something has to be mended. What it prints is what a report of a bug needs.
+    Runs a small kernel on each device, and installs nothing. Exit status 2 if something has to be fixed.
+    Guide: docs/guide/install.md.
     """
 
     json: Flag = False

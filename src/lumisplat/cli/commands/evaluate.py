@@ -13,7 +13,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file, scene_settings
-from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand, setting
+from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand, own_options_first, setting
 from lumisplat.cli.output.comparisons import (
     Comparison,
     Figures,
@@ -37,33 +37,29 @@ _WORST = 3
 """How many of the worst views are named, and shown."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Evaluate(LoadingCommand, DeviceCommand):
     """Compare a capture with held-out images.
 
-    How near a trained capture is: lumisplat evaluate fox.ply fox -o report
-
-    Photographs with a mask, and those of lenses that distort, are compared where their mask is at least half white:
-    elsewhere the picture becomes the photograph, and means are over the rest.
-
-    What a capture knows of materials and light, on a set whose truth is known: lumisplat evaluate duck.ply duck
-    --materials -o report
+    With materials and a set whose truth is known: lumisplat evaluate duck.ply duck --materials
+    Pixels count where an image's mask is at least half white.
+    Guide: docs/guide/metrics.md.
+    First try: lumisplat evaluate fox.ply fox -o report
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE... FOLDER", help_behavior_hint="")]] = ()
     """Read a capture, and a folder of images with poses."""
     output: Annotated[Path | None, arg(aliases=("-o",), metavar="OUT", help_behavior_hint="")] = None
     """Write metrics.json and the worst views into this folder."""
-    scale: Annotated[float, arg(metavar="0..1")] = 1.0
+    scale: Annotated[float, arg(metavar="0..1", help_behavior_hint="(default: 1)")] = 1.0
     """Scale the images, above 0 to 1."""
     hold_out: Annotated[int, arg(metavar="N")] = _HOLD_OUT
     """Evaluate every N-th image, as training holds them out."""
-    pipeline: Annotated[
-        Literal["raster", "trace", "hybrid", "path"] | None, setting("{raster,trace,hybrid,path}", "raster")
-    ] = None
-    """Choose how the capture is drawn, or relit with --materials."""
-    projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
-    """Rasterise by ellipses, or along the rays of any lens."""
+    pipeline: Annotated[Literal["raster", "trace", "hybrid", "path"] | None, setting("NAME", "raster")] = None
+    """Render by raster or trace; with --materials, also hybrid or path."""
+    projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
+    """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
     """Fill the background: a name, #rrggbb, or r,g,b in 0..1."""
 
@@ -72,7 +68,7 @@ class Evaluate(LoadingCommand, DeviceCommand):
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """With --materials: read the environment that was found, .exr or .hdr."""
     samples: Annotated[int | None, setting("N", "64")] = None
-    """With --materials: samples a pixel of relit pictures."""
+    """With --materials: average N samples a pixel of relit images."""
 
     def run(self) -> None:
         """Renders, compares, prints, and writes what is asked for."""

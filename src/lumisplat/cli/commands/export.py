@@ -12,23 +12,19 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import USD, WITH_CAMERAS, gltf_document, size_on_disk, toml_values
 from lumisplat.cli.options.camera import UpOption, parse_up, upright, warn_if_up_is_guessed
-from lumisplat.cli.options.command import InsertingCommand
+from lumisplat.cli.options.command import InsertingCommand, own_options_first
 from lumisplat.cli.output.console import Report, byte_size, counted, progress_bars
 from lumisplat.cli.output.images import check_folder
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Export(InsertingCommand):
     """Write a scene for other programs, as glTF or OpenUSD.
 
-    For viewers on the web, Blender, engines: lumisplat export scene.toml -o scene.glb
-
-    Files as one scene: lumisplat export garden.ply statue.glb --cameras transforms.json -o garden.glb
-
-    For film and simulation, with area lamps, the sky and what moves: lumisplat export scene.toml -o scene.usdz
-
-    Files of glTF and OpenUSD have y up: what stands upright in the scene stands upright there. What they cannot hold,
-    such as area lamps in glTF, is said in a line. Light on captures goes with them if they are baked: lumisplat bake.
+    OpenUSD also holds area lights, the environment and animation; a log line names what a format cannot hold.
+    Guide: docs/guide/gltf.md, usd.md.
+    First try: lumisplat export scene.toml -o scene.glb
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
@@ -36,9 +32,9 @@ class Export(InsertingCommand):
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")]
     """Write .glb, .gltf, .usdz, .usdc, .usd or .usda."""
     cameras: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Cameras of a transforms.json or another camera file, in place of those of the scene."""
+    """Write the cameras of this file, in place of the scene's."""
     up: UpOption = "auto"
-    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
+    """Set the up direction: y-up, y-down, z-up ..., or a vector."""
 
     def run(self) -> None:
         """Loads, writes, and prints what is in the file."""

@@ -9,24 +9,26 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.command import Command
+from lumisplat.cli.options.command import Command, own_options_first
 from lumisplat.cli.output.console import counted, progress_bars
 
 _FIRST_SIZE = 320
 """Longer side, in pixels, to which the suggested first training scales the images, so that it is quick."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class ExtractFrames(Command):
     """Extract sharp frames from a video, as training images.
 
-    Needs pip install 'lumisplat[video]'. Guide: docs/guide/from_a_film.md
+    Needs pip install 'lumisplat[video]'.
+    Guide: docs/guide/from_a_film.md.
     First try: lumisplat extract-frames walk.mp4 -o walk
     """
 
     video: Positional[Annotated[Path, arg(metavar="VIDEO")]]
     """Read this video: .mp4, .mov, .webm ..."""
-    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")]
+    output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")]
     """Write the images into the folder images of this folder."""
     every: Annotated[float, arg(metavar="SECONDS")] = 0.5
     """Keep the sharpest frame of each interval; neighbours should overlap by two thirds."""

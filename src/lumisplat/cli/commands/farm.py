@@ -13,65 +13,73 @@ from lumisplat.cli.commands.farm_train import FarmTrain
 from lumisplat.cli.commands.orbit import Orbit
 from lumisplat.cli.commands.render import Render
 from lumisplat.cli.farm.driver import FarmGroup, FarmOptions, run_farm
-from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.command import Flag, own_options_first
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class FarmAnimate(Animate):
-    """Render an animated scene by workers.
+    """Render an animated scene by several workers.
 
-    lumisplat farm animate scene.toml --workers 2 -o frames --video walk.mp4
+    Guide: docs/guide/farm.md, animate.md.
+    First try: lumisplat farm animate scene.toml --workers 2 -o frames --video walk.mp4
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Frames are the same to the bit as those of one process."""
+    """Frames equal those of one process bit by bit."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
         run_farm(self, overwrite=self.overwrite, video=self.video)
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class FarmOrbit(Orbit):
-    """Go once round a scene, by workers.
+    """Render a turntable or a camera path by several workers.
 
-    lumisplat farm orbit garden.ply --workers 2 --video orbit.mp4
+    Guide: docs/guide/farm.md.
+    First try: lumisplat farm orbit garden.ply --workers 2 --video orbit.mp4
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Frames are the same to the bit as those of one process."""
+    """Frames equal those of one process bit by bit."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""
         run_farm(self, overwrite=self.overwrite, video=self.video)
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class FarmRender(Render):
-    """Render a picture for each camera, by workers. Pictures that are there stay, as with --resume.
+    """Render an image for each camera by several workers; existing ones stay.
 
-    lumisplat farm render garden.ply --cameras transforms.json --workers 2 -o out
+    Guide: docs/guide/farm.md.
+    First try: lumisplat farm render garden.ply --cameras transforms.json --workers 2 -o out
     """
 
     overwrite: Flag = False
-    """Render images that are there anew."""
+    """Render existing images anew."""
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Pictures are the same to the bit as those of one process."""
+    """Images equal those of one process bit by bit."""
 
     def run(self) -> None:
         """Renders the pictures that are missing."""
         run_farm(self, overwrite=self.overwrite, video=None)
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class FarmDataset(Dataset):
-    """Make training data by workers.
+    """Render training data by several workers.
 
-    lumisplat farm dataset scene.toml --workers 2 --views 1000 -o set
+    Guide: docs/guide/farm.md, dataset.md.
+    First try: lumisplat farm dataset scene.toml --workers 2 --views 1000 -o set
     """
 
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Files are the same to the bit as those of one process."""
+    """Files equal those of one process bit by bit."""
 
     def run(self) -> None:
         """Renders the views that are missing, then what follows from all of them."""
@@ -82,10 +90,12 @@ class FarmDataset(Dataset):
 
 @dataclass(frozen=True, kw_only=True)
 class Farm:
-    """Render frames or train by several workers: GPUs, CPU cores or a Ray cluster.
+    """Render or train by several workers, on GPUs, cores or Ray.
 
-    After an interruption, the same command continues: frames that are there stay. Workers that die are replaced.
-    Exit status: 0: all frames are there. 2: a mistake. 3: some frames could not be made. 130: interrupted.
+    The same command continues after an interruption, and keeps existing frames. Lost workers are replaced.
+    Exit status: 0 all frames exist, 2 a mistake, 3 some frames failed, 130 interrupted.
+    Guide: docs/guide/farm.md.
+    First try: lumisplat farm orbit garden.ply --workers 2 --video orbit.mp4
     """
 
     what: Annotated[
@@ -97,4 +107,4 @@ class Farm:
         OmitArgPrefixes,
         OmitSubcommandPrefixes,
     ]
-    """What is made."""
+    """Choose what the workers make."""

@@ -30,7 +30,7 @@ from lumisplat.cli.farm.driver import FarmGroup, FarmOptions, run_farm
 from lumisplat.cli.farm.job import FrameJob, FrameList
 from lumisplat.cli.input.arguments import ArgumentsError, panels_as_errors
 from lumisplat.cli.input.loading import toml_values
-from lumisplat.cli.options.command import Flag
+from lumisplat.cli.options.command import Flag, own_options_first
 from lumisplat.cli.output.console import Report
 from lumisplat.cli.output.frame_folder import FrameFolder, stored_provenance
 from lumisplat.cli.output.images import make_folder
@@ -43,27 +43,29 @@ _SETTINGS = "settings of "
 """Begins the names by which an origin has the settings of single captures."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class FarmTrain(Train):
-    """Make captures of several folders of photographs, by workers: a training each, on a GPU of its own.
+    """Train captures from several folders of images, one by each worker.
 
-    FOLDER/fox.ply is of fox, with fox.training beside it, and fox.txt, which says what came of it once it is done.
-    Trainings whose worker dies go on from their checkpoint, and so does the same command after an interruption.
-    lumisplat farm train fox/ garden/ --workers 2 -o captures
+    Writes NAME.ply, NAME.training and the report NAME.txt for each folder NAME.
+    The same command continues after an interruption or a lost worker, from checkpoints.
+    Guide: docs/guide/farm.md, training.md.
+    First try: lumisplat farm train fox/ garden/ --workers 2 -o captures
     """
 
-    folder: Positional[Annotated[tuple[Path, ...], arg(metavar="PHOTOGRAPHS...")]]  # pyright: ignore[reportIncompatibleVariableOverride]
+    folder: Positional[Annotated[tuple[Path, ...], arg(metavar="FOLDER...")]]  # pyright: ignore[reportIncompatibleVariableOverride]
     """Read several folders of images, as train does."""
-    output: Annotated[Path, arg(aliases=("-o",), metavar="FOLDER")] = Path("captures")
-    """Write NAME.ply of each folder NAME, with train.json."""
+    output: Annotated[Path, arg(aliases=("-o",), metavar="DIR")] = Path("captures")
+    """Write the captures and train.json into this folder."""
     settings: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
-    """Read other settings of single folders from a table for each, [NAME]."""
+    """Read other options of single folders from a table for each, [NAME]."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
-    """End each training after this time: 90s, 10m or 1.5h."""
+    """Stop each training after this time: 90s, 10m or 1.5h."""
     overwrite: Flag = False
-    """Remove the captures that are there first."""
+    """Remove existing captures first."""
     farm: FarmGroup = field(default_factory=FarmOptions)
-    """Captures are the same to the bit as those of one process."""
+    """Captures equal those of one process bit by bit."""
 
     def run(self) -> None:
         """Makes the captures that are missing, and prints what came of each."""
@@ -280,7 +282,7 @@ class TrainSettings:
             else:
                 raise self._error(name, f"{key} is {value!r}, expected a number or a word, as of the command")
         try:
-            with panels_as_errors():
+            with panels_as_errors("lumisplat train"):
                 own = tyro.cli(Train, args=args, default=training, config=(FlagCreatePairsOff,))
             own.check()
         except (ArgumentsError, ls.ConfigError) as error:

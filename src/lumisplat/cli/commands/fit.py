@@ -15,7 +15,15 @@ from tyro.conf import Positional, UseAppendAction, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import camera_file, scene_file, scene_settings
-from lumisplat.cli.options.command import DeviceCommand, Flag, LoadingCommand, PipelineName, SetCommand, setting
+from lumisplat.cli.options.command import (
+    DeviceCommand,
+    Flag,
+    LoadingCommand,
+    PipelineName,
+    SetCommand,
+    own_options_first,
+    setting,
+)
 from lumisplat.cli.output.comparisons import check_report, write_comparison, write_json
 from lumisplat.cli.output.console import print_columns, progress_bars
 from lumisplat.cli.output.images import check_folder, file_stems, make_folder
@@ -25,15 +33,15 @@ _log = logging.getLogger("lumisplat")
 _IMAGE_EXTENSIONS = (".png", ".jpg", ".jpeg", ".webp", ".exr", ".hdr")
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Fit(LoadingCommand, DeviceCommand, SetCommand):
     """Find the lights of a scene from images of it.
 
-    What is put into the scene then has the photograph's light: lumisplat fit room.toml photo.jpg --camera door
-    -o fitted.toml
-
-    Surfaces are known, and so are the lights' places unless --positions is given. Light bounces, as in reality: two
-    lamps took half a minute on a CPU core, and with --positions four; fewer --samples and a smaller --size take less.
+    Objects in the scene are then lit as in the images.
+    Two lights took half a minute on a CPU core, and with --positions four.
+    Guide: docs/guide/fit.md.
+    First try: lumisplat fit room.toml photo.jpg --camera door -o fitted.toml
     """
 
     files: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE PHOTO...", help_behavior_hint="")]] = ()
@@ -50,10 +58,8 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     """Use the pixels that are white in this mask; again for the next."""
     report: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")] = None
     """Write images, renders, differences and report.json into this folder."""
-    environment_degree: Annotated[Literal["auto", "none", "0", "1", "2", "3", "4"], arg(metavar="auto|none|0-4")] = (
-        "auto"
-    )
-    """Set the SH degree of the environment; auto is 2."""
+    environment_degree: Annotated[Literal["auto", "none", "0", "1", "2", "3", "4"], arg(metavar="N")] = "auto"
+    """Set the SH degree of the environment: auto (2), none, or 0 to 4."""
     no_intensities: Flag = False
     """Keep the lights' intensities and colours."""
     keep_hues: Flag = False
@@ -66,15 +72,15 @@ class Fit(LoadingCommand, DeviceCommand, SetCommand):
     """Find the cones of spots."""
     base_colors: Annotated[str | None, arg(metavar="all|NAMES", help_behavior_hint="")] = None
     """Find the base colours of all or of these materials."""
-    exposure: Annotated[str | None, setting("STOPS|fit", "that of the cameras")] = None
+    exposure: Annotated[str | None, setting("STOPS|fit", "the cameras'")] = None
     """Set the exposure of the images; fit finds it."""
-    tone_map: Literal["none", "neutral", "agx"] = "none"
-    """Set the tone map of the images."""
-    pipeline: Annotated[PipelineName | None, setting("{raster,trace,hybrid,path}", "path")] = None
-    """Choose how light is carried."""
+    tone_map: Annotated[Literal["none", "neutral", "agx"], arg(metavar="NAME")] = "none"
+    """Set the tone map of the images: none, neutral or agx."""
+    pipeline: Annotated[PipelineName | None, setting("NAME", "path")] = None
+    """Render by raster, trace, hybrid or path."""
     samples: Annotated[int | None, setting("N", "64 of paths")] = None
-    """Average so many samples a pixel, for each light."""
-    shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
+    """Average N samples a pixel, for each light."""
+    shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("off|hard|soft", "hard")] = None
     """Cast these shadows, in pipelines other than path."""
     size: Annotated[int, arg(metavar="PX")] = 128
     """Compare images of this longer side."""

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.input.loading import BLOCKS, WITH_CAMERAS, block_folder, gltf_document, size_on_disk, toml_values
-from lumisplat.cli.options.command import Flag, LevelsCommand
+from lumisplat.cli.options.command import Flag, LevelsCommand, own_options_first
 from lumisplat.cli.output.console import byte_size, counted, print_table, progress_bars, up_name
 from lumisplat.cli.output.images import file_stems
 
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _Instance = TypeVar("_Instance", "ls.SplatInstance", "ls.MeshInstance")
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Info(LevelsCommand):
     """Show what is in captures, meshes, scenes, cameras and images."""

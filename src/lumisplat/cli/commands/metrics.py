@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 import lumisplat as ls
-from lumisplat.cli.options.command import Flag, LoadingCommand
+from lumisplat.cli.options.command import Flag, LoadingCommand, own_options_first
 from lumisplat.cli.output.comparisons import Figures, cells, digits, mean, plain
 from lumisplat.cli.output.console import Report, print_columns, progress_bars
 
@@ -34,11 +34,13 @@ METRICS = (*_IMAGE_METRICS, *_SHADOW_METRICS)
 _LIGHT_METRICS = {"paa_y": "PAA-Y", "apf_y": "APF-Y", "ncm_ab": "NCM-ab"}
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Metrics(LoadingCommand):
     """Compare images with references, or the light of captures.
 
-    What can be compared is; for the rest, a line says what is missing.
+    A log line says which metrics cannot be computed, and why.
+    Guide: docs/guide/metrics.md.
     """
 
     files: Positional[
@@ -50,9 +52,9 @@ class Metrics(LoadingCommand):
     scene: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Compare the light of an avatar with this capture."""
     before: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Show the gain over this avatar before it was relit."""
+    """Print the gain over this avatar before it was relit."""
     radius: Annotated[float | None, arg(metavar="METRES", help_behavior_hint="(default: 1.5)")] = None
-    """Compare with what is nearer than this."""
+    """Compare with Gaussians nearer than this."""
     json: Flag = False
     """Print JSON instead of a table."""
 

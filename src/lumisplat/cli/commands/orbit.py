@@ -15,7 +15,7 @@ from lumisplat.cli.farm.job import FrameJob, FrameList, make_frames
 from lumisplat.cli.input.loading import block_views, file_fingerprints, scene_file, scene_settings
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
+from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, own_options_first, setting
 from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import Report, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder, check_video
@@ -24,33 +24,35 @@ from lumisplat.cli.output.images import check_writable, refuse_standard_output
 _log = logging.getLogger("lumisplat")
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Orbit(ViewsCommand, FrameCommand):
     """Render a turntable or a camera path as frames and video.
 
-    After an interruption, the same command continues: frames that are there stay.
+    The same command continues after an interruption, and keeps existing frames.
+    Guide: docs/guide/captures.md.
     First try: lumisplat orbit garden.ply --video orbit.mp4
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures, meshes or a scene.toml, as for render."""
+    """Read captures, meshes or a scene.toml, as for render."""
     output: Annotated[
         Path | None,
-        arg(aliases=("-o",), metavar="FOLDER", help_behavior_hint="(default: named after the video, or orbit)"),
+        arg(aliases=("-o",), metavar="DIR", help_behavior_hint="(default: named after the video, or orbit)"),
     ] = None
-    """Write frames into this folder, with orbit.json."""
+    """Write frames and orbit.json into this folder."""
     video: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write a video too: .mp4 (pip install 'lumisplat[video]'), .gif, .webp or .apng."""
-    seconds: Annotated[float, arg(metavar="SECONDS")] = 6.0
-    """Take so long."""
-    fps: Annotated[float, arg(metavar="FPS")] = 25.0
+    seconds: Annotated[float, arg(metavar="SECONDS", help_behavior_hint="(default: 6)")] = 6.0
+    """Set the length of the video."""
+    fps: Annotated[float, arg(metavar="FPS", help_behavior_hint="(default: 25)")] = 25.0
     """Render so many frames a second."""
-    turns: Annotated[float, arg(metavar="TURNS")] = 1.0
+    turns: Annotated[float, arg(metavar="TURNS", help_behavior_hint="(default: 1)")] = 1.0
     """Turn so many times to the right; negative: to the left."""
-    frames: Annotated[str, setting("FRAMES", "all")] = ""
-    """Render only these, from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
+    frames: Annotated[str, setting("LIST", "all")] = ""
+    """Render these only, numbered from 0: 1-100, 1-100x2, 1,5,9, 0:48 or 48:."""
     overwrite: Flag = False
-    """Remove the frames that are there first."""
+    """Remove existing frames first."""
 
     def run(self) -> None:
         """Renders the frames that are missing, then the video."""

@@ -19,6 +19,7 @@ from lumisplat.cli.options.command import (
     SetCommand,
     changed_config,
     given_settings_of,
+    own_options_first,
     setting,
 )
 from lumisplat.cli.output.console import Report, counted, progress_bars
@@ -30,12 +31,14 @@ _GAMMA_MAX = 1000.0
 """Largest ``gamma`` of `RelightConfig`."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Relight(InsertingCommand, DeviceCommand, SetCommand):
     """Relight an avatar or object by the light of a scene.
 
-    The scene is rendered all around the place where the avatar stands; how bright it is towards each Gaussian's normal
-    is the factor of its colour. First try: lumisplat relight avatar.ply room.ply -o relit.ply
+    Scales each Gaussian's colour by the light that reaches its normal.
+    Guide: docs/guide/relight.md.
+    First try: lumisplat relight avatar.ply room.ply -o relit.ply
     """
 
     avatar: Positional[Annotated[Path, arg(metavar="AVATAR")]]
@@ -52,16 +55,14 @@ class Relight(InsertingCommand, DeviceCommand, SetCommand):
     """Gather light from a narrower cone about the normal; 1 is matt."""
     scale_max: Annotated[float | None, setting("0..1000", "4")] = None
     """Limit the factor of each colour, before --gamma."""
-    normals: Annotated[Literal["auto", "smallest-axis", "pca"] | None, setting("{auto,smallest-axis,pca}", "auto")] = (
-        None
-    )
-    """Take the file's normals, the smallest axes, or the neighbours' planes."""
+    normals: Annotated[Literal["auto", "smallest-axis", "pca"] | None, setting("NAME", "auto")] = None
+    """Take normals from the file (auto), smallest-axis, or pca of neighbours."""
     degree: Annotated[int, arg(metavar="0..8")] = 3
     """Store the light as SH of this degree."""
     near: Annotated[float, arg(metavar="UNITS")] = 0.01
     """Ignore what is nearer than this."""
     background: Annotated[str | None, setting("COLOR", "black")] = None
-    """Set the light from where the scene covers nothing."""
+    """Set the light from directions in which the scene is empty."""
     probe: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Write the light that was found as an image, .exr."""
     up: UpOption = "auto"

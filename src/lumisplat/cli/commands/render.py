@@ -22,15 +22,17 @@ from lumisplat.cli.input.loading import (
     file_fingerprints,
     scene_file,
     scene_settings,
+    warn_of_unused_cameras,
 )
 from lumisplat.cli.input.numbers import frame_numbers
 from lumisplat.cli.options.camera import parse_up
-from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, setting
+from lumisplat.cli.options.command import Flag, ViewsCommand, given_settings, own_options_first, setting
 from lumisplat.cli.options.frame import FrameCommand, frame_remarks, shared_provenance
 from lumisplat.cli.output.console import FrameProgress, Report, counted, print_stats, progress_bars
 from lumisplat.cli.output.frame_folder import FrameFolder
 from lumisplat.cli.output.frame_source import REALTIME_FRAMES, FrameSource, WarmUp
 from lumisplat.cli.output.images import (
+    FORMATS,
     STANDARD_OUTPUT,
     FrameWriter,
     Layers,
@@ -61,30 +63,35 @@ class _ImageJob:
     writer: FrameWriter
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Render(ViewsCommand, FrameCommand):
-    """Render a scene to images."""
+    """Render a scene to images.
+
+    Guide: docs/guide/captures.md, light.md, outputs.md.
+    First try: lumisplat render garden.ply -o garden.png
+    """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures, meshes, glTF and OpenUSD scenes, or a scene.toml; several make one scene."""
+    """Read captures, meshes, glTF, OpenUSD, or a scene.toml; several make one scene."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="OUT")] = Path("out")
     """Write into this folder, or one image file; - is standard output."""
     cameras: Annotated[Path | None, setting("FILE", "the scene's, else the front")] = None
-    """Render a frame for each camera of this file."""
-    frames: Annotated[str, setting("FRAMES", "all")] = ""
-    """Render only these, by name or number from 0: 1-100, 1-100x2, 1,5,9, 48:."""
-    fps: Annotated[float, arg(metavar="FPS")] = 24.0
+    """Render an image for each camera of this file."""
+    frames: Annotated[str, setting("LIST", "all")] = ""
+    """Render these only, by name or number from 0: 1-100, 1-100x2, 1,5,9, 48:."""
+    fps: Annotated[float, arg(metavar="FPS", help_behavior_hint="(default: 24)")] = 24.0
     """Render so many frames a second along a camera path."""
-    format: Literal["auto", "png", "exr", "npz"] = "auto"
-    """Write this format: auto follows the output's name, else png."""
+    format: Annotated[Literal["auto", "png", "exr", "npz"], arg(metavar="FORMAT")] = "auto"
+    """Write png, exr or npz; auto follows the output's name."""
     aov: Annotated[str, arg(metavar="LAYERS", help_behavior_hint="")] = ""
     """Write layers too, such as depth,normal,cryptomatte,deep; an unknown one lists all."""
     view: Annotated[ViewName | None, arg(metavar="VIEW", help_behavior_hint="")] = None
-    """Write one layer in colours, instead of the image: normal, depth, hits ..."""
+    """Write one layer in colours: normal, depth, hits ..."""
     resume: Flag = False
-    """Keep images that are there, of the same scene and settings."""
-    tiles: Annotated[str, arg(metavar="COLUMNSxROWS|auto|samples", help_behavior_hint="")] = ""
-    """Render images in parts: 4x4, auto, samples (blocks of 32), or 4x4,samples."""
+    """Keep existing images made by the same settings."""
+    tiles: Annotated[str, arg(metavar="GRID", help_behavior_hint="")] = ""
+    """Render in parts: 4x4, auto, samples (blocks of 32), or 4x4,samples."""
 
     def run(self) -> None:
         """Renders and writes the pictures."""
@@ -219,8 +226,17 @@ class Render(ViewsCommand, FrameCommand):
 
     def _wanted(self, shots: list[Shot]) -> list[int]:
         """The numbers of the pictures that are asked for; those that --frames names are all that there are."""
-        text = "" if self._names([shot.camera for shot in shots]) else self.frames
-        return frame_numbers("--frames", text, len(shots))
+        is_chosen = self._is_one_file or self._names([shot.camera for shot in shots])
+        return frame_numbers("--frames", "" if is_chosen else self.frames, len(shots), self._unit)
+
+    @property
+    def _is_one_file(self) -> bool:
+        """Whether ``-o`` is an image file."""
+        return self.output.suffix.lower().removeprefix(".") in FORMATS
+
+    @property
+    def _unit(self) -> str:
+        return "camera" if self.camera_path is None else "frame"
 
     def _names(self, cameras: Sequence[ls.Camera]) -> list[str]:
         """The cameras that --frames names; none: it has numbers."""
@@ -290,13 +306,18 @@ class Render(ViewsCommand, FrameCommand):
     def _cameras(self, file: Path | None) -> list[ls.Camera]:
         """The cameras that are given, those along --camera-path among them; none: one has to be made."""
         if self.camera_path is None:
+            if self.cameras is None and not self.viewpoint.is_given:
+                warn_of_unused_cameras(self.scene)
             return self.load_cameras(self.cameras, file)
         along = self.load_camera_path(self.camera_path, self.cameras).frames(self.fps)
         return [self.light.exposed(camera.scaled(self.width, self.height)) for camera in along]
 
     def _shots(self, cameras: list[ls.Camera]) -> list[Shot]:
         """The pictures of cameras."""
-        shots = plan_shots(cameras, self._names(cameras), self.output, self.format)
+        names = self._names(cameras)
+        if self._is_one_file and not names:
+            cameras = [cameras[index] for index in frame_numbers("--frames", self.frames, len(cameras), self._unit)]
+        shots = plan_shots(cameras, names, self.output, self.format)
         if self.view and shots[0].path.suffix.lower() != ".png":
             raise ls.ConfigError(f"{shots[0].path}: --view is a picture to look at, expected .png")
         if self._layers.cryptomatte and shots[0].path.suffix.lower() != ".exr":

@@ -11,7 +11,7 @@ from tyro.conf import Positional, UseAppendAction, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import scene_file
 from lumisplat.cli.input.numbers import vector
-from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, setting, without_none
+from lumisplat.cli.options.command import DeviceCommand, InsertingCommand, own_options_first, setting, without_none
 from lumisplat.cli.output.console import Report, byte_size, found_light, progress_bars, up_name
 from lumisplat.cli.output.images import STANDARD_OUTPUT, standard_output
 
@@ -21,9 +21,14 @@ if TYPE_CHECKING:
 _CAPTURES = (".ply", ".spz")
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class ShadowMap(InsertingCommand, DeviceCommand):
-    """Bake the shadows of avatars and objects into a capture."""
+    """Bake the shadows of avatars and objects into a capture.
+
+    Guide: docs/guide/shadow_maps.md.
+    First try: lumisplat shadowmap statue.obj --onto garden.ply --light 0.5,-4,2 -o shadowed.ply
+    """
 
     casters: Positional[Annotated[tuple[Path, ...], arg(metavar="CASTER...", help_behavior_hint="")]] = ()
     """Read what casts shadows: captures, meshes, or a scene.toml."""
@@ -36,17 +41,13 @@ class ShadowMap(InsertingCommand, DeviceCommand):
     sun: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
     """Set the direction in which sunlight travels, in place of --light."""
     direct: Annotated[float | None, setting("0..1", "0.7")] = None
-    """Set the share of the capture's light that shadows remove."""
+    """Set the fraction of the capture's light that shadows remove."""
     strength: Annotated[float | None, setting("FACTOR", "1")] = None
     """Multiply the casters' absorption."""
-    absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("{simple,avg,mass,diag}", "avg")] = (
-        None
-    )
-    """Choose how a Gaussian's opacity becomes absorption."""
-    sampling: Annotated[
-        Literal["center", "stencil", "monte-carlo"] | None, setting("{center,stencil,monte-carlo}", "monte-carlo")
-    ] = None
-    """Read the map at a Gaussian's centre, 7 points, or random points."""
+    absorption: Annotated[Literal["simple", "avg", "mass", "diag"] | None, setting("NAME", "avg")] = None
+    """Turn opacity into absorption by simple, avg, mass or diag."""
+    sampling: Annotated[Literal["center", "stencil", "monte-carlo"] | None, setting("NAME", "monte-carlo")] = None
+    """Read the map at a Gaussian's center, stencil (7 points), or monte-carlo points."""
     resolution: Annotated[int | None, setting("TEXELS", "2048")] = None
     """Set the texels across the map."""
 

@@ -11,7 +11,7 @@ from tyro.conf import Positional, arg
 import lumisplat as ls
 from lumisplat.cli.input.loading import holds_all_columns
 from lumisplat.cli.input.numbers import seconds_of
-from lumisplat.cli.options.command import DeviceCommand, Flag, given_settings_of, setting
+from lumisplat.cli.options.command import DeviceCommand, Flag, given_settings_of, own_options_first, setting
 from lumisplat.cli.output.comparisons import plain, write_image, write_json
 from lumisplat.cli.output.console import Report, counted, duration_text, print_columns, progress_bars
 from lumisplat.cli.output.images import file_stems, make_folder, refuse_standard_output
@@ -31,71 +31,71 @@ _TOO_LIGHT = 0.02
 """Share of what is seen, above which it is said that its albedo was clipped."""
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class Train(DeviceCommand):
     """Train a capture from images with poses.
 
-    Beside the capture, a folder of its name with .training has a checkpoint each minute, the settings, the curve, and
-    what was held out beside what the capture shows. After an interruption, the same command continues.
+    Writes FILE, and beside it a .training folder with checkpoints, settings, curve and held-out images.
+    The same command continues after an interruption.
+    Guide: docs/guide/training.md, relightable.md.
     First try: lumisplat train fox/ -o fox.ply --stop-after 10m
     """
 
     folder: Positional[Annotated[Path, arg(metavar="FOLDER")]]
     """Read images with transforms.json, transforms_train.json or a COLMAP model."""
     output: Annotated[Path, arg(aliases=("-o",), metavar="FILE")]
-    """The capture: .ply or .spz."""
+    """Write the capture, .ply or .spz."""
     iterations: Annotated[int | None, setting("N", "7000")] = None
-    """Steps, one photograph each; what half an hour buys is in docs/guide/training.md."""
+    """Take so many steps, of one image each."""
     cap: Annotated[int | None, setting("N", "100000")] = None
-    """Gaussians, at most."""
+    """Limit the number of Gaussians."""
     hold_out: Annotated[int, arg(metavar="N")] = 8
     """Hold out every N-th image for evaluation; 0 disables."""
-    scale: Annotated[float, arg(metavar="SHARE")] = 1.0
+    scale: Annotated[float, arg(metavar="0..1", help_behavior_hint="(default: 1)")] = 1.0
     """Scale the images, above 0 to 1."""
-    poses: Annotated[
-        Literal["colmap", "colmap-film"] | None, arg(metavar="{colmap,colmap-film}", help_behavior_hint="")
-    ] = None
-    """Find missing poses first; needs pip install 'lumisplat[poses]'."""
+    poses: Annotated[Literal["colmap", "colmap-film"] | None, arg(metavar="NAME", help_behavior_hint="")] = None
+    """Find missing poses by colmap or colmap-film (ordered); needs pip install 'lumisplat[poses]'."""
     background: Annotated[str, arg(metavar="COLOR")] = "black"
     """Fill the background: a name, #rrggbb, r,g,b, or random."""
-    densification: Annotated[Literal["mcmc", "adaptive"] | None, setting("{mcmc,adaptive}", "mcmc")] = None
-    """How Gaussians come and go: as samples, up to --cap, or where the loss pulls."""
-    sh_degree: Annotated[int | None, setting("0-3", "3")] = None
-    """How much colours may change with the direction of view."""
-    pipeline: Annotated[Literal["raster", "trace"] | None, setting("{raster,trace}", "raster")] = None
-    """Train by splats, or by rays, slower and exact for any lens."""
-    projection: Annotated[Literal["ewa", "unscented"] | None, setting("{ewa,unscented}", "ewa")] = None
-    """Rasterise by ellipses, or along the rays of any lens."""
+    densification: Annotated[Literal["mcmc", "adaptive"] | None, setting("NAME", "mcmc")] = None
+    """Add Gaussians by mcmc, up to --cap, or adaptive, by gradient."""
+    sh_degree: Annotated[int | None, setting("0..3", "3")] = None
+    """Set the SH degree of view-dependent colour."""
+    pipeline: Annotated[Literal["raster", "trace"] | None, setting("raster|trace", "raster")] = None
+    """Train by raster, or by trace: slower, and exact for any lens."""
+    projection: Annotated[Literal["ewa", "unscented"] | None, setting("NAME", "ewa")] = None
+    """Rasterise as ellipses (ewa), or along the rays of any lens (unscented)."""
     kernel_degree: Annotated[int | None, setting("0..5", "2")] = None
     """Train Gaussians of this kernel; others than 2 need --pipeline trace."""
     antialiased: Flag = False
     """Compensate opacities for the width of pixels (Mip-Splatting)."""
     exposures: Flag = False
-    """Learn how each photograph was exposed, too: for cameras that chose by themselves."""
+    """Optimise an exposure for each image."""
     refine_poses: Flag = False
-    """Learn the poses, too: for those that are a little off."""
+    """Optimise the poses, too."""
     relightable: Flag = False
     """Find albedo, roughness, normals and the environment after training."""
     material_steps: Annotated[int | None, setting("N", "300")] = None
-    """Steps of --relightable that refine materials by a photograph each."""
+    """Refine the materials of --relightable by so many steps."""
     flatness: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """For relighting: how much it counts that Gaussians are flat; try 0.3."""
+    """Weight flat Gaussians, for relighting; try 0.3."""
     normals: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
     """Weight normals, so that Gaussians lie on surfaces; try 0.05."""
     depth_spread: Annotated[float | None, arg(metavar="WEIGHT", help_behavior_hint="")] = None
-    """For relighting: how much it counts that surfaces are thin; try 0.3."""
+    """Weight thin surfaces, for relighting; try 0.3."""
     prune_below: Annotated[float | None, setting("WEIGHT", "0.01")] = None
     """Remove Gaussians of less weight in every pixel at the end."""
     seed: Annotated[int | None, setting("N", "0")] = None
-    """Of everything that is random: the same seed gives the same capture."""
+    """Draw other random numbers; one seed gives one result."""
     stop_after: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="")] = None
-    """End after such a time, as 90s, 10m or 1.5h; the same command then continues."""
+    """Stop after this time: 90s, 10m or 1.5h; the same command continues."""
     preview: Annotated[int | None, arg(metavar="N", help_behavior_hint="")] = None
-    """Write a picture of the first view that is held out every so many steps."""
+    """Write an image of the first held-out view every N steps."""
     allow_outside: Flag = False
-    """Let a transforms.json that you trust name photographs outside of its own folder."""
+    """Let a transforms.json name images outside of its folder."""
     overwrite: Flag = False
-    """Begin anew, and remove what an earlier training has left."""
+    """Begin anew, and remove an earlier training."""
 
     def run(self) -> None:
         """Trains, and writes the capture."""
@@ -243,9 +243,9 @@ class Train(DeviceCommand):
         steps = f"{result.iterations:,} of {self._config().iterations:,} steps"
         print(f"{self.output}: {counted(result.gaussians.count, 'Gaussian')}, {steps}, {duration_text(result.seconds)}")
         if result.pruned:
-            limit = f"a weight of {self._config().prune_below:g} in any image"
             print(
-                f"{counted(result.pruned, 'Gaussian')} that never reach {limit} pruned: nothing to do (--prune-below)"
+                f"pruned {counted(result.pruned, 'Gaussian')} whose blending weight is below "
+                f"{self._config().prune_below:g} in every image (--prune-below)"
             )
         if not result.is_finished:
             print(f"{self._again} continues the training")

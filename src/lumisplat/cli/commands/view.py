@@ -12,42 +12,51 @@ from tyro.conf import Positional, arg
 
 import lumisplat as ls
 from lumisplat.cli.options.camera import UpOption, parse_up
-from lumisplat.cli.options.command import DeviceCommand, Flag, InsertingCommand, LevelsCommand, SamplesCommand
+from lumisplat.cli.options.command import (
+    DeviceCommand,
+    Flag,
+    InsertingCommand,
+    LevelsCommand,
+    SamplesCommand,
+    own_options_first,
+)
 from lumisplat.cli.options.frame import LightGroup, LightOptions
 
 _PORT = 8080
 
 
+@own_options_first
 @dataclass(frozen=True, kw_only=True)
 class View(LevelsCommand, InsertingCommand, DeviceCommand, SamplesCommand):
     """Look at a scene in a browser, edit it and light it.
 
-    Prints one line, the address of the page, and serves it until it is interrupted. Drag to turn, scroll to come
-    nearer, WASD to fly; click a thing to select it.
+    Prints the address of the page, and serves it until interrupted.
+    Guide: docs/guide/viewer.md.
     """
 
     scene: Positional[Annotated[tuple[Path, ...], arg(metavar="SCENE...", help_behavior_hint="")]] = ()
-    """Captures, meshes, glTF and OpenUSD scenes, or a scene.toml; several make one scene."""
+    """Read captures, meshes, glTF, OpenUSD, or a scene.toml; several make one scene."""
     port: Annotated[int, arg(metavar="N")] = _PORT
     """Listen on this port; 0: a free one."""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """Listen on this address; others than 127.0.0.1 let other machines in."""
     no_browser: Flag = False
-    """Print the address, and open no browser."""
+    """Print the address without opening a browser."""
     height: Annotated[int, arg(metavar="PX")] = 720
     """Render so many rows at rest; fewer while the view moves."""
-    budget: Annotated[float, arg(metavar="MS")] = 40.0
-    """Take at most so long for a frame while the view moves."""
+    budget: Annotated[float, arg(metavar="MS", help_behavior_hint="(default: 40)")] = 40.0
+    """Limit the time of a frame while the view moves."""
     up: UpOption = "auto"
-    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
+    """Set the up direction: y-up, y-down, z-up ..., or a vector."""
     light: LightGroup = field(default_factory=LightOptions)
-    """At first; the page can change them."""
+    """Start with these; the page can change them."""
 
     def run(self) -> None:
         """Serves the page until it is interrupted."""
         if not self.scene:
             raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
         self.check_levels(self.scene)
+        self._config(ls.RenderConfig())  # mistakes of --set are found before the page opens
         levels = self.levels
         self.quiet_warp()
         viewer = ls.view(

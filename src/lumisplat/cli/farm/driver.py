@@ -56,9 +56,9 @@ class FarmOptions:
     frame_timeout: Annotated[str | None, arg(metavar="TIME", help_behavior_hint="(default: as long as it takes)")] = (
         None
     )
-    """End a worker that is at a frame for longer: 90s, 10m, 1.5h."""
+    """End a worker that takes longer for a frame: 90s, 10m, 1.5h."""
     address: Annotated[str, arg(metavar="local|auto|ray://HOST:PORT")] = "local"
-    """Run on Ray here, on this machine's cluster, or on one elsewhere."""
+    """Run on Ray started here (local), here already (auto), or ray://HOST:PORT."""
 
 
 FarmGroup = Annotated[FarmOptions, arg(name="farm"), OmitArgPrefixes]

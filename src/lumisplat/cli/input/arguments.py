@@ -8,12 +8,10 @@ parser refuses becomes one line.
 from __future__ import annotations
 
 import contextlib
-import difflib
 import io
 import logging
-import os
 import re
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import Enum
@@ -29,80 +27,6 @@ if TYPE_CHECKING:
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*(?:e[-+]?\d+)?|\.\d+(?:e[-+]?\d+)?|nan|inf)"
 _TYPED_NUMBERS = re.compile(rf"{_NUMBER}(?:,{_NUMBER})*,?", re.IGNORECASE)
-
-_SETTINGS = {
-    "--acceptance-scale": ("trace.acceptance_scale",),
-    "--adaptive": ("adaptive",),
-    "--antialiasing": ("raster.antialiasing", "trace.antialiasing"),
-    "--crease-angle": ("meshes.crease_angle_degrees",),
-    "--depth-iso": ("raster.depth_iso_transmittance", "trace.depth_iso_transmittance"),
-    "--direct": ("animation.lighting.direct",),
-    "--gamma": ("animation.lighting.transfer.gamma",),
-    "--glossy-reflections": ("glossy_reflections=true",),
-    "--hit-distance": ("trace.hit_distance", "shadow_rays.hit_distance"),
-    "--hits-per-pass": ("trace.hits_per_pass",),
-    "--kernel-degree": ("response.kernel_degree",),
-    "--max-bounces": ("max_bounces",),
-    "--min-response": ("response.min_response",),
-    "--no-adaptive-clamping": ("response.adaptive_clamping=false",),
-    "--no-glossy-reflections": ("glossy_reflections=false",),
-    "--no-jitter": ("jitter=false",),
-    "--no-relight": ("animation.lighting.relight=false",),
-    "--no-shadows": ("animation.lighting.shadows=false",),
-    "--no-sun-on-actors": ("animation.lighting.sun_on_actors=false",),
-    "--noise": ("noise",),
-    "--normals": ("trace.normal_method",),
-    "--primary": ("path.primary",),
-    "--projection": ("raster.projection",),
-    "--quality": ("realtime.quality",),
-    "--raster-strategy": ("raster.strategy",),
-    "--seed": ("seed",),
-    "--sh-degree": ("raster.sh_degree", "trace.sh_degree"),
-    "--shadow-color": ("shadow_rays.color_strength",),
-    "--shadow-hits": ("shadow_rays.hits",),
-    "--shadow-method": ("shadow_rays.method",),
-    "--shadow-offset": ("shadow_rays.offset",),
-    "--shadow-offset-absolute": ("shadow_rays.offset_absolute",),
-    "--shadow-threshold": ("shadow_rays.transmittance_threshold",),
-    "--strategy": ("trace.strategy",),
-    "--time": ("time_limit",),
-    "--transmittance-min": ("raster.transmittance_min", "trace.transmittance_min", "shadow_rays.transmittance_min"),
-}
-"""Option -> the settings that it gave."""
-
-_OPTIONS = {
-    "--cryptomatte": "--aov cryptomatte",
-    "--deep": "--aov deep",
-    "--frame": "--frames {}",
-    "--lod-budget": "--lod budget={}",
-    "--lod-pixels": "--lod pixels={}",
-    "--path": "--camera-path {}",
-    "--split-samples": "--tiles samples",
-    "--warm-up": "--samples {}",
-}
-"""Option -> what is typed in its place."""
-
-
-def moved_option(args: Sequence[str], options: Iterable[str]) -> str | None:
-    """Returns the line about the first option that has another name, or is a setting here; None: there is none.
-
-    Args:
-        args: What follows the name of a command.
-        options: The options that the command has.
-    """
-    known = {*options}
-    for index, typed in enumerate(args):
-        option, _, value = typed.replace("_", "-").partition("=")
-        given = typed.partition("=")[2] if value else "".join(args[index + 1 : index + 2])
-        value = "VALUE" if not given or given.startswith("--") else given
-        if option in known:
-            continue
-        if (settings := (_SETTINGS | _RENDER_OPTIONS).get(option)) and "--set" in known:
-            texts = (name if "=" in name else f"{name}={value}" for name in settings)
-            return f"{option} is a setting: {' '.join(f'--set {text}' for text in texts)}"
-        if option in _OPTIONS and _OPTIONS[option].split()[0] in known:
-            return f"{option} is now {_OPTIONS[option].format(value)}"
-    return None
 
 
 def joined_numbers(args: Sequence[str]) -> list[str]:
@@ -190,26 +114,30 @@ _OPTION_OF_ENUM = {"NormalEstimate": "--normals", "Absorption": "--absorption", 
 """Enum -> the option of a command that takes its values."""
 _SETTINGS_WITH_OPTION = ("pipeline", "samples", "background", "lighting", "shadows", "tone_map", "capture_gain", "aovs")
 """Settings that have an option of their own."""
-_RENDER_OPTIONS = {f"--{name.replace('_', '-')}": (name,) for name in _SETTINGS_WITH_OPTION if name not in _OPTION_OF}
-"""The options of commands that render frames, which others give by --set."""
 
 _MEMBER = re.compile(r"\b([A-Z]\w+)\.([A-Z][A-Z_]*)\b")
 _FIELD = re.compile(r"\b([A-Z]\w*Config)\.((?:\w+\.)*[a-z]\w*)\b(?:=(True|False)\b)?")
-_FIRST = re.compile(r"(?:camera )?(\w+)(?= is )")
 
 
-def shell_words(message: str, command: Command) -> str:
+_NAMED = re.compile(r"(?:camera )?(\w+) is ")
+"""Beginning of a message about a refused value."""
+
+
+def shell_words(message: str, command: Command, setting: str | None = None) -> str:
     """Returns a message of the library as the user of a command understands it.
 
     Args:
         message: One line.
-        command: What is run: a message that begins with the name of a setting is about an option that was given.
+        command: The command that runs.
+        setting: `lumisplat.LumisplatError.setting`, whose name at the start of the message becomes its option if that
+            option was given. None: the first word of a message about a refused value.
     """
-    begins = _FIRST.match(message)
-    if begins:
-        option = _OPTION_OF.get(begins[1], f"--{begins[1].replace('_', '-')}")
+    if setting is None and (found := _NAMED.match(message)):
+        setting = found[1]
+    if setting is not None:
+        option = _OPTION_OF.get(setting, f"--{setting.replace('_', '-')}")
         if option in _given(command):
-            message = option + message[begins.end() :]
+            message = re.sub(rf"^(?:camera )?{re.escape(setting)}(?= is )", option, message)
     return _FIELD.sub(_field, _MEMBER.sub(_member, message))
 
 
@@ -287,22 +215,28 @@ def _given(options: Any) -> Iterator[str]:
 
 _STYLES = re.compile(r"\x1b\[[0-9;]*m")
 
-
 _NO_NUMBER = re.compile(
     r"Error parsing (?P<option>--[\w-]+): (?:no type matching (?P<kind>INT|FLOAT)(?:\|\{(?P<word>\w+)\})? could be "
     r"instantiated from \['(?P<value>.*)'\]\.|could not convert string to float: '(?P<float>.*)'|"
     r"invalid literal for int\(\) with base 10: '(?P<int>.*)')"
 )
-"""What tyro says of a value that is no number, perhaps where a word would do, too."""
+"""Message of tyro about a value that is no number; ``word`` is a word that the option takes, too."""
+_NO_CHOICE = re.compile(r"invalid choice '(.*)' for argument '(.*?)'\. Expected one of \((.*)\)\.")
+_NO_VALUE = re.compile(r"Missing value for argument '(.*?)'\..*")
+_UNRECOGNIZED = re.compile(r"Unrecognized (?:or misplaced )?options: ([^\s,]+).*")
+_MISSING = re.compile(r"(?:-\w \S+, )?(--[\w-]+ \S+)|([\w.|\[\]]+)")
 
 
 class ArgumentsError(Exception):
-    """The arguments do not parse; the message is one line."""
+    """Raised for arguments that do not parse; the message is one line."""
 
 
 @contextlib.contextmanager
-def panels_as_errors() -> Generator[None]:
+def panels_as_errors(program: str) -> Generator[None]:
     """Turns the panel that tyro prints before it exits into an exception.
+
+    Args:
+        program: The command whose help the message names, such as ``lumisplat render``.
 
     Raises:
         ArgumentsError: tyro has refused the arguments.
@@ -313,48 +247,57 @@ def panels_as_errors() -> Generator[None]:
             yield
     except SystemExit as stop:
         if stop.code:
-            raise ArgumentsError(one_line(panel.getvalue())) from None
+            raise ArgumentsError(one_line(panel.getvalue(), program)) from None
         raise
 
 
-def unknown_command(name: str, commands: Iterable[str], program: str) -> str:
-    """Returns the line about a first argument that is no command: the one that is meant, or what shows a file."""
-    if os.path.exists(name) or os.path.splitext(name)[1]:
-        return f"'{name}' is no command: {program} render {name} renders it (see {program} --help)"
-    near = difflib.get_close_matches(name, commands, 1, 0.7)
-    meant = f"; perhaps you meant {near[0]}" if near else ""
-    return f"'{name}' is no command{meant} (see {program} --help)"
+def one_line(panel: str, program: str) -> str:
+    """Returns the first paragraph of a panel of tyro as one line, and the command that prints the help.
 
-
-def one_line(panel: str) -> str:
-    """A panel's first paragraph, the option that it suggests, and the command that prints the help.
-
-    A panel without such a paragraph comes back whole, its lines joined.
+    Args:
+        panel: What tyro has printed; a panel without a paragraph is returned whole, its lines joined.
+        program: As of `panels_as_errors`.
     """
     rows = [row.strip(" │") for row in _STYLES.sub("", panel).splitlines()[1:]]
     message = " ".join(takewhile(lambda row: row and not _is_rule(row), dropwhile(_is_rule, rows)))
-    message = re.sub(r"one of \((.*)\)", _choices, message).replace("{None}|", "")
-    message = _NO_NUMBER.sub(_no_number, message)
-    text = " ".join(rows)
-    suggested = re.search(r"Perhaps you meant: +(--[\w-]+)", text)
-    if suggested and f"{suggested[1]} " not in message:  # else an option of other commands alone
-        message += f"; perhaps you meant {suggested[1]}"
-    helping = re.search(r"lumisplat[\w ]* --help$", text.rstrip("╰─╯ "))
-    return f"{message} (see {helping[0]})" if message and helping else message or " ".join(panel.split())
+    message = message or " ".join(panel.split())
+    if message.startswith("Missing from"):
+        message = f"{program} needs {_missing(message)}"
+    else:
+        message = _NO_CHOICE.sub(_no_choice, message)
+        message = _NO_VALUE.sub(r"\1 needs a value", message)
+        message = _NO_NUMBER.sub(_no_number, message.replace("{None}|", ""))
+        message = _UNRECOGNIZED.sub(lambda found: _unrecognized(found[1], program), message)
+    return f"{message} (see {program} --help)"
+
+
+def _unrecognized(argument: str, program: str) -> str:
+    if argument.startswith("-"):
+        return f"{argument} is no option of {program}"
+    return f"'{argument}' is one argument more than {program} takes"
+
+
+def _missing(message: str) -> str:
+    """Returns the required arguments that a message of tyro lists with their help: ``FOLDER and -o FILE``."""
+    texts = [text.strip() for text in message.partition(": ")[2].split("(required)")]
+    found = [match for text in texts if (match := _MISSING.match(text))]
+    return " and ".join((match[1] or match[2]).replace("--output ", "-o ") for match in found)
 
 
 def _no_number(found: re.Match[str]) -> str:
-    """A value that is no number, as other wrong values are named."""
+    """Returns the message about a value that is no number, in the form of other refused values."""
     value = next(text for text in (found["value"], found["float"], found["int"]) if text is not None)
     is_whole = found["kind"] == "INT" or found["int"] is not None
     word = f" or {found['word']}" if found["word"] else ""
     return f"{found['option']} is '{value}', expected a {'whole ' if is_whole else ''}number{word}"
 
 
-def _choices(listed: re.Match[str]) -> str:
-    """The choices of an option, sorted as tyro does not keep an order, and without the None of an absent option."""
-    choices = [choice for choice in re.findall(r"'([^']*)'", listed[1]) if choice != "None"]
-    return f"one of {', '.join(sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice)))}"
+def _no_choice(found: re.Match[str]) -> str:
+    """Returns the message about a value that is no choice; choices are sorted, as tyro does not keep their order."""
+    choices = {choice for choice in re.findall(r"'([^']*)'", found[3]) if choice != "None"}
+    *others, last = sorted(choices, key=lambda choice: (len(choice) * choice.isdigit(), choice))
+    name = found[2] if found[2].startswith("-") else "the argument"
+    return f"{name} is '{found[1]}', expected {', '.join(others)} or {last}"
 
 
 def _is_rule(row: str) -> bool:

@@ -20,6 +20,8 @@ from urllib.parse import unquote
 
 import lumisplat as ls
 
+_log = logging.getLogger("lumisplat")
+
 USD = (".usd", ".usda", ".usdc", ".usdz")
 """Extensions of OpenUSD."""
 WITH_CAMERAS = (".toml", ".glb", ".gltf", *USD)
@@ -55,7 +57,9 @@ def load_scene(
     if not paths:
         raise ls.ConfigError("no scene given: name a capture, a mesh or a scene.toml")
     around = around or ls.Scene()
-    scenes = {path: as_scene(load(path)) for path in paths}
+    # Scene files come first, as mistakes in them are found before other files are loaded, which may take minutes.
+    loaded = {path: as_scene(load(path)) for path in sorted(paths, key=lambda path: path.suffix.lower() != ".toml")}
+    scenes = {path: loaded[path] for path in paths}
     inserted = [path for path in scenes if path.suffix.lower() != ".toml" and not scenes[path].splats]
     if keep_coordinates or not any(scene.splats for scene in (around, *scenes.values())):
         inserted = []
@@ -119,6 +123,21 @@ def camera_file(paths: Sequence[Path]) -> Path | None:
     return paths[0] if is_scene else scene_file(paths)
 
 
+def warn_of_unused_cameras(paths: Sequence[Path]) -> None:
+    """Logs a line about glTF and OpenUSD files whose cameras are not used, as they are not the only file."""
+    if len(paths) < 2:
+        return
+    having: list[str] = []
+    for path in paths:
+        if path.suffix.lower() in _SCENES:
+            with suppress(ls.LumisplatError):  # loading the scene reports what is wrong with the file
+                having += [str(path)] * bool(ls.load_cameras(path))
+    if having:
+        _log.warning(
+            "the cameras of %s are not used beside other files: --cameras %s uses them", " and ".join(having), having[0]
+        )
+
+
 def scene_settings(file: Path | None) -> ls.RenderConfig:
     """The settings of a ``scene.toml``; None: the library's defaults.
 
@@ -140,9 +159,6 @@ def block_folder(path: Path) -> Path | None:
     if path.name == BLOCKS:
         return path.parent
     return path if os.path.isfile(path / BLOCKS) else None
-
-
-_log = logging.getLogger("lumisplat")
 
 
 @dataclass

@@ -54,13 +54,14 @@ def vector(option: str, text: str, example: str = "0,-2.5,1") -> tuple[float, fl
     return x, y, z
 
 
-def frame_numbers(option: str, text: str, count: int) -> list[int]:
+def frame_numbers(option: str, text: str, count: int, unit: str = "frame") -> list[int]:
     """The frames of ``1-100``, ``1-100x2``, ``1,5,9`` or ``A:B``, in order, each once; of an empty text all.
 
     Args:
         option: As it is typed, for messages.
         text: What was given; parts have commas or spaces between.
-        count: Number of frames of the animation.
+        count: Number of frames that there are.
+        unit: What one of them is called, for messages.
 
     Raises:
         ConfigError: A part is none of these, or names a frame that the animation does not have.
@@ -75,9 +76,8 @@ def frame_numbers(option: str, text: str, count: int) -> list[int]:
                 f"{option} is '{text}', expected frames such as 1-100, 1-100x2, 1,5,9, 0:48, 48: or :10"
             )
         if not frames or frames[-1] >= count:
-            raise ls.ConfigError(
-                f"{option} is '{text}', of an animation of {count} frames, 0-{count - 1}: '{part}' is not among them"
-            )
+            there = f"there are {count} {unit}s, 0-{count - 1}" if count > 1 else f"there is one {unit}, number 0"
+            raise ls.ConfigError(f"{option} is '{text}', and '{part}' is out of range: {there}")
         chosen.update(frames)
     return sorted(chosen)
 

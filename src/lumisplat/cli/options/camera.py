@@ -28,19 +28,19 @@ class ViewpointOptions:
     """Arguments of `lumisplat.Camera.look_at` and `lumisplat.frame_camera`."""
 
     eye: Annotated[str | None, arg(metavar="X,Y,Z", help_behavior_hint="")] = None
-    """Look from this point, in place of the cameras of files."""
-    target: Annotated[str | None, setting("X,Y,Z", "what the first view sees, or the middle")] = None
+    """Look from this point."""
+    target: Annotated[str | None, setting("X,Y,Z", "the first view's, or the middle")] = None
     """Look at this point."""
-    azimuth: Annotated[float | None, setting("DEGREES", "0")] = None
+    azimuth: Annotated[float | None, setting("DEG", "0")] = None
     """Look from this side: 0 front or first view, 90 right, 180 back."""
-    elevation: Annotated[float | None, setting("DEGREES", "first view's or 11.5")] = None
+    elevation: Annotated[float | None, setting("DEG", "the first view's, or 11.5")] = None
     """Look from this angle above the horizon, -90 to 90."""
-    distance: Annotated[float | None, setting("UNITS", "first view's or all is seen")] = None
-    """Look from this distance to the target, in scene units."""
-    fov: Annotated[float | None, setting("DEGREES", "first view's or 45.8")] = None
+    distance: Annotated[float | None, setting("UNITS", "the first view's, or to fit")] = None
+    """Look from this distance to the target."""
+    fov: Annotated[float | None, setting("DEG", "the first view's, or 45.8")] = None
     """Set the vertical field of view, 0 to 180."""
     up: UpOption = "auto"
-    """Set the up direction: y-down, y-up, z-up and so on, or a vector."""
+    """Set the up direction: y-up, y-down, z-up ..., or a vector."""
 
     @property
     def is_given(self) -> bool:
@@ -154,10 +154,10 @@ ViewpointGroup = Annotated[ViewpointOptions, arg(name="camera"), OmitArgPrefixes
 class CameraOptions(ViewpointOptions):
     """A viewpoint, with the aperture of `lumisplat.Camera` and the pixel of `lumisplat.rays.focused`."""
 
-    aperture: Annotated[float | None, setting("UNITS", "the camera's or 0")] = None
-    """Set the radius of the lens: what is not in focus is blurred."""
-    focus: Annotated[str | None, setting("X,Y", "on the target")] = None
-    """Focus on what this pixel shows, counted from the upper left, 0,0."""
+    aperture: Annotated[float | None, setting("UNITS", "the camera's, or 0")] = None
+    """Set the lens radius; what is out of focus blurs."""
+    focus: Annotated[str | None, setting("X,Y", "the target")] = None
+    """Focus on what this pixel shows; 0,0 is the upper left."""
 
     def pixel(self) -> tuple[int, int] | None:
         """The pixel of --focus; None: none was given.

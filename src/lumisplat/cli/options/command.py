@@ -5,6 +5,7 @@ Settings of a frame are ``--pipeline``, ``--samples``, and ``--set`` for all oth
 
 from __future__ import annotations
 
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -26,6 +27,21 @@ Flag = Annotated[bool, arg(help_behavior_hint="")]
 """An option without a value, off unless given."""
 
 
+_Command = TypeVar("_Command", bound=type[Any])
+
+
+def own_options_first(command: _Command) -> _Command:
+    """Puts the options that a command itself declares before inherited ones in its help, and ``--debug`` last.
+
+    Fields are keyword-only, so that their order has no other effect.
+    """
+    declared: dict[str, Any] = command.__dataclass_fields__
+    own = [name for name in inspect.get_annotations(command) if name in declared]
+    others = [name for name in declared if name not in (*own, "debug")]
+    command.__dataclass_fields__ = {name: declared[name] for name in (*own, *others, "debug")}
+    return command
+
+
 @dataclass(frozen=True, kw_only=True)
 class Command(ABC):
     """Options of every command."""
@@ -43,7 +59,7 @@ class DeviceCommand(Command):
     """Options of the commands that compute."""
 
     device: Annotated[str, arg(metavar="auto|cpu|cuda:N")] = "auto"
-    """Compute on this device; auto takes a CUDA GPU if there is one."""
+    """Compute on this device; auto prefers a CUDA GPU."""
 
     def start_renderer(
         self, report: Report, config: ls.RenderConfig | None = None, profile: bool = False
@@ -69,7 +85,7 @@ class LoadingCommand(Command):
     drop_invalid: Flag = False
     """Leave out Gaussians with NaN or infinite values."""
     allow_outside: Flag = False
-    """Let files name buffers, materials and textures outside of their folders."""
+    """Let files name other files outside their folders."""
 
     @property
     def crease_radians(self) -> float | None:
@@ -151,7 +167,7 @@ class InsertingCommand(LoadingCommand):
     """Options of the commands that put meshes into captures."""
 
     keep_coordinates: Flag = False
-    """Keep meshes where their files have them, not on a capture's ground."""
+    """Keep meshes at their files' coordinates, not on a capture's ground."""
 
     @property
     def keeps_coordinates(self) -> bool:
@@ -163,8 +179,8 @@ class InsertingCommand(LoadingCommand):
 class LevelsCommand(LoadingCommand):
     """Options of the commands that load captures in levels of detail."""
 
-    lod: Annotated[str | None, arg(metavar="N|budget=COUNT", help_behavior_hint="(default: 0, the finest)")] = None
-    """Load this level of detail, or the finest of at most COUNT Gaussians."""
+    lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
+    """Load level of detail N, or the finest of budget=COUNT Gaussians."""
 
     @property
     def levels(self) -> dict[str, int | None]:
@@ -236,10 +252,8 @@ class LevelsCommand(LoadingCommand):
 class ViewsCommand(LevelsCommand, InsertingCommand):
     """Options of the commands that show captures in blocks view by view."""
 
-    lod: Annotated[
-        str | None, arg(metavar="N|budget=COUNT|pixels=PX", help_behavior_hint="(default: 0, the finest)")
-    ] = None
-    """Load a level of detail, by its Gaussians, or by their size on screen."""
+    lod: Annotated[str | None, arg(metavar="LEVEL", help_behavior_hint="(default: 0, the finest)")] = None
+    """Load level N, of budget=COUNT Gaussians, or of pixels=PX on screen."""
 
     @property
     def lod_pixels(self) -> float | None:
@@ -291,7 +305,7 @@ class SetCommand(Command):
     """The option of the commands that render."""
 
     changes: Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="NAME=VALUE")] = ()
-    """Change any setting of a scene file, such as trace.hits_per_pass=8."""
+    """Change any setting of docs/settings.md, such as trace.hits_per_pass=8."""
 
     def set_values(self, prefix: str = "") -> dict[str, str]:
         """Returns the values that --set gives, by name.
@@ -337,8 +351,8 @@ class SetCommand(Command):
 class PipelineCommand(SetCommand):
     """Options of the commands that choose a pipeline."""
 
-    pipeline: Annotated[PipelineName | None, setting("raster|trace|hybrid|path|realtime", "raster")] = None
-    """Choose how surfaces are found and how light is carried."""
+    pipeline: Annotated[PipelineName | None, setting("NAME", "raster")] = None
+    """Render by raster, trace, hybrid, path or realtime."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
         """Returns the settings of a scene file, with those that were given in their place; --set has the last word.
@@ -359,7 +373,7 @@ class SamplesCommand(PipelineCommand):
     """Options of the commands that choose a number of samples."""
 
     samples: Annotated[int | Literal["auto"] | None, setting("N", "auto")] = None
-    """Average so many samples a pixel; in real time, frames before each image."""
+    """Average N samples a pixel; with realtime, render N frames before each image."""
 
     def pipeline_config(self, base: ls.RenderConfig, *changes: Changes) -> ls.RenderConfig:
         """Returns the settings, as `PipelineCommand.pipeline_config`."""

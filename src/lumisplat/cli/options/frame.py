@@ -40,12 +40,12 @@ _LIGHTING = {"auto": None, "on": True, "off": False}
 class LightOptions:
     """Settings of light of `lumisplat.RenderConfig`."""
 
-    lighting: Annotated[Literal["auto", "on", "off"] | None, setting("{auto,on,off}", "auto")] = None
-    """Light the scene: auto if it has lights or is of meshes alone."""
-    shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("{off,hard,soft}", "hard")] = None
-    """Cast shadows; soft ones need samples."""
-    tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("{none,neutral,agx}", "none")] = None
-    """Map lit colours to the display: clipped, true or filmic."""
+    lighting: Annotated[Literal["auto", "on", "off"] | None, setting("auto|on|off", "auto")] = None
+    """Light the scene; auto: if it has lights or only meshes."""
+    shadows: Annotated[Literal["off", "hard", "soft"] | None, setting("off|hard|soft", "hard")] = None
+    """Cast shadows; soft ones need several samples."""
+    tone_map: Annotated[Literal["none", "neutral", "agx"] | None, setting("NAME", "none")] = None
+    """Map lit colours by none (clip), neutral (true hues) or agx (filmic)."""
 
     def changes(self) -> Changes:
         """The settings that were given."""
@@ -63,14 +63,14 @@ class EnvironmentOptions(LightOptions):
 
     environment: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
     """Light the scene by a latitude-longitude image, .hdr or .exr."""
-    environment_rotation: Annotated[float | None, setting("DEGREES", "0")] = None
-    """Turn the environment about the vertical, counter-clockwise from above."""
-    exposure: Annotated[float | None, setting("STOPS", "the camera's or 0")] = None
-    """Expose lit images: 1 is twice as bright, -1 half."""
-    capture_gain: Annotated[float | Literal["auto"] | None, setting("STOPS|auto", "0")] = None
-    """Brighten the light of captures on what is added to them."""
+    environment_rotation: Annotated[float | None, setting("N", "0")] = None
+    """Rotate the environment by N degrees about the vertical, counter-clockwise from above."""
+    exposure: Annotated[float | None, setting("STOPS", "the camera's, or 0")] = None
+    """Brighten lit images by so many stops."""
+    capture_gain: Annotated[float | Literal["auto"] | None, setting("N|auto", "0")] = None
+    """Brighten captured light on added objects by N stops."""
     denoise: Flag = False
-    """Remove the noise of lit frames; needs pip install 'lumisplat[denoise]'."""
+    """Denoise lit frames; needs pip install 'lumisplat[denoise]'."""
 
     def changes(self) -> Changes:
         """The settings that were given."""
@@ -150,7 +150,7 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     """Options of the commands that render frames."""
 
     camera_path: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
-    """Move the camera through the cameras of this file, one second each."""
+    """Move the camera along the cameras of this file, one second each."""
     width: Annotated[int | None, setting("PX", "the camera's")] = None
     """Set the image width; alone, it keeps the aspect ratio."""
     height: Annotated[int | None, setting("PX", "the camera's")] = None
@@ -160,9 +160,9 @@ class FrameCommand(LoadingCommand, DeviceCommand, SamplesCommand):
     stats: Flag = False
     """Print times, counts and memory of the last frame."""
     viewpoint: CameraGroup = field(default_factory=CameraOptions)
-    """A camera of your own: lumisplat render garden.ply --azimuth 30 --elevation 20"""
+    """Replace the cameras of files (docs/guide/captures.md)."""
     light: EnvironmentGroup = field(default_factory=EnvironmentOptions)
-    """Beside the lights of files: lumisplat render scene.toml --environment sky.hdr --shadows soft"""
+    """Add to the lights of files (docs/guide/light.md)."""
 
     @property
     def crease_radians(self) -> float | None:

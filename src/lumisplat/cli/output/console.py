@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 LINE_EVERY_S = 60.0
 """Between two lines where there is no terminal, seconds."""
 
+_NARROW = 100
+"""Terminals of fewer columns have short bars, so that most descriptions fit beside them."""
+_BAR_NARROW, _BAR_WIDE = 10, 40
+
 Report = Callable[[str, float], None]
 """Called with what is being done and the fraction done, 0..1."""
 
@@ -31,11 +35,20 @@ def progress_bars() -> Generator[Report]:
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
 
     console = Console(stderr=True)
-    named, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
-    columns = (named, BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), left)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+    is_narrow, is_hidden = console.width < _NARROW, not console.is_terminal
+    # The description alone is shortened: percentage and times stay readable on a narrow terminal.
+    shortened, whole = Column(ratio=1, no_wrap=True, overflow="ellipsis"), Column(no_wrap=True)
+    columns = (
+        TextColumn("{task.description}", markup=False, table_column=shortened),
+        BarColumn(_BAR_NARROW if is_narrow else _BAR_WIDE),
+        TaskProgressColumn(table_column=whole),
+        TimeElapsedColumn(table_column=whole),
+        TextColumn("{task.fields[left]}", table_column=whole),
+    )
+    with Progress(*columns, console=console, transient=True, disable=is_hidden, expand=is_narrow) as bars:
         tasks: dict[str, tuple[TaskID, float, float]] = {}
         """With when they were reported first, and the fraction that was done by then."""
 

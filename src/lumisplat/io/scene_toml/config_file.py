@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import difflib
 import tomllib
+from collections.abc import Sequence
 from dataclasses import replace
 from enum import Enum
 from pathlib import Path
@@ -90,10 +91,10 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
     known = [*all_settings(type(base))]
     *groups, key = name.split(".")
     if name not in known:
-        similar = [other for other in known if other.rpartition(".")[2] == key]
-        similar = similar or difflib.get_close_matches(name, known, 1)
-        hint = f", did you mean {' or '.join(similar)}?" if similar else ""
-        raise ConfigError(f"there is no setting '{name}'{hint}")
+        if inside := [other for other in known if other.startswith(f"{name}.")]:
+            listed = ", ".join(inside[:3])
+            raise ConfigError(f"'{name}' is a group of settings, such as {listed}: docs/settings.md lists all")
+        raise ConfigError(f"there is no setting '{name}'{_hint(name, known)}")
     values = {key: value}
     for group in reversed(groups):
         values = {group: values}
@@ -101,6 +102,16 @@ def changed_setting(base: _Config, name: str, text: str) -> _Config:
         return read_settings(TomlTable.of(Path(name), values), type(base), base)
     except FormatError as error:
         raise ConfigError(str(error).removeprefix(f"{name}: ")) from None
+
+
+def _hint(name: str, known: Sequence[str]) -> str:
+    """Returns the settings that an unknown name may mean, or where all are listed."""
+    key = name.rpartition(".")[2]
+    last_names = {other.rpartition(".")[2] for other in known}
+    near = {key} & last_names or {*difflib.get_close_matches(key, last_names, 1, 0.75)}
+    similar = difflib.get_close_matches(name, known, 1) if "." in name else []
+    similar = similar or [other for other in known if other.rpartition(".")[2] in near]
+    return f", did you mean {' or '.join(similar[:3])}?" if similar else ": docs/settings.md lists all"
 
 
 def _setting(table: TomlTable, setting: Setting, base: object) -> object:

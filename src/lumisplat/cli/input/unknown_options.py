@@ -1,0 +1,193 @@
+"""Answers options and commands that do not exist: with a setting, the present name, or what was probably meant."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import takewhile
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import lumisplat as ls
+from lumisplat.cli.input.arguments import options_of
+
+FORMER_SETTINGS = {
+    "--acceptance-scale": ("trace.acceptance_scale",),
+    "--adaptive": ("adaptive",),
+    "--antialiasing": ("raster.antialiasing", "trace.antialiasing"),
+    "--crease-angle": ("meshes.crease_angle_degrees",),
+    "--depth-iso": ("raster.depth_iso_transmittance", "trace.depth_iso_transmittance"),
+    "--direct": ("animation.lighting.direct",),
+    "--gamma": ("animation.lighting.transfer.gamma",),
+    "--glossy-reflections": ("glossy_reflections=true",),
+    "--hit-distance": ("trace.hit_distance", "shadow_rays.hit_distance"),
+    "--hits-per-pass": ("trace.hits_per_pass",),
+    "--kernel-degree": ("response.kernel_degree",),
+    "--max-bounces": ("max_bounces",),
+    "--min-response": ("response.min_response",),
+    "--no-adaptive-clamping": ("response.adaptive_clamping=false",),
+    "--no-glossy-reflections": ("glossy_reflections=false",),
+    "--no-jitter": ("jitter=false",),
+    "--no-relight": ("animation.lighting.relight=false",),
+    "--no-shadows": ("animation.lighting.shadows=false",),
+    "--no-sun-on-actors": ("animation.lighting.sun_on_actors=false",),
+    "--noise": ("noise",),
+    "--normals": ("trace.normal_method",),
+    "--primary": ("path.primary",),
+    "--projection": ("raster.projection",),
+    "--quality": ("realtime.quality",),
+    "--raster-strategy": ("raster.strategy",),
+    "--seed": ("seed",),
+    "--sh-degree": ("raster.sh_degree", "trace.sh_degree"),
+    "--shadow-color": ("shadow_rays.color_strength",),
+    "--shadow-hits": ("shadow_rays.hits",),
+    "--shadow-method": ("shadow_rays.method",),
+    "--shadow-offset": ("shadow_rays.offset",),
+    "--shadow-offset-absolute": ("shadow_rays.offset_absolute",),
+    "--shadow-threshold": ("shadow_rays.transmittance_threshold",),
+    "--strategy": ("trace.strategy",),
+    "--time": ("time_limit",),
+    "--transmittance-min": ("raster.transmittance_min", "trace.transmittance_min", "shadow_rays.transmittance_min"),
+}
+"""Settings of each former option of render or animate."""
+
+FORMER_OPTIONS = {
+    "--cryptomatte": "--aov cryptomatte",
+    "--deep": "--aov deep",
+    "--frame": "--frames {}",
+    "--lod-budget": "--lod budget={}",
+    "--lod-pixels": "--lod pixels={}",
+    "--path": "--camera-path {}",
+    "--split-samples": "--tiles samples",
+    "--warm-up": "--samples {}",
+}
+"""Present form of each former option."""
+
+_SYNONYMS = {
+    "--cpu": "--device cpu",
+    "--gpu": "--device cuda",
+    "--cuda": "--device cuda",
+    "--spp": "--samples",
+    "--integrator": "--pipeline",
+    "--hdri": "--environment",
+    "--envmap": "--environment",
+    "--outdir": "--output",
+}
+"""Options by the names that other renderers give them."""
+
+_OPTION = re.compile(r"--[A-Za-z][\w.-]*")
+_SIMILARITY = 0.7
+"""Least `difflib` ratio of a suggested name: 0.67 would offer --cap for --cpu."""
+_NAMED = 3
+"""Most suggestions, and commands, that a line names."""
+
+
+def unknown_option(
+    args: Sequence[str], command: type[Any], commands: Mapping[str, type[Any]], program: str
+) -> str | None:
+    """Returns the line about the first option that a command does not have; None if it has all of them.
+
+    Args:
+        args: The arguments behind the name of the command.
+        command: The dataclass of its options.
+        commands: All commands by name: the line says which of them have the option.
+        program: The command as it is typed, such as ``lumisplat render``.
+    """
+    known = {*options_of(command), "--help"}
+    typed = list(takewhile(lambda arg: arg != "--", args))
+    for index, text in enumerate(typed):
+        option, _, value = text.partition("=")
+        option = option.replace("_", "-")
+        if option in known or not _OPTION.fullmatch(option):
+            continue
+        after = "".join(typed[index + 1 : index + 2])
+        value = value or ("" if after.startswith("--") else after)
+        return _answer(option, value, command, commands, program)
+    return None
+
+
+def _answer(option: str, value: str, command: type[Any], commands: Mapping[str, type[Any]], program: str) -> str:
+    known = options_of(command)
+    if option in FORMER_OPTIONS and FORMER_OPTIONS[option].split()[0] in known:
+        return f"{option} is now {FORMER_OPTIONS[option].format(value or 'VALUE')}"
+    if "--set" in known:
+        if former := FORMER_SETTINGS.get(option):
+            texts = (name if "=" in name else f"{name}={value or 'VALUE'}" for name in former)
+            return f"{option} is a setting: {' '.join(f'--set {text}' for text in texts)}"
+        if texts := _settings(option, value):
+            return f"{option} is a setting: {' or '.join(f'--set {text}' for text in texts[:_NAMED])}"
+    meant = _meant(option, command)
+    others = [name for name, other in commands.items() if option in options_of(other)]
+    others.sort(key=lambda name: not name.endswith(program.rpartition(" ")[2]))
+    if not meant and "--set" in known and not others:
+        meant = [f"--set {text}" for text in _near_settings(option, value)]
+    hint = f"; perhaps you meant {' or '.join(meant[:_NAMED])}" if meant else ""
+    if not meant and others:
+        more = f" and {len(others) - _NAMED} more" if len(others) > _NAMED else ""
+        hint = f", but of {', '.join(others[:_NAMED])}{more}"
+    return f"{option} is no option of {program}{hint} (see {program} --help)"
+
+
+def _settings(option: str, value: str) -> list[str]:
+    """Returns ``NAME=VALUE`` of the settings of a frame that an option names, by their whole or their last name."""
+    name = option.removeprefix("--").replace("-", "_")
+    from lumisplat.config.setting import all_settings  # only now, as help needs no NumPy
+
+    declared = all_settings(ls.RenderConfig)
+    found = [name] if name in declared else [other for other in declared if other.rpartition(".")[2] == name]
+    if not found and name.startswith("no_"):
+        positive = name.removeprefix("no_")
+        flags = [other for other, one in declared.items() if one.kind == "flag"]
+        return [f"{other}=false" for other in flags if positive in (other, other.rpartition(".")[2])]
+    return [f"{one}={'true' if declared[one].kind == 'flag' and not value else value or 'VALUE'}" for one in found]
+
+
+def _near_settings(option: str, value: str) -> list[str]:
+    """Returns ``NAME=VALUE`` of the settings of a frame whose last names are similar to an option's."""
+    from lumisplat.config.setting import all_settings
+
+    declared = [*all_settings(ls.RenderConfig)]
+    names = {name.rpartition(".")[2].replace("_", "-") for name in declared}
+    near = difflib.get_close_matches(option.removeprefix("--"), names, 1, _SIMILARITY)
+    return [f"{name}={value or 'VALUE'}" for name in declared if name.rpartition(".")[2].replace("_", "-") in near]
+
+
+def _meant(option: str, command: type[Any]) -> list[str]:
+    """Returns what was probably meant: a synonym, options that begin so, the option of a value, or a similar one."""
+    known = options_of(command)
+    synonym = _SYNONYMS.get(option)
+    if synonym and synonym.split()[0] in known:
+        return [synonym]
+    word = option.removeprefix("--")
+    if begun := [one for one in known if one.startswith(option)]:
+        return begun
+    if taking := [f"{one} {word}" for one, choices in _choices(command) if word in choices]:
+        return taking
+    near = difflib.get_close_matches(word, [one.removeprefix("--") for one in known], 1, _SIMILARITY)
+    return [f"--{one}" for one in near]
+
+
+def _choices(command: type[Any]) -> Iterator[tuple[str, set[str]]]:
+    """Yields the options of a command that take certain words, with these words."""
+    for name, hint in get_type_hints(command, include_extras=True).items():
+        option, words = f"--{name.replace('_', '-')}", {*_literals(hint)}
+        if words and option in options_of(command):
+            yield option, words
+
+
+def _literals(hint: Any) -> Iterator[str]:
+    if get_origin(hint) is Literal:
+        yield from (word for word in get_args(hint) if isinstance(word, str))
+    else:
+        for part in get_args(hint):
+            yield from _literals(part)
+
+
+def unknown_command(name: str, commands: Iterable[str], program: str) -> str:
+    """Returns the line about a first argument that is no command: the command that shows a file, or a similar one."""
+    if os.path.exists(name) or os.path.splitext(name)[1]:
+        return f"'{name}' is no command: {program} render {name} renders it (see {program} --help)"
+    near = difflib.get_close_matches(name, commands, 1, _SIMILARITY)
+    meant = f"; perhaps you meant {near[0]}" if near else ""
+    return f"'{name}' is no command{meant} (see {program} --help)"
