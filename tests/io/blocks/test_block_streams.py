@@ -1,4 +1,4 @@
-"""PLYs that are read a piece at a time: what `load` reads, and one line for what cannot be."""
+"""PLYs streamed in chunks equal those that `load` reads; unsupported files are refused in one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from support.scenes.raster_scenes import random_gaussians
 
 
 def written(path: Path, count: int = 500, degree: int = 1) -> ls.Gaussians:
-    """A capture and its file."""
+    """Writes a capture. Returns it and its file."""
     capture = random_gaussians(3, count=count, degree=degree)
     ls.save(path, capture)
     return capture
@@ -27,8 +27,10 @@ def written(path: Path, count: int = 500, degree: int = 1) -> ls.Gaussians:
 
 @pytest.mark.parametrize("degree", [0, 2])
 @pytest.mark.parametrize("piece", [64, 10**6])
-def test_pieces_are_what_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int, piece: int) -> None:
-    """To the bit, in the order of the file, with the progress."""
+def test_streamed_chunks_equal_the_loaded_capture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, degree: int, piece: int
+) -> None:
+    """Chunks are equal bit for bit, in the order of the file, and progress is reported."""
     monkeypatch.setattr(stream, "BLOCK_PIECE", piece)
     written(tmp_path / "a.ply", degree=degree)
     told: list[float] = []
@@ -43,8 +45,8 @@ def test_pieces_are_what_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         np.testing.assert_array_equal(joined, getattr(whole, name), name)
 
 
-def test_2d_gaussians_become_flat_ones(tmp_path: Path) -> None:
-    """As `load` makes them."""
+def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
+    """Streaming converts 2D Gaussians as `load` does."""
     rows = np.random.default_rng(1).normal(size=(20, len(FLAT_NAMES))).astype("<f4")
     (tmp_path / "flat.ply").write_bytes(ply_header(len(rows), FLAT_NAMES) + rows.tobytes())
     (piece,) = ls.io.stream_ply(tmp_path / "flat.ply")
@@ -53,8 +55,10 @@ def test_2d_gaussians_become_flat_ones(tmp_path: Path) -> None:
     np.testing.assert_array_equal(piece.scales, loaded.scales)
 
 
-def test_invalid_gaussians(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    """Refused with the rows in which they are, or left out and counted once; a piece may have no others."""
+def test_invalid_gaussians_are_refused_or_dropped(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An error names their rows, or one log line counts them; a chunk may contain only invalid ones."""
     monkeypatch.setattr(stream, "BLOCK_PIECE", 100)
     written(tmp_path / "a.ply", 500, 0)
     data = bytearray((tmp_path / "a.ply").read_bytes())
@@ -73,8 +77,8 @@ def test_invalid_gaussians(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capl
     ]
 
 
-def test_what_is_not_streamed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One line each; materials are left out with one."""
+def test_unsupported_files_are_refused_and_materials_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Each error and the log line of dropped materials is one line."""
     capture = written(tmp_path / "a.ply", 50, 0)
     data = (tmp_path / "a.ply").read_bytes()
     (tmp_path / "cut.ply").write_bytes(data[:-1])
@@ -99,8 +103,8 @@ def test_what_is_not_streamed(tmp_path: Path, caplog: pytest.LogCaptureFixture) 
     assert "roughness left out: blocks cannot store them" in caplog.text
 
 
-def test_cells_suit_the_capture(tmp_path: Path) -> None:
-    """Few enough cubes, however far away some Gaussians are, and small enough ones that most need not be cut again."""
+def test_cell_size_suits_the_capture(tmp_path: Path) -> None:
+    """Cubes are few even with far outliers, yet so small that most need no further split."""
     for far in (1.0, 1000.0):
         rng = np.random.default_rng(5)
         means = rng.uniform(-4.0, 4.0, (20_000, 3))
@@ -115,7 +119,7 @@ def test_cells_suit_the_capture(tmp_path: Path) -> None:
 
 
 def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A wrong edge would make a file of each Gaussian; what was written is gone."""
+    """A wrong edge length would create a file per Gaussian; files written so far are removed."""
     monkeypatch.setattr(storage, "BLOCK_CELLS_MAX", 50)
     with pytest.raises(
         ls.ConfigError, match=r"cell is 0\.01, so the capture would fill more than 50 cubes: give a larger"
@@ -124,8 +128,8 @@ def test_too_many_cubes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert not (tmp_path / "a").exists()
 
 
-def test_folders_of_others_stay(tmp_path: Path) -> None:
-    """A folder with anything else in it is refused, and keeps it; another kernel is, too."""
+def test_foreign_folders_are_refused_and_unchanged(tmp_path: Path) -> None:
+    """A folder with other files is refused; so is a capture with another kernel degree."""
     capture = random_gaussians(1, count=100)
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(ls.FormatError, match=r"holds other files \(notes.txt\): give a new folder"):
@@ -138,8 +142,8 @@ def test_folders_of_others_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="without locks of files")
-def test_of_two_runs_in_one_folder_the_first_has_it(tmp_path: Path) -> None:
-    """The second one is refused while the first one writes, and takes nothing from it."""
+def test_second_writer_of_one_folder_is_refused(tmp_path: Path) -> None:
+    """The second run is refused while the first one writes, and removes none of its files."""
     pieces = [random_gaussians(seed, count=200) for seed in (1, 2)]
 
     def stream() -> Iterator[ls.Gaussians]:
@@ -153,8 +157,8 @@ def test_of_two_runs_in_one_folder_the_first_has_it(tmp_path: Path) -> None:
     assert loaded.count == 400 and index.count == 400
 
 
-def test_loaded_whole_and_in_part(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """`load` takes the folder or its index, at a level or within a number; a thinned one has rows from everywhere."""
+def test_load_supports_levels_budgets_and_thinning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """`load` reads the folder or its index at a level or within a budget; a thinned capture samples all blocks."""
     capture = random_gaussians(2, count=2000, degree=0, extent=(8.0, 2.0, 8.0))
     index = ls.io.write_blocks(tmp_path / "a", [capture], 4.0, levels=2, block_max=400)
     whole = ls.load(tmp_path / "a")
@@ -185,8 +189,8 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory in kB as Linux says it")
-def test_memory_is_for_a_piece(tmp_path: Path) -> None:
-    """A million Gaussians, 60 MB, are cut in memory for a few pieces of 16,384, beside what the first piece took."""
+def test_streaming_needs_memory_for_one_chunk(tmp_path: Path) -> None:
+    """A million Gaussians, 60 MB, are divided with memory for a few chunks of 16,384."""
     one = random_gaussians(1, count=2**16, degree=0, extent=(50.0, 5.0, 50.0))
     ls.save(tmp_path / "one.ply", one)
     data = (tmp_path / "one.ply").read_bytes()

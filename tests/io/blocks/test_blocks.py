@@ -1,4 +1,4 @@
-"""Captures in blocks: what is written comes back, a view loads what it sees, and shows it to the bit."""
+"""Captures in blocks: written Gaussians are read back, and a view loads exactly the blocks that it needs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from support.scenes.raster_scenes import random_gaussians
 
 
 def street(count: int = 3000, degree: int = 1) -> ls.Gaussians:
-    """Gaussians around the origin, some of them large."""
+    """Returns Gaussians around the origin, some of them large."""
     small = random_gaussians(5, count=count, degree=degree, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0))
     large = random_gaussians(6, 40, degree, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0), scale_range=(0.3, 2.0))
     return ls.merge([small, large])
 
 
-def test_an_index_of_a_stranger_is_one_line(tmp_path: Path) -> None:
-    """Deep JSON, integers beyond floats, NUL in names: the index is named."""
+def test_untrusted_index_is_refused_in_one_line(tmp_path: Path) -> None:
+    """Deep JSON, huge integers and NUL in names give an error that names the index."""
     folder = tmp_path / "city"
     index = ls.io.write_blocks(folder, chunks(street(200)), 40.0)
     good = json.loads((folder / "blocks.json").read_text())
@@ -48,7 +48,7 @@ def test_an_index_of_a_stranger_is_one_line(tmp_path: Path) -> None:
 
 
 def test_damaged_blocks_are_named(tmp_path: Path) -> None:
-    """Rows that are no Gaussians: the message has the file that holds them."""
+    """The error for invalid Gaussians names the block file that holds them."""
     folder = tmp_path / "city"
     index = ls.io.write_blocks(folder, chunks(street(2000)), 8.0)
     assert len(index.blocks) > 1
@@ -61,7 +61,7 @@ def test_damaged_blocks_are_named(tmp_path: Path) -> None:
 
 
 def chunks(gaussians: ls.Gaussians, size: int = 700) -> list[ls.Gaussians]:
-    """A capture as a stream."""
+    """Splits a capture into a stream of chunks."""
     return [
         gaussians.subset(np.arange(first, min(first + size, gaussians.count)))
         for first in range(0, gaussians.count, size)
@@ -69,13 +69,13 @@ def chunks(gaussians: ls.Gaussians, size: int = 700) -> list[ls.Gaussians]:
 
 
 def sorted_rows(gaussians: ls.Gaussians) -> np.ndarray:
-    """All numbers of all Gaussians, in an order of their own."""
+    """Returns the values of all Gaussians, sorted by row."""
     rows = packed(gaussians)
     return rows[np.lexsort(rows.T)]
 
 
 def all_of(index: ls.io.BlockIndex) -> ls.Gaussians:
-    """The whole capture, in the order of its blocks."""
+    """Loads the whole capture, in the order of its blocks."""
     return ls.io.load_blocks(index, [ls.io.BlockPart(number, 0) for number in range(len(index.blocks))])
 
 
@@ -91,8 +91,8 @@ VIEWS = {
 }
 
 
-def test_every_gaussian_is_in_one_block(tmp_path: Path) -> None:
-    """Whatever chunks it comes in; blocks have no more Gaussians than they may, and hold what their bounds say."""
+def test_every_gaussian_is_in_exactly_one_block(tmp_path: Path) -> None:
+    """For any chunks, blocks stay within their maximum count, and their bounds contain their Gaussians."""
     capture = street()
     written = ls.io.write_blocks(tmp_path / "a", chunks(capture), 4.0, block_max=150)
     index = ls.io.open_blocks(tmp_path / "a")
@@ -110,8 +110,8 @@ def test_every_gaussian_is_in_one_block(tmp_path: Path) -> None:
     assert not list((tmp_path / "a").glob("*.part"))
 
 
-def test_blocks_are_read_into_memory_once(tmp_path: Path) -> None:
-    """And one of them beside: not as rows first and as Gaussians then."""
+def test_loading_blocks_does_not_copy_them(tmp_path: Path) -> None:
+    """Memory holds the result and one block, not rows and Gaussians at once."""
     index = ls.io.write_blocks(tmp_path, [random_gaussians(1, 20_000, 3, extent=(9.0, 9.0, 9.0))], 3.0, block_max=1000)
     tracemalloc.start()
     try:
@@ -122,8 +122,8 @@ def test_blocks_are_read_into_memory_once(tmp_path: Path) -> None:
     assert peak < 1.5 * index.row_bytes * loaded.count
 
 
-def test_gaussians_in_one_place_stay_together(tmp_path: Path) -> None:
-    """They cannot be cut, however many there are."""
+def test_coincident_gaussians_stay_in_one_block(tmp_path: Path) -> None:
+    """They cannot be split, however many they are."""
     one = random_gaussians(1, count=1)
     index = ls.io.write_blocks(tmp_path, [ls.merge([one] * 40)], 8.0, block_max=10)
     assert [block.levels[0].count for block in index.blocks] == [40]
@@ -131,8 +131,8 @@ def test_gaussians_in_one_place_stay_together(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", VIEWS)
 @pytest.mark.parametrize("antialiased", [False, True])
-def test_a_view_shows_what_the_whole_capture_shows(name: str, antialiased: bool, tmp_path: Path) -> None:
-    """To the bit, of the blocks that it sees, and so do windows, which see fewer; samples that move in pixels, too."""
+def test_visible_blocks_render_like_the_whole_capture(name: str, antialiased: bool, tmp_path: Path) -> None:
+    """Frames are equal bit for bit, also of windows, which need fewer blocks, and with jittered samples."""
     capture = replace(street(), antialiased=antialiased)
     index = ls.io.write_blocks(tmp_path, chunks(capture), 3.0, block_max=200)
     camera = VIEWS[name]
@@ -153,8 +153,8 @@ def test_a_view_shows_what_the_whole_capture_shows(name: str, antialiased: bool,
         np.testing.assert_array_equal(part.color, whole.color[top:, left:])
 
 
-def test_far_blocks_are_coarser(tmp_path: Path) -> None:
-    """Levels have a quarter of the Gaussians each; near blocks are of the finest, and all are without a tolerance."""
+def test_distant_blocks_use_coarser_levels(tmp_path: Path) -> None:
+    """Each level has a quarter of the Gaussians; near blocks, and all without a tolerance, use the finest level."""
     index = ls.io.write_blocks(tmp_path, chunks(street(degree=0)), 6.0, levels=2, block_max=800)
     for block in index.blocks:
         counts = [level.count for level in block.levels]
@@ -172,8 +172,8 @@ def test_far_blocks_are_coarser(tmp_path: Path) -> None:
     assert ls.io.load_blocks(index, parts).count < index.count
 
 
-def test_a_plan_of_workers(tmp_path: Path) -> None:
-    """Blocks are loaded once where memory holds them, and again where not; views that do not fit are cut."""
+def test_worker_plans_load_blocks_once_if_memory_allows(tmp_path: Path) -> None:
+    """Blocks are loaded again if memory does not hold them, and views that do not fit are split into windows."""
     capture = random_gaussians(
         5, count=3000, center=(0.0, 0.0, 0.0), extent=(12.0, 3.0, 12.0), scale_range=(0.01, 0.05)
     )
@@ -204,8 +204,8 @@ def test_a_plan_of_workers(tmp_path: Path) -> None:
         ls.io.plan_views(index, cameras, 0, size)
 
 
-def test_mistakes(tmp_path: Path) -> None:
-    """One line each."""
+def test_invalid_arguments_are_refused(tmp_path: Path) -> None:
+    """Each error is one line."""
     capture = street(50)
     with pytest.raises(ls.ConfigError, match="cell is 0"):
         ls.io.write_blocks(tmp_path / "a", [capture], 0)
@@ -242,8 +242,8 @@ def test_mistakes(tmp_path: Path) -> None:
         ({"blocks": 3}, "not an index of blocks"),
     ],
 )
-def test_damaged_indices(tmp_path: Path, change: dict[str, object], message: str) -> None:
-    """What is wrong, in a line; files outside of the folder are not opened."""
+def test_damaged_indices_are_refused(tmp_path: Path, change: dict[str, object], message: str) -> None:
+    """The error says what is wrong in one line; files outside of the folder are not opened."""
     ls.io.write_blocks(tmp_path, [street(50)], 1.0)
     path = tmp_path / "blocks.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
@@ -251,8 +251,8 @@ def test_damaged_indices(tmp_path: Path, change: dict[str, object], message: str
         ls.io.open_blocks(tmp_path)
 
 
-def test_blocks_that_were_cut_off(tmp_path: Path) -> None:
-    """A file that is shorter than its index says; a folder without an index."""
+def test_truncated_blocks_are_refused(tmp_path: Path) -> None:
+    """A block file is shorter than the index states, or the folder has no index."""
     index = ls.io.write_blocks(tmp_path, [street(50)], 100.0)
     path = tmp_path / index.blocks[0].levels[0].file
     path.write_bytes(path.read_bytes()[:-4])

@@ -1,4 +1,4 @@
-"""COLMAP's sparse models, packed here byte by byte from its documentation."""
+"""COLMAP sparse models, packed here byte by byte from COLMAP's documentation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ IMAGES = [(7, TURN, (1.0, 2.0, 3.0), 2, "room/b 1.jpg"), (3, (1.0, 0.0, 0.0, 0.0
 
 
 def write_binary(folder: Path, images=IMAGES, lenses=LENSES) -> Path:
-    """A model as COLMAP writes it by default; each image has two points."""
+    """Writes a binary model; each image has two 2D points."""
     cameras = struct.pack("<Q", len(lenses))
     for number, (_, model, values) in lenses.items():
         cameras += struct.pack(f"<iiQQ{len(values)}d", number, model, 640, 480, *values)
@@ -36,7 +36,7 @@ def write_binary(folder: Path, images=IMAGES, lenses=LENSES) -> Path:
 
 
 def write_text(folder: Path) -> Path:
-    """The same model as text; one image has no points, so that its second line is empty."""
+    """Writes the same model as text; one image has no 2D points, so its second line is empty."""
     lines = ["# Camera list with one line of data per camera:"]
     lines += [f"{n} {name} 640 480 {' '.join(map(str, values))}" for n, (name, _, values) in LENSES.items()]
     (folder / "cameras.txt").write_text("\n".join(lines) + "\n")
@@ -49,8 +49,8 @@ def write_text(folder: Path) -> Path:
 
 @pytest.mark.parametrize("write", [write_binary, write_text])
 @pytest.mark.parametrize("named", ["", "images", "cameras"])
-def test_a_model_is_a_list_of_cameras(tmp_path, write, named):
-    """By its folder or by one of its files: poses are OpenCV's, in the order of the images."""
+def test_model_is_read_as_cameras(tmp_path, write, named):
+    """The path may be the folder or any of its files; poses have OpenCV axes, in the order of the images."""
     write(tmp_path)
     suffix = ".bin" if write is write_binary else ".txt"
     first, second = ls.load_cameras(tmp_path / (named + suffix) if named else tmp_path)
@@ -62,8 +62,8 @@ def test_a_model_is_a_list_of_cameras(tmp_path, write, named):
     assert first.distortion == (0.1, -0.02, 0.0, 0.0, 0.003, -0.004) and not second.is_distorted
 
 
-def test_lenses_have_their_parameters(tmp_path):
-    """One focal length or two, radial coefficients, fisheyes."""
+def test_lens_parameters_are_read(tmp_path):
+    """Models have one or two focal lengths, radial coefficients, or are fisheyes."""
     images = [(k, TURN, (0.0, 0.0, 0.0), k, f"{k}.png") for k in LENSES]
     pinhole, _, radial, fisheye = ls.load_cameras(write_binary(tmp_path, images))
     assert pinhole.distortion == (0.0,) * 6
@@ -73,8 +73,8 @@ def test_lenses_have_their_parameters(tmp_path):
 
 
 @pytest.mark.parametrize(("model", "name"), [(6, "FULL_OPENCV"), (12, "SIMPLE_DIVISION"), (99, "model 99")])
-def test_other_models_are_refused_by_name(tmp_path, model, name):
-    """With those that can be read."""
+def test_unsupported_camera_models_are_named(tmp_path, model, name):
+    """The error lists the supported models."""
     write_binary(tmp_path, lenses={**LENSES, 5: (name, model, (1.0,) * 12)})
     with pytest.raises(ls.FormatError, match=rf"camera 5 is a {name}, expected SIMPLE_PINHOLE, PINHOLE"):
         ls.load_cameras(tmp_path)
@@ -93,7 +93,7 @@ def test_other_models_are_refused_by_name(tmp_path, model, name):
     ],
 )
 def test_damaged_models_are_refused(tmp_path, break_it, message):
-    """In one line that names the file."""
+    """The error is one line that names the file."""
     write_binary(tmp_path)
     break_it(tmp_path)
     with pytest.raises(ls.FormatError, match=message) as caught:

@@ -1,4 +1,4 @@
-"""Camera files: axes, intrinsics, names, round trip, and one clear error for each mistake."""
+"""Camera files: axes, intrinsics, names, round trips, and a one-line error for each fault."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def load(tmp_path: Path, content: object) -> list[Camera]:
     return load_cameras(tmp_path / "cameras.json")
 
 
-def test_nerfstudio_axes(tmp_path: Path) -> None:
+def test_nerfstudio_poses_have_opengl_axes(tmp_path: Path) -> None:
     """An OpenGL camera at the identity looks along -z with +y up: image x is world x, image y is world -y."""
     (camera,) = load(tmp_path, FILE)
     np.testing.assert_array_equal(camera.camera_from_world[:3, :3], np.diag([1, -1, -1]))
@@ -47,8 +47,8 @@ def test_nerfstudio_axes(tmp_path: Path) -> None:
     assert camera.name == "0001"
 
 
-def test_inria_axes(tmp_path: Path) -> None:
-    """The columns of INRIA's rotation are the camera's x, y, z axes in the world, and the position is its eye."""
+def test_inria_poses_have_opencv_axes(tmp_path: Path) -> None:
+    """The columns of INRIA's rotation are the camera's x, y and z axes in the world; its position is the eye."""
     (camera,) = load(tmp_path, [INRIA])
     np.testing.assert_allclose(camera.eye, (1, 2, 3), atol=1e-12)
     forward_x = camera.camera_from_world @ (1 + 5, 2, 3, 1)  # rotation's third column is world +x
@@ -56,16 +56,16 @@ def test_inria_axes(tmp_path: Path) -> None:
     assert (camera.cx, camera.cy) == (4, 3)
 
 
-def test_frames_override_the_file(tmp_path: Path) -> None:
-    """Intrinsics of a frame win over those of the file, and order and names are the file's."""
+def test_frame_values_override_those_of_the_file(tmp_path: Path) -> None:
+    """Order and names are those of the file."""
     frames = [FRAME, {**FRAME, "file_path": "images/0000.png", "w": 16, "fl_x": 20.0}]
     first, second = load(tmp_path, {**FILE, "frames": frames})
     assert (first.name, second.name) == ("0001", "0000")
     assert (first.width, second.width, second.fx, second.fy) == (8, 16, 20.0, 11.0)
 
 
-def test_field_of_view_and_image_size(tmp_path: Path) -> None:
-    """NeRF's synthetic form: size from the image that the frame names, focal length from the angle, centre implied."""
+def test_intrinsics_follow_from_angle_and_image_size(tmp_path: Path) -> None:
+    """NeRF's synthetic scenes give the size by the image file and the focal length by an angle."""
     (tmp_path / "train").mkdir()
     (tmp_path / "train" / "r_0.png").write_bytes(png_bytes(np.zeros((30, 40, 3), np.uint8)))
     content = {"camera_angle_x": 0.5 * math.pi, "frames": [{**FRAME, "file_path": "./train/r_0"}]}
@@ -75,8 +75,8 @@ def test_field_of_view_and_image_size(tmp_path: Path) -> None:
     assert camera.fy == pytest.approx(20.0)
 
 
-def test_image_size_of_the_caller(tmp_path: Path) -> None:
-    """If neither the file nor an image gives a size, that of the caller is used; it overrides nothing."""
+def test_caller_can_give_a_missing_image_size(tmp_path: Path) -> None:
+    """The caller's size applies only if neither the file nor an image gives one."""
     (tmp_path / "a.json").write_text(json.dumps({"camera_angle_x": 0.5 * math.pi, "frames": [FRAME]}))
     (camera,) = ls.load_cameras(tmp_path / "a.json", width=40, height=30)
     assert (camera.width, camera.height, camera.cx, camera.cy) == (40, 30, 20, 15)
@@ -87,14 +87,14 @@ def test_image_size_of_the_caller(tmp_path: Path) -> None:
     assert ls.load_cameras(tmp_path / "b.json", width=40, height=30)[0].width == FILE["w"]
 
 
-def test_names_are_unique(tmp_path: Path) -> None:
-    """Pictures are named after cameras, so equal and missing names become distinct; inner dots stay."""
+def test_camera_names_are_unique(tmp_path: Path) -> None:
+    """Output images are named after cameras, so equal and missing names become distinct; inner dots stay."""
     paths = ["a/1.png", "b/1.png", "", "c/view.left"]
     cameras = load(tmp_path, {**FILE, "frames": [{**FRAME, "file_path": p} for p in paths]})
     assert [camera.name for camera in cameras] == ["1", "1_2", "frame_00002", "view.left"]
 
 
-def test_round_trip(tmp_path: Path) -> None:
+def test_transforms_round_trip(tmp_path: Path) -> None:
     """Saved cameras load as the same cameras to float precision, in order, with their names."""
     rng = np.random.default_rng(4)
     cameras = [
@@ -123,16 +123,16 @@ def test_round_trip(tmp_path: Path) -> None:
         ({"camera_model": "ORTHOPHOTO"}, ls.CameraModel.ORTHOGRAPHIC),
     ],
 )
-def test_camera_models(tmp_path: Path, keys: dict[str, object], model: ls.CameraModel) -> None:
-    """The names that nerfstudio and instant-ngp give their models; focal lengths mean the same there and here."""
+def test_camera_model_names_are_recognised(tmp_path: Path, keys: dict[str, object], model: ls.CameraModel) -> None:
+    """Model names of nerfstudio and instant-ngp are recognised, with unchanged focal lengths."""
     (camera,) = load(tmp_path, {**FILE, **keys})
     assert camera.model is model
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (10, 11, 4.5, 2.5)
 
 
 @pytest.mark.parametrize("model", list(ls.CameraModel))
-def test_models_are_saved(tmp_path: Path, model: ls.CameraModel) -> None:
-    """Each model comes back as itself, also where nerfstudio looks for it: once, for the whole file."""
+def test_camera_models_round_trip(tmp_path: Path, model: ls.CameraModel) -> None:
+    """The model is written once for the whole file, where nerfstudio reads it."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0), width=20, height=10, fov_y=0.7, model=model)
     save_cameras(tmp_path / "transforms.json", [camera, camera])
     saved = json.loads((tmp_path / "transforms.json").read_text())
@@ -151,16 +151,16 @@ def test_models_are_saved(tmp_path: Path, model: ls.CameraModel) -> None:
         ({"model": ls.CameraModel.FISHEYE}, "one camera model, got fisheye and pinhole"),
     ],
 )
-def test_what_the_format_cannot_hold_is_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
-    """A lens, a rolling shutter and mixed models are named in an error, and no file is written."""
+def test_unsupported_cameras_are_refused(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+    """An error names apertures, rolling shutters and mixed models, and no file is written."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0), name="late")
     with pytest.raises(SceneError, match=message):
         save_cameras(tmp_path / "transforms.json", [camera, replace(camera, **changes)])
     assert not list(tmp_path.iterdir())
 
 
-def test_exposures_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One log line for any number of cameras; none if all exposures are 0."""
+def test_dropped_exposures_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """There is one log line for any number of cameras, and none if all exposures are 0."""
     camera = Camera.look_at((1, 2, 3), (0, 0, 0))
     with caplog.at_level(logging.WARNING, "lumisplat"):
         save_cameras(tmp_path / "plain.json", [camera, camera])
@@ -171,14 +171,14 @@ def test_exposures_are_said_to_be_left_out(tmp_path: Path, caplog: pytest.LogCap
 
 
 def test_saving_nothing_is_refused(tmp_path: Path) -> None:
-    """No cameras, no file."""
+    """Without cameras no file is written."""
     with pytest.raises(SceneError, match="no cameras"):
         save_cameras(tmp_path / "transforms.json", [])
     assert not list(tmp_path.iterdir())
 
 
-def test_distortion_is_that_of_the_lens(tmp_path: Path) -> None:
-    """Of the file or of a frame, and it is written again."""
+def test_distortion_round_trips(tmp_path: Path) -> None:
+    """Distortion may be given for the file or for a frame."""
     first, second = load(tmp_path, {**FILE, "k1": 0.1, "p2": -0.02, "frames": [FRAME, {**FRAME, "k1": 0.3, "k4": 0.5}]})
     assert first.distortion == (0.1, 0.0, 0.0, 0.0, 0.0, -0.02)
     assert second.distortion == (0.3, 0.0, 0.0, 0.5, 0.0, -0.02)
@@ -190,12 +190,12 @@ def test_distortion_is_that_of_the_lens(tmp_path: Path) -> None:
 
 
 def pose(*diagonal: float) -> dict:
-    """A file whose only frame has this diagonal pose."""
+    """Returns a file content with one frame that has this diagonal pose."""
     return {**FILE, "frames": [{**FRAME, "transform_matrix": np.diag([*diagonal, 1.0]).tolist()}]}
 
 
 def without(content: dict, *names: str) -> dict:
-    """The content without some keys."""
+    """Returns the content without some keys."""
     return {key: value for key, value in content.items() if key not in names}
 
 
@@ -246,16 +246,16 @@ def without(content: dict, *names: str) -> dict:
         ([{**INRIA, "rotation": np.zeros((3, 3)).tolist()}], "frame 0 .* singular"),
     ],
 )
-def test_bad_camera_files(tmp_path: Path, content: object, expected: str) -> None:
-    """Every invalid camera file gives one line with the file, the frame and the mistake."""
+def test_invalid_camera_files_are_refused(tmp_path: Path, content: object, expected: str) -> None:
+    """The error is one line with the file, the frame and the fault."""
     with pytest.raises(FormatError, match=expected) as raised:
         load(tmp_path, content)
     assert str(raised.value).startswith(str(tmp_path / "cameras.json") + ": ")
     assert "\n" not in str(raised.value)
 
 
-def test_missing_camera_file(tmp_path: Path) -> None:
-    """A path that does not exist, and a folder, have their own messages."""
+def test_missing_camera_file_has_its_own_error(tmp_path: Path) -> None:
+    """Missing paths and folders have messages of their own."""
     with pytest.raises(FormatError, match="no such file"):
         load_cameras(tmp_path / "none.json")
     with pytest.raises(FormatError, match="is a folder"):

@@ -1,4 +1,4 @@
-"""Images of radiance: the encodings of Radiance HDR, OpenEXR, and one clear line for other files."""
+"""Radiance images: the encodings of Radiance HDR, OpenEXR, and one-line errors for other files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.files.mesh_files import TEXELS, png_bytes
 
 
 def pixels(seed: int, height: int = 5, width: int = 40, levels: int = 256) -> np.ndarray:
-    """RGBE bytes with runs, none of which equals a marker of the encodings, shape (H, W, 4)."""
+    """Returns RGBE bytes with runs, none equal to a marker of the encodings, shape (H, W, 4)."""
     rng = np.random.default_rng(seed)
     rgbe = np.repeat(rng.integers(2, levels, (height, width, 4)), 4, axis=1)[:, rng.integers(0, 4) :][:, :width]
     rgbe[..., 0] |= 4
@@ -26,14 +26,14 @@ def pixels(seed: int, height: int = 5, width: int = 40, levels: int = 256) -> np
 
 
 def load(tmp_path: Path, data: bytes) -> np.ndarray:
-    """What a file of these bytes holds."""
+    """Loads a file of these bytes."""
     (tmp_path / "a.hdr").write_bytes(data)
     return ls.io.load_radiance(tmp_path / "a.hdr")
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
-def test_encodings_agree(tmp_path: Path, encoding: str) -> None:
-    """However the pixels are stored, they are mantissa times 2^(exponent - 136), and 0 where the exponent is 0."""
+def test_all_hdr_encodings_decode_alike(tmp_path: Path, encoding: str) -> None:
+    """Pixels are mantissa times 2^(exponent - 136), and 0 where the exponent is 0."""
     rgbe = pixels(1)
     image = load(tmp_path, hdr_bytes(rgbe, encoding))
     np.testing.assert_array_equal(image, radiance(rgbe))
@@ -47,8 +47,8 @@ def test_encodings_agree(tmp_path: Path, encoding: str) -> None:
     seed=st.integers(0, 1000),
     encoding=st.sampled_from(["flat", "old", "new"]),
 )
-def test_any_picture_comes_back(width: int, height: int, seed: int, encoding: str) -> None:
-    """Runs of every length, across the limits of 127, 128 and 255."""
+def test_run_length_encoding_round_trips(width: int, height: int, seed: int, encoding: str) -> None:
+    """Runs have every length, across the limits of 127, 128 and 255."""
     if encoding == "new" and width < 8:
         encoding = "flat"
     rgbe = pixels(seed, height, width, levels=8)
@@ -58,7 +58,7 @@ def test_any_picture_comes_back(width: int, height: int, seed: int, encoding: st
 
 
 def test_rows_may_differ_in_encoding(tmp_path: Path) -> None:
-    """Each row has its own encoding: one has runs, one is flat, one has old repeats."""
+    """One row has runs, one is uncompressed, one has old-style repeats."""
     rgbe = pixels(2, height=3)
     parts = [hdr_bytes(rgbe[k : k + 1], name, b"", b"-") for k, name in enumerate(("new", "flat", "old"))]
     data = HEADER + b"\n-Y 3 +X 40\n" + b"".join(part[len(b"\n-\n") :] for part in parts)
@@ -66,15 +66,15 @@ def test_rows_may_differ_in_encoding(tmp_path: Path) -> None:
 
 
 def test_exposures_are_undone(tmp_path: Path) -> None:
-    """Every EXPOSURE and COLORCORR of the header divides."""
+    """Pixels are divided by every EXPOSURE and COLORCORR of the header."""
     rgbe = pixels(3)
     header = HEADER + b"EXPOSURE=4\nSOFTWARE=x\nEXPOSURE= 0.5\nCOLORCORR=1 2 4\n"
     np.testing.assert_allclose(load(tmp_path, hdr_bytes(rgbe, "new", header)), radiance(rgbe) / (2.0, 4.0, 8.0))
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
-def test_truncated_at_any_byte(tmp_path: Path, encoding: str) -> None:
-    """A file that breaks off is refused wherever it does."""
+def test_truncated_hdr_is_refused(tmp_path: Path, encoding: str) -> None:
+    """The file may end at any byte."""
     data = hdr_bytes(pixels(4, height=2, width=12), encoding)
     for size in range(1, len(data)):
         with pytest.raises(ls.FormatError) as caught:
@@ -111,16 +111,16 @@ GOOD = pixels(5)
         (b"\x76\x2f\x31\x01\x02\0\0\0garbage", "damaged, or not an EXR file"),
     ],
 )
-def test_what_is_no_radiance_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
-    """One line names the file, whatever its extension."""
+def test_files_without_radiance_are_refused(tmp_path: Path, data: bytes, message: str) -> None:
+    """The error is one line that names the file, whatever its extension."""
     with pytest.raises(ls.FormatError, match=message) as caught:
         load(tmp_path, data)
     assert str(caught.value).startswith(f"{tmp_path / 'a.hdr'}: ")
     assert "\n" not in str(caught.value)
 
 
-def test_missing_files(tmp_path: Path) -> None:
-    """No such file, and a folder."""
+def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+    """Each has its own message."""
     with pytest.raises(ls.FormatError, match="no such file"):
         ls.io.load_radiance(tmp_path / "lost.exr")
     with pytest.raises(ls.FormatError, match="is a folder"):
@@ -128,8 +128,8 @@ def test_missing_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_exr(tmp_path: Path, dtype: type) -> None:
-    """R, G and B, half or float; other channels do not matter."""
+def test_exr_colours_are_read(tmp_path: Path, dtype: type) -> None:
+    """R, G and B may be half or float; other channels are ignored."""
     image = np.random.default_rng(6).uniform(0.0, 9.0, (3, 5, 3)).astype(dtype)
     planes = {name: image[..., k] for k, name in enumerate("RGB")}
     write_exr(tmp_path / "a.exr", **planes, A=np.ones((3, 5), dtype))
@@ -149,15 +149,15 @@ PLANE = np.ones((3, 5), np.float32)
         ({name: PLANE.astype(np.uint32) for name in "RGB"}, r"has R, G and B as uint32 \(3, 5\), .* expected half"),
     ],
 )
-def test_exr_of_other_channels(tmp_path: Path, channels: dict[str, np.ndarray], message: str) -> None:
-    """A file without one of the colours, or with integer channels, is refused, and the channels are named."""
+def test_exr_without_float_rgb_is_refused(tmp_path: Path, channels: dict[str, np.ndarray], message: str) -> None:
+    """The error names the channels of the file."""
     write_exr(tmp_path / "a.exr", **channels)
     with pytest.raises(ls.FormatError, match=message):
         ls.io.load_radiance(tmp_path / "a.exr")
 
 
-def test_truncated_exr(tmp_path: Path) -> None:
-    """A file cut in its pixels is refused."""
+def test_truncated_exr_is_refused(tmp_path: Path) -> None:
+    """The file ends within its pixels."""
     noise = np.random.default_rng(7).uniform(size=(40, 50)).astype(np.float32)
     data = write_exr(tmp_path / "a.exr", R=noise, G=noise, B=noise).read_bytes()
     (tmp_path / "a.exr").write_bytes(data[: len(data) // 2])
@@ -165,8 +165,8 @@ def test_truncated_exr(tmp_path: Path) -> None:
         ls.io.load_radiance(tmp_path / "a.exr")
 
 
-def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Negative and non-finite values become 0, and one line counts both; valid files log nothing."""
+def test_negative_and_nonfinite_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """They become 0, and one log line counts both kinds; valid files log nothing."""
     plane = np.ones((2, 4), np.float32)
     bad = plane.copy()
     bad[0] = (np.nan, np.inf, -np.inf, -0.5)
@@ -180,23 +180,23 @@ def test_bad_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture
     np.testing.assert_array_equal(image[1], [(1, 1, 0)] * 4)
 
 
-def test_an_environment_takes_it_as_it_is(tmp_path: Path) -> None:
-    """The loaded image is neither copied nor changed."""
+def test_environment_does_not_copy_the_image(tmp_path: Path) -> None:
+    """The loaded image is used unchanged."""
     image = load(tmp_path, hdr_bytes(GOOD))
     assert ls.LightEnvironment(image=image).image is image
 
 
 @pytest.mark.data
-def test_real_files(data_dir: Path) -> None:
-    """Real environments: an HDR in runs, an EXR; twice as wide as high, and brighter than a display somewhere."""
+def test_real_environments_are_read(data_dir: Path) -> None:
+    """An HDR with runs and an EXR are twice as wide as high, and exceed display white somewhere."""
     for name in ("composition.hdr", "envmap3.exr"):
         image = ls.io.load_radiance(data_dir / "env" / name)
         assert image.shape[1] == 2 * image.shape[0]
         assert image.max() > 3.0 and (image >= 0.0).all()
 
 
-def test_pillow_does_not_know_better(tmp_path: Path) -> None:
-    """8-bit pictures are refused by content, also under the name of an EXR."""
+def test_8_bit_images_are_refused_by_content(tmp_path: Path) -> None:
+    """An 8-bit image named .exr is refused, too."""
     Image.fromarray(TEXELS).save(tmp_path / "b.png")
     (tmp_path / "b.png").rename(tmp_path / "b.exr")
     with pytest.raises(ls.FormatError, match="is a PNG image with 8 bits per channel"):

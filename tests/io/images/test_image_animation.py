@@ -1,4 +1,4 @@
-"""Animations: timing, palettes that do not flicker, whole files or none."""
+"""Image animations: timing, palettes without flicker, complete files or none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lumisplat.io import save_animation
 
 
 def moving_light(count: int = 12, height: int = 48, width: int = 64) -> list[np.ndarray]:
-    """A bright spot that wanders over the right half of a coloured gradient; the left half stands still."""
+    """Renders a bright spot that moves over the right half of a coloured gradient; the left half is static."""
     y, x = np.mgrid[:height, :width] / (height - 1.0)
     still = np.stack([0.2 + 0.6 * x / x.max(), 0.5 * y + 0.2, 0.7 - 0.4 * y], axis=2)
     frames = []
@@ -25,7 +25,7 @@ def moving_light(count: int = 12, height: int = 48, width: int = 64) -> list[np.
 
 
 def read(path: Path) -> tuple[list[np.ndarray], list[float]]:
-    """Frames as bytes and their durations, milliseconds."""
+    """Reads frames as bytes, and their durations in milliseconds."""
     frames, durations = [], []
     with Image.open(path) as animation:
         for index in range(getattr(animation, "n_frames", 1)):
@@ -38,8 +38,8 @@ def read(path: Path) -> tuple[list[np.ndarray], list[float]]:
 
 
 @pytest.mark.parametrize(("suffix", "error"), [("gif", 5.0), ("webp", 3.0), ("png", 0.51), ("apng", 0.51)])
-def test_frames_come_back(tmp_path: Path, suffix: str, error: float) -> None:
-    """All frames are there, in order, close to what they were: on average to so much of 255."""
+def test_animation_frames_round_trip(tmp_path: Path, suffix: str, error: float) -> None:
+    """All frames are present, in order, with a small mean error."""
     given = moving_light()
     save_animation(tmp_path / f"a.{suffix}", given, 10.0)
     frames, durations = read(tmp_path / f"a.{suffix}")
@@ -49,8 +49,8 @@ def test_frames_come_back(tmp_path: Path, suffix: str, error: float) -> None:
         assert np.abs(found - 255.0 * expected).mean() < error
 
 
-def test_gif_does_not_flicker(tmp_path: Path) -> None:
-    """Static parts keep their bytes in all frames, dithered or not."""
+def test_static_gif_pixels_do_not_flicker(tmp_path: Path) -> None:
+    """Static pixels have equal bytes in all frames, dithered or not."""
     save_animation(tmp_path / "a.gif", moving_light())
     frames, _ = read(tmp_path / "a.gif")
     for frame in frames[1:]:
@@ -58,8 +58,8 @@ def test_gif_does_not_flicker(tmp_path: Path) -> None:
     assert np.abs(frames[6] - frames[0])[:, 32:].max() > 50
 
 
-def test_gif_dithers(tmp_path: Path) -> None:
-    """Between the colours of the palette, neighbours average to the right one: no bands."""
+def test_gif_dithering_preserves_the_mean_colour(tmp_path: Path) -> None:
+    """Neighbouring pixels average to colours between those of the palette, without banding."""
     rows = np.linspace(0.2, 0.4, 240)[:, None, None]
     other = np.random.default_rng(1).uniform(0.0, 1.0, (240, 240, 3))
     picture = np.concatenate([np.broadcast_to(rows * (1.0, 0.8, 0.9), (240, 120, 3)), other], axis=1)
@@ -72,8 +72,8 @@ def test_gif_dithers(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", ["gif", "webp", "png"])
 @pytest.mark.parametrize("fps", [7.0, 24.0, 30.0, 50.0])
-def test_timing_does_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
-    """Frames that do not fit the format's unit are rounded in turn: all together take as long as they should."""
+def test_rounded_durations_do_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
+    """Durations are rounded to the format's unit so that their sum stays right."""
     save_animation(tmp_path / f"a.{suffix}", moving_light(24, 8, 12), fps)
     _, durations = read(tmp_path / f"a.{suffix}")
     unit = 10.0 if suffix == "gif" else 1.0
@@ -82,16 +82,16 @@ def test_timing_does_not_drift(tmp_path: Path, suffix: str, fps: float) -> None:
     assert max(durations) - min(durations) <= unit
 
 
-def test_one_palette(tmp_path: Path) -> None:
-    """All frames of a GIF share the first one's palette: none brings another."""
+def test_gif_has_one_palette(tmp_path: Path) -> None:
+    """All frames of a GIF share the palette of the first one."""
     save_animation(tmp_path / "a.gif", moving_light())
     data = (tmp_path / "a.gif").read_bytes()
     palette = data[13:781]  # behind the header, 3 bytes for each of 256 colours
     assert data.count(palette) == 1
 
 
-def test_bad_animations_are_refused(tmp_path: Path) -> None:
-    """Invalid frames are refused in one line, and no file appears."""
+def test_invalid_animations_are_refused(tmp_path: Path) -> None:
+    """The error is one line, and no file appears."""
     good = moving_light(2, 8, 12)
     with pytest.raises(SceneError, match="got none"):
         save_animation(tmp_path / "a.gif", [])

@@ -1,4 +1,4 @@
-"""Images: rounding, clamping, layer names, whole files or none."""
+"""Image files: rounding, clamping, channel names, complete files or none."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from support.files.small_disks import small_disk
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_png_keeps_all_byte_values(tmp_path: Path, channels: int) -> None:
+def test_png_preserves_all_byte_values(tmp_path: Path, channels: int) -> None:
     """The value n / 255 is written as the byte n, for every n."""
     expected = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(channels, axis=2)
     if channels == 4:
@@ -30,7 +30,7 @@ def test_png_keeps_all_byte_values(tmp_path: Path, channels: int) -> None:
 
 
 def test_png_rounds_half_up_and_clamps(tmp_path: Path) -> None:
-    """Halves go up, and values outside 0..1 to the nearer end, infinities included."""
+    """Values outside 0..1, infinities included, become 0 or 1."""
     values = np.array([[0.5, 1.5, 2.5], [-3.0, np.inf, -np.inf]]) / 255.0
     values[1, 0] = -3.0
     write_png(tmp_path / "a.png", values[:, None])
@@ -47,8 +47,8 @@ def test_png_counts_nan(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> Non
     np.testing.assert_array_equal(read_image(tmp_path / "a.png")["srgb"][0, 1], (0, 0, 255))
 
 
-def test_exr_layers_keep_names_and_bits(tmp_path: Path) -> None:
-    """Channels keep the names that Nuke groups into layers, all 32 bits, infinite depth, and -1 as the largest id."""
+def test_exr_preserves_channel_names_and_bits(tmp_path: Path) -> None:
+    """Names that Nuke groups into layers, 32-bit values, infinite depth, and -1 as the largest id are preserved."""
     rng = np.random.default_rng(1)
     names = ["R", "G", "B", "A", "depth.Z", "normal.X", "normal.Y", "normal.Z"]
     channels: dict[str, Channel] = {name: rng.normal(size=(5, 7)).astype(np.float32) for name in names}
@@ -63,8 +63,8 @@ def test_exr_layers_keep_names_and_bits(tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded["index.gaussian"].astype(np.int32), channels["index.gaussian"])
 
 
-def test_exr_metadata(tmp_path: Path) -> None:
-    """Metadata land in the header, and the file is one ZIP-compressed part."""
+def test_exr_header_has_the_metadata(tmp_path: Path) -> None:
+    """The file is one ZIP-compressed part."""
     import OpenEXR
 
     write_exr(tmp_path / "a.exr", {"R": np.zeros((2, 2), np.float32)}, {"camera": "front"})
@@ -75,7 +75,7 @@ def test_exr_metadata(tmp_path: Path) -> None:
 
 
 def test_npz_round_trip(tmp_path: Path) -> None:
-    """Arrays come back with their names, types and values."""
+    """Arrays keep their names, types and values."""
     arrays = {"color": np.ones((2, 3, 3), np.float32), "gaussian_index": np.full((2, 3), -1, np.int32)}
     write_npz(tmp_path / "a.npz", arrays)
     loaded = read_image(tmp_path / "a.npz")
@@ -85,8 +85,8 @@ def test_npz_round_trip(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pixels", [np.zeros((4, 4)), np.zeros((0, 4, 3)), np.zeros((2, 2, 2))])
-def test_no_file_for_what_is_no_image(tmp_path: Path, pixels: np.ndarray) -> None:
-    """A shape that is no image is refused before a file appears."""
+def test_invalid_shapes_write_no_file(tmp_path: Path, pixels: np.ndarray) -> None:
+    """The error is raised before a file appears."""
     with pytest.raises(SceneError, match="must have shape"):
         write_png(tmp_path / "a.png", pixels)
     with pytest.raises(SceneError, match="one shape"):
@@ -95,8 +95,8 @@ def test_no_file_for_what_is_no_image(tmp_path: Path, pixels: np.ndarray) -> Non
 
 
 @pytest.mark.parametrize("extension", ["png", "exr", "npz"])
-def test_a_folder_that_cannot_be_written(tmp_path: Path, extension: str) -> None:
-    """If a file is in the folder's place, one error names the output, and no file is left behind."""
+def test_unwritable_folder_is_refused(tmp_path: Path, extension: str) -> None:
+    """A file is in the folder's place: the error names the output, and no file is left behind."""
     (tmp_path / "out").write_text("in the way")
     path = tmp_path / "out" / f"a.{extension}"
     image = np.zeros((2, 2, 3), np.float32)
@@ -111,8 +111,8 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path, extension: str) -> None
 
 
 @pytest.mark.parametrize("is_deep", [False, True])
-def test_an_exr_on_a_full_disk(tmp_path: Path, is_deep: bool) -> None:
-    """The system's reason, not the library's words; no half of a file, and the one of before stays."""
+def test_full_disk_keeps_the_old_exr(tmp_path: Path, is_deep: bool) -> None:
+    """The error has the system's reason; the partial file is removed, and the old one stays."""
     noise = np.random.default_rng(0).random((64, 64)).astype(np.float32)
     with small_disk(tmp_path / "disk", "8k") as disk:
         path = disk / "a.exr"
@@ -126,7 +126,7 @@ def test_an_exr_on_a_full_disk(tmp_path: Path, is_deep: bool) -> None:
 
 
 def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """When writing fails half way, the picture that was there before is untouched, and no temporary file stays."""
+    """The old image is unchanged, and no temporary file stays."""
     from PIL import Image
 
     write_png(tmp_path / "a.png", np.ones((2, 2, 3)))
@@ -144,8 +144,8 @@ def test_a_failed_write_keeps_the_old_file(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(("name", "read"), [("a.png", read_texture), ("a.exr", read_exr)])
-def test_reading_garbage(tmp_path: Path, name: str, read: Callable[[Path], object]) -> None:
-    """Bytes that are no image are one FormatError about the file."""
+def test_garbage_is_refused(tmp_path: Path, name: str, read: Callable[[Path], object]) -> None:
+    """Bytes that are not an image give one FormatError about the file."""
     (tmp_path / name).write_bytes(b"\x93not an image at all" * 9)
     with pytest.raises(FormatError, match=name):
         read(tmp_path / name)
@@ -155,7 +155,7 @@ def test_reading_garbage(tmp_path: Path, name: str, read: Callable[[Path], objec
     ("mode", "expected"),
     [("RGB", (255, 0, 0)), ("L", (76, 76, 76)), ("P", (255, 0, 0)), ("I;16", (76, 76, 76)), ("RGBA", (255, 0, 0, 255))],
 )
-def test_textures_of_every_kind(mode: str, expected: tuple) -> None:
+def test_all_image_modes_become_8_bit(mode: str, expected: tuple) -> None:
     """Grey, palette, 16-bit and transparent images become 8-bit RGB or RGBA; 16 bits are scaled, not clamped."""
     import io
 
@@ -170,7 +170,7 @@ def test_textures_of_every_kind(mode: str, expected: tuple) -> None:
 
 
 def test_decompression_bomb_is_refused() -> None:
-    """A few bytes that claim a gigantic image are refused before any memory is taken."""
+    """A few bytes that claim a huge image are refused before memory is allocated."""
     claimed = bytearray(png_bytes())
     claimed[16:24] = (60_000).to_bytes(4, "big") * 2
     import zlib
@@ -180,8 +180,8 @@ def test_decompression_bomb_is_refused() -> None:
         decode_texture(bytes(claimed), "a.glb", "images[0]")
 
 
-def test_formats_that_start_other_programs_are_no_textures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """EPS named as a PNG: Pillow would run Ghostscript on a stranger's program."""
+def test_formats_that_start_other_programs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """EPS named as a PNG would make Pillow run Ghostscript on an untrusted program."""
     from PIL import EpsImagePlugin
 
     def never(*arguments: object, **options: object) -> None:

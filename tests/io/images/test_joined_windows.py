@@ -1,4 +1,4 @@
-"""Pictures joined from files of their windows are, pixel by pixel, what one file would be."""
+"""Images joined from window files equal the whole image, pixel by pixel."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ CAMERA = ls.Camera.look_at((0, 0, 0), (0, 0, 1), width=SIZE[0], height=SIZE[1])
 
 
 def windows(columns: int = 3, rows: int = 2) -> list[tuple[int, int, int, int]]:
-    """Of a picture of `SIZE`."""
+    """Returns windows that tile an image of `SIZE`."""
     return [camera.window for camera in CAMERA.windows(columns, rows) if camera.window is not None]
 
 
 def part(image: np.ndarray, window: tuple[int, int, int, int]) -> np.ndarray:
-    """What a window shows."""
+    """Returns the pixels of a window."""
     left, top, width, height = window
     return image[top : top + height, left : left + width]
 
 
 def noise(*channels: int) -> np.ndarray:
-    """Bytes of smooth rows and of noise, so that every filter is the best of some row."""
+    """Returns bytes of smooth rows and noisy rows, so that every PNG filter is best for some row."""
     rng = np.random.default_rng(3)
     x, y = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     image = np.stack([x * 3, y * 5, x + y, 255 - x], axis=2)[..., : channels[0]]
@@ -39,8 +39,8 @@ def noise(*channels: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("channels", [3, 4])
-def test_png(tmp_path: Path, channels: int) -> None:
-    """RGB and RGBA, by a reader of others."""
+def test_joined_png_equals_the_whole_image(tmp_path: Path, channels: int) -> None:
+    """RGB and RGBA files are read by Pillow."""
     image = noise(channels)
     files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}
     for window, path in files.items():
@@ -54,8 +54,8 @@ def test_png(tmp_path: Path, channels: int) -> None:
     assert (tmp_path / "joined.png").stat().st_size < 1.1 * (tmp_path / "whole.png").stat().st_size
 
 
-def test_exr(tmp_path: Path) -> None:
-    """Floats, infinities and whole numbers, under long names, too; by OpenEXR, whose header has the same size."""
+def test_joined_exr_equals_the_whole_image(tmp_path: Path) -> None:
+    """Floats, infinities and integers under long channel names are read by OpenEXR, with the right image size."""
     rng = np.random.default_rng(4)
     depth = rng.normal(size=SIZE[::-1]).astype(np.float32)
     depth[3] = np.inf
@@ -82,8 +82,8 @@ def test_exr(tmp_path: Path) -> None:
         np.testing.assert_array_equal(headers[0][name], headers[1][name], name)
 
 
-def test_windows_cover_the_picture() -> None:
-    """Each pixel is in one of them, for any number of columns and rows; edges are where windows may have them."""
+def test_windows_cover_the_image_exactly_once() -> None:
+    """For any number of columns and rows, each pixel is in one window; more windows than window steps are refused."""
     for columns, rows in ((1, 1), (5, 4), (2, 3), (5, 1)):
         count = np.zeros(SIZE[::-1], int)
         for window in windows(columns, rows):
@@ -95,8 +95,8 @@ def test_windows_cover_the_picture() -> None:
         CAMERA.windows(2, 2)[0].windows(1, 1)
 
 
-def test_what_is_no_picture(tmp_path: Path) -> None:
-    """One line each, and no file."""
+def test_invalid_windows_are_refused(tmp_path: Path) -> None:
+    """The error is one line, and no file is written."""
     image = noise(3)
     files = {window: tmp_path / f"{number}.png" for number, window in enumerate(windows())}
     for window, path in files.items():

@@ -1,4 +1,4 @@
-"""Image files that are cut off or damaged are found without decoding those that are not."""
+"""Truncated and damaged image files are detected without decoding complete ones."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ KINDS: dict[str, dict[str, Any]] = {
     "webp": {"format": "WEBP"},
 }
 APPENDED = b"\x00\xff\xda\x00\x07" * 9
-"""As a telephone appends a film, in whose bytes a picture may seem to begin."""
+"""Data of a video as phones append it, in which a JPEG seems to begin."""
 
 
 def picture(size: int = 48) -> Image.Image:
-    """One that does not compress well."""
+    """Returns an image that compresses badly."""
     return Image.fromarray(np.random.default_rng(1).integers(0, 256, (size, size, 3), np.uint8))
 
 
 def encoded(kind: str, **more: Any) -> bytes:
-    """The bytes of a file."""
+    """Encodes an image to the bytes of a file."""
     file = io.BytesIO()
     picture().save(file, **KINDS[kind], **more)
     return file.getvalue()
 
 
 def with_thumbnail(data: bytes) -> bytes:
-    """A JPEG that has another one in it, with an end of its own, before its pixels."""
+    """Returns a JPEG with a thumbnail, which has an end marker of its own, before its pixels."""
     small = io.BytesIO()
     picture(8).save(small, format="JPEG")
     part = b"Exif\x00\x00" + small.getvalue()
@@ -45,7 +45,7 @@ def with_thumbnail(data: bytes) -> bytes:
 
 
 def is_whole(path: Path, data: bytes) -> bool:
-    """Whether a file of these bytes is taken."""
+    """Returns whether `check_undamaged` accepts a file of these bytes."""
     path.write_bytes(data)
     try:
         check_undamaged(path)
@@ -56,8 +56,8 @@ def is_whole(path: Path, data: bytes) -> bool:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_cut_anywhere_it_is_refused(kind: str, tmp_path: Path) -> None:
-    """As decoding refuses it, whatever is missing at its end; whole, it is taken."""
+def test_truncated_images_are_refused(kind: str, tmp_path: Path) -> None:
+    """Files truncated at any byte are refused as by decoding; the complete file is accepted."""
     path, data = tmp_path / "a.img", encoded(kind)
     assert is_whole(path, data)
     for kept in [*range(1, len(data), 97), *range(len(data) - 5, len(data))]:
@@ -71,23 +71,23 @@ def test_cut_anywhere_it_is_refused(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["baseline", "progressive"])
-def test_the_end_that_counts_is_that_of_the_picture(kind: str, tmp_path: Path) -> None:
-    """Neither that of a thumbnail in the file, nor what is appended to it."""
+def test_thumbnail_and_appended_data_are_ignored(kind: str, tmp_path: Path) -> None:
+    """Only the end marker of the main image counts."""
     data = with_thumbnail(encoded(kind))
     assert is_whole(tmp_path / "a.jpg", data) and is_whole(tmp_path / "a.jpg", data + APPENDED)
     assert not is_whole(tmp_path / "a.jpg", data[: len(data) // 2])
 
 
-def test_a_png_with_other_bytes_is_refused(tmp_path: Path) -> None:
-    """One bit of its pixels."""
+def test_png_with_changed_bytes_is_refused(tmp_path: Path) -> None:
+    """One bit of the pixels is changed."""
     data = bytearray(encoded("png"))
     data[len(data) // 2] ^= 4
     assert not is_whole(tmp_path / "a.png", bytes(data))
 
 
 @pytest.mark.parametrize("kind", ["png", "baseline", "progressive"])
-def test_what_is_whole_is_not_decoded(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """That would take twenty times as long."""
+def test_complete_images_are_not_decoded(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Decoding would take twenty times as long."""
     monkeypatch.setattr(texture, "decode_texture", lambda *_: pytest.fail("decoded"))
     assert is_whole(tmp_path / "a.img", encoded(kind))
     if kind != "png":

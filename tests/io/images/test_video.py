@@ -1,4 +1,4 @@
-"""MP4: frames, colours, sizes and rates read back; whole files or none."""
+"""MP4 videos: frames, colours, sizes and rates are read back; files are complete or absent."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from support.kinds import present
 
 
 def decoded(path) -> tuple[list[np.ndarray], av.VideoStream]:
-    """The frames as RGB bytes, and the stream, which keeps its file open: PyAV 19 says nothing of a closed one."""
+    """Decodes the frames as RGB bytes. Also returns the stream, which keeps its file open, as PyAV 19 needs."""
     container = av.open(str(path))
     stream = container.streams.video[0]
     return [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)], stream
 
 
 def patches(width: int = 64, height: int = 48) -> np.ndarray:
-    """A picture of four flat colours."""
+    """Returns a frame of four flat colours."""
     picture = np.zeros((height, width, 3))
     colors = [[1, 0, 0], [0, 0.5, 0], [0.1, 0.2, 0.9], [0.75, 0.75, 0.75]]
     for index, color in enumerate(colors):
@@ -29,8 +29,8 @@ def patches(width: int = 64, height: int = 48) -> np.ndarray:
     return picture
 
 
-def test_colors_come_back(tmp_path):
-    """Flat colours are within two steps of 255: matrix and range match the tags."""
+def test_video_preserves_colours(tmp_path):
+    """Flat colours are within two steps of 255, so matrix and range match their tags."""
     ls.save_animation(tmp_path / "a.mp4", [patches()] * 3, fps=25)
     frames, stream = decoded(tmp_path / "a.mp4")
     for column in (8, 24, 40, 56):
@@ -41,8 +41,8 @@ def test_colors_come_back(tmp_path):
 
 
 @pytest.mark.parametrize(("fps", "exact"), [(24, Fraction(24)), (12.5, Fraction(25, 2)), (29.97, Fraction(2997, 100))])
-def test_every_frame_has_its_time(tmp_path, fps, exact):
-    """As many frames as there were, at n / fps, in their order."""
+def test_frame_times_are_exact(tmp_path, fps, exact):
+    """All frames are present, in order, at n / fps."""
     ramp = [np.full((32, 32, 3), level) for level in np.linspace(0.1, 0.9, 9)]
     ls.save_animation(tmp_path / "a.mp4", iter(ramp), fps=fps)
     frames, stream = decoded(tmp_path / "a.mp4")
@@ -52,16 +52,16 @@ def test_every_frame_has_its_time(tmp_path, fps, exact):
     assert levels == pytest.approx(np.linspace(0.1, 0.9, 9).tolist(), abs=0.01)
 
 
-def test_odd_sizes_are_made_even(tmp_path):
-    """A row and a column more, of the same colours."""
+def test_odd_sizes_are_padded_to_even(tmp_path):
+    """The last row and column are repeated."""
     ls.save_animation(tmp_path / "a.mp4", [patches(63, 47)] * 2, fps=25)
     frames, _ = decoded(tmp_path / "a.mp4")
     assert frames[0].shape == (48, 64, 3)
     np.testing.assert_allclose(frames[0][-1, -1], 255 * 0.75, atol=3)
 
 
-def test_whole_or_not_at_all(tmp_path):
-    """If a frame fails, no file is left behind, and an old file stays."""
+def test_failed_video_leaves_the_old_file(tmp_path):
+    """If a frame fails, no new file is left behind."""
     (tmp_path / "old.mp4").write_bytes(b"as before")
 
     def failing():
@@ -76,7 +76,7 @@ def test_whole_or_not_at_all(tmp_path):
     assert (tmp_path / "old.mp4").read_bytes() == b"as before"
 
 
-def test_mistakes_are_refused(tmp_path, monkeypatch):
+def test_invalid_arguments_are_refused(tmp_path, monkeypatch):
     """No frames, transparent frames, rates out of range, an unwritable folder and a missing package are refused."""
     with pytest.raises(ls.SceneError, match="got none"):
         ls.save_animation(tmp_path / "a.mp4", [])

@@ -1,4 +1,4 @@
-"""Settings in files: saved settings load again, and errors name the line."""
+"""Settings files: saved settings load again, and errors name the line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from support.files.scene_files import refuses, write_scene
 
 
 def between(low: float, high: float) -> st.SearchStrategy[float]:
-    """Numbers of a range, whole ones and its ends among them."""
+    """Generates numbers of a range, including integers and both ends."""
     return st.floats(low, high) | st.sampled_from([low, high]) | st.integers(int(np.ceil(low)), int(high))
 
 
@@ -94,7 +94,7 @@ SETTINGS: dict[type, dict[str, st.SearchStrategy[Any]]] = {
 
 
 def configs(kind: type) -> st.SearchStrategy[Any]:
-    """Settings of a stage, every field of them random."""
+    """Generates settings of a stage with random fields."""
     chosen = dict(SETTINGS[kind])
     for name, hint in get_type_hints(kind).items():
         if (kind, name) == (ls.ShadowConfig, "hit_distance"):
@@ -110,16 +110,16 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
 
 
 @given(configs(ls.RenderConfig))
-def test_settings_come_back(config: ls.RenderConfig) -> None:
-    """All of them, to the last bit."""
+def test_saved_settings_load_exactly(config: ls.RenderConfig) -> None:
+    """Random settings are equal to the last bit."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "settings.toml"
         ls.save_config(path, config)
         assert ls.load_config(path) == config
 
 
-def test_what_a_file_looks_like(tmp_path: Path) -> None:
-    """A table for each stage, every setting in it, None by a word: what people can read and edit."""
+def test_file_has_a_table_for_each_stage(tmp_path: Path) -> None:
+    """The file lists every setting, and writes None as a word."""
     ls.save_config(tmp_path / "new" / "a.toml", ls.RenderConfig(background=None, aovs=("hits", "albedo")))
     document = tomllib.loads((tmp_path / "new" / "a.toml").read_text())
     render = document["render"]
@@ -129,8 +129,8 @@ def test_what_a_file_looks_like(tmp_path: Path) -> None:
     assert render["aovs"] == ["albedo", "hits"]
 
 
-def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
-    """They come back as Python's."""
+def test_numpy_numbers_are_saved(tmp_path: Path) -> None:
+    """They load as Python numbers."""
     config = ls.RenderConfig(
         response=ls.config.ResponseConfig(min_response=np.float64(0.1), kernel_degree=cast(Any, np.int64(4))),
         samples=cast(Any, np.int32(3)),
@@ -141,8 +141,8 @@ def test_numbers_of_numpy_are_saved(tmp_path: Path) -> None:
     assert ls.load_config(tmp_path / "a.toml") == config
 
 
-def test_settings_of_a_scene_file(tmp_path: Path) -> None:
-    """What the file says nothing about stays at its default; the rest of the file does not matter here."""
+def test_scene_file_settings_override_defaults(tmp_path: Path) -> None:
+    """Missing settings keep their defaults; other tables of the file are ignored."""
     text = '[[splats]]\npath = "lost.ply"\n[render]\npipeline = "hybrid"\nbackground = [1, 0.5, 0]\n'
     text += "[render.shadow_rays]\nhits = 8\n"
     expected = ls.RenderConfig(
@@ -155,8 +155,8 @@ def test_settings_of_a_scene_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("written", "value"), [('"on"', True), ('"off"', False), ("true", True), ("false", False), ('"auto"', None)]
 )
-def test_what_may_be_auto_is_on_or_off_as_in_the_shell(tmp_path: Path, written: str, value: bool | None) -> None:
-    """``--lighting off`` is a word of files, too, beside ``shadows = "off"``; flags that cannot be None stay flags."""
+def test_optional_flags_accept_on_and_off(tmp_path: Path, written: str, value: bool | None) -> None:
+    """``shadows = "off"`` is valid as on the command line; flags that cannot be None accept only true and false."""
     text = f"[render]\nlighting = {written}\nadaptive = {written}\n"
     assert ls.load_config(write_scene(tmp_path, text)) == ls.RenderConfig(lighting=value, adaptive=value)
 
@@ -199,15 +199,15 @@ def test_what_may_be_auto_is_on_or_off_as_in_the_shell(tmp_path: Path, written: 
         ("[render.shaddow_rays]\n", "line 2, render: unknown 'shaddow_rays', did you mean 'shadow_rays'?"),
     ],
 )
-def test_wrong_settings_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """In one line that names the file, the line and the setting."""
+def test_invalid_settings_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """The error is one line that names the file, the line and the setting."""
     with pytest.raises(ls.FormatError) as caught:
         ls.load_config(write_scene(tmp_path, f"[render]\n{text}\n"))
     refuses(caught, tmp_path, problem)
 
 
-def test_what_cannot_be_saved(tmp_path: Path) -> None:
-    """Nothing but settings, nowhere but in a file; what was there stays."""
+def test_invalid_saves_leave_the_old_file(tmp_path: Path) -> None:
+    """Only settings can be saved, and only to a file."""
     with pytest.raises(ls.ConfigError, match="config is a RasterConfig, expected a RenderConfig"):
         ls.save_config(tmp_path / "a.toml", cast(Any, ls.RasterConfig()))
     with pytest.raises(ls.FormatError, match="is a folder"):

@@ -1,4 +1,4 @@
-"""Keys of entries that leave things out: hidden ones, parts of a file, cropped captures."""
+"""Entry keys that exclude content: hidden entries, parts of a file, cropped captures."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ f 4 5 6
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A capture of three Gaussians along x, and a file of two meshes."""
+    """Writes a capture of three Gaussians along x, and a file of two meshes."""
     gaussians = ls.Gaussians(
         means=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]],
         rotations_wxyz=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
@@ -40,15 +40,15 @@ def folder(tmp_path: Path) -> Path:
 
 
 def load(folder: Path, text: str) -> ls.Scene:
-    """The scene of a scene file."""
+    """Loads the scene of a scene file."""
     (folder / "scene.toml").write_text(text)
     scene = ls.load(folder / "scene.toml")
     assert isinstance(scene, ls.Scene)
     return scene
 
 
-def test_hidden_entries_are_read_and_not_shown(folder: Path) -> None:
-    """A capture, a mesh and an actor; mistakes in them are found all the same."""
+def test_hidden_entries_are_checked_but_not_in_the_scene(folder: Path) -> None:
+    """Errors in a hidden capture, mesh or actor are still reported."""
     entries = '[[splats]]\npath = "row.ply"\n{0}[[meshes]]\npath = "two.obj"\n{0}[[actors]]\npath = "row.ply"\n{0}'
     shown, hidden = load(folder, entries.format("")), load(folder, entries.format("hidden = true\n"))
     assert (len(shown.splats), len(shown.meshes)) == (2, 2)
@@ -58,8 +58,8 @@ def test_hidden_entries_are_read_and_not_shown(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("part", "x"), [('"red"', 0.0), ("1", 5.0)])
-def test_a_part_is_one_mesh_of_its_file(folder: Path, part: str, x: float) -> None:
-    """By its name, or by its number."""
+def test_part_selects_one_mesh_of_its_file(folder: Path, part: str, x: float) -> None:
+    """The mesh is selected by name or by number."""
     (mesh,) = load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n').meshes
     assert mesh.mesh.positions[:, 0].min() == x
 
@@ -67,14 +67,14 @@ def test_a_part_is_one_mesh_of_its_file(folder: Path, part: str, x: float) -> No
 @pytest.mark.parametrize(
     ("part", "expected"), [('"green"', "red, blue"), ("2", "0 to 1"), ("-1", "0 to 1"), ("true", "a name")]
 )
-def test_parts_that_there_are_not_are_named(folder: Path, part: str, expected: str) -> None:
-    """With what there is."""
+def test_unknown_part_lists_the_known_ones(folder: Path, part: str, expected: str) -> None:
+    """The error lists the names or the range of numbers."""
     with pytest.raises(ls.FormatError, match=rf"line 3.*part.*{expected}"):
         load(folder, f'[[meshes]]\npath = "two.obj"\npart = {part}\n')
 
 
-def test_parts_that_are_called_alike_have_numbers(folder: Path) -> None:
-    """A name that two have says nothing; the one mesh of a file without names has that of the file."""
+def test_ambiguous_part_names_need_a_number(folder: Path) -> None:
+    """A name of two meshes is refused; the single mesh of a file without names is named after the file."""
     import trimesh
 
     twins = trimesh.Scene()
@@ -90,8 +90,8 @@ def test_parts_that_are_called_alike_have_numbers(folder: Path) -> None:
     assert len(load(folder, '[[meshes]]\npath = "crate.stl"\npart = "crate"\n').meshes) == 1
 
 
-def test_a_crop_box_keeps_what_is_inside(folder: Path) -> None:
-    """In the file's coordinates, wherever the capture is placed."""
+def test_crop_box_keeps_gaussians_inside(folder: Path) -> None:
+    """The box is in file coordinates, wherever the capture is placed."""
     box = "crop_low = [0.5, -1.0, -1.0]\ncrop_high = [2.5, 1.0, 1.0]\n"
     (splat,) = load(folder, f'[[splats]]\npath = "row.ply"\nposition = [10.0, 0.0, 0.0]\n{box}').splats
     np.testing.assert_allclose(splat.world_means[:, 0], [11.0, 12.0])
@@ -106,7 +106,7 @@ def test_a_crop_box_keeps_what_is_inside(folder: Path) -> None:
         ("crop_low = [5.0, 5.0, 5.0]\ncrop_high = [6.0, 6.0, 6.0]\n", "nothing is left"),
     ],
 )
-def test_boxes_that_are_none_are_refused(folder: Path, box: str, expected: str) -> None:
-    """With the line, or where nothing is left."""
+def test_invalid_crop_boxes_are_refused(folder: Path, box: str, expected: str) -> None:
+    """The error names the line; a box without any Gaussian is refused, too."""
     with pytest.raises(ls.FormatError, match=expected):
         load(folder, f'[[splats]]\npath = "row.ply"\n{box}')

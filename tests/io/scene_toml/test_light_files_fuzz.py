@@ -1,4 +1,4 @@
-"""Damaged scene files, glTF files with lights and environments: they load, or one line names the mistake."""
+"""Damaged scene files, glTF files with lights and environment maps load, or give a one-line error."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from support.files.mesh_files import Gltf, quad_gltf
 from support.files.scene_files import write_scene
 
 OURS = ("object at", "has no attribute", "unexpected keyword", "positional argument", "not subscriptable", "NoneType")
-"""What would be about our code, not about the file."""
+"""Texts of errors about Lumisplat's code instead of the file."""
 
 
 def survives(load: Callable[[], object]) -> bool:
-    """Whether it loads; otherwise the error is one line. Warnings are errors here, as in all tests."""
+    """Loads a file, or checks that the error is one line. Warnings are errors here, as in all tests."""
     try:
         load()
     except ls.FormatError as error:
@@ -31,8 +31,8 @@ def survives(load: Callable[[], object]) -> bool:
 
 
 @pytest.mark.parametrize("encoding", ["flat", "old", "new"])
-def test_damaged_environments(tmp_path: Path, encoding: str) -> None:
-    """Bytes changed anywhere, and files cut short."""
+def test_damaged_environments_load_or_are_refused(tmp_path: Path, encoding: str) -> None:
+    """Bytes are changed anywhere, or the file is truncated."""
     rng = random.Random(1)
     pixels = np.repeat(np.random.default_rng(0).integers(2, 256, (4, 10, 4)), 4, axis=1).astype(np.uint8)
     data, path = hdr_bytes(pixels, encoding), tmp_path / "a.hdr"
@@ -50,7 +50,7 @@ JUNK: list[Any] = [None, -1, 0, 1e300, float("nan"), "x", [], {}, True, [1, 2, 3
 
 
 def point_light_gltf() -> Gltf:
-    """A document with a bit of everything."""
+    """Returns a glTF document that uses many features."""
     gltf = quad_gltf()
     spot = {"type": "spot", "color": [1, 1, 1], "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.3}}
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [spot, {"type": "directional"}]}}
@@ -85,8 +85,8 @@ def spoil(document: Any, rng: random.Random) -> None:
 
 
 @pytest.mark.parametrize("files", [80, pytest.param(250, marks=pytest.mark.deep)])
-def test_damaged_gltf(tmp_path: Path, files: int) -> None:
-    """Values of any kind in any place."""
+def test_damaged_gltf_loads_or_is_refused(tmp_path: Path, files: int) -> None:
+    """A value of any kind replaces a random value."""
     rng, path, loaded = random.Random(2), tmp_path / "a.gltf", 0
     for _ in range(files):
         gltf = point_light_gltf()
@@ -147,8 +147,8 @@ VALUES += " 9223372036854775807 [1e308,0,0] [1e39,1,1] 1e-320 [0,0,0] [0,0,0,0] 
 HEADINGS = ["x = 1", "[a]", "[[lights]]", "[[cameras]]", '"a.b" = 1', "[render.trace]", "[materials]"]
 
 
-def test_damaged_scene_files(tmp_path: Path) -> None:
-    """Values of any kind for any key, and headings in wrong places."""
+def test_damaged_scene_files_load_or_are_refused(tmp_path: Path) -> None:
+    """Keys have values of any kind, and headings are misplaced."""
     rng, loaded = random.Random(3), 0
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     for _ in range(400):

@@ -1,4 +1,4 @@
-"""Actors and animations in scene files: their subjects and times, and errors that name the line."""
+"""Actors and animations of scene files: subjects, times, and errors that name the line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FRAMES = '[[actors]]\npath = "frames"\n'
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with a rig, a capture, a mesh and a folder of frames."""
+    """Writes a rig, a capture, a mesh and a folder of frames."""
     TubeRig(clips={"bend": BEND, "carry": CARRY}).write(tmp_path / "tube.glb")
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
@@ -30,12 +30,12 @@ def folder(tmp_path: Path) -> Path:
 
 
 def load_text(folder: Path, text: str) -> ls.Animation:
-    """The animation that ``text`` describes."""
+    """Loads the animation that ``text`` describes."""
     return ls.load_animation(write_scene(folder, text))
 
 
-def test_everything_of_an_actor_is_read(folder: Path) -> None:
-    """Placement, keyframes, clip and flags are as written; the scene has the static parts."""
+def test_all_keys_of_an_actor_are_read(folder: Path) -> None:
+    """Placement, keyframes, clip and flags are read; the scene has the static entries."""
     animation = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -65,8 +65,8 @@ def test_everything_of_an_actor_is_read(folder: Path) -> None:
     np.testing.assert_array_equal(gaussians.means, bound.at(4.0, "carry").means)
 
 
-def test_the_scene_shows_actors_at_time_0(folder: Path) -> None:
-    """`load` gives the whole scene as the first frame shows it."""
+def test_scene_has_actors_at_time_0(folder: Path) -> None:
+    """`load` returns the whole scene as in the first frame."""
     text = '[[meshes]]\npath = "mesh.obj"\n' + ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [0, 0, 1]\n" + FRAMES
     scene = load_scene(folder, text)
     assert [instance.gaussians.count for instance in scene.splats] == [300, 4]
@@ -74,8 +74,8 @@ def test_the_scene_shows_actors_at_time_0(folder: Path) -> None:
     assert len(scene.meshes) == 1
 
 
-def test_every_kind_of_file_is_an_actor(folder: Path) -> None:
-    """Rigs and meshes as Gaussians or as meshes, frames, captures; a file named twice is loaded once."""
+def test_every_kind_of_file_can_be_an_actor(folder: Path) -> None:
+    """Rigs and meshes as Gaussians or meshes, frame sequences, captures; a file used twice is loaded once."""
     text = (
         ACTOR
         + ACTOR
@@ -94,8 +94,8 @@ def test_every_kind_of_file_is_an_actor(folder: Path) -> None:
     assert animation.frame_count == 38  # 1.5 s of frames, at 25 a second
 
 
-def test_keyframes_keep_what_they_do_not_say(folder: Path) -> None:
-    """A keyframe keeps the values of the one before that it does not set."""
+def test_keyframes_inherit_missing_values(folder: Path) -> None:
+    """Missing values are those of the previous keyframe."""
     text = (
         ACTOR + "[[actors.keyframes]]\ntime = 0\nposition = [1, 2, 3]\nscale = 2\n"
         "[[actors.keyframes]]\ntime = 1\nrotation_wxyz = [0, 0, 0, 1]\n"
@@ -114,8 +114,8 @@ def test_keyframes_keep_what_they_do_not_say(folder: Path) -> None:
         ("fps = 0.1", 1),
     ],
 )
-def test_the_number_of_frames(animation, count, folder):
-    """The number is as written, else from the duration, else from the longest actor."""
+def test_frame_count_follows_from_frames_duration_or_actors(animation, count, folder):
+    """The count is ``frames``, or else from ``duration``, or else from the longest actor."""
     assert load_text(folder, ACTOR + f"[animation]\n{animation}\n").frame_count == count
 
 
@@ -174,16 +174,16 @@ KEYS = "[[actors.keyframes]]\n"
         (ACTOR + "[animation.lighting]\ndirect = 2", "line 5, animation.lighting: direct is 2, expected 0.0 to 1.0"),
     ],
 )
-def test_bad_entries_are_refused(text: str, problem: str, folder: Path) -> None:
-    """One line with the file, the line and the key."""
+def test_invalid_entries_are_refused(text: str, problem: str, folder: Path) -> None:
+    """The error is one line with the file, the line and the key."""
     write_scene(folder, text)
     with pytest.raises(ls.FormatError) as caught:
         ls.load_animation(folder / "scene.toml")
     refuses(caught, folder, problem)
 
 
-def test_broken_files_are_named(folder: Path) -> None:
-    """An error in a file that an actor names is about that file."""
+def test_error_in_an_actor_file_names_that_file(folder: Path) -> None:
+    """The error does not name the scene file."""
     rig = TubeRig(clips={"bend": BEND})
     present(rig.weights)[:] = 0.0
     rig.write(folder / "tube.glb")

@@ -1,4 +1,4 @@
-"""The scene.toml: files placed in one scene."""
+"""Scene files: captures and meshes placed in one scene."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from support.scenes.raster_scenes import random_gaussians
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with a capture and a mesh."""
+    """Writes a capture and a mesh."""
     ls.save(tmp_path / "capture.ply", random_gaussians(1, count=10))
     (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     return tmp_path
 
 
 def load_text(folder: Path, text: str) -> ls.Scene:
-    """The scene that ``text`` describes."""
+    """Loads the scene that ``text`` describes."""
     (folder / "scene.toml").write_text(text)
     return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 
 
-def test_instances_are_placed(folder: Path) -> None:
-    """Scale, then rotation, then position; names are kept; a file named twice is loaded once."""
+def test_entries_are_scaled_rotated_and_translated(folder: Path) -> None:
+    """Scale is applied first, then rotation, then position; names are preserved; a file used twice is loaded once."""
     scene = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -43,8 +43,8 @@ def test_instances_are_placed(folder: Path) -> None:
     assert np.allclose(scene.meshes[0].transform @ [1, 0, 0, 1], [1, 3, 0, 1])
 
 
-def test_kernel_degree_of_an_entry(folder: Path) -> None:
-    """An entry sets the degree of a capture whose file has none; entries with the same degree share the capture."""
+def test_entry_sets_kernel_degree(folder: Path) -> None:
+    """The capture's file states no degree; entries with equal degrees share the capture."""
     entry = '[[splats]]\npath = "capture.ply"\n'
     scene = load_text(folder, entry + (entry + "kernel_degree = 4\n") * 2)
     plain, quartic, again = (splat.gaussians for splat in scene.splats)
@@ -53,8 +53,8 @@ def test_kernel_degree_of_an_entry(folder: Path) -> None:
     np.testing.assert_array_equal(quartic.means, plain.means)
 
 
-def test_material_of_an_entry(folder: Path) -> None:
-    """The material of an entry replaces values of the file's, the rest stays, and other entries do not change."""
+def test_entry_material_overrides_that_of_the_file(folder: Path) -> None:
+    """Values that the entry does not set stay, and other entries are unchanged."""
     (folder / "mesh.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl tin\nf 1 2 3\n")
     (folder / "a.mtl").write_text("newmtl tin\nKd 0.5 0.25 1\nPr 0.75\n")
     scene = load_text(
@@ -70,8 +70,8 @@ def test_material_of_an_entry(folder: Path) -> None:
     assert (mirror.roughness, mirror.metallic, mirror.base_color) == (0.75, 1.0, (0.9, 0.8, 0.7))
 
 
-def test_material_reaches_every_mesh_of_a_file(folder: Path) -> None:
-    """A file with several meshes changes as a whole, and a mesh that is placed twice is still one mesh."""
+def test_entry_material_applies_to_all_meshes_of_a_file(folder: Path) -> None:
+    """All meshes of the file change, and a mesh that is placed twice is still one mesh."""
     gltf = quad_gltf()
     gltf.add("nodes", mesh=0, translation=[3, 0, 0])
     gltf.json["meshes"].append({"primitives": [dict(gltf.json["meshes"][0]["primitives"][0])]})
@@ -82,8 +82,8 @@ def test_material_reaches_every_mesh_of_a_file(folder: Path) -> None:
     assert scene.meshes[0].mesh is scene.meshes[1].mesh is not scene.meshes[2].mesh
 
 
-def test_how_splats_take_light(folder: Path) -> None:
-    """An entry sets the SH degree, whether it only receives shadows, and the material."""
+def test_entry_sets_sh_degree_shadow_catcher_and_material(folder: Path) -> None:
+    """An entry of a capture sets all three."""
     scene = load_text(
         folder,
         '[[splats]]\npath = "capture.ply"\n'
@@ -99,13 +99,13 @@ def test_how_splats_take_light(folder: Path) -> None:
     assert plain.gaussians is shadowed.gaussians is physical.gaussians
 
 
-def test_shadow_only_is_the_old_key_of_shadow_catcher(folder: Path) -> None:
-    """Scene files that were written before the new name keep their meaning."""
+def test_shadow_only_is_an_alias_of_shadow_catcher(folder: Path) -> None:
+    """Scene files from before the rename keep their meaning."""
     scene = load_text(folder, '[[splats]]\npath = "capture.ply"\nshadow_only = true\n')
     assert scene.splats[0].shadow_catcher
 
 
-def test_comments_and_byte_order_marks_do_not_matter(folder: Path) -> None:
+def test_comments_and_byte_order_marks_are_ignored(folder: Path) -> None:
     """Files of editors on other systems load as well."""
     text = '\N{BYTE ORDER MARK}# a scene\r\n[[meshes]] # one\r\npath = "mesh.obj"\r\n'
     (folder / "scene.toml").write_bytes(text.encode())
@@ -159,8 +159,8 @@ SPLAT, MESH = "[[splats]]\npath = 'capture.ply'\n", "[[meshes]]\npath = 'mesh.ob
         (SPLAT + MESH + MESH + "sh_degree = 1", "line 7, meshes[1]: unknown 'sh_degree'"),
     ],
 )
-def test_bad_scene_files(folder, text, problem):
-    """Errors are one line that names the file, the line and the key."""
+def test_invalid_scene_files_are_refused(folder, text, problem):
+    """The error is one line that names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, text)
     assert str(caught.value).startswith(f"{folder / 'scene.toml'}: ")
@@ -168,16 +168,16 @@ def test_bad_scene_files(folder, text, problem):
     assert "\n" not in str(caught.value)
 
 
-def test_a_bad_file_is_named_itself(folder: Path) -> None:
-    """An error inside a file that an entry names is about that file."""
+def test_error_in_a_referenced_file_names_that_file(folder: Path) -> None:
+    """The error does not name the scene file."""
     (folder / "broken.ply").write_bytes(b"ply\nformat ascii 1.0\n")
     with pytest.raises(ls.FormatError) as caught:
         load_text(folder, '[[splats]]\npath = "broken.ply"\n')
     assert str(caught.value).startswith(f"{folder / 'broken.ply'}: ")
 
 
-def test_up_that_the_file_does_not_say_can_be_given(folder: Path) -> None:
-    """What stands upright stands by the file's own up, else by the given one, else by that of meshes alone."""
+def test_caller_can_give_a_missing_up(folder: Path) -> None:
+    """Upright entries use the file's own up, else the caller's, else the default of meshes."""
     entry = '[[meshes]]\npath = "mesh.obj"\nupright = true\n'
     load_text(folder, entry)
     alone, given = (expect_kind(ls.Scene, ls.load(folder / "scene.toml", up=up)) for up in (None, (0, -2, 0)))

@@ -1,4 +1,4 @@
-"""Cameras of scene files: views written out, and camera files placed with their scene."""
+"""Cameras of scene files: single camera entries, and camera files placed with their scene."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from support.scenes.raster_scenes import front_camera, one_gaussian
 
 
 def load(folder: Path, text: str, **size: int) -> list[ls.Camera]:
-    """The cameras that ``text`` lists."""
+    """Loads the cameras that ``text`` lists."""
     return ls.load_cameras(write_scene(folder, text), **size)
 
 
@@ -36,8 +36,8 @@ focus_distance = 3
 """
 
 
-def test_a_view(tmp_path: Path) -> None:
-    """A view is the camera of `Camera.look_at` with the same values, and an exposure."""
+def test_camera_entry_equals_look_at(tmp_path: Path) -> None:
+    """The camera equals `Camera.look_at` with the same values, plus an exposure."""
     (camera,) = load(tmp_path, VIEW)
     expected = ls.Camera.look_at(
         (0, 1, 4),
@@ -57,8 +57,8 @@ def test_a_view(tmp_path: Path) -> None:
     assert (camera.name, camera.exposure) == ("close", 1.5)
 
 
-def test_what_a_view_leaves_out(tmp_path: Path) -> None:
-    """Defaults: up is y, a pinhole camera in focus, and a generated name."""
+def test_camera_entry_defaults(tmp_path: Path) -> None:
+    """Up is y, the model a pinhole in focus, and the name is generated."""
     first, second = load(tmp_path, "[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\n" * 2)
     expected = ls.Camera.look_at((0, 0, 4), (0, 0, 0))
     assert (first.width, first.height, first.fx, first.exposure) == (1280, 720, expected.fx, 0.0)
@@ -66,15 +66,15 @@ def test_what_a_view_leaves_out(tmp_path: Path) -> None:
     assert (first.name, second.name) == ("frame_00000", "frame_00001")
 
 
-def test_a_fisheye_may_see_behind_itself(tmp_path: Path) -> None:
-    """The field of view of a fisheye ends at 360 degrees, that of other cameras below 180."""
+def test_fisheye_field_of_view_may_exceed_180_degrees(tmp_path: Path) -> None:
+    """The limit is 360 degrees for a fisheye and 180 for other cameras."""
     text = '[[cameras]]\neye = [0, 0, 4]\ntarget = [0, 0, 0]\nmodel = "fisheye"\nfov_y_degrees = 220\n'
     (camera,) = load(tmp_path, text)
     assert camera.fov_y == pytest.approx(math.radians(220))
 
 
-def test_camera_files(tmp_path: Path) -> None:
-    """Cameras of files and views have the order of the scene file and distinct names; sizes and exposure apply."""
+def test_camera_files_and_entries_are_listed_in_order(tmp_path: Path) -> None:
+    """Names are distinct, and sizes and exposure of the entry apply."""
     ls.save_cameras(tmp_path / "transforms.json", [front_camera(name="left"), front_camera(name="right")])
     text = (
         '[[cameras]]\npath = "transforms.json"\nwidth = 32\nexposure = -1\n'
@@ -91,7 +91,7 @@ def test_camera_files(tmp_path: Path) -> None:
 
 
 def camera_glb(folder: Path) -> None:
-    """A glTF with a pinhole and an orthographic camera, 2 to the right of its origin."""
+    """Returns a glTF with a pinhole and an orthographic camera at x = 2."""
     gltf = Gltf()
     gltf.add("cameras", type="perspective", perspective={"yfov": 0.8, "znear": 0.1})
     gltf.add("cameras", type="orthographic", orthographic={"xmag": 3.0, "ymag": 2.0, "znear": 0.1, "zfar": 9.0})
@@ -100,8 +100,8 @@ def camera_glb(folder: Path) -> None:
     (folder / "a.glb").write_bytes(gltf.glb())
 
 
-def test_placed_cameras_see_what_they_saw(tmp_path: Path) -> None:
-    """A point of the file and its placed twin fall on the same pixel, also of parallel rays, and depth scales."""
+def test_placed_cameras_project_placed_points_to_the_same_pixels(tmp_path: Path) -> None:
+    """The orthographic camera does so, too, and depth scales with the placement."""
     camera_glb(tmp_path)
     entry = '[[cameras]]\npath = "a.glb"\nheight = 40\n'
     turn = "position = [1, 2, 3]\nrotation_wxyz = [0.5, 0.1, -0.7, 0.2]\nscale = 2.5\n"
@@ -120,15 +120,15 @@ def test_placed_cameras_see_what_they_saw(tmp_path: Path) -> None:
         assert placed.near == pytest.approx(2.5 * camera.near)
 
 
-def test_sizes_of_the_caller(tmp_path: Path) -> None:
-    """If neither the scene file nor its camera file gives a size, that of the caller is used."""
+def test_caller_can_give_a_missing_size(tmp_path: Path) -> None:
+    """The caller's size applies only if neither the scene file nor the camera file gives one."""
     camera_glb(tmp_path)
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\n', width=64, height=48)[0].width == 64
     assert load(tmp_path, '[[cameras]]\npath = "a.glb"\nwidth = 30\n', width=64, height=48)[0].width == 30
 
 
-def test_a_scene_file_without_cameras(tmp_path: Path) -> None:
-    """A scene file without cameras is valid, and the scene need not be loaded."""
+def test_scene_file_without_cameras_is_valid(tmp_path: Path) -> None:
+    """The scene itself is not loaded for its cameras."""
     assert load(tmp_path, '[[splats]]\npath = "lost.ply"\n') == []
 
 
@@ -152,8 +152,8 @@ def test_a_scene_file_without_cameras(tmp_path: Path) -> None:
         ("[cameras]\npath = 'x'", "line 1: cameras must be written with double brackets"),
     ],
 )
-def test_wrong_cameras_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """In one line that names the file, the line and the key."""
+def test_invalid_cameras_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """The error is one line that names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text)
     refuses(caught, tmp_path, problem)
@@ -173,8 +173,8 @@ VIEW_WITHOUT_UP = "[[cameras]]\neye = [0, 0, -4]\ntarget = [0, 0, 0]\n"
         ('up = [0, 3, 0]\n[[splats]]\npath = "a.ply"\n', (0, 1, 0)),
     ],
 )
-def test_a_view_stands_as_its_scene_does(tmp_path: Path, text: str, up: tuple[float, float, float]) -> None:
-    """A view that does not say what is up has the scene's up: a capture, which has y down, is not upside down."""
+def test_camera_up_defaults_to_that_of_the_scene(tmp_path: Path, text: str, up: tuple[float, float, float]) -> None:
+    """A capture that is y down is thus not upside down in the image."""
     (camera,) = load(tmp_path, text + VIEW_WITHOUT_UP)
     expected = ls.Camera.look_at((0, 0, -4), (0, 0, 0), up)
     np.testing.assert_array_equal(camera.camera_from_world, expected.camera_from_world)
@@ -183,22 +183,22 @@ def test_a_view_stands_as_its_scene_does(tmp_path: Path, text: str, up: tuple[fl
 
 
 @pytest.mark.parametrize("text", ['up = "sideways"\n', "up = [0, 0, 0]\n", "up = 3\n", 'up = "y-up"\nup = "y-down"\n'])
-def test_up_that_is_no_direction_is_refused(tmp_path: Path, text: str) -> None:
-    """At its line."""
+def test_invalid_up_is_refused_at_its_line(tmp_path: Path, text: str) -> None:
+    """The error names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load(tmp_path, text + VIEW_WITHOUT_UP)
     refuses(caught, tmp_path, "up" if text.count("up =") == 1 else "TOML")
 
 
-def test_up_of_a_scene_file_is_that_of_its_scene(tmp_path: Path) -> None:
-    """What is framed without cameras, and what stands upright, follow it too."""
+def test_up_of_a_scene_file_sets_that_of_the_scene(tmp_path: Path) -> None:
+    """Framing without cameras and upright entries use it, too."""
     ls.save(tmp_path / "a.ply", one_gaussian())
     scene = ls.load(write_scene(tmp_path, 'up = "z-up"\n[[splats]]\npath = "a.ply"\n'))
     assert isinstance(scene, ls.Scene) and scene.up_direction == (0.0, 0.0, 1.0)
 
 
-def test_distortion_of_a_view(tmp_path: Path) -> None:
-    """Six numbers under the name of `Camera`'s field, also of a camera that moves; a mistake names its line."""
+def test_distortion_of_a_camera_entry_is_read(tmp_path: Path) -> None:
+    """Moving cameras have it, too; an error names its line."""
     text = "[[cameras]]\neye = [0, 1, 4]\ntarget = [0, 0, 0]\ndistortion = [-0.1, 0.02, 0, 0, 0.001, -0.002]\n"
     (camera,) = load(tmp_path, text)
     assert camera.distortion == (-0.1, 0.02, 0.0, 0.0, 0.001, -0.002)

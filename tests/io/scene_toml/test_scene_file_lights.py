@@ -1,4 +1,4 @@
-"""Lights and environments of scene files, and lights of the glTF files that they name."""
+"""Lights and environments of scene files, and lights in their glTF files."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ intensity = 4
 """
 
 
-def test_every_light(tmp_path: Path) -> None:
-    """Keys are the fields of the lights, with the defaults of Python; angles are in degrees."""
+def test_every_light_type_is_read(tmp_path: Path) -> None:
+    """Keys and defaults are those of the Python classes; angles are in degrees."""
     point, spot, sun, sphere, rect, disk = load_scene(tmp_path, ALL).lights
     assert isinstance(point, ls.LightPoint)
     assert (point.name, point.position, point.color) == ("bulb", (1.0, 2.0, 3.0), (1.0, 0.5, 0.25))
@@ -75,16 +75,16 @@ def test_every_light(tmp_path: Path) -> None:
     assert (disk.direction, disk.radius, disk.intensity) == ((0.0, 1.0, 0.0), 0.25, 4)
 
 
-def test_the_widest_cone(tmp_path: Path) -> None:
-    """A spot of 90 degrees is fine, and so is a default inner angle beside a small outer one."""
+def test_spot_of_90_degrees_is_valid(tmp_path: Path) -> None:
+    """A default inner angle beside a small outer angle is valid, too."""
     text = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\nouter_angle_degrees = {}\n'
     for degrees in (0.5, 90):
         (spot,) = load_scene(tmp_path, text.format(degrees)).lights
         assert isinstance(spot, ls.LightSpot) and spot.outer_angle == pytest.approx(math.radians(degrees))
 
 
-def test_an_environment(tmp_path: Path) -> None:
-    """An image beside the scene file, with a tint, a factor and a rotation."""
+def test_environment_image_is_read(tmp_path: Path) -> None:
+    """The image is relative to the scene file, with a colour, an intensity and a rotation."""
     image = np.array([[[1.0, 0.5, 0.25]] * 4] * 2)
     write_hdr(tmp_path / "sky.hdr", image)
     text = '[environment]\npath = "sky.hdr"\ncolor = [1, 1, 0.5]\nintensity = 0.5\n'
@@ -96,15 +96,15 @@ def test_an_environment(tmp_path: Path) -> None:
     assert not light.visible
 
 
-def test_an_environment_of_one_colour(tmp_path: Path) -> None:
-    """An environment needs no image; it comes after the other lights."""
+def test_environment_may_be_a_constant_colour(tmp_path: Path) -> None:
+    """It needs no image, and comes after the other lights."""
     lights = load_scene(tmp_path, "[environment]\ncolor = [0.1, 0.2, 0.3]\n" + ALL).lights
     assert isinstance(lights[-1], ls.LightEnvironment) and len(lights) == 7
     assert lights[-1].image is None and lights[-1].color == (0.1, 0.2, 0.3)
 
 
 def point_light_gltf() -> Gltf:
-    """A quad with a point light above it and a spot that shines down on it."""
+    """Returns a quad with a point light above it and a spot that points down at it."""
     gltf = quad_gltf()
     spot = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {}}
     gltf.json["extensions"] = {"KHR_lights_punctual": {"lights": [{"type": "point", "name": "bulb"}, spot]}}
@@ -114,8 +114,8 @@ def point_light_gltf() -> Gltf:
     return gltf
 
 
-def test_lights_of_a_mesh_file_move_with_it(tmp_path: Path) -> None:
-    """Position and direction follow the entry, intensity and range are the file's; the file's lights come last."""
+def test_lights_of_a_mesh_file_follow_its_placement(tmp_path: Path) -> None:
+    """Position and direction are transformed, intensity and range are not; lights of mesh files come last."""
     (tmp_path / "lamp.glb").write_bytes(point_light_gltf().glb())
     entry = '[[meshes]]\npath = "lamp.glb"\nposition = [10, 0, 0]\nrotation_wxyz = [0, 1, 0, 0]\nscale = 3\n'
     scene = load_scene(tmp_path, entry + '[[lights]]\ntype = "directional"\ndirection = [0, 0, 1]\n')
@@ -128,8 +128,8 @@ def test_lights_of_a_mesh_file_move_with_it(tmp_path: Path) -> None:
     assert len(scene.meshes) == 1
 
 
-def test_lights_of_a_mesh_file_may_stay_out(tmp_path: Path) -> None:
-    """``lights = false`` leaves them out, of that entry only."""
+def test_lights_of_a_mesh_file_can_be_excluded(tmp_path: Path) -> None:
+    """``lights = false`` applies to one entry only."""
     (tmp_path / "lamp.glb").write_bytes(point_light_gltf().glb())
     scene = load_scene(tmp_path, '[[meshes]]\npath = "lamp.glb"\nlights = false\n[[meshes]]\npath = "lamp.glb"\n')
     assert (len(scene.meshes), len(scene.lights)) == (2, 2)
@@ -186,15 +186,15 @@ SPOT = '[[lights]]\ntype = "spot"\nposition = [0, 0, 0]\ndirection = [0, 0, 1]\n
         ("[environment]\nvisible = 'no'", "line 2, environment: visible is 'no', expected true or false"),
     ],
 )
-def test_wrong_lights_are_refused(tmp_path: Path, text: str, problem: str) -> None:
-    """In one line that names the file, the line and the key."""
+def test_invalid_lights_are_refused(tmp_path: Path, text: str, problem: str) -> None:
+    """The error is one line that names the file, the line and the key."""
     with pytest.raises(ls.FormatError) as caught:
         load_scene(tmp_path, text)
     refuses(caught, tmp_path, problem)
 
 
-def test_a_picture_is_no_environment(tmp_path: Path) -> None:
-    """An error in the image is about the image."""
+def test_8_bit_image_is_refused_as_environment(tmp_path: Path) -> None:
+    """The error names the image file."""
     (tmp_path / "sky.png").write_bytes(png_bytes())
     with pytest.raises(ls.FormatError, match=r"sky\.png: is a PNG image with 8 bits per channel"):
         load_scene(tmp_path, '[environment]\npath = "sky.png"\n')

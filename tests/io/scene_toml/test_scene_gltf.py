@@ -1,4 +1,4 @@
-"""glTF files with captures in scene files and documents: under which heading, and where they stand."""
+"""glTF files with captures in scene files and documents: headings and orientation."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ QUAD_MESH = ls.Mesh(QUAD, QUAD_TRIANGLES, name="quad")
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A capture alone, a scene of a capture, a mesh and a lamp, and a mesh, each as GLB."""
+    """Writes three GLB files: a capture; a scene of a capture, a mesh and a light; a mesh."""
     ls.save(tmp_path / "capture.glb", capture(9))
     scene = ls.Scene(splats=[capture(9)], meshes=[QUAD_MESH], lights=[ls.LightPoint((1, 2, 3))], up="y-up")
     ls.save(tmp_path / "scene.glb", scene)
@@ -26,20 +26,20 @@ def folder(tmp_path: Path) -> Path:
 
 
 def read(folder: Path, text: str) -> ls.Scene:
-    """The scene of a scene file."""
+    """Loads the scene of a scene file."""
     (folder / "scene.toml").write_text(text)
     return expect_kind(ls.Scene, ls.load(folder / "scene.toml"))
 
 
-def test_a_capture_is_a_capture(folder: Path) -> None:
-    """Under [[splats]] it is what the same capture of another format is, y down."""
+def test_gltf_capture_under_splats_is_y_down(folder: Path) -> None:
+    """Under [[splats]] a capture is the same in every format."""
     scene = read(folder, '[[splats]]\npath = "capture.glb"\nposition = [1.0, 0.0, 0.0]\n')
     np.testing.assert_allclose(scene.splats[0].world_means, capture(9).means + np.array([1, 0, 0]), atol=1e-6)
     assert scene.up == (0.0, -1.0, 0.0)
 
 
-def test_a_scene_is_placed_whole(folder: Path) -> None:
-    """Under [[meshes]] all of a file moves together, in its own axes; its material is of its meshes."""
+def test_gltf_scene_is_placed_as_a_whole(folder: Path) -> None:
+    """Under [[meshes]] the whole file moves together, in its own axes; the entry's material applies to its meshes."""
     scene = read(
         folder, '[[meshes]]\npath = "scene.glb"\nposition = [1.0, 0.0, 0.0]\nmaterial = { roughness = 0.25 }\n'
     )
@@ -59,14 +59,14 @@ def test_a_scene_is_placed_whole(folder: Path) -> None:
         ("splats", "mesh.glb", r"which is a mesh: list it under \[\[meshes\]\]"),
     ],
 )
-def test_the_other_heading_is_named(folder: Path, heading: str, name: str, problem: str) -> None:
-    """A file under the wrong heading is refused, with the right one."""
+def test_error_of_a_wrong_heading_names_the_right_one(folder: Path, heading: str, name: str, problem: str) -> None:
+    """Captures belong under [[splats]], glTF scenes under [[meshes]]."""
     with pytest.raises(ls.FormatError, match=problem):
         read(folder, f'[[{heading}]]\npath = "{name}"\n')
 
 
-def test_documents_know_the_heading(folder: Path) -> None:
-    """Files that are opened are listed under the right heading, and shown."""
+def test_documents_list_files_under_the_right_heading(folder: Path) -> None:
+    """A document that opens such a file also has it in its scene."""
     assert ls.io.SceneDocument.kind_of(folder / "capture.glb") == "splats"
     assert ls.io.SceneDocument.kind_of(folder / "scene.glb") == "meshes"
     assert ls.io.SceneDocument.kind_of(folder / "mesh.glb") == "meshes"

@@ -1,4 +1,4 @@
-"""Lines of keys in TOML: all ways to write keys, against documents with known lines."""
+"""Line numbers of TOML keys in all syntaxes."""
 
 from __future__ import annotations
 
@@ -68,16 +68,16 @@ LINES = {
 }
 
 
-def test_every_way_to_write_a_key() -> None:
-    """Comments, strings of four kinds, dates, arrays over several lines, inline tables and headers."""
+def test_line_numbers_of_all_key_syntaxes() -> None:
+    """Documents have comments, four kinds of strings, dates, multi-line arrays, inline tables and headers."""
     tomllib.loads(DOCUMENT)
     found = line_numbers(DOCUMENT)
     assert {path: found.get(path) for path in LINES} == LINES
     assert not [path for path in found if "not" in path or "comment" in path]
 
 
-def test_carriage_returns_and_a_missing_end_of_line() -> None:
-    """Lines are counted as editors count them."""
+def test_line_numbers_with_carriage_returns_and_no_final_newline() -> None:
+    """Lines are counted as editors do."""
     assert line_numbers("a = 1\r\n[t]\r\nb = [1,\r\n2]\r\nc = 3") == {
         ("a",): 1,
         ("t",): 2,
@@ -93,7 +93,7 @@ TEXTS = st.text(st.sampled_from("ab []{}=,.#'\n"), max_size=8)
 
 
 def written(value: object) -> str:
-    """A value as TOML, strings over several lines where they have them."""
+    """Formats a value as TOML, with multi-line strings where it has line breaks."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -106,7 +106,7 @@ def written(value: object) -> str:
 
 
 def lines_of(value: object) -> int:
-    """Line breaks in a written value; inline tables hold none."""
+    """Counts the line breaks in a formatted value; inline tables have none."""
     return written(value).count("\n")
 
 
@@ -118,8 +118,8 @@ VALUES = st.recursive(
 
 
 @given(st.lists(st.tuples(st.booleans(), st.dictionaries(KEYS, VALUES, max_size=4)), max_size=5))
-def test_any_document(tables: list[tuple[bool, dict]]) -> None:
-    """Each key of random tables and arrays of tables is on the line that it was written to."""
+def test_line_numbers_of_random_documents(tables: list[tuple[bool, dict]]) -> None:
+    """Keys of random tables and arrays of tables are found on the lines where they were written."""
     text, expected, count = "", {}, 0
     for index, (in_array, values) in enumerate(tables):
         where = ("many", count) if in_array else (f"t{index}",)

@@ -43,7 +43,7 @@ def refused(path: Path) -> str:
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_zero_bytes(tmp_path: Path, name: str) -> None:
+def test_empty_file_is_refused(tmp_path: Path, name: str) -> None:
     """An empty file is called empty."""
     (tmp_path / name).write_bytes(b"")
     assert "is empty" in refused(tmp_path / name)
@@ -51,7 +51,7 @@ def test_zero_bytes(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("fraction", [0.02, 0.3, 0.6, 0.98])
-def test_truncated(tmp_path: Path, name: str, fraction: float) -> None:
+def test_truncated_file_is_refused(tmp_path: Path, name: str, fraction: float) -> None:
     """A file that ends early is refused wherever it ends."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
@@ -60,7 +60,7 @@ def test_truncated(tmp_path: Path, name: str, fraction: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["capture.ply", "big_endian.ply", "capture.compressed.ply", "capture.spz", "v3.spz"])
-def test_one_byte_short(tmp_path: Path, name: str) -> None:
+def test_missing_last_byte_is_detected(tmp_path: Path, name: str) -> None:
     """A single missing byte of content is noticed; of a gzip stream, the checksum and length may be missing."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
@@ -69,14 +69,14 @@ def test_one_byte_short(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_garbage(tmp_path: Path, name: str) -> None:
+def test_random_bytes_are_refused(tmp_path: Path, name: str) -> None:
     """Random bytes are refused."""
     (tmp_path / name).write_bytes(np.random.default_rng(0).bytes(5000))
     refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_fuzz_truncation(tmp_path: Path, name: str) -> None:
+def test_random_truncation_loads_or_is_refused(tmp_path: Path, name: str) -> None:
     """Cut at random places, a file loads or is refused; nothing else ever happens."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
@@ -86,7 +86,7 @@ def test_fuzz_truncation(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FUZZED)
-def test_fuzz_bytes(tmp_path: Path, name: str) -> None:
+def test_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> None:
     """With random bytes changed, the head of the file more often, a file loads or is refused."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
@@ -102,7 +102,7 @@ def test_fuzz_bytes(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.deep
 @pytest.mark.parametrize("name", FUZZED)
-def test_two_thousand_mutations(tmp_path: Path, name: str) -> None:
+def test_random_mutations_load_or_are_refused(tmp_path: Path, name: str) -> None:
     """Bytes changed, a piece cut out, doubled, zeroed, or the end lost: a file loads or is refused in one line."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
@@ -132,7 +132,7 @@ def mutated(original: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-def test_fuzz_sog_metadata(tmp_path: Path) -> None:
+def test_random_changes_of_sog_metadata_load_or_are_refused(tmp_path: Path) -> None:
     """With random bytes of meta.json changed, a SOG folder loads or is refused."""
     folder = unpacked(tmp_path / "sog", sog_files(capture(40), linear=False))
     original = (folder / "meta.json").read_bytes()
@@ -156,7 +156,7 @@ def load_or_refuse(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["capture.ply", "ascii.ply", "big_endian.ply"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_not_finite(tmp_path: Path, name: str, value: float) -> None:
+def test_nonfinite_values_are_counted_and_can_be_dropped(tmp_path: Path, name: str, value: float) -> None:
     """NaN and infinity in a file are counted, attributed, and dropped on request."""
     path = tmp_path / name
     rows = np.tile([1.0, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0], (5, 1))
@@ -174,7 +174,7 @@ def test_not_finite(tmp_path: Path, name: str, value: float) -> None:
     assert load_gaussians(path, drop_invalid=True).count == 3
 
 
-def test_doubles_beyond_float(tmp_path: Path) -> None:
+def test_doubles_beyond_float32_count_as_infinite(tmp_path: Path) -> None:
     """A double that float32 cannot hold counts as infinite."""
     row = np.array([1e300, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0])
     (tmp_path / "a.ply").write_bytes(ply_header(1, INRIA, kind="double") + row.astype("<f8").tobytes())
@@ -182,7 +182,7 @@ def test_doubles_beyond_float(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_zero_gaussians(tmp_path: Path, encoding: str) -> None:
+def test_capture_without_gaussians_is_refused(tmp_path: Path, encoding: str) -> None:
     """A capture of nothing is refused."""
     (tmp_path / "a.ply").write_bytes(ply_header(0, INRIA, encoding))
     assert "zero Gaussians" in refused(tmp_path / "a.ply")
@@ -190,7 +190,7 @@ def test_zero_gaussians(tmp_path: Path, encoding: str) -> None:
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("count", [6, 10**9, 10**18, 10**40])
-def test_header_count_beyond_the_file(tmp_path: Path, encoding: str, count: int) -> None:
+def test_header_count_beyond_the_file_is_refused(tmp_path: Path, encoding: str, count: int) -> None:
     """A count larger than the file is refused before memory is taken, however absurd it is."""
     body = b"0 " * 14 * 5 if encoding == "ascii" else bytes(14 * 4 * 5)
     (tmp_path / "a.ply").write_bytes(ply_header(count, INRIA, encoding) + body)
@@ -202,7 +202,7 @@ def test_header_count_beyond_the_file(tmp_path: Path, encoding: str, count: int)
     assert peak < 2**22
 
 
-def test_compressed_count_beyond_the_file(tmp_path: Path) -> None:
+def test_compressed_ply_count_beyond_the_file_is_refused(tmp_path: Path) -> None:
     """The same for a compressed PLY, whose chunks come first."""
     path = write_format(tmp_path, "capture.compressed.ply")
     data = path.read_bytes()
@@ -212,7 +212,7 @@ def test_compressed_count_beyond_the_file(tmp_path: Path) -> None:
     assert "truncated" in refused(path)
 
 
-def test_gzip_bomb(tmp_path: Path) -> None:
+def test_gzip_stream_is_inflated_only_to_the_announced_size(tmp_path: Path) -> None:
     """Only as much as the header announces is inflated: further zeros cost nothing."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
     good = header + bytes([0] * 9 + [128] + [128] * 3 + [100] * 3 + [0] * 4)
@@ -229,14 +229,14 @@ def test_gzip_bomb(tmp_path: Path) -> None:
     assert peak < 2**24
 
 
-def test_gzip_bomb_that_its_header_justifies(tmp_path: Path) -> None:
+def test_gzip_bomb_with_matching_header_is_refused(tmp_path: Path) -> None:
     """A header that claims a billion Gaussians in a small file is refused without inflating them."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 10**9, 0, 12, 0, 0)
     (tmp_path / "bomb.spz").write_bytes(gzip.compress(header + bytes(2**20)))
     assert "made to exhaust memory" in refused(tmp_path / "bomb.spz")
 
 
-def test_zip_bomb(tmp_path: Path) -> None:
+def test_zip_bomb_is_refused(tmp_path: Path) -> None:
     """A member of a bundle that inflates to hundreds of megabytes is refused unread."""
     files = sog_files(capture(10), linear=False)
     with zipfile.ZipFile(tmp_path / "bomb.sog", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as bundle:
@@ -252,7 +252,7 @@ def test_zip_bomb(tmp_path: Path) -> None:
     assert peak < 2**24
 
 
-def test_image_bomb(tmp_path: Path) -> None:
+def test_image_decompression_bomb_is_refused(tmp_path: Path) -> None:
     """A small image of 90 million pixels is refused before it is decoded."""
     files = sog_files(capture(10), linear=False)
     buffer = io.BytesIO()
@@ -261,7 +261,7 @@ def test_image_bomb(tmp_path: Path) -> None:
     assert "quats.webp" in refused(folder)
 
 
-def test_bomb_of_many_images(tmp_path: Path) -> None:
+def test_many_large_images_are_refused_together(tmp_path: Path) -> None:
     """Images that may each be as large as that are too large together."""
     files = sog_files(capture(10), linear=False)
     buffer = io.BytesIO()
@@ -276,20 +276,20 @@ def test_bomb_of_many_images(tmp_path: Path) -> None:
     tracemalloc.stop()
 
 
-def test_unknown_extension(tmp_path: Path) -> None:
+def test_unknown_extension_lists_the_known_ones(tmp_path: Path) -> None:
     """The message lists the known extensions."""
     (tmp_path / "a.xyz").write_bytes(b"data")
     assert "unknown extension '.xyz', expected .ply, .compressed.ply, .spz" in refused(tmp_path / "a.xyz")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "meta.json", "a.obj", "nothing"])
-def test_missing_file(tmp_path: Path, name: str) -> None:
+def test_missing_file_has_its_own_error(tmp_path: Path, name: str) -> None:
     """A missing file has its own message, whatever its extension."""
     assert "no such file" in refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["folder", "folder.ply", "folder.spz"])
-def test_a_folder(tmp_path: Path, name: str) -> None:
+def test_folder_that_is_no_sog_is_refused(tmp_path: Path, name: str) -> None:
     """A folder that is not a SOG capture is refused, even if it has the name of a file."""
     (tmp_path / name).mkdir()
     assert "is a folder without a meta.json" in refused(tmp_path / name)
@@ -297,7 +297,7 @@ def test_a_folder(tmp_path: Path, name: str) -> None:
     assert "is a folder of images, not a capture: lumisplat train" in refused(tmp_path / name)
 
 
-def test_point_cloud(tmp_path: Path) -> None:
+def test_point_cloud_has_its_own_error(tmp_path: Path) -> None:
     """A point cloud has its own message."""
     (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
     assert "a point cloud, not a Gaussian capture: no opacity, scale, rotation" in refused(tmp_path / "points.ply")
@@ -318,7 +318,7 @@ def test_point_cloud(tmp_path: Path) -> None:
         b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nproperty list uchar int opacity\nend_header\n\x00",
     ],
 )
-def test_bad_ply_headers(tmp_path: Path, header: bytes) -> None:
+def test_damaged_ply_headers_are_refused(tmp_path: Path, header: bytes) -> None:
     """Damaged headers are refused."""
     (tmp_path / "a.ply").write_bytes(header)
     refused(tmp_path / "a.ply")

@@ -47,7 +47,7 @@ def check_same(
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 1, 2])
-def test_levels_and_degrees(tmp_path: Path, level: int, degree: int) -> None:
+def test_all_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int, degree: int) -> None:
     """Floats, halves in buckets, and bytes between two numbers: each value where it belongs, harmonics by channel."""
     given = capture(60, degree)
     least, largest = float(given.sh[:, 1:].min(initial=0.0)) - 0.1, float(given.sh[:, 1:].max(initial=0.0)) + 0.1
@@ -59,7 +59,7 @@ def test_levels_and_degrees(tmp_path: Path, level: int, degree: int) -> None:
     np.testing.assert_allclose(read.sh[:, 1:], given.sh[order, 1:], rtol=2.0**-11, atol=step if level == 2 else 2e-8)
 
 
-def test_what_a_header_leaves_out(tmp_path: Path) -> None:
+def test_missing_header_limits_have_defaults(tmp_path: Path) -> None:
     """Without limits coefficients are within 1.5; without a range there are 32,767 steps to the side of a bucket."""
     given = capture(30, 1)
     data = bytearray(ksplat([given], 2))
@@ -71,7 +71,7 @@ def test_what_a_header_leaves_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("level", [0, 1])
-def test_sections_follow_each_other(tmp_path: Path, level: int) -> None:
+def test_sections_of_different_sh_degree_are_padded(tmp_path: Path, level: int) -> None:
     """Each has its degree; harmonics that one lacks are zero. Buckets of more Gaussians are not all full."""
     first, second = capture(21, 2, seed=1), capture(10, 0, seed=2)
     (tmp_path / "a.ksplat").write_bytes(ksplat([first, second], level, bucket=7, block=4.0))
@@ -99,7 +99,9 @@ def test_sections_follow_each_other(tmp_path: Path, level: int) -> None:
         ("<H", 4096 + 40, (3,), "has SH degree 3, expected 0, 1 or 2"),
     ],
 )
-def test_damaged_headers(tmp_path: Path, layout: str, offset: int, value: tuple[int, ...], message: str) -> None:
+def test_damaged_headers_are_refused_in_one_line(
+    tmp_path: Path, layout: str, offset: int, value: tuple[int, ...], message: str
+) -> None:
     """What is wrong is one line."""
     data = bytearray(ksplat([capture(40, 1)], 1, block=8.0))
     struct.pack_into(layout, data, offset, *value)
@@ -109,7 +111,7 @@ def test_damaged_headers(tmp_path: Path, layout: str, offset: int, value: tuple[
     assert message in str(error.value) and "\n" not in str(error.value)
 
 
-def test_nothing_in_it(tmp_path: Path) -> None:
+def test_file_without_gaussians_is_refused(tmp_path: Path) -> None:
     """A file without Gaussians is refused."""
     data = bytearray(ksplat([capture(1, 0)], 0)[:4096])
     struct.pack_into("<4I", data, 4, 0, 0, 0, 0)
@@ -120,7 +122,7 @@ def test_nothing_in_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
-def test_mutations(tmp_path: Path, level: int, count: int) -> None:
+def test_mutated_files_load_or_are_refused(tmp_path: Path, level: int, count: int) -> None:
     """With bytes changed, most of them in the headers, or its end lost, a file loads or is refused in one line."""
     path, rng = tmp_path / "a.ksplat", np.random.default_rng(level)
     original = ksplat([capture(20, 2, seed=3), capture(9, 1, seed=4)], level)
@@ -138,7 +140,7 @@ def test_mutations(tmp_path: Path, level: int, count: int) -> None:
 
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 2])
-def test_files_of_its_own_writer(tmp_path: Path, level: int, degree: int) -> None:
+def test_files_of_the_reference_writer_are_read(tmp_path: Path, level: int, degree: int) -> None:
     """What GaussianSplats3D makes of a PLY of ours is that capture; Gaussians are found by their places."""
     if NODE is None or not (FOLDER / "node_modules" / "@mkkellogg").is_dir():
         pytest.skip(f"no @mkkellogg/gaussian-splats-3d in {FOLDER} (set LUMISPLAT_NODE, or npm install it there)")

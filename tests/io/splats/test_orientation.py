@@ -40,14 +40,14 @@ def assert_states(found: ls.Gaussians) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_states_up_and_first_view(tmp_path: Path, name: str) -> None:
+def test_every_format_preserves_up_and_first_view(tmp_path: Path, name: str) -> None:
     """In the coordinates in which the capture is loaded, which are those in which it was saved."""
     ls.save(tmp_path / name, stated())
     assert_states(load_gaussians(tmp_path / name))
     np.testing.assert_allclose(present(stated_up(tmp_path / name)), UNIT, atol=1e-8)
 
 
-def test_openusd_states_up_and_first_view(tmp_path: Path) -> None:
+def test_openusd_preserves_up_and_first_view(tmp_path: Path) -> None:
     """As custom data of the field of particles."""
     pytest.importorskip("pxr")
     ls.save(tmp_path / "a.usda", stated())
@@ -55,7 +55,7 @@ def test_openusd_states_up_and_first_view(tmp_path: Path) -> None:
     np.testing.assert_allclose(present(stated_up(tmp_path / "a.usda")), UNIT, atol=1e-8)
 
 
-def test_blocks_state_up_and_first_view(tmp_path: Path) -> None:
+def test_blocks_preserve_up_and_first_view(tmp_path: Path) -> None:
     """In their index, from which all ways to load blocks take it."""
     index = ls.io.write_blocks(tmp_path / "blocks", [stated()], 10.0)
     assert_states(load_gaussians(tmp_path / "blocks"))
@@ -64,7 +64,7 @@ def test_blocks_state_up_and_first_view(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FORMATS[:-2])
-def test_nothing_is_stated_by_a_capture_that_says_nothing(tmp_path: Path, name: str) -> None:
+def test_capture_without_orientation_is_saved_without_one(tmp_path: Path, name: str) -> None:
     """No file says up for it, so that its users know that it is a guess."""
     ls.save(tmp_path / name, capture(40))
     found = load_gaussians(tmp_path / name)
@@ -73,14 +73,14 @@ def test_nothing_is_stated_by_a_capture_that_says_nothing(tmp_path: Path, name: 
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
-def test_a_gltf_without_more_has_y_up(tmp_path: Path, name: str) -> None:
+def test_gltf_without_metadata_is_y_up(tmp_path: Path, name: str) -> None:
     """The format defines up: a capture of somebody else's file is turned to y down, and states it."""
     ls.save(tmp_path / name, capture(40))
     assert load_gaussians(tmp_path / name).up == (0.0, -1.0, 0.0)
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.usda"])
-def test_a_tilted_capture_stands_upright_in_gltf_and_openusd(tmp_path: Path, name: str) -> None:
+def test_tilted_capture_is_saved_y_up_in_gltf_and_openusd(tmp_path: Path, name: str) -> None:
     """Its up is y there; a scene that takes the same file as part of a scene sees it stand."""
     if name.endswith("usda"):
         pytest.importorskip("pxr")
@@ -105,9 +105,7 @@ def test_a_tilted_capture_stands_upright_in_gltf_and_openusd(tmp_path: Path, nam
         ("Vertical Axis: zenith", None),
     ],
 )
-def test_comments_of_ply_headers_say_which_way_is_up(
-    tmp_path: Path, comment: str, up: tuple[float, float, float] | None
-) -> None:
+def test_ply_header_comments_state_up(tmp_path: Path, comment: str, up: tuple[float, float, float] | None) -> None:
     """nerfstudio's, and our own; the comment stays as it was on conversion as long as it is true."""
     plain, named = tmp_path / "plain.ply", tmp_path / "named.ply"
     ls.save(plain, capture(5))
@@ -119,7 +117,7 @@ def test_comments_of_ply_headers_say_which_way_is_up(
     assert b"Vertical Axis: z\n" in named.read_bytes() or comment != "Vertical Axis: z"
 
 
-def test_our_comment_counts_before_those_of_others(tmp_path: Path) -> None:
+def test_own_up_comment_overrides_nerfstudio_comment(tmp_path: Path) -> None:
     """A file that was turned says so; what is no longer true is removed."""
     path = tmp_path / "a.ply"
     axis = replace(capture(5), comments=("Vertical Axis: z", "a comment"), up="z-up")
@@ -144,7 +142,7 @@ def test_our_comment_counts_before_those_of_others(tmp_path: Path) -> None:
         {"first_view": {"eye": [1e308, 0, 0], "target": [-1e308, 0, 0], "up": UP, "fov_y": 1, "width": 9, "height": 9}},
     ],
 )
-def test_what_is_wrong_is_left_out_with_a_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_orientation_is_ignored_with_a_log_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
     """A capture is worth more than its first view."""
     with caplog.at_level(logging.WARNING):
         assert orientation_of("x.ply", values) == (None, None)
@@ -152,7 +150,7 @@ def test_what_is_wrong_is_left_out_with_a_line(values: Any, caplog: pytest.LogCa
 
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{" * 5000, '{"eye": NaN}', "0"])
-def test_damaged_comments_are_left_out(tmp_path: Path, text: str) -> None:
+def test_damaged_comments_are_ignored(tmp_path: Path, text: str) -> None:
     """Whatever stands behind our words, the capture is read."""
     plain, path = tmp_path / "plain.ply", tmp_path / "a.ply"
     ls.save(plain, capture(5))
@@ -161,7 +159,7 @@ def test_damaged_comments_are_left_out(tmp_path: Path, text: str) -> None:
     assert (load_gaussians(path).up, load_gaussians(path).first_view) == (None, None)
 
 
-def test_edits_carry_up_and_first_view() -> None:
+def test_edits_preserve_up_and_first_view() -> None:
     """What cuts, thins and sorts keeps them; what joins takes them from the first set that has them."""
     one = stated()
     box = ls.editing.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
@@ -170,7 +168,7 @@ def test_edits_carry_up_and_first_view() -> None:
     assert_states(ls.merge([capture(10), one]))
 
 
-def test_a_turned_capture_is_looked_at_as_before() -> None:
+def test_rotated_capture_rotates_up_and_first_view() -> None:
     """Up turns with it, and the first view shows the same: its camera sees each mean where it saw it."""
     one = stated()
     moved = ls.transform(one, scale=3.0, rotation_degrees=(20.0, 130.0, 70.0), translation=(1.0, -2.0, 5.0))
@@ -186,7 +184,7 @@ def test_a_turned_capture_is_looked_at_as_before() -> None:
     assert np.dot(present(turned.up), present(one.up)) < 0.9
 
 
-def test_values_of_json_are_plain(tmp_path: Path) -> None:
+def test_json_values_are_plain_numbers(tmp_path: Path) -> None:
     """Other programs may read them: numbers, not matrices of ours."""
     ls.save(tmp_path / "meta.json", stated())
     held = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
@@ -200,7 +198,7 @@ def test_values_of_json_are_plain(tmp_path: Path) -> None:
     }
 
 
-def test_up_of_a_glb_is_found_once_for_all_that_ask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_up_of_a_glb_is_read_once_per_file_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Entries, actors and cameras of a scene file ask for it, and it takes reading the capture."""
     ls.save(tmp_path / "a.glb", stated())
     (tmp_path / "scene.toml").write_text(

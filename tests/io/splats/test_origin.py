@@ -50,7 +50,7 @@ def in_world(gaussians: ls.Gaussians) -> np.ndarray:
     return gaussians.means.astype(np.float64) + gaussians.origin
 
 
-def test_digits_of_text_count_whatever_type_its_header_says(tmp_path: Path) -> None:
+def test_text_ply_keeps_all_digits_of_positions(tmp_path: Path) -> None:
     """Programs write map coordinates with all digits and call them float."""
     near = capture((0.0, 0.0, 0.0))
     columns = (near.means + np.array(UTM), near.sh[:, 0], np.zeros((60, 1)), np.log(near.scales), near.rotations_wxyz)
@@ -62,7 +62,7 @@ def test_digits_of_text_count_whatever_type_its_header_says(tmp_path: Path) -> N
     np.testing.assert_allclose(in_world(far), near.means + np.array(UTM), atol=1e-6, rtol=0)
 
 
-def test_doubles_in_map_coordinates_are_about_an_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_map_coordinates_are_stored_relative_to_an_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Nothing is torn, and a line says so; around zero, doubles are as they were."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
@@ -75,7 +75,7 @@ def test_doubles_in_map_coordinates_are_about_an_origin(tmp_path: Path, caplog: 
     np.testing.assert_array_equal(same.means, near.means)
 
 
-def test_a_capture_stands_at_its_origin_unless_it_is_placed(tmp_path: Path) -> None:
+def test_unplaced_capture_is_at_its_origin(tmp_path: Path) -> None:
     """In scenes of Python and of files; words that do not say where leave it there."""
     far = capture()
     for instance in (ls.SplatInstance(far), ls.Scene([far]).splats[0], ls.SplatInstance(far, scale_by=2.0)):
@@ -89,7 +89,7 @@ def test_a_capture_stands_at_its_origin_unless_it_is_placed(tmp_path: Path) -> N
     np.testing.assert_allclose(scene.splats[0].world_means, far.means + np.array(UTM), atol=1e-6, rtol=0)
 
 
-def test_cameras_in_map_coordinates_show_what_they_show_at_zero(tmp_path: Path) -> None:
+def test_frames_are_the_same_at_map_coordinates_and_at_zero(tmp_path: Path) -> None:
     """A capture of doubles, and a camera as a survey has it."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
@@ -105,7 +105,7 @@ def test_cameras_in_map_coordinates_show_what_they_show_at_zero(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["x.ply", "x.compressed.ply", "x.glb", "x.usdc"])
-def test_files_keep_the_origin(tmp_path: Path, name: str) -> None:
+def test_files_preserve_the_origin(tmp_path: Path, name: str) -> None:
     """A comment, or the transform of a node, has it in full; comments are not doubled."""
     if name.endswith("usdc"):
         pytest.importorskip("pxr")
@@ -121,7 +121,7 @@ def test_files_keep_the_origin(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["x.spz", "x.sog"])
-def test_files_that_cannot_keep_the_origin_say_so(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_formats_without_origin_log_a_warning(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
     """Positions are about it."""
     ls.save(tmp_path / name, capture())
     assert "cannot store the origin of the capture, 500123 5400987 312" in caplog.text
@@ -130,7 +130,7 @@ def test_files_that_cannot_keep_the_origin_say_so(tmp_path: Path, name: str, cap
 
 
 @pytest.mark.parametrize("numbers", ["1 2", "a b c", "1 2 nan", "", "1e400 0 0"])
-def test_an_origin_that_is_none_is_said(tmp_path: Path, numbers: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_origin_is_logged_and_zero(tmp_path: Path, numbers: str, caplog: pytest.LogCaptureFixture) -> None:
     """And is zero."""
     near = capture((0.0, 0.0, 0.0))
     ls.save(tmp_path / "x.ply", replace(near, comments=("lumisplat origin_of_nothing",)))
@@ -143,7 +143,7 @@ def test_an_origin_that_is_none_is_said(tmp_path: Path, numbers: str, caplog: py
     assert not numbers or "its origin is not three numbers" in caplog.text
 
 
-def test_edits_are_in_the_coordinates_of_the_capture() -> None:
+def test_edits_use_the_coordinates_of_the_capture() -> None:
     """Moved, turned, scaled, cut out, selected and joined: as if all were done in float64."""
     far, wide = capture(), in_world(capture())
     moved = ls.transform(far, scale=2.0, rotation_degrees=(0, 0, 90), translation=(1.0, 2.0, 3.0))
@@ -173,7 +173,7 @@ def test_blocks_refuse_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "convert --translate=-500123" in said and not (tmp_path / "far.blocks").exists()
 
 
-def test_info_and_convert_know_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_and_convert_handle_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A row of ``info``, and a key of its JSON; ``convert --translate`` moves the capture to zero."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["info", str(tmp_path / "far.ply")]) == 0
@@ -187,7 +187,7 @@ def test_info_and_convert_know_the_origin(tmp_path: Path, capsys: pytest.Capture
     np.testing.assert_array_equal(near.means, capture().means)
 
 
-def test_blocks_say_what_they_round(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_blocks_warn_of_rounded_positions(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """They have float32 about zero; nothing is said of captures around it."""
     near = capture((0.0, 0.0, 0.0))
     for name, shift in (("far", np.array(UTM)), ("near", np.zeros(3))):

@@ -36,7 +36,7 @@ def relightable(count: int = 200, **changes: Any) -> ls.Gaussians:
     return replace(made, **changes)
 
 
-def test_the_columns_are_theirs(tmp_path: Path) -> None:
+def test_columns_are_those_of_r3dg(tmp_path: Path) -> None:
     """All 130 in their order, values before activation, harmonics channel by channel."""
     light = np.random.default_rng(1).normal(size=(200, 16, 3)).astype(np.float32)
     first = relightable(incident=light)
@@ -54,7 +54,7 @@ def test_the_columns_are_theirs(tmp_path: Path) -> None:
     assert not any(columns[name].any() for name in names if name.startswith("visibility"))
 
 
-def test_what_is_written_is_read_again(tmp_path: Path) -> None:
+def test_round_trip_preserves_materials(tmp_path: Path) -> None:
     """Materials to the last place, and from then on to the bit; a comment of ours would say otherwise."""
     first = relightable(comments=("lumisplat materials linear", "of a walk"))
     ls.save(tmp_path / "once.ply", first, columns="r3dg")
@@ -73,7 +73,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
     assert once.comments == ("of a walk",)
 
 
-def test_all_that_they_can_write_keeps_its_bits() -> None:
+def test_values_from_float32_logits_round_trip_exactly() -> None:
     """Values that come from logits of float32 lead back to logits that are read as the same values."""
     logits = np.concatenate([np.linspace(-18.0, 18.0, 100_001), np.random.default_rng(0).normal(size=100_000)])
     for name in ("albedo", "roughness"):
@@ -81,7 +81,7 @@ def test_all_that_they_can_write_keeps_its_bits() -> None:
         np.testing.assert_array_equal(R3DG.activated(name, R3DG.stored(name, values)), values)
 
 
-def test_values_out_of_their_range_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_values_out_of_range_are_clamped_with_a_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """And become the nearest; metals, too."""
     albedo = np.full((4, 3), 0.5)
     albedo[1] = (0.0, 0.5, 0.95)
@@ -102,7 +102,7 @@ def test_values_out_of_their_range_are_told(tmp_path: Path, caplog: pytest.LogCa
     assert not caplog.records
 
 
-def test_incident_light_is_read_by_those_who_ask(tmp_path: Path) -> None:
+def test_incident_light_is_read_only_on_request(tmp_path: Path) -> None:
     """From their files and from ours, padded with zeros, and nobody else has it."""
     light = np.random.default_rng(1).normal(size=(200, 4, 3)).astype(np.float32)
     made = relightable(incident=light)
@@ -121,7 +121,7 @@ def test_incident_light_is_read_by_those_who_ask(tmp_path: Path) -> None:
     assert isinstance(asked, ls.Gaussians) and not present(asked.incident).any()
 
 
-def test_incident_light_turns_with_the_capture() -> None:
+def test_incident_light_rotates_with_the_capture() -> None:
     """What came from a direction comes from the turned one; captures of less of it are padded when they are joined."""
     light = np.random.default_rng(1).normal(size=(5, 16, 3))
     made = relightable(5, incident=light)
@@ -136,7 +136,7 @@ def test_incident_light_turns_with_the_capture() -> None:
     assert present(both.incident).shape == (10, 16, 3) and not present(both.incident)[5:, 4:].any()
 
 
-def test_mistakes_are_one_line(tmp_path: Path) -> None:
+def test_unsupported_captures_are_refused_in_one_line(tmp_path: Path) -> None:
     """No materials, no such columns, another format; nothing is written."""
     output = tmp_path / "a.ply"
     with pytest.raises(ls.FormatError, match=r"a.ply: R3DG's columns hold .* no roughness and no normals: lumisplat"):

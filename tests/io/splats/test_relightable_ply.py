@@ -63,7 +63,7 @@ def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
     return path
 
 
-def test_the_rows_have_the_trainers_widths() -> None:
+def test_packed_rows_have_the_columns_of_the_trainers() -> None:
     """What is packed here has as many columns as what they save."""
     assert (len(r3dg_row((0, 0, 0), 0)), len(gs_ir_row((0, 0, 0), 0, 0))) == (130, 67)
 
@@ -73,7 +73,7 @@ def test_the_rows_have_the_trainers_widths() -> None:
     [((0.0, 0.25, 1.0), 0.5), ((-3.0, 0.0, 40.0), -2.0)],
     ids=["all raw values within 0..1", "any raw values"],
 )
-def test_r3dg(tmp_path: Path, color: tuple[float, float, float], roughness: float) -> None:
+def test_r3dg_materials_are_decoded(tmp_path: Path, color: tuple[float, float, float], roughness: float) -> None:
     """R3DG: 0.77 sigmoid + 0.03, 0.9 sigmoid + 0.09, normals of any length; the rest as everywhere."""
     loaded = load_gaussians(write(tmp_path / "point_cloud.ply", r3dg_row(color, roughness)))
     expected = [0.77 * sigmoid(raw) + 0.03 for raw in color]
@@ -86,7 +86,7 @@ def test_r3dg(tmp_path: Path, color: tuple[float, float, float], roughness: floa
     np.testing.assert_allclose(loaded.sh[0, 1], [0.0, 0.15, 0.3], rtol=1e-6)  # channel-major
 
 
-def test_the_first_r3dg(tmp_path: Path) -> None:
+def test_first_release_of_r3dg_is_decoded(tmp_path: Path) -> None:
     """R3DG's first release had metallic, and plain sigmoids for all three."""
     row = r3dg_row((0.0, 0.25, 1.0), 0.5)
     columns = list(row)
@@ -97,7 +97,7 @@ def test_the_first_r3dg(tmp_path: Path) -> None:
     np.testing.assert_allclose(present(loaded.metallic), [sigmoid(0.75)], rtol=1e-6)
 
 
-def test_the_first_stage_of_r3dg(tmp_path: Path) -> None:
+def test_first_stage_of_r3dg_has_only_normals(tmp_path: Path) -> None:
     """Before materials are trained there are only normals, real ones."""
     row = part("x", "y", "z") | NORMAL | SH | part("opacity") | scales() | ROTATION
     loaded = load_gaussians(write(tmp_path / "stage1.ply", row))
@@ -110,7 +110,9 @@ def test_the_first_stage_of_r3dg(tmp_path: Path) -> None:
     [((1.0, 1.0, 1.0), 1.0, 1.0), ((0.0, 0.25, 1.0), 0.5, 0.75), ((-3.0, 0.0, 9.0), -2.0, -7.0)],
     ids=["untrained", "all raw values within 0..1", "any raw values"],
 )
-def test_gs_ir(tmp_path: Path, albedo: tuple[float, float, float], roughness: float, metallic: float) -> None:
+def test_gs_ir_materials_are_decoded(
+    tmp_path: Path, albedo: tuple[float, float, float], roughness: float, metallic: float
+) -> None:
     """GS-IR: sigmoids of all three, although the columns have our names; normals from normal_0..2."""
     loaded = load_gaussians(write(tmp_path / "gs_ir.ply", gs_ir_row(albedo, roughness, metallic)))
     np.testing.assert_allclose(present(loaded.albedo), [[sigmoid(raw) for raw in albedo]], rtol=1e-6)
@@ -119,7 +121,7 @@ def test_gs_ir(tmp_path: Path, albedo: tuple[float, float, float], roughness: fl
     np.testing.assert_array_equal(present(loaded.normals), [[0, 0, 1]])
 
 
-def test_what_was_read_is_written_as_ours(tmp_path: Path) -> None:
+def test_materials_of_other_trainers_are_saved_as_linear(tmp_path: Path) -> None:
     """A capture of another trainer keeps its materials through our files, which say that they are ours."""
     first = load_gaussians(write(tmp_path / "theirs.ply", r3dg_row((0.0, 0.25, 1.0), 0.5)))
     ls.save(tmp_path / "ours.ply", first)
@@ -130,7 +132,7 @@ def test_what_was_read_is_written_as_ours(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
 
 
-def test_only_materials_need_the_comment(tmp_path: Path) -> None:
+def test_capture_without_materials_has_no_material_comment(tmp_path: Path) -> None:
     """A capture without materials is written as before."""
     ls.save(tmp_path / "plain.ply", capture(3))
     assert load_gaussians(tmp_path / "plain.ply").comments == ()
@@ -143,7 +145,7 @@ def unmarked(path: Path, roughness: np.ndarray) -> Path:
     return path
 
 
-def test_our_older_files_stay_readable(tmp_path: Path) -> None:
+def test_older_lumisplat_files_without_comment_are_read(tmp_path: Path) -> None:
     """Without the comment, columns that only we write are ours if all their values are in range."""
     path = unmarked(tmp_path / "old.ply", np.linspace(0.0, 1.0, 4))
     assert load_gaussians(path).comments == ()
@@ -157,7 +159,7 @@ def test_our_older_files_stay_readable(tmp_path: Path) -> None:
         ({"roughness": 0.5, "metallic": 1.5}, "1 of 1 values of metallic are outside 0..1"),
     ],
 )
-def test_materials_of_unknown_trainers_are_left_out(
+def test_materials_of_unknown_trainers_are_dropped(
     tmp_path: Path, row: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Nobody knows what such columns mean: the capture is loaded without them, and a line says why and what to do."""
@@ -179,7 +181,7 @@ def test_materials_of_unknown_trainers_are_left_out(
         (("roughness",), None),
     ],
 )
-def test_materials_that_lack_a_column_are_left_out(
+def test_materials_with_a_missing_column_are_dropped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: tuple[str, ...], said: str | None
 ) -> None:
     """A line says which; what is not there at all is nothing to say."""
@@ -192,7 +194,7 @@ def test_materials_that_lack_a_column_are_left_out(
     assert getattr(loaded, field) is None
 
 
-def test_marked_files_out_of_range_are_refused(tmp_path: Path) -> None:
+def test_linear_materials_out_of_range_are_refused(tmp_path: Path) -> None:
     """A file that says that its values are linear, and holds others, is damaged."""
     path = write(
         tmp_path / "a.ply", GEOMETRY | ROTATION | SH | {"roughness": 2.0}, comment="lumisplat materials linear"
@@ -201,7 +203,7 @@ def test_marked_files_out_of_range_are_refused(tmp_path: Path) -> None:
         ls.load(path)
 
 
-def test_invalid_raw_values_are_named_by_their_column(tmp_path: Path) -> None:
+def test_invalid_stored_values_are_named_by_their_column(tmp_path: Path) -> None:
     """NaN and infinity, whose sigmoid would be finite, are refused, under the name that the file has for them."""
     bad = r3dg_row((0.0, np.inf, 0.0), np.nan)
     path = write(tmp_path / "bad.ply", r3dg_row((0, 0, 0), 0), bad)
@@ -217,7 +219,7 @@ def flat_row(x: float, turn: tuple[float, ...], log_scales: tuple[float, float])
     return row | {f"rot_{i}": value for i, value in enumerate(turn)}
 
 
-def test_two_scales_are_a_flat_gaussian(tmp_path: Path) -> None:
+def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
     """2D Gaussians load with a third scale that is tiny beside both others, along the third axis: their normal."""
     upright = flat_row(-1.0, (1, 0, 0, 0), (-2.0, -4.0))
     turned = flat_row(1.0, (1, 1, 0, 0), (-5.0, -3.0))  # a quarter about x: z to -y
@@ -229,7 +231,7 @@ def test_two_scales_are_a_flat_gaussian(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.abs(ls.estimate_normals(loaded)), [[0, 0, 1], [0, 1, 0]], atol=1e-6)
 
 
-def test_flat_gaussians_survive_our_ply(tmp_path: Path) -> None:
+def test_2d_gaussians_are_saved_as_3d_gaussians(tmp_path: Path) -> None:
     """Saved, they are 3D Gaussians, as every reader expects."""
     ls.save(tmp_path / "copy.ply", load_gaussians(write(tmp_path / "a.ply", flat_row(0.0, (1, 0, 0, 0), (-2, -3)))))
     assert "scale_2" in parse_ply((tmp_path / "copy.ply").read_bytes())[0]
@@ -237,7 +239,7 @@ def test_flat_gaussians_survive_our_ply(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("missing", [("scale_1",), ("scale_1", "scale_2"), ("scale_2", "rot_3")])
-def test_other_missing_scales_are_still_refused(tmp_path: Path, missing: tuple[str, ...]) -> None:
+def test_missing_scales_other_than_scale_2_are_refused(tmp_path: Path, missing: tuple[str, ...]) -> None:
     """Only scale_2 may be absent."""
     row = {name: value for name, value in (GEOMETRY | ROTATION | SH).items() if name not in missing}
     with pytest.raises(ls.FormatError, match=f"no {missing[-1] if missing[-1] != 'scale_2' else 'scale_1'}"):

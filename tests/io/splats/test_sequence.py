@@ -19,7 +19,7 @@ def write_frames(folder: Path, names: list[str], counts: list[int] | None = None
         ls.save(folder / name, random_gaussians(k, count=counts[k] if counts else 4 + k))
 
 
-def test_frames_come_in_natural_order(tmp_path: Path) -> None:
+def test_frames_are_sorted_by_number(tmp_path: Path) -> None:
     """Numbers in names are compared as numbers, whatever their width; other files and hidden ones are ignored."""
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
@@ -29,7 +29,7 @@ def test_frames_come_in_natural_order(tmp_path: Path) -> None:
     assert [sequence.at(k / 2.0).count for k in range(4)] == [4, 5, 6, 7]
 
 
-def test_a_frame_is_shown_until_the_next(tmp_path: Path) -> None:
+def test_frame_is_shown_until_the_next(tmp_path: Path) -> None:
     """Frames with different counts are shown unchanged until the next one; nothing is interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.io.load_sequence(tmp_path, 10.0)
@@ -53,7 +53,7 @@ def test_no_frame_is_skipped_by_rounding(fps: float, tmp_path: Path) -> None:
     assert shown == list(range(500))
 
 
-def test_few_frames_are_kept(tmp_path: Path) -> None:
+def test_only_a_few_frames_are_cached(tmp_path: Path) -> None:
     """A frame is loaded when it is first shown, and not again while it is among the last few."""
     loaded: list[str] = []
 
@@ -96,7 +96,7 @@ def test_folders_without_frames_are_refused(tmp_path: Path) -> None:
         ls.io.load_sequence(tmp_path, 25.0)
 
 
-def test_meshes_are_no_frames(tmp_path: Path) -> None:
+def test_meshes_are_refused_as_frames(tmp_path: Path) -> None:
     """A PLY with faces is not a frame."""
     import trimesh
 
@@ -105,7 +105,7 @@ def test_meshes_are_no_frames(tmp_path: Path) -> None:
         ls.io.load_sequence(tmp_path, 25.0)
 
 
-def test_bad_numbers_are_refused(tmp_path: Path) -> None:
+def test_invalid_rates_and_times_are_refused(tmp_path: Path) -> None:
     """Rates are positive, times finite."""
     write_frames(tmp_path, ["a1.ply"])
     for fps in (0.0, -1.0, float("nan"), cast(Any, "25")):

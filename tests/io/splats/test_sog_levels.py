@@ -38,7 +38,7 @@ def sorted_rows(values: np.ndarray) -> np.ndarray:
     return values[np.lexsort(values.T)]
 
 
-def test_the_finest_level_is_the_capture(tmp_path: Path) -> None:
+def test_finest_level_is_the_capture(tmp_path: Path) -> None:
     """As near as a SOG has it: positions to a step of 16 bits, each Gaussian once."""
     given = capture(300, 1)
     ls.save(tmp_path / "city" / "lod-meta.json", given)
@@ -54,7 +54,7 @@ def test_the_finest_level_is_the_capture(tmp_path: Path) -> None:
     assert read.sh_degree == 1
 
 
-def test_levels_halve_and_cover_the_same(tmp_path: Path) -> None:
+def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> None:
     """Each has about half of the one before, in each leaf; the file counts them; what they hide stays alike."""
     given = capture(600, 0)
     path = tmp_path / "lod-meta.json"
@@ -70,7 +70,7 @@ def test_levels_halve_and_cover_the_same(tmp_path: Path) -> None:
     assert expect_kind(ls.Gaussians, ls.load(path, budget=levels[2].count)).count == levels[2].count
 
 
-def test_leaves_are_apart_and_small(tmp_path: Path) -> None:
+def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
     """Each has all levels, and a box around its Gaussians within those of the nodes above it."""
     ls.save(tmp_path / "lod-meta.json", capture(600, 0))
     said = json.loads((tmp_path / "lod-meta.json").read_text())
@@ -93,7 +93,7 @@ def test_leaves_are_apart_and_small(tmp_path: Path) -> None:
     assert (top_high >= np.max([leaf["bound"]["max"] for leaf in leaves], axis=0)).all()
 
 
-def test_equal_places_end(tmp_path: Path) -> None:
+def test_coincident_gaussians_stop_the_division(tmp_path: Path) -> None:
     """Gaussians that are all at one place, or all but one, cannot be divided for ever."""
     for far in (0.0, 500.0):
         means = np.zeros((260, 3))
@@ -102,7 +102,7 @@ def test_equal_places_end(tmp_path: Path) -> None:
         assert load_gaussians(tmp_path).count == 260
 
 
-def test_a_folder_is_whole_or_none(tmp_path: Path) -> None:
+def test_interrupted_write_leaves_no_index(tmp_path: Path) -> None:
     """Where writing ends halfway, there is no lod-meta.json, not the old one beside new captures."""
     ls.save(tmp_path / "city" / "lod-meta.json", capture(300, 0))
     shutil.rmtree(tmp_path / "city" / "1_0")
@@ -112,7 +112,7 @@ def test_a_folder_is_whole_or_none(tmp_path: Path) -> None:
     assert not (tmp_path / "city" / "lod-meta.json").exists()
 
 
-def test_splat_transform_reads_its_captures(tmp_path: Path) -> None:
+def test_splat_transform_reads_the_captures(tmp_path: Path) -> None:
     """It reads no lod-meta.json; of each capture that one names, what we read."""
     command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
     if not command:

@@ -16,7 +16,7 @@ from support.files.splat_files import capture, load_gaussians, rows_of_level, so
 from support.kinds import expect_kind
 
 
-def test_levels(tmp_path: Path) -> None:
+def test_leaves_without_a_level_use_the_next_coarser_one(tmp_path: Path) -> None:
     """Level 0 is all of the finest capture; a leaf without a level shows its next coarser one, without harmonics."""
     path = streamed(tmp_path)
     finest, middle, coarsest = (load_gaussians(tmp_path / name) for name in ("0_0", "1_0", "2_0"))
@@ -31,13 +31,15 @@ def test_levels(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("budget", "count"), [(10**6, 50), (50, 50), (49, 23), (23, 23), (22, 8), (8, 8), (7, 8)])
-def test_budgets(tmp_path: Path, budget: int, count: int, caplog: pytest.LogCaptureFixture) -> None:
+def test_budget_selects_the_finest_level_that_fits(
+    tmp_path: Path, budget: int, count: int, caplog: pytest.LogCaptureFixture
+) -> None:
     """The finest level within the budget is read; if there is none, the coarsest, which a line says."""
     assert expect_kind(Gaussians, ls.load(streamed(tmp_path), budget=budget)).count == count
     assert any("no level has 7 Gaussians or fewer" in r.getMessage() for r in caplog.records) == (budget == 7)
 
 
-def test_the_environment_is_always_there(tmp_path: Path) -> None:
+def test_environment_capture_is_in_every_level(tmp_path: Path) -> None:
     """What surrounds all leaves is added at each level."""
     unpacked(tmp_path / "sky", sog_files(capture(11), linear=False))
     path = streamed(tmp_path, environment="sky/meta.json")
@@ -68,21 +70,21 @@ def test_the_environment_is_always_there(tmp_path: Path) -> None:
         ({"filenames": ["gone/meta.json"] * 3}, "no such file"),
     ],
 )
-def test_damaged_metadata(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
+def test_damaged_metadata_is_refused_in_one_line(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
     """What is wrong is one line."""
     with pytest.raises(FormatError, match=message) as error:
         ls.load(streamed(tmp_path, **changed))
     assert "\n" not in str(error.value)
 
 
-def test_no_such_level(tmp_path: Path) -> None:
+def test_unknown_level_lists_the_known_ones(tmp_path: Path) -> None:
     """The message says which levels there are."""
     with pytest.raises(FormatError, match=r"has no level 3: its levels are 0 \(finest\) to 2"):
         ls.load(streamed(tmp_path), lod=3)
 
 
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
-def test_mutations(tmp_path: Path, count: int) -> None:
+def test_mutated_metadata_loads_or_is_refused(tmp_path: Path, count: int) -> None:
     """With characters changed, or its end lost, a file loads or is refused in one line."""
     path = streamed(tmp_path)
     original = path.read_bytes()
@@ -99,7 +101,7 @@ def test_mutations(tmp_path: Path, count: int) -> None:
 
 
 @pytest.mark.data
-def test_playbot(data_dir: Path) -> None:
+def test_playbot_levels_match_its_metadata(data_dir: Path) -> None:
     """PlayCanvas's scene: the finest level has the counts of its tree; coarser ones fill the same room."""
     folder = data_dir / "splats" / "playbot"
     some = expect_kind(Gaussians, ls.load(folder, budget=20_000))
@@ -110,7 +112,7 @@ def test_playbot(data_dir: Path) -> None:
     assert (low > np.array(bound["min"]) - 0.05).all() and (high < np.array(bound["max"]) + 0.05).all()
 
 
-def test_splat(tmp_path: Path) -> None:
+def test_splat_file_is_decoded(tmp_path: Path) -> None:
     """A .splat has exact positions and scales, and colours, opacities and rotations of a byte."""
     base = capture(100, 0)
     (tmp_path / "a.splat").write_bytes(splat_rows(base))
@@ -123,7 +125,7 @@ def test_splat(tmp_path: Path) -> None:
     assert cosines.min() > 1 - 2 * (1 / 128) ** 2  # four components, each half a step off, or a whole one at 1
 
 
-def test_splat_of_another_size(tmp_path: Path) -> None:
+def test_splat_with_a_partial_row_is_refused(tmp_path: Path) -> None:
     """A part of a row is noticed."""
     (tmp_path / "a.splat").write_bytes(splat_rows(capture(3, 0))[:-1])
     with pytest.raises(FormatError, match="95 bytes are not a multiple of 32 per Gaussian"):

@@ -31,7 +31,7 @@ def written(folder: Path, gaussians: ls.Gaussians) -> tuple[ls.Gaussians, ls.Gau
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_round_trip(tmp_path: Path, degree: int) -> None:
+def test_round_trip_is_within_half_a_step(tmp_path: Path, degree: int) -> None:
     """Each value is within half a step of what was written; a palette of 256 for 300 keeps most of the SH."""
     before, after = written(tmp_path, capture(300, degree, antialiased=True))
     assert after.antialiased
@@ -74,14 +74,14 @@ def test_bundle_and_folder_have_the_same_files(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(ours, field), getattr(bundled, field))
 
 
-def test_same_capture_same_bytes(tmp_path: Path) -> None:
+def test_equal_captures_give_equal_bytes(tmp_path: Path) -> None:
     """Neither time nor chance is in a file."""
     for name in ("a.sog", "b.sog"):
         ls.save(tmp_path / name, capture(200, 3))
     assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
 
 
-def test_transparent_pixels_keep_their_colours(tmp_path: Path) -> None:
+def test_transparent_pixels_preserve_their_colours(tmp_path: Path) -> None:
     """DC is in the colours of pixels whose alpha is the opacity, 0 here."""
     base = capture(64)
     invisible = ls.Gaussians(base.means, base.rotations_wxyz, base.scales, np.zeros(64), base.sh[:, :1])
@@ -90,7 +90,7 @@ def test_transparent_pixels_keep_their_colours(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 2, 17, 1023, 1025])
-def test_any_number(tmp_path: Path, count: int) -> None:
+def test_any_number_of_gaussians_fits_the_images(tmp_path: Path, count: int) -> None:
     """Images have room for any number of Gaussians, also where all share a coordinate."""
     base = capture(count, 1)
     flat = ls.Gaussians(base.means * (1, 1, 0), base.rotations_wxyz, base.scales, base.opacities, base.sh)
@@ -101,7 +101,7 @@ def test_any_number(tmp_path: Path, count: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.sog", "levels/lod-meta.json"])
-def test_far_captures_keep_their_positions(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_far_captures_preserve_their_positions(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
     """At the coordinates of a map, positions are exact here; engines that decode floats round them, as a line says."""
     base = capture(400, 0)
     far = replace(base, means=base.means + np.array((5e5, 5.4e6, 0.0)), scales=np.full((400, 3), 0.05))
@@ -114,7 +114,7 @@ def test_far_captures_keep_their_positions(tmp_path: Path, name: str, caplog: py
     )
 
 
-def test_strays_are_counted_by_their_steps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_outliers_with_coarse_positions_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """A stray does not spoil what is near the origin, but is stored coarsely itself; without it, no line."""
     base = capture(100, 0)
     means = base.means.copy()
@@ -130,7 +130,7 @@ def test_strays_are_counted_by_their_steps(tmp_path: Path, caplog: pytest.LogCap
     assert not caplog.records
 
 
-def test_written_once_more(tmp_path: Path) -> None:
+def test_second_write_loses_no_more_sh(tmp_path: Path) -> None:
     """What was read from a SOG is written without further loss of harmonics, as its palette is found again."""
     _, once = written(tmp_path, capture(2000, 2))
     before, twice = written(tmp_path, once)
@@ -138,12 +138,12 @@ def test_written_once_more(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("count", "size"), [(1, 1), (40, 32), (1024, 1024), (152_746, 65_536), (10**6, 65_536)])
-def test_palette_sizes(count: int, size: int) -> None:
+def test_palette_size_is_a_power_of_two(count: int, size: int) -> None:
     """A power of two, at most as many as there are Gaussians, and as labels can count."""
     assert palette_size(count) == size
 
 
-def test_what_sog_cannot_hold_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_losses_of_sog_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Materials and the kernel degree are left out, which a line says."""
     ls.save(tmp_path / "a.sog", capture(5, 0, kernel_degree=4, roughness=np.full(5, 0.5)))
     messages = " ".join(record.getMessage() for record in caplog.records)
@@ -151,7 +151,7 @@ def test_what_sog_cannot_hold_is_said(tmp_path: Path, caplog: pytest.LogCaptureF
     assert "SOG cannot store the kernel degree, 4" in messages
 
 
-def test_a_folder_is_whole_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_interrupted_write_leaves_no_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where writing ends halfway, there is no meta.json, not the old one beside new images."""
     meta = tmp_path / "folder" / "meta.json"
     ls.save(meta, capture(20))
@@ -163,7 +163,7 @@ def test_a_folder_is_whole_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         ls.load(tmp_path / "folder")
 
 
-def test_codebook_of_few_values() -> None:
+def test_codebook_is_exact_for_few_values() -> None:
     """No more than 256 different values are kept exactly."""
     values = np.random.default_rng(0).normal(size=200).astype(np.float32)
     many = np.repeat(values, np.arange(1, 201))
@@ -172,7 +172,7 @@ def test_codebook_of_few_values() -> None:
     np.testing.assert_allclose(codebook[encode(many, codebook)], many, rtol=1e-6)
 
 
-def test_codebook_keeps_what_is_far_away() -> None:
+def test_codebook_has_entries_for_outliers() -> None:
     """A few values far from ten thousand others have entries of their own."""
     rng = np.random.default_rng(0)
     values = np.concatenate([rng.normal(size=10_000), [30.0, 31.0, -25.0, 60.0]])
@@ -180,7 +180,7 @@ def test_codebook_keeps_what_is_far_away() -> None:
     np.testing.assert_allclose(codebook[encode(values[-4:], codebook)], values[-4:], rtol=1e-6)
 
 
-def test_codebook_is_near_the_best() -> None:
+def test_codebook_error_is_near_the_optimum() -> None:
     """Of evenly spread numbers, entries are spread evenly: the error is that of 256 equal steps, but for 1 %."""
     values = (np.arange(51_200) + 0.5) / 51_200
     codebook = fit_codebook(values)
@@ -189,7 +189,7 @@ def test_codebook_is_near_the_best() -> None:
 
 
 @pytest.mark.data
-def test_pictures_of_a_capture(tmp_path: Path, data_dir: Path) -> None:
+def test_frames_of_a_saved_capture_match(tmp_path: Path, data_dir: Path) -> None:
     """The biker looks the same to 60 dB."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     ls.save(tmp_path / "biker.sog", biker)

@@ -52,7 +52,7 @@ def test_invalid_values_are_counted_by_property() -> None:
     assert "\n" not in message
 
 
-def test_columns_are_taken_without_a_copy() -> None:
+def test_columns_are_not_copied() -> None:
     """Large captures are in memory once: the Gaussians use the arrays that were read."""
     columns = stored()
     gaussians = gaussians_from_columns("a.ply", columns)
@@ -60,7 +60,7 @@ def test_columns_are_taken_without_a_copy() -> None:
     assert not gaussians.sh.flags.writeable
 
 
-def test_drop_invalid_keeps_the_rest(caplog: pytest.LogCaptureFixture) -> None:
+def test_drop_invalid_removes_only_invalid_rows(caplog: pytest.LogCaptureFixture) -> None:
     """drop_invalid leaves out exactly the bad rows, and logs how many."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         kept = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
@@ -68,7 +68,7 @@ def test_drop_invalid_keeps_the_rest(caplog: pytest.LogCaptureFixture) -> None:
     assert "dropped 4 Gaussians" in caplog.text
 
 
-def test_infinite_logits_are_opaque_and_invisible(caplog: pytest.LogCaptureFixture) -> None:
+def test_infinite_logits_are_valid(caplog: pytest.LogCaptureFixture) -> None:
     """Limits of the logit and of the logarithm are values: opacities 1 and 0, and the least scale."""
     columns = stored()
     columns.opacities[:2] = np.inf, -np.inf
@@ -81,7 +81,7 @@ def test_infinite_logits_are_opaque_and_invisible(caplog: pytest.LogCaptureFixtu
     assert not caplog.records
 
 
-def test_infinite_values_that_are_no_limits_are_invalid() -> None:
+def test_other_infinite_values_are_invalid() -> None:
     """A scale that grows without end, and an opacity of a format without logits, are no values."""
     columns = stored()
     columns.log_scales[2, 1] = np.inf
@@ -92,7 +92,7 @@ def test_infinite_values_that_are_no_limits_are_invalid() -> None:
         gaussians_from_columns("a.ply", columns)
 
 
-def test_nothing_left_is_an_error() -> None:
+def test_capture_without_a_valid_gaussian_is_refused() -> None:
     """A capture without a single valid Gaussian is refused even with drop_invalid."""
     columns = stored(2)
     columns.means[:] = np.nan
@@ -100,7 +100,7 @@ def test_nothing_left_is_an_error() -> None:
         gaussians_from_columns("a.ply", columns, drop_invalid=True)
 
 
-def test_underflowing_scales_are_mended() -> None:
+def test_underflowing_scales_are_clamped() -> None:
     """A log scale whose exponential is zero in float32 gives the smallest scale, not an error."""
     columns = stored(1)
     columns.log_scales[0] = (-200.0, -50.0, 0.0)
@@ -115,14 +115,14 @@ def test_overflowing_scales_are_refused() -> None:
         gaussians_from_columns("a.ply", columns)
 
 
-def test_large_logits_saturate_quietly() -> None:
+def test_large_logits_saturate_without_warning() -> None:
     """Logits far beyond the range of exp give opacity 0 and 1."""
     columns = stored(2)
     columns.opacities[:] = (-500.0, 500.0)
     np.testing.assert_array_equal(gaussians_from_columns("a.ply", columns).opacities, [0.0, 1.0])
 
 
-def test_values_out_of_range_name_the_file() -> None:
+def test_error_of_a_value_out_of_range_names_the_file() -> None:
     """A value that the scene refuses is reported as an error of the file."""
     columns = stored(2)
     columns.roughness = np.array([0.5, 1.5], dtype=np.float32)
@@ -130,7 +130,7 @@ def test_values_out_of_range_name_the_file() -> None:
         gaussians_from_columns("a.ply", columns)
 
 
-def test_what_was_read_is_written_to_the_same_bits() -> None:
+def test_repeated_conversion_is_bit_exact() -> None:
     """Files that are converted again and again do not drift, where it is logarithms and logits that are rounded."""
     rng = np.random.default_rng(1)
     columns = stored(20_000, degree=0)

@@ -45,7 +45,7 @@ def by_hand(path: Path, colors: bool, sh: bytes = b"", vertex_count: int = 1) ->
     return path
 
 
-def test_values_by_hand(tmp_path: Path) -> None:
+def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
     """Every bit field lands where the layout says."""
     one = load_gaussians(by_hand(tmp_path / "one.ply", colors=True))
     np.testing.assert_allclose(one.means, [[1.0, -1.0, -1 + 2 * 1023 / 2047]], rtol=1e-6)
@@ -56,26 +56,26 @@ def test_values_by_hand(tmp_path: Path) -> None:
     np.testing.assert_allclose(one.sh[0, 0] * SH_C0 + 0.5, [0.75, 0.25, 0.25 + 0.5 * 51 / 255], rtol=1e-6)
 
 
-def test_files_without_colour_ranges(tmp_path: Path) -> None:
+def test_files_without_colour_ranges_are_read(tmp_path: Path) -> None:
     """Older files have no colour ranges: a byte is the colour itself."""
     one = load_gaussians(by_hand(tmp_path / "old.ply", colors=False))
     np.testing.assert_allclose(one.sh[0, 0] * SH_C0 + 0.5, [1.0, 0.0, 51 / 255], atol=1e-6)
 
 
-def test_spherical_harmonics_bytes(tmp_path: Path) -> None:
+def test_sh_bytes_are_bin_centres(tmp_path: Path) -> None:
     """Bytes are bin centres over -4..4, except that the first and last mean the ends; channel-major."""
     one = load_gaussians(by_hand(tmp_path / "sh.ply", colors=True, sh=bytes([0, 128, 255, 64, 127, 192, 1, 2, 254])))
     expected = np.array([-4.0, 1 / 64, 4.0, -2 + 1 / 64, -1 / 64, 2 + 1 / 64, -4 + 3 / 64, -4 + 5 / 64, 4 - 3 / 64])
     np.testing.assert_allclose(one.sh[0, 1:], expected.reshape(3, 3).T, rtol=1e-6)
 
 
-def test_chunk_count_must_fit(tmp_path: Path) -> None:
+def test_wrong_chunk_count_is_refused(tmp_path: Path) -> None:
     """A chunk too few is refused, not read past."""
     with pytest.raises(FormatError, match="has 1 chunks for 257 Gaussians, expected 2"):
         ls.load(by_hand(tmp_path / "few.ply", colors=True, vertex_count=257))
 
 
-def test_sh_rows_must_fit(tmp_path: Path) -> None:
+def test_wrong_number_of_sh_rows_is_refused(tmp_path: Path) -> None:
     """SH for another number of Gaussians is refused."""
     with pytest.raises(FormatError, match="has 1 sh rows of 9 values for 2 Gaussians"):
         ls.load(by_hand(tmp_path / "sh.ply", colors=True, sh=bytes(9), vertex_count=2))
@@ -113,12 +113,12 @@ def test_coarse_positions_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert "the positions of 256 Gaussians" in saved_with(farther)  # and only that one, however far the stray
 
 
-def test_morton_order_of_a_point() -> None:
+def test_morton_order_of_coincident_points_is_defined() -> None:
     """A box without extent does not divide by zero."""
     np.testing.assert_array_equal(morton_order(np.ones((3, 3), dtype=np.float32)), [0, 1, 2])
 
 
-def test_smallest_three_inverts() -> None:
+def test_smallest_three_round_trip() -> None:
     """Packing and unpacking give the same rotation, whichever component is largest."""
     quaternions = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)

@@ -26,7 +26,7 @@ def write(path: Path, names: list[str], rows: list[list[float]], comments: str =
     return path
 
 
-def test_values_by_hand(tmp_path: Path) -> None:
+def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
     """Exponential of scales, sigmoid of the opacity, wxyz normalised, positions as they are."""
     one = load_gaussians(write(tmp_path / "one.ply", NAMES, [ROW]))
     np.testing.assert_array_equal(one.means, [[1, 2, 3]])
@@ -44,7 +44,7 @@ def test_f_rest_is_channel_major(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_property_order_is_free(tmp_path: Path, seed: int) -> None:
+def test_property_order_does_not_matter(tmp_path: Path, seed: int) -> None:
     """Shuffled columns, with unknown ones among them, give the same capture."""
     ls.save(tmp_path / "plain.ply", capture(20, degree=3))
     names, values = parse_ply((tmp_path / "plain.ply").read_bytes())
@@ -64,7 +64,7 @@ def test_zero_normals_are_ignored_and_real_ones_kept(tmp_path: Path) -> None:
     np.testing.assert_array_equal(present(up.normals), [[0, 1, 0]])
 
 
-def test_inria_reads_what_we_write(tmp_path: Path) -> None:
+def test_written_columns_are_those_of_inria(tmp_path: Path) -> None:
     """A written file has INRIA's columns in INRIA's order."""
     ls.save(tmp_path / "ours.ply", capture(5, degree=1))
     names, values = parse_ply((tmp_path / "ours.ply").read_bytes())
@@ -87,7 +87,7 @@ def test_inria_reads_what_we_write(tmp_path: Path) -> None:
         (("not antialiased 1", "made with care"), False),
     ],
 )
-def test_antialiased_comments(comments: tuple[str, ...], expected: bool) -> None:
+def test_antialiased_comments_are_recognised(comments: tuple[str, ...], expected: bool) -> None:
     """Brush's and Postshot's comments are understood; the last counts; others are ignored."""
     assert antialiased_from_comments(comments) is expected
 
@@ -100,7 +100,7 @@ def test_comments_are_read(tmp_path: Path) -> None:
     assert loaded.antialiased
 
 
-def test_windows_line_ends(tmp_path: Path) -> None:
+def test_windows_line_ends_are_read(tmp_path: Path) -> None:
     """A header with CR LF is read."""
     path = write(tmp_path / "crlf.ply", NAMES, [ROW])
     header, body = path.read_bytes().split(b"end_header\n")
@@ -118,7 +118,7 @@ def test_other_elements_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_array_equal(load_gaussians(path).means, [[1, 2, 3]])
 
 
-def test_other_elements_of_text_are_skipped(tmp_path: Path) -> None:
+def test_other_elements_of_text_files_are_skipped(tmp_path: Path) -> None:
     """The same for a text file, in which rows are lines."""
     header = ply_header(1, NAMES, "ascii").replace(
         b"element vertex", b"element camera 2\nproperty double t\nelement vertex"
@@ -166,7 +166,7 @@ def _columns(gaussians: ls.Gaussians, folder: Path) -> tuple[list[str], np.ndarr
 
 @pytest.mark.parametrize("prefix", ["scalar_", "scal_", "scalar_scalar_"])
 @pytest.mark.parametrize("ascii", [False, True])
-def test_prefixes_of_cloudcompare_are_taken_off(tmp_path: Path, prefix: str, ascii: bool) -> None:
+def test_cloudcompare_prefixes_are_removed(tmp_path: Path, prefix: str, ascii: bool) -> None:
     """CloudCompare writes a prefix before the name of each field but positions and normals, degree 2 included."""
     names, values = _columns(capture(40, degree=2), tmp_path)
     written = [name if name in "xyz" or name[0] == "n" else prefix + name for name in names]
@@ -181,7 +181,7 @@ def test_prefixes_of_cloudcompare_are_taken_off(tmp_path: Path, prefix: str, asc
         np.testing.assert_array_equal(piece.sh, plain.sh)
 
 
-def test_a_prefix_stays_where_the_name_is_taken(tmp_path: Path) -> None:
+def test_unprefixed_property_takes_precedence(tmp_path: Path) -> None:
     """A file may have both, of which the one without a prefix counts."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "scalar_opacity", "scal_x"], [[*ROW, 9.0, 9.0]]))
     assert read.opacities[0] == 0.5
@@ -191,7 +191,7 @@ def test_a_prefix_stays_where_the_name_is_taken(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "dtype", "scale"), [("uchar", "<u1", 255), ("ushort", "<u2", 65535), ("float", "<f4", 1)]
 )
-def test_colours_are_red_green_and_blue_without_f_dc(tmp_path: Path, kind: str, dtype: str, scale: int) -> None:
+def test_rgb_properties_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: str, scale: int) -> None:
     """Colours of nerfstudio's mode rgb are display-referred, in place of SH; other columns count from 0 as ever."""
     whole = capture(40, degree=0)
     names, values = _columns(whole, tmp_path)
@@ -217,7 +217,7 @@ def test_colours_are_red_green_and_blue_without_f_dc(tmp_path: Path, kind: str, 
 
 
 @pytest.mark.parametrize("colors", [("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ()])
-def test_other_names_of_properties_are_understood(tmp_path: Path, colors: tuple[str, ...]) -> None:
+def test_alternative_property_names_are_read(tmp_path: Path, colors: tuple[str, ...]) -> None:
     """Colours have three usual names, and programs write names in capitals."""
     if colors:
         names = [name for name in NAMES if not name.startswith("f_dc")] + list(colors)
@@ -230,7 +230,7 @@ def test_other_names_of_properties_are_understood(tmp_path: Path, colors: tuple[
     np.testing.assert_array_equal(read.means, [[1, 2, 3]])
 
 
-def test_f_dc_counts_beside_red_green_and_blue(tmp_path: Path) -> None:
+def test_f_dc_takes_precedence_over_rgb(tmp_path: Path) -> None:
     """Programs add colours for viewers of points; SH say more."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "red", "green", "blue"], [[*ROW, 1.0, 1.0, 1.0]]))
     np.testing.assert_allclose(read.sh, [[[0.1, 0.2, 0.3]]], rtol=1e-6)
@@ -248,7 +248,7 @@ def _activated(folder: Path, whole: ls.Gaussians, *, scales: bool, opacities: bo
 
 @pytest.mark.parametrize(("scales", "opacities"), [(True, True), (False, True), (True, False)])
 @pytest.mark.parametrize("opaque", [False, True])
-def test_values_after_their_activation_are_recognised(
+def test_activated_values_are_recognised(
     tmp_path: Path, scales: bool, opacities: bool, opaque: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As logits, opacities would all be 0.5 to 0.73; as logarithms, all Gaussians would be larger than a unit."""
@@ -267,7 +267,7 @@ def test_values_after_their_activation_are_recognised(
     np.testing.assert_array_equal(piece.scales, read.scales)
 
 
-def test_a_comment_says_that_values_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_logits_comment_overrides_the_guess(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """What the line proposes; no line then."""
     whole = capture(100, degree=0)
     path = _activated(tmp_path, whole, scales=True, opacities=True, comment="comment lumisplat logits\n")
@@ -275,7 +275,7 @@ def test_a_comment_says_that_values_are_logits(tmp_path: Path, caplog: pytest.Lo
     assert not caplog.records
 
 
-def test_captures_that_look_activated_come_back_as_they_were(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_captures_that_look_activated_round_trip(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Large Gaussians of opacities that are logits of 0..1: our own file says what it holds."""
     rng = np.random.default_rng(4)
     whole = capture(100, degree=0, opacities=rng.uniform(0.55, 0.7, 100), scales=rng.uniform(1.5, 3.0, (100, 3)))
@@ -287,7 +287,7 @@ def test_captures_that_look_activated_come_back_as_they_were(tmp_path: Path, cap
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_trained_captures_are_never_taken_for_activated(
+def test_trained_captures_are_not_mistaken_for_activated_ones(
     tmp_path: Path, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """In units from millimetres to kilometres, dense or faint."""

@@ -82,7 +82,7 @@ def steps(name: str, gaussians: Gaussians) -> Steps:
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("name", FORMATS)
-def test_round_trip(tmp_path: Path, name: str, degree: int) -> None:
+def test_round_trip_is_within_half_a_quantisation_step(tmp_path: Path, name: str, degree: int) -> None:
     """A capture written in a format and loaded differs by no more than half a quantisation step."""
     gaussians = capture(300, degree)
     loaded = load_gaussians(write_format(tmp_path, name, gaussians))
@@ -107,7 +107,9 @@ def test_round_trip(tmp_path: Path, name: str, degree: int) -> None:
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply", "capture.spz"])
 @pytest.mark.parametrize("antialiased", [False, True])
 @pytest.mark.parametrize("comments", [(), ("antialiased 1", "made by hand"), ("SplatRenderMode: default",)])
-def test_antialiased_flag_survives(tmp_path: Path, name: str, antialiased: bool, comments: tuple[str, ...]) -> None:
+def test_round_trip_preserves_antialiased_flag(
+    tmp_path: Path, name: str, antialiased: bool, comments: tuple[str, ...]
+) -> None:
     """Every written format keeps the flag, whatever old comments say, through a second round trip too."""
     path = tmp_path / name
     ls.save(path, capture(20, antialiased=antialiased, comments=comments))
@@ -122,7 +124,7 @@ def test_antialiased_flag_survives(tmp_path: Path, name: str, antialiased: bool,
 @pytest.mark.parametrize(
     "comments", [(), ("made by hand", "lumisplat kernel_degree 5"), ("Lumisplat Kernel_Degree  2",)]
 )
-def test_kernel_degree_survives(tmp_path: Path, name: str, degree: int, comments: tuple[str, ...]) -> None:
+def test_round_trip_preserves_kernel_degree(tmp_path: Path, name: str, degree: int, comments: tuple[str, ...]) -> None:
     """PLY and compressed PLY keep the degree, whatever old comments say, and state it only where it is not 2."""
     path = tmp_path / name
     ls.save(path, capture(20, kernel_degree=degree, comments=comments))
@@ -135,7 +137,7 @@ def test_kernel_degree_survives(tmp_path: Path, name: str, degree: int, comments
 
 
 @pytest.mark.parametrize("stated", [6, -1, 999_999_999])
-def test_impossible_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None:
+def test_invalid_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None:
     """A file that states an invalid degree is refused, and named."""
     path = tmp_path / "capture.ply"
     ls.save(path, capture(5))
@@ -144,7 +146,7 @@ def test_impossible_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> N
         ls.load(path)
 
 
-def test_spz_says_that_it_loses_the_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_spz_logs_the_lost_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """SPZ cannot store the degree: one log line if it is not the default, none otherwise."""
     ls.save(tmp_path / "usual.spz", capture(5))
     assert not caplog.records
@@ -155,7 +157,7 @@ def test_spz_says_that_it_loses_the_kernel_degree(tmp_path: Path, caplog: pytest
 
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply"])
-def test_comments_survive(tmp_path: Path, name: str) -> None:
+def test_round_trip_preserves_comments(tmp_path: Path, name: str) -> None:
     """Comments of a PLY are kept, in order and only once."""
     path = tmp_path / name
     ls.save(path, capture(20, comments=("first", "second  one")))
@@ -163,7 +165,7 @@ def test_comments_survive(tmp_path: Path, name: str) -> None:
     assert load_gaussians(path).comments == ("first", "second one")
 
 
-def test_materials_survive_in_ply(tmp_path: Path) -> None:
+def test_ply_round_trip_preserves_materials(tmp_path: Path) -> None:
     """Normals, albedo, roughness and metallic come back from a PLY."""
     rng = np.random.default_rng(3)
     normals = rng.normal(size=(30, 3))
@@ -176,7 +178,7 @@ def test_materials_survive_in_ply(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["lossy.compressed.ply", "lossy.spz"])
-def test_lost_materials_are_announced(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+def test_lost_materials_are_logged(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
     """Formats that cannot store materials log which they leave out."""
     ls.save(tmp_path / name, capture(10, roughness=np.full(10, 0.5)))
     assert "cannot store roughness" in caplog.text
@@ -184,13 +186,13 @@ def test_lost_materials_are_announced(tmp_path: Path, name: str, caplog: pytest.
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply", "capture.spz"])
 @pytest.mark.parametrize("count", [1, 255, 256, 257])
-def test_counts_around_a_chunk(tmp_path: Path, name: str, count: int) -> None:
+def test_counts_around_a_chunk_size_round_trip(tmp_path: Path, name: str, count: int) -> None:
     """No Gaussian is lost or invented at the edges of a chunk."""
     ls.save(tmp_path / name, capture(count))
     assert load_gaussians(tmp_path / name).count == count
 
 
-def test_extreme_opacities_stay_finite(tmp_path: Path) -> None:
+def test_opacities_0_and_1_round_trip(tmp_path: Path) -> None:
     """Opacity 0 and 1, whose logits are infinite, survive a PLY."""
     base = capture(3)
     extreme = Gaussians(base.means, base.rotations_wxyz, base.scales, [0.0, 1.0, 0.5], base.sh)

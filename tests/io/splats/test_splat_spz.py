@@ -78,7 +78,7 @@ SECTIONS_OF_TWO = (
 """The sections that gsply 0.4.6 wrote for `TWO`, mirrored to RUB by hand, with 14 fractional bits."""
 
 
-def test_sections_byte_by_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_written_sections_match_those_of_gsply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The header and the sections of a tiny file are, byte by byte, those that another writer wrote."""
     monkeypatch.setattr("lumisplat.io.splats.spz.position_bits", lambda path, largest: 14)
     ls.save(tmp_path / "two.spz", TWO)
@@ -92,7 +92,7 @@ def test_sections_byte_by_byte(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert start == len(data)
 
 
-def test_stored_axes_are_right_up_back(tmp_path: Path) -> None:
+def test_stored_axes_are_rub(tmp_path: Path) -> None:
     """What gsply 0.4.6 read of the file of `TWO`: down and forward for us are negative in y and z in the file."""
     (tmp_path / "two.spz").write_bytes(
         as_version_4(
@@ -130,7 +130,7 @@ def damaged_stream(path: Path, stream: int, replacement: bytes, states: int | No
 
 
 @pytest.mark.parametrize("states_size", [True, False])
-def test_zstd_bombs(tmp_path: Path, states_size: bool) -> None:
+def test_zstd_bombs_are_refused(tmp_path: Path, states_size: bool) -> None:
     """A stream that unpacks to a gigabyte is refused in one line, and takes no more memory than it should."""
     packer = zstandard.ZstdCompressor(level=1, write_content_size=states_size)
     stream = packer.compressobj(size=2**28 if states_size else -1)
@@ -158,13 +158,13 @@ def test_zstd_bombs(tmp_path: Path, states_size: bool) -> None:
         (zstandard.compress(bytes(51)), 51, "its streams do not hold 50 Gaussians"),
     ],
 )
-def test_damaged_streams(tmp_path: Path, stream: bytes, states: int | None, message: str) -> None:
+def test_damaged_streams_are_named(tmp_path: Path, stream: bytes, states: int | None, message: str) -> None:
     """A stream that is none, too short or too long is named."""
     with pytest.raises(FormatError, match=message):
         ls.load(damaged_stream(tmp_path / "a.spz", 1, stream, states))
 
 
-def test_changed_bytes_are_noticed(tmp_path: Path) -> None:
+def test_checksums_detect_changed_bytes(tmp_path: Path) -> None:
     """Our streams have checksums: no changed byte of their content is taken for Gaussians."""
     ls.save(tmp_path / "a.spz", capture(50, degree=1))
     data = (tmp_path / "a.spz").read_bytes()
@@ -176,7 +176,7 @@ def test_changed_bytes_are_noticed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", [1, 2, 3])
 @pytest.mark.parametrize("flag", [0, 1])
-def test_antialiased_flag_of_old_versions(tmp_path: Path, version: int, flag: int) -> None:
+def test_antialiased_flag_is_read_from_all_versions(tmp_path: Path, version: int, flag: int) -> None:
     """Flag bit 0 is read from every version."""
     (tmp_path / "a.spz").write_bytes(legacy_spz(capture(5), version, flags=flag))
     assert load_gaussians(tmp_path / "a.spz").antialiased is bool(flag)
@@ -197,7 +197,7 @@ def test_antialiased_flag_of_old_versions(tmp_path: Path, version: int, flag: in
         (8, (1, -1, 1)),
     ],
 )
-def test_axes_extension(tmp_path: Path, container: str, number: int, signs: tuple[int, int, int]) -> None:
+def test_axes_extension_is_read(tmp_path: Path, container: str, number: int, signs: tuple[int, int, int]) -> None:
     """LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF are 1 to 8, RUB is the default; unknown records are stepped over."""
     record = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack("<III", COORDINATES, 4, number)
     path = tmp_path / "axes.spz"
@@ -212,7 +212,7 @@ def test_axes_extension(tmp_path: Path, container: str, number: int, signs: tupl
     np.testing.assert_array_equal(load_gaussians(path).means, mirrored_means * (1, -1, -1) * signs)
 
 
-def test_exchanged_axes_are_refused(tmp_path: Path) -> None:
+def test_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
     """Axes that cannot be converted are an error, not a wrong picture."""
     path = v4(tmp_path / "rfu.spz", flags=2, extensions=struct.pack("<III", COORDINATES, 4, 16))
     with pytest.raises(FormatError, match="SPZ_ADOBE_coordinate_system 16"):
@@ -230,7 +230,7 @@ def test_positions_fit_their_bits(largest: float) -> None:
 
 
 @pytest.mark.parametrize("size", [0.01, 30.0, 5000.0, 1e6])
-def test_small_and_large_scenes(tmp_path: Path, size: float) -> None:
+def test_positions_of_small_and_large_scenes_are_precise(tmp_path: Path, size: float) -> None:
     """Positions survive at any scale of the scene to 2^-16 of its size."""
     base = capture(50)
     means = base.means / np.abs(base.means).max() * size
@@ -238,7 +238,7 @@ def test_small_and_large_scenes(tmp_path: Path, size: float) -> None:
     np.testing.assert_allclose(load_gaussians(tmp_path / "a.spz").means, means, rtol=0, atol=size * 2**-16)
 
 
-def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_clamped_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Scales end at e^-10 and e^5.94, DC at 3.33, other SH at -1 and 1; Gaussians that are clamped are counted."""
     base = capture(4)
     scales, sh = base.scales.copy(), base.sh.copy()
@@ -257,7 +257,7 @@ def test_what_is_clamped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> No
     assert "a.spz: 1 Gaussians have SH coefficients outside -1..1" in sharp
 
 
-def test_positions_beyond_the_format(tmp_path: Path) -> None:
+def test_positions_beyond_the_format_are_refused(tmp_path: Path) -> None:
     """A scene too large for fixed point is refused instead of clamped."""
     base = capture(2)
     far = ls.Gaussians(base.means * 1e7, base.rotations_wxyz, base.scales, base.opacities, base.sh)
@@ -298,7 +298,7 @@ def test_header_fields_are_checked(
 
 
 @pytest.mark.data
-def test_the_same_capture_as_spz_and_compressed_ply(data_dir: Path) -> None:
+def test_spz_and_compressed_ply_of_one_capture_agree(data_dir: Path) -> None:
     """The biker lands on itself: positions to half a step of 12 bits (and the PLY's), rotations, colours, opacities."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     np.testing.assert_allclose(spz.means, ply.means, rtol=0, atol=2**-13 + 1e-6)
@@ -307,11 +307,13 @@ def test_the_same_capture_as_spz_and_compressed_ply(data_dir: Path) -> None:
     inside = np.log(ply.scales) > -10.0  # SPZ ends there
     np.testing.assert_allclose(np.log(spz.scales)[inside], np.log(ply.scales)[inside], rtol=0, atol=1 / 32 + 1e-5)
     cosines = np.abs(np.einsum("ij,ij->i", spz.rotations_wxyz, ply.rotations_wxyz))
-    assert cosines.min() > 1 - 6e-6  # the rounding of both formats, see test_round_trip
+    assert (
+        cosines.min() > 1 - 6e-6
+    )  # the rounding of both formats, see test_round_trip_is_within_half_a_quantisation_step
 
 
 @pytest.mark.data
-def test_only_the_right_mirroring_lands(data_dir: Path) -> None:
+def test_only_the_chosen_mirroring_makes_files_agree(data_dir: Path) -> None:
     """Of the eight ways to flip axes, the one chosen is the only one that makes the two files agree."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     agreeing = []

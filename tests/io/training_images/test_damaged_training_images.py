@@ -1,4 +1,4 @@
-"""Folders of photographs that are not what they should be: one clear line, whatever is wrong."""
+"""Damaged or unsuitable image folders are refused with one clear line."""
 
 from __future__ import annotations
 
@@ -32,26 +32,26 @@ NAN_POSE = np.full((4, 4), np.nan).tolist()
 
 @pytest.fixture
 def nerfstudio(tmp_path) -> Path:
-    """A folder with transforms.json."""
+    """Image folder with a transforms.json."""
     return write_nerfstudio_images(tmp_path / "n", CAMERAS)
 
 
 @pytest.fixture
 def colmap(tmp_path) -> Path:
-    """A folder with a model of COLMAP."""
+    """Image folder with a COLMAP model."""
     return write_colmap_images(tmp_path / "c", CAMERAS, POINTS)
 
 
 def refusal(folder: Path, **options: Any) -> str:
-    """What is said about a folder that is refused, on one line."""
+    """Returns the one-line error of loading a folder."""
     with pytest.raises(ls.FormatError) as caught:
         ls.io.load_training_images(folder, **options)
     assert "\n" not in str(caught.value)
     return str(caught.value).replace(str(folder.parent), "")
 
 
-def test_folders_without_photographs(tmp_path):
-    """What is expected, and what to do."""
+def test_folders_without_images_are_refused(tmp_path):
+    """The error says what is expected and what to do."""
     assert refusal(tmp_path).endswith(
         ": has no images with poses: expected transforms.json (nerfstudio), transforms_train.json (Blender) or a "
         "COLMAP sparse model in sparse/0; for images without poses, find_poses (--poses colmap) creates one"
@@ -67,8 +67,8 @@ def test_folders_without_photographs(tmp_path):
     assert "transforms.json: is a file, expected the folder that holds" in refusal(tmp_path / "transforms.json")
 
 
-def test_all_photographs_missing(nerfstudio, colmap):
-    """The count, the first names, and where they were expected."""
+def test_error_counts_and_names_missing_images(nerfstudio, colmap):
+    """The error has the count, the first names and the expected folder."""
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         shutil.rmtree(folder / "images")
         message = refusal(folder)
@@ -76,16 +76,16 @@ def test_all_photographs_missing(nerfstudio, colmap):
         assert message.endswith("n or its images" if folder is nerfstudio else "/c"), "where they were looked for"
 
 
-def test_a_single_photograph(nerfstudio, colmap):
-    """Also one that is left of several."""
+def test_single_image_is_refused(nerfstudio, colmap):
+    """A set with one image left after skipping missing ones is refused, too."""
     for folder in (nerfstudio, colmap):
         for name in ("view_0.png", "view_2.png"):
             (folder / "images" / name).unlink()
         assert "has a single image, expected two or more: depth needs several viewpoints" in refusal(folder)
 
 
-def test_photographs_of_another_size(nerfstudio, colmap):
-    """Both sizes and both files."""
+def test_image_of_another_size_than_its_camera_is_refused(nerfstudio, colmap):
+    """The error names both sizes and both files."""
     for folder, listed in ((nerfstudio, "transforms.json"), (colmap, "sparse/0")):
         Image.new("RGB", (6, 4)).save(folder / "images" / "view_1.png")
         message = refusal(folder)
@@ -93,8 +93,8 @@ def test_photographs_of_another_size(nerfstudio, colmap):
         assert f"{listed} has 12 x 8: expected the images that the cameras were computed from" in message
 
 
-def test_poses_that_are_not_numbers(nerfstudio, colmap, tmp_path):
-    """The frame is named, of every layout."""
+def test_nonfinite_poses_are_refused(nerfstudio, colmap, tmp_path):
+    """The error names the frame, in every layout."""
     change_frame(nerfstudio / "transforms.json", 1, transform_matrix=NAN_POSE)
     assert "transforms.json: frame 1 (images/view_1.png) has transform_matrix" in refusal(nerfstudio)
     images = (colmap / "sparse/0/images.bin").read_bytes()
@@ -106,15 +106,15 @@ def test_poses_that_are_not_numbers(nerfstudio, colmap, tmp_path):
     assert "transforms_train.json: frame 2 (./train/view_2) has transform_matrix" in refusal(blender)
 
 
-def test_orthographic_cameras(nerfstudio):
-    """Named as such."""
+def test_orthographic_cameras_are_refused(nerfstudio):
+    """The error names the camera and its type."""
     content = json.loads((nerfstudio / "transforms.json").read_text()) | {"camera_model": "ORTHOPHOTO"}
     (nerfstudio / "transforms.json").write_text(json.dumps(content))
     assert "view_0 is of an orthographic camera, expected a pinhole or a fisheye" in refusal(nerfstudio)
 
 
-def test_masks_that_cannot_be(nerfstudio):
-    """Black everywhere, of another size, missing, or no picture: when the folder is read, not later."""
+def test_invalid_masks_are_refused(nerfstudio):
+    """Masks that are black, of another size, missing or not an image are refused on loading, not on decoding."""
     (nerfstudio / "masks").mkdir()
     mask = nerfstudio / "masks" / "view_1.png"
     Image.new("L", (12, 8)).save(mask)
@@ -130,8 +130,8 @@ def test_masks_that_cannot_be(nerfstudio):
     assert 'transforms.json: names the mask "masks/lost.png", which does not exist' in refusal(nerfstudio)
 
 
-def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
-    """No picture at all, and one that is cut off, are found at once, an empty one when its pixels are asked for."""
+def test_damaged_images_are_refused(nerfstudio, tmp_path):
+    """Garbage and truncated images are refused on loading, transparent ones when their pixels are decoded."""
     blender = write_blender_images(tmp_path / "b", {"train": CAMERAS}, alpha=0.0)
     with pytest.raises(ls.FormatError, match=r"view_0.png: is transparent everywhere: there is nothing to train with"):
         ls.io.load_training_images(blender).held_out[0].pixels()
@@ -145,8 +145,8 @@ def test_photographs_that_cannot_be_decoded(nerfstudio, tmp_path):
     assert "view_1.png: is not a readable image" in refusal(nerfstudio)
 
 
-def test_a_photograph_that_has_gone_since(nerfstudio):
-    """Its file is named when its pixels are asked for; those that were decoded are still there."""
+def test_image_deleted_after_loading_is_named(nerfstudio):
+    """Decoding a deleted image raises an error with its name; cached images remain available."""
     views = ls.io.load_training_images(nerfstudio, hold_out=0).training
     views[0].pixels()
     shutil.rmtree(nerfstudio / "images")
@@ -169,23 +169,23 @@ def test_a_photograph_that_has_gone_since(nerfstudio):
         ({"background": "mauve-ish"}, "background is 'mauve-ish', expected three numbers"),
     ],
 )
-def test_settings_are_checked_first(options, message):
-    """Before the folder is looked at."""
+def test_settings_are_checked_before_the_folder(options, message):
+    """The folder does not exist."""
     with pytest.raises(ls.ConfigError, match=message):
         ls.io.load_training_images("nowhere", **cast(Any, options))
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 30, 51, 58, -1, -8])
-def test_truncated_points(colmap, cut):
-    """Cut off within the count, a point or a track, or empty: the file is named."""
+def test_truncated_point_files_are_named(colmap, cut):
+    """Files may end within the count, a point or a track, or be empty."""
     path = colmap / "sparse/0/points3D.bin"
     path.write_bytes(path.read_bytes()[:cut])
     message = refusal(colmap)
     assert "sparse/0/points3D.bin: " in message and ("truncated" in message or "ends too early" in message or not cut)
 
 
-def test_points_that_are_nowhere(colmap, tmp_path):
-    """Counted, of both kinds of files; texts with too few values, and colours that are none, are refused, too."""
+def test_nonfinite_points_are_refused(colmap, tmp_path):
+    """Both file types count them; text with too few values or colours out of range is refused, too."""
     path = colmap / "sparse/0/points3D.bin"
     stored = bytearray(path.read_bytes())
     stored[16:24] = struct.pack("<d", np.inf)
@@ -203,7 +203,7 @@ def test_points_that_are_nowhere(colmap, tmp_path):
 
 
 def mutated(data: bytes, places: list[tuple[int, int]], cut: int) -> bytes:
-    """Some bytes changed, the end cut off."""
+    """Returns data with some bytes changed or its end cut off."""
     changed = bytearray(data)
     for place, value in places:
         changed[place % len(changed)] = value
@@ -218,7 +218,7 @@ CHECKED = settings(max_examples=150, suppress_health_check=[HealthCheck.function
 
 
 def survives(path: Path, data: bytes, read: Callable[[], object]) -> None:
-    """Reads a file with other contents: it is refused by one line, or read."""
+    """Loads a folder with a changed file: it loads or raises a one-line error."""
     original = path.read_bytes()
     path.write_bytes(data)
     try:
@@ -231,8 +231,8 @@ def survives(path: Path, data: bytes, read: Callable[[], object]) -> None:
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_points_are_refused_or_read(colmap, places, cut):
-    """Random bytes of points3D.bin: an error of ours, or finite points."""
+def test_damaged_points_load_or_are_refused(colmap, places, cut):
+    """Random bytes of points3D.bin give a Lumisplat error or finite points."""
     path = colmap / "sparse/0/points3D.bin"
 
     def read() -> None:
@@ -245,16 +245,16 @@ def test_damaged_points_are_refused_or_read(colmap, places, cut):
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_models_are_refused_or_read(colmap, places, cut):
-    """Random bytes of images.bin."""
+def test_damaged_models_load_or_are_refused(colmap, places, cut):
+    """Random bytes of images.bin are changed."""
     path = colmap / "sparse/0/images.bin"
     survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_training_images(colmap))
 
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_transforms_are_refused_or_read(nerfstudio, places, cut):
-    """Random bytes of transforms.json."""
+def test_damaged_transforms_load_or_are_refused(nerfstudio, places, cut):
+    """Random bytes of transforms.json are changed."""
     path = nerfstudio / "transforms.json"
     survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_training_images(nerfstudio))
 
@@ -269,8 +269,8 @@ KEYS = ("file_path", "mask_path", "transform_matrix", "w", "h", "fl_x", "cx", "k
 
 @CHECKED
 @given(st.sampled_from(KEYS), VALUES, st.booleans())
-def test_other_values_in_transforms_are_refused_or_read(nerfstudio, key, value, shared):
-    """Any JSON in the place of a value, of a frame or of the file."""
+def test_random_values_in_transforms_load_or_are_refused(nerfstudio, key, value, shared):
+    """Random JSON replaces a value, a frame or the whole file."""
     path = nerfstudio / "transforms.json"
     content = json.loads(path.read_text())
     (content if shared else content["frames"][1])[key] = value

@@ -1,4 +1,4 @@
-"""Poses of photographs by COLMAP, where pycolmap is installed: those of the fox are those that came with it."""
+"""Pose estimation with COLMAP, if pycolmap is installed; poses of the fox are compared with its transforms.json."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from lumisplat.io.images.texture import write_png
 needs_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason="pycolmap is not installed (extra poses)")
 
 
-def test_missing_extra(tmp_path, monkeypatch):
-    """Without pycolmap, how to install it is said."""
+def test_missing_pycolmap_names_the_extra(tmp_path, monkeypatch):
+    """The error says how to install pycolmap."""
     for k in range(2):
         write_png(tmp_path / f"{k}.png", np.full((8, 8, 3), 0.5))
     monkeypatch.setitem(sys.modules, "pycolmap", None)
@@ -27,8 +27,8 @@ def test_missing_extra(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"0.png", "1.png"}
 
 
-def test_folders_without_photographs(tmp_path):
-    """No folder, no photographs, a single one, and poses that are there already."""
+def test_unsuitable_folders_are_refused(tmp_path):
+    """There is no folder, no image or a single one, or a model exists already."""
     with pytest.raises(ls.errors.MissingFileError, match="nowhere: no such folder"):
         ls.io.find_poses(tmp_path / "nowhere")
     with pytest.raises(ls.FormatError, match="has no images, expected two or more"):
@@ -43,8 +43,8 @@ def test_folders_without_photographs(tmp_path):
 
 
 @needs_colmap
-def test_grey_pictures_have_no_poses(tmp_path):
-    """What shows no texture is refused, and nothing is left behind; progress has been told."""
+def test_images_without_texture_have_no_poses(tmp_path):
+    """The call is refused, leaves nothing behind, and has reported progress."""
     (tmp_path / "images").mkdir()
     for k in range(3):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
@@ -58,8 +58,8 @@ def test_grey_pictures_have_no_poses(tmp_path):
 
 
 @needs_colmap
-def test_what_is_taken_from_one_place_has_no_poses(tmp_path):
-    """Of much texture, from a camera that rolls about its axis, and stays where it is: there is no depth."""
+def test_images_without_parallax_have_no_poses(tmp_path):
+    """Textured images from a camera that only rolls about its axis have no depth."""
     noise = np.random.default_rng(0).integers(0, 256, (60, 60, 3)).astype(np.uint8)
     wide = Image.fromarray(noise).resize((480, 480), Image.Resampling.NEAREST)
     (tmp_path / "images").mkdir()
@@ -74,8 +74,8 @@ def test_what_is_taken_from_one_place_has_no_poses(tmp_path):
 @needs_colmap
 @pytest.mark.data
 @pytest.mark.deep
-def test_an_interrupted_call_goes_on(tmp_path, data_dir, caplog):
-    """Ctrl C between any two reports leaves what has been found, which the next call does not seek again."""
+def test_interrupted_call_continues(tmp_path, data_dir, caplog):
+    """Ctrl C between any two progress reports keeps the results, and the next call does not compute them again."""
     source = Path(data_dir) / "photos" / "fox" / "images"
     (tmp_path / "images").mkdir()
     for image in sorted(source.iterdir())[10:20]:
@@ -108,10 +108,10 @@ def test_an_interrupted_call_goes_on(tmp_path, data_dir, caplog):
 @needs_colmap
 @pytest.mark.data
 @pytest.mark.deep
-def test_the_fox_stands_where_it_stood(tmp_path, data_dir):
-    """Poses are those of transforms.json but for a similarity: to 1 % of the way around, and 1 degree.
+def test_poses_of_the_fox_match_its_transforms(tmp_path, data_dir):
+    """Poses match those of transforms.json up to a similarity: to 1 % of the camera path's length, and 1 degree.
 
-    COLMAP keeps the principal point in the middle, which is off by 0.6 degrees; names have spaces here.
+    COLMAP keeps the principal point at the image centre, which is off by 0.6 degrees; file names have spaces here.
     """
     source = Path(data_dir) / "photos" / "fox"
     (tmp_path / "images").mkdir()
@@ -137,15 +137,15 @@ def test_the_fox_stands_where_it_stood(tmp_path, data_dir):
 
 
 def similarity(points: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, float]:
-    """The rotation and the scale that bring centred points nearest to others (Umeyama 1991)."""
+    """Returns the rotation and scale that best align centred points with others (Umeyama 1991)."""
     a, b = points - points.mean(axis=0), target - target.mean(axis=0)
     u, sizes, v = np.linalg.svd(b.T @ a)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ v))])
     return u @ np.diag(signs) @ v, float((sizes * signs).sum() / (a * a).sum())
 
 
-def test_the_similarity_is_found():
-    """The helper above, on a similarity that is known."""
+def test_known_similarity_is_recovered():
+    """Tests the helper `similarity`."""
     camera = ls.Camera.look_at((1, 2, 3), (0, 0, 0))
     points = np.random.default_rng(1).normal(size=(9, 3))
     turn = camera.camera_from_world[:3, :3]

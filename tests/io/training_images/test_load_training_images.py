@@ -1,4 +1,4 @@
-"""Folders of photographs: which views they hold, with which cameras, and what their pixels are."""
+"""Loading of training images: views, cameras, pixels, masks and splits of a folder."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ POINTS = np.random.default_rng(3).normal(size=(7, 3))
 
 
 def same_view(camera: ls.Camera, other: ls.Camera) -> bool:
-    """Whether two cameras see the same."""
+    """Returns whether two cameras have the same pose and intrinsics."""
     ours, theirs = ([one.width, one.height, one.fx, one.fy, one.cx, one.cy] for one in (camera, other))
     return bool(np.allclose(ours, theirs)) and np.allclose(camera.camera_from_world, other.camera_from_world)
 
 
 @pytest.mark.parametrize("layout", ["transforms", "blender", "colmap", "colmap text", "colmap sparse", "colmap bare"])
-def test_every_layout_gives_the_same_views(tmp_path, layout):
-    """Poses, intrinsics, pixels and names are those that were written, whatever lists them."""
+def test_all_layouts_give_the_same_views(tmp_path, layout):
+    """Poses, intrinsics, pixels and names are those that were written."""
     lens: dict[str, Any] = {"fy": 45.0, "cx": 20.0, "cy": 15.0} if layout == "blender" else {}
     cameras = ring_cameras(**lens)
     if layout == "transforms":
@@ -58,8 +58,8 @@ def test_every_layout_gives_the_same_views(tmp_path, layout):
 
 
 @pytest.mark.parametrize("text", [False, True])
-def test_points_of_colmap_are_where_to_begin(tmp_path, text):
-    """Positions and colours, whatever the length of their tracks; other layouts have none."""
+def test_colmap_points_are_loaded(tmp_path, text):
+    """Positions and colours are right for tracks of any length; other layouts have no points."""
     found = ls.io.load_training_images(write_colmap_images(tmp_path / "c", ring_cameras(), POINTS, text=text))
     assert found.points is not None and found.point_colors is not None
     np.testing.assert_allclose(found.points, POINTS, rtol=1e-6)
@@ -69,8 +69,8 @@ def test_points_of_colmap_are_where_to_begin(tmp_path, text):
     assert ls.io.load_training_images(write_nerfstudio_images(tmp_path / "t", ring_cameras())).points is None
 
 
-def test_every_eighth_by_name_is_held_out(tmp_path):
-    """The first and each so many after it, in the order of names, not of the file; none for 0."""
+def test_every_eighth_image_by_name_is_held_out(tmp_path):
+    """The first image and every eighth after it, ordered by name and not by file order; none with hold_out=0."""
     cameras = [replace(camera, name=f"v{k:02d}") for k, camera in enumerate(ring_cameras(18, 8, 6))]
     write_nerfstudio_images(tmp_path, cameras[::-1])
     names = [camera.name for camera in cameras]
@@ -80,8 +80,8 @@ def test_every_eighth_by_name_is_held_out(tmp_path):
         assert [view.name for view in found.training] == [name for name in names if name not in held]
 
 
-def test_blender_says_itself_what_is_held_out(tmp_path):
-    """transforms_test.json, else transforms_val.json, else every eighth; with hold_out=0, nothing is."""
+def test_blender_test_file_defines_the_held_out_images(tmp_path):
+    """transforms_test.json, else transforms_val.json, else every eighth image; none with hold_out=0."""
     cameras = ring_cameras(6, 16, 12)
     parts = {"train": cameras[:3], "test": cameras[3:5], "val": cameras[4:]}
     write_blender_images(tmp_path, parts)
@@ -95,8 +95,8 @@ def test_blender_says_itself_what_is_held_out(tmp_path):
     assert [view.path.parent.name for view in ls.io.load_training_images(tmp_path).held_out] == ["train"]
 
 
-def test_transparent_pixels_lie_over_the_background(tmp_path):
-    """Half of the picture and half of white; without a background, half of the picture, to be composited later."""
+def test_transparent_pixels_are_composited_over_the_background(tmp_path):
+    """Pixels of alpha 0.4 have 0.4 of the image and 0.6 of the background; without one they stay premultiplied."""
     camera = ring_cameras(3, 16, 12)
     write_blender_images(tmp_path, {"train": camera}, alpha=102 / 255)
     for background, behind in ((None, 0.0), ("transparent", 0.0), ("white", 1.0), ((0.0, 0.5, 1.0), (0.0, 0.5, 1.0))):
@@ -109,8 +109,8 @@ def test_transparent_pixels_lie_over_the_background(tmp_path):
 
 
 @pytest.mark.parametrize(("scale", "size"), [(0.5, (20, 15)), (0.25, (10, 8)), (0.3, (12, 9)), (0.01, (1, 1))])
-def test_smaller_photographs_are_means_over_areas(tmp_path, scale, size):
-    """In display-referred values; cameras see the same at the new size."""
+def test_downscaled_images_are_area_means(tmp_path, scale, size):
+    """Means are taken of display-referred values; cameras show the same view at the new size."""
     cameras = ring_cameras(2)
     noise = [np.random.default_rng(k).uniform(size=(30, 40, 3)) for k in range(2)]
     write_nerfstudio_images(tmp_path, cameras, noise)
@@ -124,8 +124,8 @@ def test_smaller_photographs_are_means_over_areas(tmp_path, scale, size):
 
 
 @pytest.mark.parametrize("place", ["mask_path", "beside", "colmap"])
-def test_what_is_black_in_a_mask_does_not_count(tmp_path, place):
-    """Named by the file, or beside the photographs; any other value counts, as nerfstudio and COLMAP have it."""
+def test_black_mask_pixels_have_zero_weight(tmp_path, place):
+    """Masks are named by the file or found by image name; any other value has weight 1, as in nerfstudio and COLMAP."""
     cameras = ring_cameras(3)
     if place == "colmap":
         write_colmap_images(tmp_path, cameras, POINTS)
@@ -148,8 +148,8 @@ def test_what_is_black_in_a_mask_does_not_count(tmp_path, place):
 
 
 @pytest.mark.parametrize("scale", [0.5, 0.35])
-def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, scale):
-    """What a mask hides may have any colour; at its edge, pixels are means over what counts of their areas."""
+def test_downscaling_excludes_masked_pixels(tmp_path, scale):
+    """Masked pixels may have any colour; at the mask's edge, pixels are means over their unmasked area."""
     views = []
     for name, painted in (("a", 0), ("b", 255)):
         write_nerfstudio_images(tmp_path / name, ring_cameras(2))
@@ -169,16 +169,16 @@ def test_what_does_not_count_is_not_mixed_into_smaller_photographs(tmp_path, sca
     assert (views[0].pixels() != views[1].pixels()).any()
 
 
-def test_the_scene_is_where_the_cameras_look(tmp_path):
-    """1.1 times the radius of the ring of training cameras, and its middle."""
+def test_target_and_extent_follow_from_the_cameras(tmp_path):
+    """The extent is 1.1 times the radius of a camera ring, the target its centre."""
     write_nerfstudio_images(tmp_path, ring_cameras(6, 8, 6))
     found = ls.io.load_training_images(tmp_path, hold_out=0)
     assert found.extent == pytest.approx(3.3)
     np.testing.assert_allclose(found.target, (1.0, 2.0, 3.0), atol=1e-9)
 
 
-def test_parallel_cameras_look_at_their_middle(tmp_path):
-    """No point is nearest to parallel axes; that of cameras in one place is theirs."""
+def test_target_of_parallel_cameras_is_their_mean_position(tmp_path):
+    """Parallel axes have no nearest point; the target of coincident cameras is their position."""
     camera = ring_cameras(7, 8, 6)[1]
     moved = [replace(camera, name=f"m{k}", camera_from_world=np.array(camera.camera_from_world)) for k in range(2)]
     pose = np.array(camera.camera_from_world)
@@ -194,8 +194,8 @@ def test_parallel_cameras_look_at_their_middle(tmp_path):
     np.testing.assert_allclose(still.target, moved[0].eye, atol=1e-9)
 
 
-def test_directions_of_parallel_cameras_do_not_matter():
-    """Whatever way they look, rounding errors are not taken for a place."""
+def test_target_of_parallel_cameras_ignores_their_direction():
+    """Rounding errors of nearly parallel axes do not produce a far target."""
     rng = np.random.default_rng(5)
     for _ in range(100):
         eyes, axis = rng.normal(size=(3, 3)), rng.normal(size=3)
@@ -203,8 +203,8 @@ def test_directions_of_parallel_cameras_do_not_matter():
         np.testing.assert_allclose(camera_target(cameras), eyes.mean(axis=0), atol=1e-6)
 
 
-def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
-    """Those used last are kept, and others decoded again, with the same pixels; with no memory, each time."""
+def test_image_cache_stays_within_its_limit(tmp_path, monkeypatch):
+    """Recently used images are cached, others decoded again with the same pixels; a limit of 0 caches none."""
     from lumisplat.io.training_images import loading as module
 
     write_nerfstudio_images(tmp_path, ring_cameras(5))
@@ -230,8 +230,8 @@ def test_decoded_photographs_stay_within_their_memory(tmp_path, monkeypatch):
     assert len(read) == 2 and none.training[0]._cache.held == 0
 
 
-def test_missing_photographs_are_left_out(tmp_path, caplog):
-    """Those that are there are used; a line counts the others and names the first."""
+def test_missing_images_are_skipped_with_a_log_line(tmp_path, caplog):
+    """The line counts the missing images and names the first ones."""
     cameras = ring_cameras(8, 8, 6)
     for folder in (
         write_nerfstudio_images(tmp_path / "t", cameras),
@@ -246,8 +246,8 @@ def test_missing_photographs_are_left_out(tmp_path, caplog):
         assert "view_1.png, " in caplog.text and "view_4.png, ...): left out" in caplog.text
 
 
-def test_undistortion_is_said_once(tmp_path, caplog):
-    """One line for all photographs, and none without a lens."""
+def test_undistortion_is_logged_once(tmp_path, caplog):
+    """There is one line for all images, and none without distortion."""
     lens: dict[str, Any] = {"distortion": (0.05, -0.02, 0.0, 0.0, 0.001, 0.0)}
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         ls.io.load_training_images(write_nerfstudio_images(tmp_path / "bent", ring_cameras(4, **lens)))
@@ -256,8 +256,8 @@ def test_undistortion_is_said_once(tmp_path, caplog):
     assert line.endswith("/bent/transforms.json: 4 images of distorted or fisheye lenses are resampled to pinholes")
 
 
-def test_photographs_in_folders_have_names_of_their_own(tmp_path):
-    """Equal names in several folders get numbers."""
+def test_images_in_subfolders_get_unique_names(tmp_path):
+    """Equal file names in several folders get numbers."""
     cameras = ring_cameras(2, 8, 6)
     write_nerfstudio_images(tmp_path, cameras)
     for side in ("left", "right"):
@@ -269,8 +269,8 @@ def test_photographs_in_folders_have_names_of_their_own(tmp_path):
     assert [(view.name, view.path.parent.name) for view in views] == [("a", "left"), ("a_2", "right")]
 
 
-def test_files_may_name_photographs_outside_if_trusted(tmp_path):
-    """As other files may, with allow_outside."""
+def test_images_outside_the_folder_need_allow_outside(tmp_path):
+    """By default a path outside the folder is refused."""
     folder = write_nerfstudio_images(tmp_path / "inner", ring_cameras(2, 8, 6))
     write_png(tmp_path / "outer.png", render_image(ring_cameras(2, 8, 6)[0]))
     change_frame(folder / "transforms.json", 0, file_path="../outer.png")
@@ -280,8 +280,8 @@ def test_files_may_name_photographs_outside_if_trusted(tmp_path):
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg"])
-def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension):
-    """Beside the folder ``images``, what ``save_cameras`` writes is a training set, with its masks."""
+def test_saved_cameras_find_images_in_the_images_folder(tmp_path, extension):
+    """The output of ``save_cameras`` beside an ``images`` folder is a training set, masks included."""
     cameras = ring_cameras(4, 8, 6)
     (tmp_path / "images").mkdir()
     (tmp_path / "masks").mkdir()
@@ -301,8 +301,8 @@ def test_cameras_that_were_saved_find_photographs_in_images(tmp_path, extension)
 
 
 @pytest.mark.data
-def test_the_fox(data_dir):
-    """50 photographs of a phone: 7 held out, as others split them; straightened, with few pixels missing."""
+def test_fox_is_loaded(data_dir):
+    """50 phone images: 7 are held out, and undistortion leaves few pixels without data."""
     folder = Path(data_dir) / "photos" / "fox"
     found = ls.io.load_training_images(folder, scale=0.5)
     listed = json.loads((folder / "transforms.json").read_text())["frames"]

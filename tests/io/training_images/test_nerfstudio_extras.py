@@ -18,12 +18,12 @@ BYTES = np.random.default_rng(4).integers(0, 256, (7, 3), np.uint8)
 
 
 def folder_with(folder: Path, **values: Any) -> Path:
-    """Ten photographs, whose file says more."""
+    """Writes ten images whose transforms.json has further keys."""
     return write_nerfstudio_images(folder, ring_cameras(10, 8, 6), **values)
 
 
 def write_points(path: Path, positions: np.ndarray, colors: np.ndarray | None = None) -> None:
-    """A PLY file of points, as nerfstudio writes it."""
+    """Writes a PLY of points as nerfstudio does."""
     columns = [("float", name, positions[:, k]) for k, name in enumerate("xyz")]
     if colors is not None:
         kind = "uchar" if colors.dtype == np.uint8 else "float"
@@ -35,12 +35,12 @@ def write_points(path: Path, positions: np.ndarray, colors: np.ndarray | None = 
 
 
 def names(found: tuple[Any, ...]) -> list[int]:
-    """Numbers of views."""
+    """Returns the numbers of the views."""
     return [int(view.name.removeprefix("view_")) for view in found]
 
 
-def test_points_are_where_to_begin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With bytes, floats, or without colours; where they are not there, a line says so."""
+def test_nerfstudio_points_are_loaded(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Colours may be bytes, floats or missing; a missing file is logged."""
     folder = folder_with(tmp_path / "set", ply_file_path="./sparse_pc.ply")
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert ls.io.load_training_images(folder).points is None
@@ -73,10 +73,10 @@ def test_points_are_where_to_begin(tmp_path: Path, caplog: pytest.LogCaptureFixt
         ({}, [1, 2, 3, 4, 5, 6, 7, 9], [0, 8]),
     ],
 )
-def test_what_is_held_out_is_what_the_file_says(
+def test_splits_of_the_file_define_held_out_images(
     given: dict[str, list[int]], training: list[int], held_out: list[int], tmp_path: Path
 ) -> None:
-    """Frames by their paths, in any spelling; without a word, every eighth."""
+    """Frames match by path in any spelling; without splits every eighth image is held out."""
     splits = {f"{part}_filenames": [f"./images/view_{k}.png" for k in numbers] for part, numbers in given.items()}
     folder = folder_with(tmp_path / "set", **splits)
     found = ls.io.load_training_images(folder)
@@ -86,8 +86,8 @@ def test_what_is_held_out_is_what_the_file_says(
         assert names(all_of_it.training) == training and not all_of_it.held_out
 
 
-def test_splits_that_are_none_are_refused(tmp_path: Path) -> None:
-    """No list, and names of no frame."""
+def test_invalid_splits_are_refused(tmp_path: Path) -> None:
+    """A split is not a list, or names no frame."""
     for value, problem in (("all", "expected a list of the file_path of frames"), (["a.png"], "none of the frames")):
         folder = folder_with(tmp_path / str(len(value)), train_filenames=value)
         with pytest.raises(ls.FormatError, match=problem):

@@ -1,4 +1,4 @@
-"""Which photographs are compared."""
+"""Selection of image pairs for feature matching."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lumisplat.io.training_images.poses import (
 
 
 def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
-    """Of frames that show a part of what is around: frame k the same things as frame k + period, with noise."""
+    """Returns noisy features of video frames in which frame k shows the same objects as frame k + period."""
     rng = np.random.default_rng(seed)
     things = rng.uniform(size=(4 * period, 128)) ** 4
     frames = []
@@ -28,15 +28,15 @@ def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
     return frames
 
 
-def test_few_are_all_compared() -> None:
-    """Whatever their order, and without a look at their features."""
+def test_few_images_are_all_matched() -> None:
+    """All pairs are selected in any order, without computing features."""
     for count, ordered in ((2, False), (ALL_PAIRS_UP_TO, False), (2, True), (NEXT_FRAMES, True)):
         pairs = compared_pairs(count, pytest.fail, ordered, lambda share: None)
         assert pairs == [(i, j) for i in range(count) for j in range(i + 1, count)]
 
 
-def test_a_film_that_goes_round_twice_is_joined() -> None:
-    """Each frame with the next ones, and with those of the other turn that show the same: the loop is closed."""
+def test_loop_of_a_video_is_closed() -> None:
+    """Frames are paired with the next ones, and with those of the second round that show the same objects."""
     count, period = 80, 40
     told: list[float] = []
     pairs = compared_pairs(count, lambda: walk_features(count, period), True, told.append)
@@ -52,8 +52,8 @@ def test_a_film_that_goes_round_twice_is_joined() -> None:
     assert told == sorted(told) and 0.0 <= told[0] and told[-1] <= 1.0
 
 
-def test_photographs_in_any_order_are_compared_with_those_like_them() -> None:
-    """Pairs that show nothing in common are left out; the order of the names means nothing."""
+def test_unordered_images_are_matched_with_similar_ones() -> None:
+    """Pairs without common content are skipped; the order of names does not matter."""
     count, period = 60, 60
     order = np.random.default_rng(3).permutation(count)
     frames = walk_features(count, period)
@@ -68,16 +68,16 @@ def test_photographs_in_any_order_are_compared_with_those_like_them() -> None:
     assert min(nearest.values()) >= SIMILAR_IMAGES and len(pairs) < count * (count - 1) // 4
 
 
-def test_photographs_without_features_are_compared_with_none() -> None:
-    """Nothing is like them, and nothing fails."""
+def test_images_without_features_have_no_pairs() -> None:
+    """Empty descriptors are no error."""
     nothing = np.zeros((0, 128), np.float32)
     one = np.eye(1, 128, dtype=np.float32)
     assert similar_pairs([nothing, one, nothing, one], 0, lambda share: None) == []
     assert similar_pairs([], 0, lambda share: None) == []
 
 
-def test_the_largest_features_are_taken() -> None:
-    """By the size of their shape, affine or not."""
+def test_largest_features_are_selected() -> None:
+    """Features are ordered by the size of their shape, affine or not."""
     rng = np.random.default_rng(0)
     count = 3 * SIMILARITY_FEATURES
     size, turn = rng.permutation(count) + 1.0, rng.uniform(0.0, 6.0, count)

@@ -1,4 +1,4 @@
-"""What is said of poses."""
+"""Remarks on the quality of estimated poses."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ NAMES = [f"{k:04}.jpg" for k in range(40)]
 GOOD = PoseReport(NAMES, NAMES, model_sizes=[40], points=9000, points_per_image=700.0, error=0.6, fov_degrees=60.0)
 
 
-def test_of_good_poses_nothing_is_said() -> None:
-    """All have one, points are many, errors small, the lens usual."""
+def test_good_poses_have_no_remarks() -> None:
+    """All images have poses, with many points, small errors and a usual field of view."""
     assert GOOD.remarks() == []
 
 
-def test_each_fault_has_its_line() -> None:
-    """And no other."""
+def test_each_fault_has_one_remark() -> None:
+    """Each fault gives one line and no other."""
     for found, words in (
         (replace(GOOD, with_pose=NAMES[:38]), "no pose was found for 2 of 40 images (0038.jpg, 0039.jpg)"),
         (replace(GOOD, with_pose=NAMES[:20]), "extract more frames"),

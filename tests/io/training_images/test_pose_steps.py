@@ -1,4 +1,4 @@
-"""What is done around COLMAP: what is kept, what is told, which model is taken. COLMAP itself is a stand-in."""
+"""Steps around COLMAP: stored results, progress and model selection. A stub replaces COLMAP itself."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from support.files.colmap_stub import ColmapStub
 
 @pytest.fixture
 def colmap(monkeypatch: pytest.MonkeyPatch) -> ColmapStub:
-    """In the place of pycolmap."""
+    """Replaces pycolmap by a stub."""
     stub = ColmapStub()
     monkeypatch.setitem(sys.modules, "pycolmap", stub)
     return stub
 
 
 def write_images(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Path:
-    """Writes photographs whose names have spaces."""
+    """Writes images whose names have spaces."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     for k in range(count):
         write_png(folder / "images" / f"of day {k}.png", np.full((6, sizes[k % len(sizes)], 3), 0.5))
     return folder
 
 
-def test_photographs_of_one_size_share_one_lens_of_one_focal_length(colmap: ColmapStub, tmp_path: Path) -> None:
-    """Also where features are found in several calls; those of two sizes have a lens each."""
+def test_images_of_one_size_share_one_lens(colmap: ColmapStub, tmp_path: Path) -> None:
+    """Features are extracted in several calls; images of two sizes get a lens each."""
     colmap.pieces = [range(9)]
     ls.io.find_poses(write_images(tmp_path / "one", 9))
     assert colmap.lenses == [(LENS_MODEL, "single", k > 0) for k in range(3)]
@@ -41,8 +41,8 @@ def test_photographs_of_one_size_share_one_lens_of_one_focal_length(colmap: Colm
     assert colmap.lenses == [(LENS_MODEL, "per image", False)] * 3
 
 
-def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """In every step; the same call goes on from it, says so, and leaves nothing behind."""
+def test_interrupted_run_keeps_its_results(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """At every step, the next call continues, logs this, and removes the work folder at the end."""
     write_images(tmp_path, 9)
     colmap.pieces = [range(9)]
     for step, kept in (
@@ -62,8 +62,8 @@ def test_what_was_found_before_ctrl_c_is_kept_and_said(colmap: ColmapStub, tmp_p
     assert {path.name for path in tmp_path.iterdir()} == {"images", "sparse"}
 
 
-def test_other_photographs_are_begun_anew(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """A photograph that has changed, has gone or has come makes what was found worthless."""
+def test_changed_images_restart_the_run(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """A changed, removed or added image invalidates the stored results."""
     colmap.interrupt_in = "match"
     paths = [tmp_path / "images" / f"of day {k}.png" for k in (1, 2, 9)]
     for change in (
@@ -80,11 +80,11 @@ def test_other_photographs_are_begun_anew(colmap: ColmapStub, tmp_path: Path, ca
         caplog.clear()
         with pytest.raises(KeyboardInterrupt):
             ls.io.find_poses(tmp_path)
-        assert "goes on" not in caplog.text
+        assert "continues from" not in caplog.text
 
 
-def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """With the names that photographs have, and how many have no pose."""
+def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """The log counts images without a pose by their original names."""
     colmap.pieces = [(0, 1, 2), (3, 4, 5, 6, 7)]
     told: list[tuple[str, float]] = []
     model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: told.append((what, share)))
@@ -96,15 +96,15 @@ def test_the_largest_piece_is_taken_and_said(colmap: ColmapStub, tmp_path: Path,
     assert [share for _, share in placing] == sorted(share for _, share in placing)
 
 
-def test_pieces_that_add_nothing_are_not_told(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
-    """COLMAP also gives pairs, and what the largest model has as well."""
+def test_models_without_further_images_are_not_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
+    """COLMAP also returns models of pairs, and models whose images the largest one has, too."""
     colmap.pieces = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
     ls.io.find_poses(write_images(tmp_path, 9))
     assert caplog.text == ""
 
 
-def test_when_all_are_placed_what_is_left_is_told(colmap: ColmapStub, tmp_path: Path) -> None:
-    """The last adjustment of many photographs takes long: a bar at 99 % says why it stands."""
+def test_progress_reports_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) -> None:
+    """The last adjustment of many images takes long, and the progress bar at 99 % says why."""
     colmap.pieces = [range(5)]
     told: list[tuple[str, float]] = []
     ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: told.append((what, share)))
@@ -119,10 +119,10 @@ def test_when_all_are_placed_what_is_left_is_told(colmap: ColmapStub, tmp_path: 
         (500, 30, "there is no parallax"),
     ],
 )
-def test_why_there_are_no_poses_is_said(
+def test_error_explains_why_no_poses_were_found(
     features: int, verified: int, reason: str, colmap: ColmapStub, tmp_path: Path
 ) -> None:
-    """In one line, and nothing is left."""
+    """The error is one line, and the work folder is removed."""
     colmap.pieces, colmap.features, colmap.verified = (), features, verified
     with pytest.raises(ls.FormatError, match=f"no poses were found for its 9 images: {reason}"):
         ls.io.find_poses(write_images(tmp_path, 9))

@@ -1,4 +1,4 @@
-"""Photographs of distorting lenses: their pinholes show of a world far away what a pinhole would."""
+"""Undistortion of images of distorted lenses, compared with pinhole rays into a distant analytic environment."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ LENSES: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_pinholes_see_the_world_where_it_is(tmp_path, lens, scale):
-    """Taken through the lens, straightened, and compared with what the pinhole's own rays see, to a few bytes."""
+def test_undistorted_images_match_pinhole_rays(tmp_path, lens, scale):
+    """An image rendered through the lens and undistorted matches the pinhole's own rays to a few bytes."""
     cameras = ring_cameras(2, 120, 90, **lens)
     folder = write_nerfstudio_images(tmp_path, cameras, [_large(camera) for camera in cameras])
     for view in ls.io.load_training_images(folder, hold_out=0, scale=scale).training:
@@ -40,8 +40,8 @@ def test_pinholes_see_the_world_where_it_is(tmp_path, lens, scale):
 
 
 @pytest.mark.parametrize("lens", LENSES.values(), ids=LENSES)
-def test_lens_points_are_where_rays_come_from(lens):
-    """A pixel of the pinhole and the point of the lens for it look along one ray, which the camera inverts."""
+def test_lens_points_invert_camera_rays(lens):
+    """A pinhole pixel and its point in the lens image have the same ray."""
     camera = ring_cameras(1, 60, 45, **lens)[0]
     points, covered = lens_points(camera)
     rays = _pinhole(camera).ray_directions()
@@ -62,8 +62,8 @@ def test_lens_points_are_where_rays_come_from(lens):
             np.testing.assert_allclose(shifted.ray_directions()[0, 0], rays[row, column], atol=1e-9)
 
 
-def test_what_a_lens_does_not_show_does_not_count(tmp_path):
-    """A cushion's corners are beyond the picture of the lens: masked and black; of a barrel all is seen."""
+def test_pixels_outside_the_lens_image_are_masked(tmp_path):
+    """Corners of a pincushion lens are masked and black; a barrel lens covers all pixels."""
     masks = {}
     for name in ("cushion", "barrel"):
         folder = write_nerfstudio_images(
@@ -76,8 +76,8 @@ def test_what_a_lens_does_not_show_does_not_count(tmp_path):
     assert cushion[0, 0] == cushion[-1, -1] == 0.0 and cushion[22, 30] == 1.0
 
 
-def test_beyond_the_fold_a_lens_shows_nothing(tmp_path):
-    """Where the polynomial turns back, a picture has no place for a ray, however near the polynomial brings it."""
+def test_pixels_beyond_the_distortion_fold_are_masked(tmp_path):
+    """Beyond the fold of the distortion polynomial, no image position belongs to a ray."""
     folder = write_nerfstudio_images(
         tmp_path, ring_cameras(2, 120, 90, fx=60.0, fy=60.0, distortion=(-0.45, 0.0, 0.0, 0.0, 0.0, 0.0))
     )
@@ -95,7 +95,7 @@ def _pinhole(camera: ls.Camera) -> ls.Camera:
 
 
 def _large(camera: ls.Camera) -> np.ndarray:
-    """What a camera shows; pixels without a ray are grey."""
+    """Returns the analytic image of a camera; pixels without a ray are grey."""
     seen = render_image(camera)
     seen[~camera.ray_directions().any(axis=-1)] = 0.5
     return seen

@@ -1,4 +1,4 @@
-"""Photographs from films: the sharpest, upright, all of them or none."""
+"""Extraction of training images from videos: the sharpest frames, upright, all or none."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ import lumisplat as ls
 from lumisplat.io.training_images.video_frames import sharpness
 
 SIZE = 96, 64
-"""Width and height of the films."""
+"""Width and height of the videos."""
 
 
 def scene(seed: int, blur: float = 0.0) -> Image.Image:
-    """A picture with much detail, red at the left, blurred."""
+    """Returns a detailed image, red at the left, blurred by ``blur``."""
     noise = np.random.default_rng(seed).uniform(60, 200, (SIZE[1] // 4, SIZE[0] // 4, 3)).astype(np.uint8)
     picture = Image.fromarray(noise).resize(SIZE, Image.Resampling.NEAREST)
     picture.paste((230, 20, 20), (0, 0, SIZE[0] // 4, SIZE[1]))
@@ -28,7 +28,7 @@ def scene(seed: int, blur: float = 0.0) -> Image.Image:
 
 
 def write_video(path: Path, pictures: list[Image.Image], fps: int = 10, **coding: int) -> Path:
-    """Writes a film."""
+    """Writes images as a video."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "8"})
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
@@ -41,13 +41,13 @@ def write_video(path: Path, pictures: list[Image.Image], fps: int = 10, **coding
 
 
 def pixels(path: Path) -> np.ndarray:
-    """Of a photograph."""
+    """Reads the pixels of an image."""
     with Image.open(path) as picture:
         return np.asarray(picture, np.float64)
 
 
-def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
-    """Ten frames a second, of five each the one that is not blurred."""
+def test_sharpest_frame_of_each_interval_is_extracted(tmp_path: Path) -> None:
+    """Of ten frames per second, one in five is not blurred."""
     sharp = [3, 5, 14]
     pictures = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
     told: list[float] = []
@@ -60,15 +60,15 @@ def test_of_each_stretch_the_sharpest_frame_is_taken(tmp_path: Path) -> None:
     assert told == sorted(told) and told[-1] > 0.9
 
 
-def test_a_stretch_as_long_as_the_film_has_one_photograph_and_a_short_one_all_frames(tmp_path: Path) -> None:
-    """Whatever the length."""
+def test_interval_length_sets_the_number_of_images(tmp_path: Path) -> None:
+    """An interval as long as the video gives one image, a very short one gives every frame."""
     video = write_video(tmp_path / "a.mp4", [scene(number) for number in range(7)])
     assert len(ls.io.extract_frames(video, tmp_path / "one", every=10.0)) == 1
     assert len(ls.io.extract_frames(video, tmp_path / "all", every=0.01)) == 7
 
 
-def test_sharpness_falls_with_blur() -> None:
-    """And is that of what can be seen, not of the noise of pixels: larger pictures are compared at a smaller size."""
+def test_sharpness_decreases_with_blur() -> None:
+    """Noise of single pixels does not count as sharpness, as larger images are compared at a smaller size."""
     values = [sharpness(scene(0, blur)) for blur in (0.0, 0.7, 1.5, 3.0)]
     assert values == sorted(values, reverse=True) and values[0] > 10.0 * values[-1]
     plain = Image.new("RGB", (1920, 1920), (120, 120, 120))
@@ -77,8 +77,8 @@ def test_sharpness_falls_with_blur() -> None:
     assert sharpness(Image.new("RGB", (2, 2))) == 0.0
 
 
-def test_frames_that_are_stored_on_their_side_are_turned(tmp_path: Path) -> None:
-    """As telephones store what was filmed upright: red at the left was filmed at the bottom or the top."""
+def test_rotated_frames_are_made_upright(tmp_path: Path) -> None:
+    """Phones store portrait videos rotated: red at the left comes from the bottom or top of the stored frame."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 3)
     for angle, where in ((90, np.s_[-20:]), (-90, np.s_[:20]), (180, np.s_[:, -20:])):
         turned = rotated_video(video, tmp_path / f"{angle}.mp4", angle)
@@ -89,7 +89,7 @@ def test_frames_that_are_stored_on_their_side_are_turned(tmp_path: Path) -> None
 
 
 def rotated_video(video: Path, path: Path, angle: int) -> Path:
-    """A copy that says that its frames are to be turned to the left: the matrix in its track header."""
+    """Copies a video with a rotation to the left in the matrix of its track header."""
     cos, sin = round(np.cos(np.deg2rad(angle))), round(np.sin(np.deg2rad(angle)))
     data = bytearray(video.read_bytes())
     at = data.index(b"tkhd") + 4 + 40
@@ -100,24 +100,24 @@ def rotated_video(video: Path, path: Path, angle: int) -> Path:
     return path
 
 
-def test_large_frames_are_made_smaller(tmp_path: Path) -> None:
-    """Never larger."""
+def test_large_frames_are_downscaled(tmp_path: Path) -> None:
+    """Small frames are never upscaled."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 2)
     for size, expected in ((48, (48, 32)), (1600, SIZE)):
         (file,) = ls.io.extract_frames(video, tmp_path / str(size), size=size)
         assert pixels(file).shape[1::-1] == expected
 
 
-def test_hdr_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """HLG, as telephones film it by default."""
+def test_hdr_video_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """The video is HLG, the default of phones."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 2, color_trc=18)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         ls.io.extract_frames(video, tmp_path / "walk")
     assert "is HDR (HLG)" in caplog.text and caplog.text.count("HDR (") == 1
 
 
-def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
-    """Black ones, with the noise of a sensor, and those in which nothing moves; nothing is left behind."""
+def test_black_and_still_videos_are_refused(tmp_path: Path) -> None:
+    """Black videos may have sensor noise; nothing is left behind."""
     rng = np.random.default_rng(0)
 
     def noisy(picture: Image.Image, level: float) -> Image.Image:
@@ -140,8 +140,8 @@ def test_films_that_show_nothing_are_refused(tmp_path: Path) -> None:
     )
 
 
-def test_what_cannot_be_read_is_said_and_nothing_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one line each."""
+def test_unreadable_videos_are_refused_without_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each error is one line."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 4)
     (tmp_path / "text.mp4").write_text("no film")
     (tmp_path / "cut.mp4").write_bytes(video.read_bytes()[:200])

@@ -1,4 +1,4 @@
-"""Small folders of photographs with poses, as nerfstudio, Blender and COLMAP lay them out."""
+"""Writes small sets of posed images in the layouts of nerfstudio, Blender and COLMAP."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ OPENGL_FROM_OPENCV = np.diag((1.0, -1.0, -1.0, 1.0))
 
 
 def ring_cameras(count: int = 5, width: int = 40, height: int = 30, **lens: Any) -> list[ls.Camera]:
-    """Pinholes, or others, three units around (1, 2, 3), which they look at; names are ``view_0`` and so on."""
+    """Returns cameras on a ring of radius 3 around (1, 2, 3) that look at its centre, named ``view_0`` and so on."""
     target = np.array((1.0, 2.0, 3.0))
     cameras: list[ls.Camera] = []
     for k in range(count):
@@ -32,20 +32,20 @@ def ring_cameras(count: int = 5, width: int = 40, height: int = 30, **lens: Any)
 
 
 def radiance(directions: np.ndarray) -> np.ndarray:
-    """What is seen of a smooth world far away, display-referred, shape (..., 3)."""
+    """Returns display-referred radiance of a smooth distant environment, shape (..., 3)."""
     waves = np.array([[3.0, 1.0, 2.0], [-2.0, 4.0, 1.0], [1.0, -3.0, 3.0]])
     return 0.5 + 0.4 * np.sin(directions @ waves.T + (0.1, 0.5, 1.2))
 
 
 def render_image(camera: ls.Camera) -> np.ndarray:
-    """What a camera shows of the world, shape (H, W, 3)."""
+    """Renders the environment with a camera, shape (H, W, 3)."""
     return radiance(camera.ray_directions() @ camera.camera_from_world[:3, :3])
 
 
 def write_nerfstudio_images(
     folder: Path, cameras: Sequence[ls.Camera], images: Sequence[np.ndarray] | None = None, **shared: Any
 ) -> Path:
-    """The layout of nerfstudio: ``transforms.json`` and ``images``."""
+    """Writes nerfstudio's layout: ``transforms.json`` and ``images``."""
     (folder / "images").mkdir(parents=True, exist_ok=True)
     ls.save_cameras(folder / "transforms.json", cameras)
     content = json.loads((folder / "transforms.json").read_text()) | shared
@@ -57,14 +57,14 @@ def write_nerfstudio_images(
 
 
 def change_frame(path: Path, index: int, **values: Any) -> None:
-    """Changes entries of a frame of a transforms file."""
+    """Changes values of one frame in a transforms file."""
     content = json.loads(path.read_text())
     content["frames"][index] |= values
     path.write_text(json.dumps(content))
 
 
 def write_blender_images(folder: Path, parts: Mapping[str, Sequence[ls.Camera]], alpha: float | None = 0.5) -> Path:
-    """NeRF-synthetic's layout: ``transforms_train.json`` and others, RGBA without sizes, and names without .png."""
+    """Writes NeRF-synthetic's layout: ``transforms_train.json`` and others, RGBA without sizes, names without .png."""
     for part, cameras in parts.items():
         (folder / part).mkdir(parents=True)
         frames: list[dict[str, Any]] = []
@@ -83,7 +83,7 @@ def write_blender_images(folder: Path, parts: Mapping[str, Sequence[ls.Camera]],
 def write_colmap_images(
     folder: Path, cameras: Sequence[ls.Camera], points: np.ndarray, *, text: bool = False, model: str = "sparse/0"
 ) -> Path:
-    """COLMAP's layout: a model of one pinhole, its images in ``images``, and points that are red, green, blue, ..."""
+    """Writes COLMAP's layout: a model with one pinhole, its ``images``, and points coloured red, green, blue, ..."""
     for name in ("images", model):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for camera in cameras:
@@ -93,7 +93,7 @@ def write_colmap_images(
 
 
 def point_colors(count: int) -> np.ndarray:
-    """The colours of the points, bytes, shape (N, 3)."""
+    """Returns the colours of the points as bytes, shape (N, 3)."""
     return np.eye(3, dtype=np.uint8)[np.arange(count) % 3] * np.uint8(200)
 
 
@@ -130,6 +130,6 @@ def _write_text(folder: Path, cameras: Sequence[ls.Camera], points: np.ndarray) 
 
 
 def _pose(camera: ls.Camera) -> list[float]:
-    """Quaternion wxyz and translation."""
+    """Returns quaternion wxyz and translation of camera_from_world."""
     pose = camera.camera_from_world
     return [*quaternions_from_matrices(pose[None, :3, :3])[0].tolist(), *pose[:3, 3].tolist()]

@@ -1,4 +1,4 @@
-"""Sets of images as other programs lay them out: masks, test files, several models, Windows paths, odd text."""
+"""Image sets as other programs write them: masks, test files, several models, Windows paths, unusual text."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ HALF[:, :20] = 255
     ["{}.png.mask.png", "{}.mask.png", "{}_mask.png", "{}-mask.png", "{}_MASK.PNG", "{}.jpg", "{}.png.jpg", "{}.tif"],
 )
 @pytest.mark.parametrize("folder", ["masks", "mask"])
-def test_masks_are_found_by_the_names_that_programs_give_them(tmp_path: Path, name: str, folder: str) -> None:
-    """Masks are found by the names that programs give them."""
+def test_masks_are_found_by_common_names(tmp_path: Path, name: str, folder: str) -> None:
+    """Mask names of COLMAP, nerfstudio, RealityScan and others are recognised."""
     write_colmap_images(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / folder).mkdir()
     for k in range(3):
@@ -42,8 +42,8 @@ def test_masks_are_found_by_the_names_that_programs_give_them(tmp_path: Path, na
         np.testing.assert_array_equal(mask, HALF > 0)
 
 
-def test_a_mask_may_lie_beside_its_image_or_in_a_folder_like_that_of_the_image(tmp_path: Path) -> None:
-    """A mask may lie beside its image or in a folder like that of the image."""
+def test_masks_are_found_beside_images_and_in_parallel_folders(tmp_path: Path) -> None:
+    """Masks in ``masks/a`` belong to images in ``images/a``."""
     write_nerfstudio_images(tmp_path, ring_cameras(3))
     content = json.loads((tmp_path / "transforms.json").read_text())
     for place in ("images/left", "masks/left"):
@@ -57,10 +57,8 @@ def test_a_mask_may_lie_beside_its_image_or_in_a_folder_like_that_of_the_image(t
     assert masks["view_0"] is not None and masks["view_1"] is not None and masks["view_2"] is None
 
 
-def test_masks_that_match_no_image_or_some_only_are_counted_in_a_line(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Masks that match no image or some only are counted in a line."""
+def test_unmatched_masks_are_counted_in_a_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Masks match no image, or only some."""
     write_colmap_images(tmp_path, ring_cameras(3), POINTS)
     (tmp_path / "masks").mkdir()
     Image.fromarray(HALF).save(tmp_path / "masks" / "other_7.png")
@@ -73,10 +71,8 @@ def test_masks_that_match_no_image_or_some_only_are_counted_in_a_line(
 
 
 @pytest.mark.parametrize("has_val", [False, True])
-def test_a_test_file_without_its_images_does_not_stop_training(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, has_val: bool
-) -> None:
-    """What is held out instead is said: the images of the validation file, else some of those to learn from."""
+def test_test_file_without_images_is_replaced(tmp_path: Path, caplog: pytest.LogCaptureFixture, has_val: bool) -> None:
+    """A log line says which images are held out instead: those of the validation file, else training images."""
     cameras = ring_cameras(6, 16, 12)
     write_blender_images(tmp_path, {"train": cameras[:4], "test": cameras[4:5], "val": cameras[5:]})
     shutil.rmtree(tmp_path / "test")
@@ -90,8 +86,8 @@ def test_a_test_file_without_its_images_does_not_stop_training(
     assert "none of its images exists" in caplog.text and said in caplog.text
 
 
-def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Whatever its number; the others are counted, and so are the images that the model does not have."""
+def test_model_with_most_images_is_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A log line counts the other models and the images that the chosen one lacks."""
     cameras = ring_cameras(7, 16, 12)
     for model, part in (("sparse/0", cameras[:2]), ("sparse/2", cameras[4:]), ("sparse/10", cameras[2:4])):
         write_colmap_images(tmp_path, part, POINTS, model=model, text=model == "sparse/2")
@@ -105,7 +101,7 @@ def test_of_several_models_the_one_with_most_images_is_taken(tmp_path: Path, cap
 
 
 def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Images without a pose are counted."""
+    """A log line has their number and first names."""
     cameras = ring_cameras(4, 16, 12)
     write_nerfstudio_images(tmp_path, cameras)
     content = json.loads((tmp_path / "transforms.json").read_text())
@@ -117,8 +113,8 @@ def test_images_without_a_pose_are_counted(tmp_path: Path, caplog: pytest.LogCap
 
 
 @pytest.mark.parametrize("layout", ["transforms", "colmap", "split"])
-def test_backslashes_are_slashes_where_no_file_has_that_name(tmp_path: Path, layout: str) -> None:
-    """Backslashes are slashes where no file has that name."""
+def test_backslashes_in_paths_are_separators(tmp_path: Path, layout: str) -> None:
+    """Backslashes separate folders unless a file has that very name."""
     cameras = ring_cameras(3, 16, 12)
     if layout == "colmap":
         write_colmap_images(tmp_path, cameras, POINTS, text=True)
@@ -140,8 +136,8 @@ def test_backslashes_are_slashes_where_no_file_has_that_name(tmp_path: Path, lay
     assert [view.name for view in (*found.training, *found.held_out)] == ["view_0", "view_1", "view_2"]
 
 
-def test_a_file_whose_name_has_a_backslash_is_that_file(tmp_path: Path) -> None:
-    """A file whose name has a backslash is that file."""
+def test_file_name_with_a_backslash_is_found(tmp_path: Path) -> None:
+    """On Linux a file name may contain a backslash."""
     write_colmap_images(tmp_path, ring_cameras(2, 16, 12), POINTS, text=True)
     (tmp_path / "images/view_0.png").rename(tmp_path / "images/a\\view_0.png")
     listed = tmp_path / "sparse/0/images.txt"
@@ -149,8 +145,8 @@ def test_a_file_whose_name_has_a_backslash_is_that_file(tmp_path: Path) -> None:
     assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 2
 
 
-def test_backslashes_do_not_lead_out_of_the_folder(tmp_path: Path) -> None:
-    """Backslashes do not lead out of the folder."""
+def test_backslashes_cannot_leave_the_folder(tmp_path: Path) -> None:
+    """A path with backslashes is checked like one with slashes."""
     write_nerfstudio_images(tmp_path / "set", ring_cameras(2, 16, 12))
     content = json.loads((tmp_path / "set/transforms.json").read_text())
     content["frames"][0]["file_path"] = "..\\view_0.png"
@@ -172,13 +168,13 @@ def _without_points(text: bytes) -> bytes:
 
 
 def _with_points(text: bytes) -> bytes:
-    """Lines of points that are as long as those of images, as images with numbers for names would be."""
+    """Adds lines of 2D points that have as many words as lines of images with numeric names."""
     return text.replace(b"\n\n", b"\n1.5 2.5 7 3.5 4.5 8 5.5 6.5 9 1.5 2.5 -1\n")
 
 
 @pytest.mark.parametrize("change", [_marked, _wide, _without_points, _with_points])
-def test_text_of_colmap_may_have_a_mark_and_may_lack_points(tmp_path: Path, change: Callable[[bytes], bytes]) -> None:
-    """Text of colmap may have a mark and may lack points."""
+def test_colmap_text_may_have_a_byte_order_mark_and_no_points(tmp_path: Path, change: Callable[[bytes], bytes]) -> None:
+    """Other programs write such images.txt files."""
     write_colmap_images(tmp_path, ring_cameras(4, 16, 12), POINTS, text=True)
     for name in ("images", "cameras", "points3D"):
         file = tmp_path / f"sparse/0/{name}.txt"
@@ -192,8 +188,8 @@ def test_text_of_colmap_may_have_a_mark_and_may_lack_points(tmp_path: Path, chan
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1e308, 1e200])
 @pytest.mark.parametrize(("model", "count"), [(2, 1), (3, 2), (4, 4), (5, 4)])
-def test_distortion_beyond_any_lens_is_one_line(tmp_path: Path, value: float, model: int, count: int) -> None:
-    """Distortion beyond any lens is one line."""
+def test_absurd_distortion_is_refused_in_one_line(tmp_path: Path, value: float, model: int, count: int) -> None:
+    """Coefficients beyond any real lens would overflow."""
     write_colmap_images(tmp_path, ring_cameras(2, 16, 12), POINTS)
     values = (*((45.0, 8.0, 6.0) if model < 4 else (45.0, 45.0, 8.0, 6.0)), *([value] * count))
     packed = struct.pack(f"<QiiQQ{len(values)}d", 1, 1, model, 16, 12, *values)
@@ -202,8 +198,8 @@ def test_distortion_beyond_any_lens_is_one_line(tmp_path: Path, value: float, mo
         ls.io.load_training_images(tmp_path)
 
 
-def test_distortion_that_moves_no_point_is_none(tmp_path: Path) -> None:
-    """Coefficients whose reciprocals overflow draw the picture of a lens without them."""
+def test_negligible_distortion_is_ignored(tmp_path: Path) -> None:
+    """Coefficients whose reciprocals overflow give the image of an undistorted lens."""
     camera = ring_cameras(1, 16, 12)[0]
     tiny = ring_cameras(1, 16, 12, distortion=(1e-320, 1e-310, -1e-320, 1e-300, 0.0, 0.0))[0]
     np.testing.assert_array_equal(tiny.ray_directions(), camera.ray_directions())
