@@ -33,7 +33,7 @@ INRIA += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
 
 
 def refused(path: Path) -> str:
-    """The message with which loading is refused; it names the path and fits one line."""
+    """Returns the error message of loading a file; it names the path and fits one line."""
     with pytest.raises(FormatError) as error:
         ls.load(path)
     message = str(error.value)
@@ -44,7 +44,7 @@ def refused(path: Path) -> str:
 
 @pytest.mark.parametrize("name", FUZZED)
 def test_empty_file_is_refused(tmp_path: Path, name: str) -> None:
-    """An empty file is called empty."""
+    """The error says that the file is empty."""
     (tmp_path / name).write_bytes(b"")
     assert "is empty" in refused(tmp_path / name)
 
@@ -52,7 +52,7 @@ def test_empty_file_is_refused(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("name", FORMATS)
 @pytest.mark.parametrize("fraction", [0.02, 0.3, 0.6, 0.98])
 def test_truncated_file_is_refused(tmp_path: Path, name: str, fraction: float) -> None:
-    """A file that ends early is refused wherever it ends."""
+    """The file may end anywhere."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
     path.write_bytes(data[: int(len(data) * fraction)])
@@ -61,7 +61,7 @@ def test_truncated_file_is_refused(tmp_path: Path, name: str, fraction: float) -
 
 @pytest.mark.parametrize("name", ["capture.ply", "big_endian.ply", "capture.compressed.ply", "capture.spz", "v3.spz"])
 def test_missing_last_byte_is_detected(tmp_path: Path, name: str) -> None:
-    """A single missing byte of content is noticed; of a gzip stream, the checksum and length may be missing."""
+    """In a gzip stream, only the checksum and length may be missing."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
     path.write_bytes(gzip.compress(gzip.decompress(data)[:-1]) if data[:2] == b"\x1f\x8b" else data[:-1])
@@ -70,14 +70,14 @@ def test_missing_last_byte_is_detected(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", FUZZED)
 def test_random_bytes_are_refused(tmp_path: Path, name: str) -> None:
-    """Random bytes are refused."""
+    """In every format, random bytes are an error."""
     (tmp_path / name).write_bytes(np.random.default_rng(0).bytes(5000))
     refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", FUZZED)
 def test_random_truncation_loads_or_is_refused(tmp_path: Path, name: str) -> None:
-    """Cut at random places, a file loads or is refused; nothing else ever happens."""
+    """Nothing else ever happens."""
     path = write_format(tmp_path, name)
     data = path.read_bytes()
     for length in np.random.default_rng(1).integers(1, len(data), 40):
@@ -87,7 +87,7 @@ def test_random_truncation_loads_or_is_refused(tmp_path: Path, name: str) -> Non
 
 @pytest.mark.parametrize("name", FUZZED)
 def test_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> None:
-    """With random bytes changed, the head of the file more often, a file loads or is refused."""
+    """The head of the file is changed more often."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
     rng = np.random.default_rng(2)
@@ -103,7 +103,7 @@ def test_random_byte_changes_load_or_are_refused(tmp_path: Path, name: str) -> N
 @pytest.mark.deep
 @pytest.mark.parametrize("name", FUZZED)
 def test_random_mutations_load_or_are_refused(tmp_path: Path, name: str) -> None:
-    """Bytes changed, a piece cut out, doubled, zeroed, or the end lost: a file loads or is refused in one line."""
+    """Bytes are changed, a piece is cut out, doubled or zeroed, or the end is lost; errors are one line."""
     path = write_format(tmp_path, name)
     original = path.read_bytes()
     rng = np.random.default_rng(4)
@@ -113,7 +113,7 @@ def test_random_mutations_load_or_are_refused(tmp_path: Path, name: str) -> None
 
 
 def mutated(original: bytes, rng: np.random.Generator) -> bytes:
-    """A file with one kind of damage; the head is hit more often."""
+    """Returns data with one kind of damage; the head is hit more often."""
     reach = len(original) if rng.random() < 0.5 else min(len(original), 400)
     start, size = int(rng.integers(0, reach)), int(rng.integers(1, 64))
     head, piece, tail = original[:start], original[start : start + size], original[start + size :]
@@ -133,7 +133,7 @@ def mutated(original: bytes, rng: np.random.Generator) -> bytes:
 
 
 def test_random_changes_of_sog_metadata_load_or_are_refused(tmp_path: Path) -> None:
-    """With random bytes of meta.json changed, a SOG folder loads or is refused."""
+    """Random bytes of a meta.json are changed."""
     folder = unpacked(tmp_path / "sog", sog_files(capture(40), linear=False))
     original = (folder / "meta.json").read_bytes()
     rng = np.random.default_rng(3)
@@ -146,7 +146,7 @@ def test_random_changes_of_sog_metadata_load_or_are_refused(tmp_path: Path) -> N
 
 
 def load_or_refuse(path: Path) -> None:
-    """Loads a file, twice over; the only exception is a SceneError of one line."""
+    """Loads a file twice; the only allowed exception is a SceneError of one line."""
     for drop_invalid in (False, True):
         try:
             assert isinstance(ls.load(path, drop_invalid=drop_invalid), Gaussians)
@@ -157,7 +157,7 @@ def load_or_refuse(path: Path) -> None:
 @pytest.mark.parametrize("name", ["capture.ply", "ascii.ply", "big_endian.ply"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_nonfinite_values_are_counted_and_can_be_dropped(tmp_path: Path, name: str, value: float) -> None:
-    """NaN and infinity in a file are counted, attributed, and dropped on request."""
+    """The error names the properties with NaN and infinity."""
     path = tmp_path / name
     rows = np.tile([1.0, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0], (5, 1))
     rows[1, 3] = rows[4, 3] = rows[4, 0] = value
@@ -175,7 +175,7 @@ def test_nonfinite_values_are_counted_and_can_be_dropped(tmp_path: Path, name: s
 
 
 def test_doubles_beyond_float32_count_as_infinite(tmp_path: Path) -> None:
-    """A double that float32 cannot hold counts as infinite."""
+    """The error counts them like infinite values."""
     row = np.array([1e300, 2, 3, 0.1, 0.2, 0.3, 0, -1, -2, -3, 1, 0, 0, 0])
     (tmp_path / "a.ply").write_bytes(ply_header(1, INRIA, kind="double") + row.astype("<f8").tobytes())
     assert "1 NaN or infinite values in x" in refused(tmp_path / "a.ply")
@@ -183,7 +183,7 @@ def test_doubles_beyond_float32_count_as_infinite(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_capture_without_gaussians_is_refused(tmp_path: Path, encoding: str) -> None:
-    """A capture of nothing is refused."""
+    """In every format, a count of zero is an error."""
     (tmp_path / "a.ply").write_bytes(ply_header(0, INRIA, encoding))
     assert "zero Gaussians" in refused(tmp_path / "a.ply")
 
@@ -191,7 +191,7 @@ def test_capture_without_gaussians_is_refused(tmp_path: Path, encoding: str) -> 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("count", [6, 10**9, 10**18, 10**40])
 def test_header_count_beyond_the_file_is_refused(tmp_path: Path, encoding: str, count: int) -> None:
-    """A count larger than the file is refused before memory is taken, however absurd it is."""
+    """It is refused before memory is allocated, however large the count is."""
     body = b"0 " * 14 * 5 if encoding == "ascii" else bytes(14 * 4 * 5)
     (tmp_path / "a.ply").write_bytes(ply_header(count, INRIA, encoding) + body)
     tracemalloc.start()
@@ -203,7 +203,7 @@ def test_header_count_beyond_the_file_is_refused(tmp_path: Path, encoding: str, 
 
 
 def test_compressed_ply_count_beyond_the_file_is_refused(tmp_path: Path) -> None:
-    """The same for a compressed PLY, whose chunks come first."""
+    """Chunks come first in a compressed PLY."""
     path = write_format(tmp_path, "capture.compressed.ply")
     data = path.read_bytes()
     path.write_bytes(data.replace(b"element vertex 40", b"element vertex 4000000000"))
@@ -213,7 +213,7 @@ def test_compressed_ply_count_beyond_the_file_is_refused(tmp_path: Path) -> None
 
 
 def test_gzip_stream_is_inflated_only_to_the_announced_size(tmp_path: Path) -> None:
-    """Only as much as the header announces is inflated: further zeros cost nothing."""
+    """Further zeros in the stream take no memory."""
     header = struct.pack("<IIIBBBB", 0x5053474E, 3, 1, 0, 12, 0, 0)
     good = header + bytes([0] * 9 + [128] + [128] * 3 + [100] * 3 + [0] * 4)
     stream = io.BytesIO()
@@ -237,7 +237,7 @@ def test_gzip_bomb_with_matching_header_is_refused(tmp_path: Path) -> None:
 
 
 def test_zip_bomb_is_refused(tmp_path: Path) -> None:
-    """A member of a bundle that inflates to hundreds of megabytes is refused unread."""
+    """A bundle member that inflates to hundreds of megabytes is not read."""
     files = sog_files(capture(10), linear=False)
     with zipfile.ZipFile(tmp_path / "bomb.sog", "w", zipfile.ZIP_DEFLATED, compresslevel=1) as bundle:
         bundle.writestr("meta.json", files["meta.json"])
@@ -253,7 +253,7 @@ def test_zip_bomb_is_refused(tmp_path: Path) -> None:
 
 
 def test_image_decompression_bomb_is_refused(tmp_path: Path) -> None:
-    """A small image of 90 million pixels is refused before it is decoded."""
+    """A small file with 90 million pixels is refused before it is decoded."""
     files = sog_files(capture(10), linear=False)
     buffer = io.BytesIO()
     Image.new("L", (9500, 9500)).save(buffer, "PNG")
@@ -262,7 +262,7 @@ def test_image_decompression_bomb_is_refused(tmp_path: Path) -> None:
 
 
 def test_many_large_images_are_refused_together(tmp_path: Path) -> None:
-    """Images that may each be as large as that are too large together."""
+    """Each image is within the limit, but their sum is not."""
     files = sog_files(capture(10), linear=False)
     buffer = io.BytesIO()
     Image.new("L", (7000, 7000)).save(buffer, "PNG")
@@ -277,20 +277,20 @@ def test_many_large_images_are_refused_together(tmp_path: Path) -> None:
 
 
 def test_unknown_extension_lists_the_known_ones(tmp_path: Path) -> None:
-    """The message lists the known extensions."""
+    """The message lists all extensions that can be loaded."""
     (tmp_path / "a.xyz").write_bytes(b"data")
     assert "unknown extension '.xyz', expected .ply, .compressed.ply, .spz" in refused(tmp_path / "a.xyz")
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.sog", "meta.json", "a.obj", "nothing"])
 def test_missing_file_has_its_own_error(tmp_path: Path, name: str) -> None:
-    """A missing file has its own message, whatever its extension."""
+    """The error is the same for every extension."""
     assert "no such file" in refused(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["folder", "folder.ply", "folder.spz"])
 def test_folder_that_is_no_sog_is_refused(tmp_path: Path, name: str) -> None:
-    """A folder that is not a SOG capture is refused, even if it has the name of a file."""
+    """The folder may even have the name of a file."""
     (tmp_path / name).mkdir()
     assert "is a folder without a meta.json" in refused(tmp_path / name)
     (tmp_path / name / "transforms.json").write_text("{}")
@@ -298,7 +298,7 @@ def test_folder_that_is_no_sog_is_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_point_cloud_has_its_own_error(tmp_path: Path) -> None:
-    """A point cloud has its own message."""
+    """The error says that a point cloud is not a capture."""
     (tmp_path / "points.ply").write_bytes(ply_header(2, ["x", "y", "z"]) + bytes(24))
     assert "a point cloud, not a Gaussian capture: no opacity, scale, rotation" in refused(tmp_path / "points.ply")
 
@@ -319,6 +319,6 @@ def test_point_cloud_has_its_own_error(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_ply_headers_are_refused(tmp_path: Path, header: bytes) -> None:
-    """Damaged headers are refused."""
+    """The error names the fault of the header."""
     (tmp_path / "a.ply").write_bytes(header)
     refused(tmp_path / "a.ply")

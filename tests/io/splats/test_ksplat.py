@@ -1,4 +1,4 @@
-"""Files of GaussianSplats3D: levels, sections, buckets and harmonics, what is damaged, and files of its own writer."""
+"""Files of GaussianSplats3D: levels, sections, buckets, SH, damaged files, and files of the reference writer."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ fs.writeFileSync(out, Buffer.from(generator.generateFromUncompressedSplatArray(a
 def check_same(
     read: ls.Gaussians, given: ls.Gaussians, order: list[int], level: int, *, block: float = 0.5, steps: float = 0.5001
 ) -> None:
-    """Whether a capture is another one, as near as its level stores it: half a step off, or a step of who cuts off."""
+    """Checks that a capture equals another within the level's half step, or a full step for writers that truncate."""
     half = 0.0 if level == 0 else steps * 2.0**-10
     np.testing.assert_allclose(read.means, given.means[order], rtol=1e-6, atol=0.0 if level == 0 else block / 65535)
     np.testing.assert_allclose(read.scales, given.scales[order], rtol=half, atol=2.0**-23 * steps)
@@ -48,7 +48,7 @@ def check_same(
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 1, 2])
 def test_all_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int, degree: int) -> None:
-    """Floats, halves in buckets, and bytes between two numbers: each value where it belongs, harmonics by channel."""
+    """Levels store float32, float16 with buckets, and bytes between two limits; SH are ordered by channel."""
     given = capture(60, degree)
     least, largest = float(given.sh[:, 1:].min(initial=0.0)) - 0.1, float(given.sh[:, 1:].max(initial=0.0)) + 0.1
     (tmp_path / "a.ksplat").write_bytes(ksplat([given], level, limits=(least, largest)))
@@ -60,7 +60,7 @@ def test_all_levels_and_sh_degrees_are_decoded(tmp_path: Path, level: int, degre
 
 
 def test_missing_header_limits_have_defaults(tmp_path: Path) -> None:
-    """Without limits coefficients are within 1.5; without a range there are 32,767 steps to the side of a bucket."""
+    """SH limits default to 1.5, and a bucket has 32,767 steps from its centre to its side."""
     given = capture(30, 1)
     data = bytearray(ksplat([given], 2))
     struct.pack_into("<2f", data, 36, 0.0, 0.0)
@@ -72,7 +72,7 @@ def test_missing_header_limits_have_defaults(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("level", [0, 1])
 def test_sections_of_different_sh_degree_are_padded(tmp_path: Path, level: int) -> None:
-    """Each has its degree; harmonics that one lacks are zero. Buckets of more Gaussians are not all full."""
+    """Missing SH are zero; buckets of a larger section are not all full."""
     first, second = capture(21, 2, seed=1), capture(10, 0, seed=2)
     (tmp_path / "a.ksplat").write_bytes(ksplat([first, second], level, bucket=7, block=4.0))
     read = load_gaussians(tmp_path / "a.ksplat")
@@ -102,7 +102,7 @@ def test_sections_of_different_sh_degree_are_padded(tmp_path: Path, level: int) 
 def test_damaged_headers_are_refused_in_one_line(
     tmp_path: Path, layout: str, offset: int, value: tuple[int, ...], message: str
 ) -> None:
-    """What is wrong is one line."""
+    """The error names the wrong header field."""
     data = bytearray(ksplat([capture(40, 1)], 1, block=8.0))
     struct.pack_into(layout, data, offset, *value)
     (tmp_path / "a.ksplat").write_bytes(data)
@@ -112,7 +112,7 @@ def test_damaged_headers_are_refused_in_one_line(
 
 
 def test_file_without_gaussians_is_refused(tmp_path: Path) -> None:
-    """A file without Gaussians is refused."""
+    """A count of zero is an error."""
     data = bytearray(ksplat([capture(1, 0)], 0)[:4096])
     struct.pack_into("<4I", data, 4, 0, 0, 0, 0)
     (tmp_path / "a.ksplat").write_bytes(data)
@@ -123,7 +123,7 @@ def test_file_without_gaussians_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
 def test_mutated_files_load_or_are_refused(tmp_path: Path, level: int, count: int) -> None:
-    """With bytes changed, most of them in the headers, or its end lost, a file loads or is refused in one line."""
+    """Bytes are changed, mostly in headers, or the end is lost; errors are one line."""
     path, rng = tmp_path / "a.ksplat", np.random.default_rng(level)
     original = ksplat([capture(20, 2, seed=3), capture(9, 1, seed=4)], level)
     fields = np.concatenate([np.arange(44), 4096 + np.arange(44), 5120 + np.arange(44)])
@@ -141,7 +141,7 @@ def test_mutated_files_load_or_are_refused(tmp_path: Path, level: int, count: in
 @pytest.mark.parametrize("level", [0, 1, 2])
 @pytest.mark.parametrize("degree", [0, 2])
 def test_files_of_the_reference_writer_are_read(tmp_path: Path, level: int, degree: int) -> None:
-    """What GaussianSplats3D makes of a PLY of ours is that capture; Gaussians are found by their places."""
+    """GaussianSplats3D converts a PLY of Lumisplat to an equal capture; Gaussians are matched by position."""
     if NODE is None or not (FOLDER / "node_modules" / "@mkkellogg").is_dir():
         pytest.skip(f"no @mkkellogg/gaussian-splats-3d in {FOLDER} (set LUMISPLAT_NODE, or npm install it there)")
     given = capture(400, degree)

@@ -1,4 +1,4 @@
-"""Up and first view of a capture: every format that we write states them, and what is wrong in them is left out."""
+"""Up direction and first view of a capture: every written format preserves them, and invalid ones are ignored."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ FORMATS = ["a.ply", "a.compressed.ply", "a.spz", "a.sog", "meta.json", "lod-meta
 
 
 def stated(count: int = 40) -> ls.Gaussians:
-    """A capture that says both."""
+    """Returns a capture with an up direction and a first view."""
     return replace(capture(count), up=UP, first_view=VIEW)
 
 
 def assert_states(found: ls.Gaussians) -> None:
-    """Whether up and first view are those of `stated`, and the first view looks where it looked."""
+    """Checks that up and first view equal those of `stated`."""
     np.testing.assert_allclose(present(found.up), UNIT, atol=1e-8)
     view = present(found.first_view)
     np.testing.assert_allclose(view.camera_from_world, VIEW.camera_from_world, atol=1e-8)
@@ -41,14 +41,14 @@ def assert_states(found: ls.Gaussians) -> None:
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_every_format_preserves_up_and_first_view(tmp_path: Path, name: str) -> None:
-    """In the coordinates in which the capture is loaded, which are those in which it was saved."""
+    """They are in the coordinates of the loaded capture, which equal those of the saved one."""
     ls.save(tmp_path / name, stated())
     assert_states(load_gaussians(tmp_path / name))
     np.testing.assert_allclose(present(stated_up(tmp_path / name)), UNIT, atol=1e-8)
 
 
 def test_openusd_preserves_up_and_first_view(tmp_path: Path) -> None:
-    """As custom data of the field of particles."""
+    """They are custom data of the particle field."""
     pytest.importorskip("pxr")
     ls.save(tmp_path / "a.usda", stated())
     assert_states(load_gaussians(tmp_path / "a.usda"))
@@ -56,7 +56,7 @@ def test_openusd_preserves_up_and_first_view(tmp_path: Path) -> None:
 
 
 def test_blocks_preserve_up_and_first_view(tmp_path: Path) -> None:
-    """In their index, from which all ways to load blocks take it."""
+    """They are in the index, and all functions that load blocks return them."""
     index = ls.io.write_blocks(tmp_path / "blocks", [stated()], 10.0)
     assert_states(load_gaussians(tmp_path / "blocks"))
     assert_states(ls.io.thin_blocks(index))
@@ -65,7 +65,7 @@ def test_blocks_preserve_up_and_first_view(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", FORMATS[:-2])
 def test_capture_without_orientation_is_saved_without_one(tmp_path: Path, name: str) -> None:
-    """No file says up for it, so that its users know that it is a guess."""
+    """Readers thus know that its up direction is a guess."""
     ls.save(tmp_path / name, capture(40))
     found = load_gaussians(tmp_path / name)
     assert found.up is None
@@ -74,14 +74,14 @@ def test_capture_without_orientation_is_saved_without_one(tmp_path: Path, name: 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.gltf"])
 def test_gltf_without_metadata_is_y_up(tmp_path: Path, name: str) -> None:
-    """The format defines up: a capture of somebody else's file is turned to y down, and states it."""
+    """The format defines up, so a capture of another program is rotated to y down and states its up."""
     ls.save(tmp_path / name, capture(40))
     assert load_gaussians(tmp_path / name).up == (0.0, -1.0, 0.0)
 
 
 @pytest.mark.parametrize("name", ["a.glb", "a.usda"])
 def test_tilted_capture_is_saved_y_up_in_gltf_and_openusd(tmp_path: Path, name: str) -> None:
-    """Its up is y there; a scene that takes the same file as part of a scene sees it stand."""
+    """A scene that uses the file as one of its parts sees the capture upright."""
     if name.endswith("usda"):
         pytest.importorskip("pxr")
     tall = replace(capture(40), means=np.linspace(0, 3, 40)[:, None] * np.array(UP), up=UP)
@@ -106,7 +106,7 @@ def test_tilted_capture_is_saved_y_up_in_gltf_and_openusd(tmp_path: Path, name: 
     ],
 )
 def test_ply_header_comments_state_up(tmp_path: Path, comment: str, up: tuple[float, float, float] | None) -> None:
-    """nerfstudio's, and our own; the comment stays as it was on conversion as long as it is true."""
+    """Comments of nerfstudio and Lumisplat are read; conversion preserves a comment that is still right."""
     plain, named = tmp_path / "plain.ply", tmp_path / "named.ply"
     ls.save(plain, capture(5))
     named.write_bytes(plain.read_bytes().replace(b"element", f"comment {comment}\nelement".encode(), 1))
@@ -118,7 +118,7 @@ def test_ply_header_comments_state_up(tmp_path: Path, comment: str, up: tuple[fl
 
 
 def test_own_up_comment_overrides_nerfstudio_comment(tmp_path: Path) -> None:
-    """A file that was turned says so; what is no longer true is removed."""
+    """Saving a rotated capture writes its up, and removes comments that are no longer right."""
     path = tmp_path / "a.ply"
     axis = replace(capture(5), comments=("Vertical Axis: z", "a comment"), up="z-up")
     ls.save(path, ls.transform(axis, rotation_degrees=(90.0, 0.0, 0.0)))
@@ -143,7 +143,7 @@ def test_own_up_comment_overrides_nerfstudio_comment(tmp_path: Path) -> None:
     ],
 )
 def test_invalid_orientation_is_ignored_with_a_log_line(values: Any, caplog: pytest.LogCaptureFixture) -> None:
-    """A capture is worth more than its first view."""
+    """The capture itself is loaded."""
     with caplog.at_level(logging.WARNING):
         assert orientation_of("x.ply", values) == (None, None)
     assert "x.ply" in caplog.text
@@ -151,7 +151,7 @@ def test_invalid_orientation_is_ignored_with_a_log_line(values: Any, caplog: pyt
 
 @pytest.mark.parametrize("text", ["{", "[1]", "{" * 5000, '{"eye": NaN}', "0"])
 def test_damaged_comments_are_ignored(tmp_path: Path, text: str) -> None:
-    """Whatever stands behind our words, the capture is read."""
+    """Whatever follows the keywords of a comment, the capture is loaded."""
     plain, path = tmp_path / "plain.ply", tmp_path / "a.ply"
     ls.save(plain, capture(5))
     line = f"comment lumisplat first_view {text}\ncomment lumisplat up {text}\nelement"
@@ -160,7 +160,7 @@ def test_damaged_comments_are_ignored(tmp_path: Path, text: str) -> None:
 
 
 def test_edits_preserve_up_and_first_view() -> None:
-    """What cuts, thins and sorts keeps them; what joins takes them from the first set that has them."""
+    """Cutting, decimating and sorting preserve them; merging takes them from the first capture that has them."""
     one = stated()
     box = ls.editing.crop(one, ((-9.0, -9.0, -9.0), (9.0, 9.0, 9.0)))
     for edited in (box, ls.editing.decimate(one, 20), ls.editing.sort_morton(one), ls.editing.limit_sh_degree(one, 0)):
@@ -169,7 +169,7 @@ def test_edits_preserve_up_and_first_view() -> None:
 
 
 def test_rotated_capture_rotates_up_and_first_view() -> None:
-    """Up turns with it, and the first view shows the same: its camera sees each mean where it saw it."""
+    """The camera of the first view projects every mean to the same pixel as before."""
     one = stated()
     moved = ls.transform(one, scale=3.0, rotation_degrees=(20.0, 130.0, 70.0), translation=(1.0, -2.0, 5.0))
     view = present(moved.first_view)
@@ -185,7 +185,7 @@ def test_rotated_capture_rotates_up_and_first_view() -> None:
 
 
 def test_json_values_are_plain_numbers(tmp_path: Path) -> None:
-    """Other programs may read them: numbers, not matrices of ours."""
+    """Other programs can read them without knowing matrices of Lumisplat."""
     ls.save(tmp_path / "meta.json", stated())
     held = json.loads((tmp_path / "meta.json").read_text())["lumisplat"]
     assert held["first_view"] == {
@@ -199,7 +199,7 @@ def test_json_values_are_plain_numbers(tmp_path: Path) -> None:
 
 
 def test_up_of_a_glb_is_read_once_per_file_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Entries, actors and cameras of a scene file ask for it, and it takes reading the capture."""
+    """Entries, actors and cameras of a scene file ask for it, and finding it needs the whole capture."""
     ls.save(tmp_path / "a.glb", stated())
     (tmp_path / "scene.toml").write_text(
         '[[splats]]\npath = "a.glb"\n[[cameras]]\neye = [0, 0, 3]\ntarget = [0, 0, 0]\n'

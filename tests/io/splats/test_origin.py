@@ -1,4 +1,4 @@
-"""Captures in map coordinates: an origin in float64, which files, edits and scenes keep."""
+"""Captures in map coordinates: files, edits and scenes preserve their float64 origin."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMES = (
 
 
 def capture(origin: tuple[float, float, float] = UTM) -> ls.Gaussians:
-    """Small Gaussians around an origin."""
+    """Returns small Gaussians around an origin."""
     rng = np.random.default_rng(5)
     return ls.Gaussians(
         means=rng.normal(size=(60, 3)),
@@ -32,7 +32,7 @@ def capture(origin: tuple[float, float, float] = UTM) -> ls.Gaussians:
 
 
 def write_doubles(path: Path, gaussians: ls.Gaussians, shift: np.ndarray) -> Path:
-    """A capture as programs of surveyors write it: positions are doubles in map coordinates."""
+    """Writes a capture as surveying programs do: positions are doubles in map coordinates."""
     types = [(name, "<f8" if name in "xyz" else "<f4") for name in NAMES]
     rows = np.zeros(gaussians.count, types)
     logits = np.log(gaussians.opacities) - np.log1p(-gaussians.opacities)
@@ -46,12 +46,12 @@ def write_doubles(path: Path, gaussians: ls.Gaussians, shift: np.ndarray) -> Pat
 
 
 def in_world(gaussians: ls.Gaussians) -> np.ndarray:
-    """Means in the capture's own coordinates, float64."""
+    """Returns means in the capture's absolute coordinates, float64."""
     return gaussians.means.astype(np.float64) + gaussians.origin
 
 
 def test_text_ply_keeps_all_digits_of_positions(tmp_path: Path) -> None:
-    """Programs write map coordinates with all digits and call them float."""
+    """Programs write map coordinates with all digits, although the header calls them float."""
     near = capture((0.0, 0.0, 0.0))
     columns = (near.means + np.array(UTM), near.sh[:, 0], np.zeros((60, 1)), np.log(near.scales), near.rotations_wxyz)
     header = ["ply", "format ascii 1.0", "element vertex 60", *(f"property float {name}" for name in NAMES)]
@@ -63,7 +63,7 @@ def test_text_ply_keeps_all_digits_of_positions(tmp_path: Path) -> None:
 
 
 def test_map_coordinates_are_stored_relative_to_an_origin(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Nothing is torn, and a line says so; around zero, doubles are as they were."""
+    """Positions keep their precision, and a log line says so; doubles near zero get no origin."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
     assert isinstance(far, ls.Gaussians) and any(far.origin)
@@ -76,7 +76,7 @@ def test_map_coordinates_are_stored_relative_to_an_origin(tmp_path: Path, caplog
 
 
 def test_unplaced_capture_is_at_its_origin(tmp_path: Path) -> None:
-    """In scenes of Python and of files; words that do not say where leave it there."""
+    """Scenes and scene files leave it there if their keys state no position."""
     far = capture()
     for instance in (ls.SplatInstance(far), ls.Scene([far]).splats[0], ls.SplatInstance(far, scale_by=2.0)):
         np.testing.assert_array_equal(instance.transform[:3, 3], UTM)
@@ -90,7 +90,7 @@ def test_unplaced_capture_is_at_its_origin(tmp_path: Path) -> None:
 
 
 def test_frames_are_the_same_at_map_coordinates_and_at_zero(tmp_path: Path) -> None:
-    """A capture of doubles, and a camera as a survey has it."""
+    """Camera and capture are both in survey coordinates."""
     near = capture((0.0, 0.0, 0.0))
     far = ls.load(write_doubles(tmp_path / "far.ply", near, np.array(UTM)))
     here = ls.load(write_doubles(tmp_path / "near.ply", near, np.zeros(3)))
@@ -106,7 +106,7 @@ def test_frames_are_the_same_at_map_coordinates_and_at_zero(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("name", ["x.ply", "x.compressed.ply", "x.glb", "x.usdc"])
 def test_files_preserve_the_origin(tmp_path: Path, name: str) -> None:
-    """A comment, or the transform of a node, has it in full; comments are not doubled."""
+    """A comment, or the transform of a node, has it exactly; comments are not doubled."""
     if name.endswith("usdc"):
         pytest.importorskip("pxr")
     far = replace(capture(), origin=(500123.125, 5400987.1, 312.0))
@@ -122,7 +122,7 @@ def test_files_preserve_the_origin(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("name", ["x.spz", "x.sog"])
 def test_formats_without_origin_log_a_warning(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Positions are about it."""
+    """Their positions stay relative to it."""
     ls.save(tmp_path / name, capture())
     assert "cannot store the origin of the capture, 500123 5400987 312" in caplog.text
     loaded = ls.load(tmp_path / name)
@@ -131,7 +131,7 @@ def test_formats_without_origin_log_a_warning(tmp_path: Path, name: str, caplog:
 
 @pytest.mark.parametrize("numbers", ["1 2", "a b c", "1 2 nan", "", "1e400 0 0"])
 def test_invalid_origin_is_logged_and_zero(tmp_path: Path, numbers: str, caplog: pytest.LogCaptureFixture) -> None:
-    """And is zero."""
+    """A comment with other than three numbers is ignored."""
     near = capture((0.0, 0.0, 0.0))
     ls.save(tmp_path / "x.ply", replace(near, comments=("lumisplat origin_of_nothing",)))
     data = (tmp_path / "x.ply").read_bytes()
@@ -144,7 +144,7 @@ def test_invalid_origin_is_logged_and_zero(tmp_path: Path, numbers: str, caplog:
 
 
 def test_edits_use_the_coordinates_of_the_capture() -> None:
-    """Moved, turned, scaled, cut out, selected and joined: as if all were done in float64."""
+    """Translation, rotation, scaling, cropping, selection and merging match the same edits in float64."""
     far, wide = capture(), in_world(capture())
     moved = ls.transform(far, scale=2.0, rotation_degrees=(0, 0, 90), translation=(1.0, 2.0, 3.0))
     expected = 2.0 * wide @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]]) + (1.0, 2.0, 3.0)
@@ -166,7 +166,7 @@ def test_edits_use_the_coordinates_of_the_capture() -> None:
 
 
 def test_blocks_refuse_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """They hold positions about zero: the capture would stand elsewhere."""
+    """Blocks store absolute positions, so the capture would be misplaced."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
     said = capsys.readouterr().err
@@ -174,7 +174,7 @@ def test_blocks_refuse_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_info_and_convert_handle_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A row of ``info``, and a key of its JSON; ``convert --translate`` moves the capture to zero."""
+    """``info`` has a row and a JSON key for it; ``convert --translate`` moves the capture to zero."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["info", str(tmp_path / "far.ply")]) == 0
     assert "500123 5400987 312" in capsys.readouterr().out
@@ -188,7 +188,7 @@ def test_info_and_convert_handle_the_origin(tmp_path: Path, capsys: pytest.Captu
 
 
 def test_blocks_warn_of_rounded_positions(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """They have float32 about zero; nothing is said of captures around it."""
+    """Blocks store absolute float32 positions; captures near zero cause no warning."""
     near = capture((0.0, 0.0, 0.0))
     for name, shift in (("far", np.array(UTM)), ("near", np.zeros(3))):
         stream = ls.io.stream_ply(write_doubles(tmp_path / f"{name}.ply", near, shift))

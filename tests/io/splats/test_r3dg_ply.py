@@ -1,4 +1,4 @@
-"""Captures saved in the columns of Relightable 3D Gaussians."""
+"""Captures saved in the columns of Relightable 3D Gaussians (R3DG)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ORDER = [
 
 
 def relightable(count: int = 200, **changes: Any) -> ls.Gaussians:
-    """A capture whose materials R3DG's columns can hold, the least and the largest among them."""
+    """Returns a capture whose materials span the range of R3DG's columns."""
     rng = np.random.default_rng(5)
     normals = rng.normal(size=(count, 3))
     albedo = rng.uniform(0.03, 0.8, (count, 3)).astype(np.float32)
@@ -37,7 +37,7 @@ def relightable(count: int = 200, **changes: Any) -> ls.Gaussians:
 
 
 def test_columns_are_those_of_r3dg(tmp_path: Path) -> None:
-    """All 130 in their order, values before activation, harmonics channel by channel."""
+    """All 130 columns are in order, values are stored before activation, and SH are ordered by channel."""
     light = np.random.default_rng(1).normal(size=(200, 16, 3)).astype(np.float32)
     first = relightable(incident=light)
     ls.save(tmp_path / "theirs.ply", first, columns="r3dg")
@@ -55,7 +55,7 @@ def test_columns_are_those_of_r3dg(tmp_path: Path) -> None:
 
 
 def test_round_trip_preserves_materials(tmp_path: Path) -> None:
-    """Materials to the last place, and from then on to the bit; a comment of ours would say otherwise."""
+    """Materials are right to the last digit, later round trips exact; no Lumisplat comment marks them as linear."""
     first = relightable(comments=("lumisplat materials linear", "of a walk"))
     ls.save(tmp_path / "once.ply", first, columns="r3dg")
     once = load_gaussians(tmp_path / "once.ply")
@@ -74,7 +74,7 @@ def test_round_trip_preserves_materials(tmp_path: Path) -> None:
 
 
 def test_values_from_float32_logits_round_trip_exactly() -> None:
-    """Values that come from logits of float32 lead back to logits that are read as the same values."""
+    """Encoding and decoding such values gives the same values again."""
     logits = np.concatenate([np.linspace(-18.0, 18.0, 100_001), np.random.default_rng(0).normal(size=100_000)])
     for name in ("albedo", "roughness"):
         values = R3DG.activated(name, logits.astype(np.float32))
@@ -82,7 +82,7 @@ def test_values_from_float32_logits_round_trip_exactly() -> None:
 
 
 def test_values_out_of_range_are_clamped_with_a_log_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """And become the nearest; metals, too."""
+    """Dropped metallic values are logged, too."""
     albedo = np.full((4, 3), 0.5)
     albedo[1] = (0.0, 0.5, 0.95)
     metallic, roughness = np.array([0.0, 0.0, 1.0, 0.0]), np.array([0.5, 1.0, 0.5, 0.5])
@@ -103,7 +103,7 @@ def test_values_out_of_range_are_clamped_with_a_log_line(tmp_path: Path, caplog:
 
 
 def test_incident_light_is_read_only_on_request(tmp_path: Path) -> None:
-    """From their files and from ours, padded with zeros, and nobody else has it."""
+    """It is read from R3DG's and Lumisplat's files, and padded with zeros."""
     light = np.random.default_rng(1).normal(size=(200, 4, 3)).astype(np.float32)
     made = relightable(incident=light)
     for columns, coefficients in (("lumisplat", 4), ("r3dg", 16)):
@@ -122,7 +122,7 @@ def test_incident_light_is_read_only_on_request(tmp_path: Path) -> None:
 
 
 def test_incident_light_rotates_with_the_capture() -> None:
-    """What came from a direction comes from the turned one; captures of less of it are padded when they are joined."""
+    """Merging pads incident light of lower degree."""
     light = np.random.default_rng(1).normal(size=(5, 16, 3))
     made = relightable(5, incident=light)
     quarter = ls.transform(made, rotation_degrees=(0.0, 0.0, 90.0), scale=2.0)
@@ -137,7 +137,7 @@ def test_incident_light_rotates_with_the_capture() -> None:
 
 
 def test_unsupported_captures_are_refused_in_one_line(tmp_path: Path) -> None:
-    """No materials, no such columns, another format; nothing is written."""
+    """Materials are missing, or the format is another one; nothing is written."""
     output = tmp_path / "a.ply"
     with pytest.raises(ls.FormatError, match=r"a.ply: R3DG's columns hold .* no roughness and no normals: lumisplat"):
         ls.save(output, relightable(normals=None, roughness=None), columns="r3dg")

@@ -1,4 +1,4 @@
-"""PLY files of trainers of relightable captures, packed by hand as those trainers write them, and told from ours."""
+"""PLY files of trainers of relightable captures, packed by hand, and how they are distinguished from Lumisplat's."""
 
 from __future__ import annotations
 
@@ -22,40 +22,40 @@ VISIBILITY = {"visibility_dc_0": 0.7} | {f"visibility_rest_{i}": 0.1 for i in ra
 
 
 def sigmoid(x: float) -> float:
-    """The logistic function."""
+    """Computes the logistic function."""
     return 1.0 / (1.0 + float(np.exp(-x)))
 
 
 def part(*names: str) -> dict[str, float]:
-    """Some of the columns of `GEOMETRY`."""
+    """Selects columns of `GEOMETRY`."""
     return {name: GEOMETRY[name] for name in names}
 
 
 def scales() -> dict[str, float]:
-    """The columns of the scales."""
+    """Returns the scale columns."""
     return part("scale_0", "scale_1", "scale_2")
 
 
 def base_color(*raw: float) -> dict[str, float]:
-    """R3DG's columns of the base colour."""
+    """Returns R3DG's base colour columns."""
     return {f"base_color_{i}": value for i, value in enumerate(raw)}
 
 
 def r3dg_row(color: tuple[float, float, float], roughness: float) -> dict[str, float]:
-    """A row of Relightable 3D Gaussians, second stage: 130 columns in their order."""
+    """Returns a row of R3DG's second stage: 130 columns in order."""
     row = part("x", "y", "z") | NORMAL | SH | part("opacity") | scales() | ROTATION
     return row | base_color(*color) | {"roughness": roughness} | INCIDENTS | VISIBILITY
 
 
 def gs_ir_row(albedo: tuple[float, float, float], roughness: float, metallic: float) -> dict[str, float]:
-    """A row of GS-IR: 67 columns in their order."""
+    """Returns a row of GS-IR: 67 columns in order."""
     row = part("x", "y", "z") | SH | part("opacity") | {"normal_0": 0.0, "normal_1": 0.0, "normal_2": 4.0}
     row |= {f"albedo_{i}": value for i, value in enumerate(albedo)} | {"roughness": roughness, "metallic": metallic}
     return row | scales() | ROTATION
 
 
 def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
-    """A little-endian float PLY, byte by byte."""
+    """Writes a little-endian float PLY, byte by byte."""
     lines = ["ply", "format binary_little_endian 1.0", *([f"comment {comment}"] if comment else [])]
     lines += [f"element vertex {len(rows)}", *(f"property float {name}" for name in rows[0]), "end_header"]
     body = b"".join(struct.pack("<f", value) for row in rows for value in row.values())
@@ -64,7 +64,7 @@ def write(path: Path, *rows: dict[str, float], comment: str = "") -> Path:
 
 
 def test_packed_rows_have_the_columns_of_the_trainers() -> None:
-    """What is packed here has as many columns as what they save."""
+    """The hand-packed rows have as many columns as the files of the trainers."""
     assert (len(r3dg_row((0, 0, 0), 0)), len(gs_ir_row((0, 0, 0), 0, 0))) == (130, 67)
 
 
@@ -74,7 +74,7 @@ def test_packed_rows_have_the_columns_of_the_trainers() -> None:
     ids=["all raw values within 0..1", "any raw values"],
 )
 def test_r3dg_materials_are_decoded(tmp_path: Path, color: tuple[float, float, float], roughness: float) -> None:
-    """R3DG: 0.77 sigmoid + 0.03, 0.9 sigmoid + 0.09, normals of any length; the rest as everywhere."""
+    """Albedo is 0.77 sigmoid + 0.03, roughness 0.9 sigmoid + 0.09, and normals have any length."""
     loaded = load_gaussians(write(tmp_path / "point_cloud.ply", r3dg_row(color, roughness)))
     expected = [0.77 * sigmoid(raw) + 0.03 for raw in color]
     np.testing.assert_allclose(present(loaded.albedo), [expected], rtol=1e-6)
@@ -87,7 +87,7 @@ def test_r3dg_materials_are_decoded(tmp_path: Path, color: tuple[float, float, f
 
 
 def test_first_release_of_r3dg_is_decoded(tmp_path: Path) -> None:
-    """R3DG's first release had metallic, and plain sigmoids for all three."""
+    """It has metallic, and plain sigmoids for all three materials."""
     row = r3dg_row((0.0, 0.25, 1.0), 0.5)
     columns = list(row)
     columns.insert(columns.index("roughness") + 1, "metallic")
@@ -98,7 +98,7 @@ def test_first_release_of_r3dg_is_decoded(tmp_path: Path) -> None:
 
 
 def test_first_stage_of_r3dg_has_only_normals(tmp_path: Path) -> None:
-    """Before materials are trained there are only normals, real ones."""
+    """Materials are trained in the second stage."""
     row = part("x", "y", "z") | NORMAL | SH | part("opacity") | scales() | ROTATION
     loaded = load_gaussians(write(tmp_path / "stage1.ply", row))
     np.testing.assert_array_equal(present(loaded.normals), [[0, -1, 0]])
@@ -113,7 +113,7 @@ def test_first_stage_of_r3dg_has_only_normals(tmp_path: Path) -> None:
 def test_gs_ir_materials_are_decoded(
     tmp_path: Path, albedo: tuple[float, float, float], roughness: float, metallic: float
 ) -> None:
-    """GS-IR: sigmoids of all three, although the columns have our names; normals from normal_0..2."""
+    """All three are sigmoids although the columns have Lumisplat's names; normals are normal_0..2."""
     loaded = load_gaussians(write(tmp_path / "gs_ir.ply", gs_ir_row(albedo, roughness, metallic)))
     np.testing.assert_allclose(present(loaded.albedo), [[sigmoid(raw) for raw in albedo]], rtol=1e-6)
     np.testing.assert_allclose(present(loaded.roughness), [sigmoid(roughness)], rtol=1e-6)
@@ -122,7 +122,7 @@ def test_gs_ir_materials_are_decoded(
 
 
 def test_materials_of_other_trainers_are_saved_as_linear(tmp_path: Path) -> None:
-    """A capture of another trainer keeps its materials through our files, which say that they are ours."""
+    """Lumisplat's PLY preserves their materials, and a comment marks them as linear."""
     first = load_gaussians(write(tmp_path / "theirs.ply", r3dg_row((0.0, 0.25, 1.0), 0.5)))
     ls.save(tmp_path / "ours.ply", first)
     again = load_gaussians(tmp_path / "ours.ply")
@@ -133,20 +133,20 @@ def test_materials_of_other_trainers_are_saved_as_linear(tmp_path: Path) -> None
 
 
 def test_capture_without_materials_has_no_material_comment(tmp_path: Path) -> None:
-    """A capture without materials is written as before."""
+    """Its file is the same as before materials were supported."""
     ls.save(tmp_path / "plain.ply", capture(3))
     assert load_gaussians(tmp_path / "plain.ply").comments == ()
 
 
 def unmarked(path: Path, roughness: np.ndarray) -> Path:
-    """A file of ours with materials, from before the comment."""
+    """Writes a Lumisplat file with materials, without the comment."""
     ls.save(path, capture(4, roughness=roughness))
     path.write_bytes(path.read_bytes().replace(b"comment lumisplat materials linear\n", b""))
     return path
 
 
 def test_older_lumisplat_files_without_comment_are_read(tmp_path: Path) -> None:
-    """Without the comment, columns that only we write are ours if all their values are in range."""
+    """Columns that only Lumisplat writes are accepted if all values are within 0..1."""
     path = unmarked(tmp_path / "old.ply", np.linspace(0.0, 1.0, 4))
     assert load_gaussians(path).comments == ()
     np.testing.assert_allclose(present(load_gaussians(path).roughness), np.linspace(0.0, 1.0, 4), atol=1e-7)
@@ -162,7 +162,7 @@ def test_older_lumisplat_files_without_comment_are_read(tmp_path: Path) -> None:
 def test_materials_of_unknown_trainers_are_dropped(
     tmp_path: Path, row: dict[str, float], reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Nobody knows what such columns mean: the capture is loaded without them, and a line says why and what to do."""
+    """Their encoding is unknown: a log line says why and what to do."""
     path = write(tmp_path / "unknown.ply", GEOMETRY | ROTATION | SH | row)
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         loaded = load_gaussians(path)
@@ -184,7 +184,7 @@ def test_materials_of_unknown_trainers_are_dropped(
 def test_materials_with_a_missing_column_are_dropped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: tuple[str, ...], said: str | None
 ) -> None:
-    """A line says which; what is not there at all is nothing to say."""
+    """A log line names them; a material without any column is not mentioned."""
     row = {name: value for name, value in r3dg_row((0.0, 0.25, 1.0), 0.5).items() if name not in missing}
     with caplog.at_level(logging.WARNING, "lumisplat"):
         loaded = load_gaussians(write(tmp_path / "a.ply", row))
@@ -195,7 +195,7 @@ def test_materials_with_a_missing_column_are_dropped(
 
 
 def test_linear_materials_out_of_range_are_refused(tmp_path: Path) -> None:
-    """A file that says that its values are linear, and holds others, is damaged."""
+    """The comment says linear, so values outside 0..1 mean damage."""
     path = write(
         tmp_path / "a.ply", GEOMETRY | ROTATION | SH | {"roughness": 2.0}, comment="lumisplat materials linear"
     )
@@ -204,7 +204,7 @@ def test_linear_materials_out_of_range_are_refused(tmp_path: Path) -> None:
 
 
 def test_invalid_stored_values_are_named_by_their_column(tmp_path: Path) -> None:
-    """NaN and infinity, whose sigmoid would be finite, are refused, under the name that the file has for them."""
+    """NaN and infinity are refused although their sigmoid would be finite, under the file's column name."""
     bad = r3dg_row((0.0, np.inf, 0.0), np.nan)
     path = write(tmp_path / "bad.ply", r3dg_row((0, 0, 0), 0), bad)
     with pytest.raises(ls.FormatError, match=r"in base_color_1, 1 NaN or infinite values in roughness"):
@@ -213,14 +213,14 @@ def test_invalid_stored_values_are_named_by_their_column(tmp_path: Path) -> None
 
 
 def flat_row(x: float, turn: tuple[float, ...], log_scales: tuple[float, float]) -> dict[str, float]:
-    """A row of 2D Gaussian Splatting: 61 columns, two scales."""
+    """Returns a row of 2D Gaussian Splatting: 61 columns, two scales."""
     row = {"x": x, "y": 0.0, "z": 4.0, "nx": 0.0, "ny": 0.0, "nz": 0.0} | SH | {"opacity": 2.0}
     row |= {"scale_0": log_scales[0], "scale_1": log_scales[1]}
     return row | {f"rot_{i}": value for i, value in enumerate(turn)}
 
 
 def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
-    """2D Gaussians load with a third scale that is tiny beside both others, along the third axis: their normal."""
+    """The third axis, along which the scale is tiny, is the normal."""
     upright = flat_row(-1.0, (1, 0, 0, 0), (-2.0, -4.0))
     turned = flat_row(1.0, (1, 1, 0, 0), (-5.0, -3.0))  # a quarter about x: z to -y
     assert len(upright) == 61
@@ -232,7 +232,7 @@ def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
 
 
 def test_2d_gaussians_are_saved_as_3d_gaussians(tmp_path: Path) -> None:
-    """Saved, they are 3D Gaussians, as every reader expects."""
+    """Every reader can load the saved file."""
     ls.save(tmp_path / "copy.ply", load_gaussians(write(tmp_path / "a.ply", flat_row(0.0, (1, 0, 0, 0), (-2, -3)))))
     assert "scale_2" in parse_ply((tmp_path / "copy.ply").read_bytes())[0]
     assert load_gaussians(tmp_path / "copy.ply").scales.min() < 0.02 * np.exp(-3)
@@ -240,7 +240,7 @@ def test_2d_gaussians_are_saved_as_3d_gaussians(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("missing", [("scale_1",), ("scale_1", "scale_2"), ("scale_2", "rot_3")])
 def test_missing_scales_other_than_scale_2_are_refused(tmp_path: Path, missing: tuple[str, ...]) -> None:
-    """Only scale_2 may be absent."""
+    """Only scale_2 may be missing."""
     row = {name: value for name, value in (GEOMETRY | ROTATION | SH).items() if name not in missing}
     with pytest.raises(ls.FormatError, match=f"no {missing[-1] if missing[-1] != 'scale_2' else 'scale_1'}"):
         ls.load(write(tmp_path / "a.ply", row))

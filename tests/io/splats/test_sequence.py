@@ -20,7 +20,7 @@ def write_frames(folder: Path, names: list[str], counts: list[int] | None = None
 
 
 def test_frames_are_sorted_by_number(tmp_path: Path) -> None:
-    """Numbers in names are compared as numbers, whatever their width; other files and hidden ones are ignored."""
+    """Numbers in names compare as numbers of any width; other files and hidden ones are ignored."""
     write_frames(tmp_path, ["f_1.ply", "f_2.ply", "f_010.ply", "f_11.ply"])
     (tmp_path / "notes.txt").write_text("no frame")
     (tmp_path / "._f_3.ply").write_text("left by a file manager")
@@ -30,7 +30,7 @@ def test_frames_are_sorted_by_number(tmp_path: Path) -> None:
 
 
 def test_frame_is_shown_until_the_next(tmp_path: Path) -> None:
-    """Frames with different counts are shown unchanged until the next one; nothing is interpolated."""
+    """Frames may differ in count, and are not interpolated."""
     write_frames(tmp_path, ["a1.spz", "a2.spz", "a3.spz"])
     sequence = ls.io.load_sequence(tmp_path, 10.0)
     for time, count in ((-1.0, 4), (0.0, 4), (0.099, 4), (0.1, 5), (0.15, 5), (0.2, 6), (50.0, 6)):
@@ -39,7 +39,7 @@ def test_frame_is_shown_until_the_next(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("fps", [24.0, 25.0, 29.97, 30.0, 60.0, 1.0 / 3.0])
 def test_no_frame_is_skipped_by_rounding(fps: float, tmp_path: Path) -> None:
-    """At k / fps frame k is shown, for all k."""
+    """At time k / fps the frame is k, for all k."""
     shown: list[int] = []
     frame = random_gaussians(0, count=1)
 
@@ -54,7 +54,7 @@ def test_no_frame_is_skipped_by_rounding(fps: float, tmp_path: Path) -> None:
 
 
 def test_only_a_few_frames_are_cached(tmp_path: Path) -> None:
-    """A frame is loaded when it is first shown, and not again while it is among the last few."""
+    """A frame is loaded on first use, and again only after it has left the cache."""
     loaded: list[str] = []
 
     def load(path: Path) -> ls.Gaussians:
@@ -70,7 +70,7 @@ def test_only_a_few_frames_are_cached(tmp_path: Path) -> None:
 
 
 def test_invalid_gaussians_can_be_dropped(tmp_path: Path) -> None:
-    """A frame with NaN is refused by its name when it is shown, or shown without them."""
+    """A frame with NaN is refused when it is used, or used without the invalid Gaussians."""
     write_frames(tmp_path, ["a1.ply", "a2.ply"], [10, 10])
     data = bytearray((tmp_path / "a2.ply").read_bytes())
     at = data.index(b"end_header\n") + len(b"end_header\n")
@@ -84,7 +84,7 @@ def test_invalid_gaussians_can_be_dropped(tmp_path: Path) -> None:
 
 
 def test_folders_without_frames_are_refused(tmp_path: Path) -> None:
-    """One line that says what was expected."""
+    """The error is one line that says what was expected."""
     with pytest.raises(ls.FormatError, match=r"holds no frames: expected files that end in .*\.spz"):
         ls.io.load_sequence(tmp_path, 25.0)
     with pytest.raises(ls.FormatError, match="no such folder"):
@@ -106,7 +106,7 @@ def test_meshes_are_refused_as_frames(tmp_path: Path) -> None:
 
 
 def test_invalid_rates_and_times_are_refused(tmp_path: Path) -> None:
-    """Rates are positive, times finite."""
+    """Rates must be positive, times finite."""
     write_frames(tmp_path, ["a1.ply"])
     for fps in (0.0, -1.0, float("nan"), cast(Any, "25")):
         with pytest.raises(ls.SceneError, match="fps is"):

@@ -1,4 +1,4 @@
-"""Streamed SOG that is written: its levels, its leaves, and who reads it."""
+"""Writing of streamed SOG: levels, leaves, and other readers."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from support.kinds import expect_kind
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves of some dozens of Gaussians, and captures of two or three leaves."""
+    """Limits leaves to some dozens of Gaussians, and captures to two or three leaves."""
     sizes = {"SOG_CHUNK_COUNT": 100, "SOG_CHUNK_EXTENT": 3.0, "SOG_LEAF_MIN": 40, "SOG_LEVEL_MIN": 70}
     for name, value in sizes.items():
         monkeypatch.setattr(streamed_sog, name, value)
 
 
 def leaves_of(node: dict[str, Any]) -> list[dict[str, Any]]:
-    """The leaves below a node."""
+    """Returns the leaves below a node."""
     return [leaf for child in node["children"] for leaf in leaves_of(child)] if "children" in node else [node]
 
 
 def sorted_rows(values: np.ndarray) -> np.ndarray:
-    """Rows in an order of their own."""
+    """Returns rows sorted by their values."""
     return values[np.lexsort(values.T)]
 
 
 def test_finest_level_is_the_capture(tmp_path: Path) -> None:
-    """As near as a SOG has it: positions to a step of 16 bits, each Gaussian once."""
+    """Each Gaussian occurs once, with positions within a 16-bit step."""
     given = capture(300, 1)
     ls.save(tmp_path / "city" / "lod-meta.json", given)
     read = load_gaussians(tmp_path / "city")
@@ -55,7 +55,7 @@ def test_finest_level_is_the_capture(tmp_path: Path) -> None:
 
 
 def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> None:
-    """Each has about half of the one before, in each leaf; the file counts them; what they hide stays alike."""
+    """In each leaf a level has about half of the previous one; the file states the counts, and opacity is preserved."""
     given = capture(600, 0)
     path = tmp_path / "lod-meta.json"
     ls.save(path, given)
@@ -71,7 +71,7 @@ def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> Non
 
 
 def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
-    """Each has all levels, and a box around its Gaussians within those of the nodes above it."""
+    """Each leaf has all levels, and its box contains its Gaussians."""
     ls.save(tmp_path / "lod-meta.json", capture(600, 0))
     said = json.loads((tmp_path / "lod-meta.json").read_text())
     leaves = leaves_of(said["tree"])
@@ -94,7 +94,7 @@ def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
 
 
 def test_coincident_gaussians_stop_the_division(tmp_path: Path) -> None:
-    """Gaussians that are all at one place, or all but one, cannot be divided for ever."""
+    """All, or all but one, are at one position, which no split can separate."""
     for far in (0.0, 500.0):
         means = np.zeros((260, 3))
         means[0, 1] = far
@@ -103,7 +103,7 @@ def test_coincident_gaussians_stop_the_division(tmp_path: Path) -> None:
 
 
 def test_interrupted_write_leaves_no_index(tmp_path: Path) -> None:
-    """Where writing ends halfway, there is no lod-meta.json, not the old one beside new captures."""
+    """There is no lod-meta.json then, not an old one beside new captures."""
     ls.save(tmp_path / "city" / "lod-meta.json", capture(300, 0))
     shutil.rmtree(tmp_path / "city" / "1_0")
     (tmp_path / "city" / "1_0").write_text("in the way")
@@ -113,7 +113,7 @@ def test_interrupted_write_leaves_no_index(tmp_path: Path) -> None:
 
 
 def test_splat_transform_reads_the_captures(tmp_path: Path) -> None:
-    """It reads no lod-meta.json; of each capture that one names, what we read."""
+    """It does not read lod-meta.json, but each capture that the file names, with equal values."""
     command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
     if not command:
         pytest.skip("needs PlayCanvas's splat-transform: npm install -g @playcanvas/splat-transform@2.7.1")

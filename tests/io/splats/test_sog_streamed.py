@@ -1,4 +1,4 @@
-"""Streamed SOG: which rows are read at a level and within a budget; .splat."""
+"""Reading of streamed SOG at a level and within a budget, and of .splat."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from support.kinds import expect_kind
 
 
 def test_leaves_without_a_level_use_the_next_coarser_one(tmp_path: Path) -> None:
-    """Level 0 is all of the finest capture; a leaf without a level shows its next coarser one, without harmonics."""
+    """Level 0 is the whole finest capture; coarser captures have no SH here."""
     path = streamed(tmp_path)
     finest, middle, coarsest = (load_gaussians(tmp_path / name) for name in ("0_0", "1_0", "2_0"))
     for source in (path, tmp_path):
@@ -34,13 +34,13 @@ def test_leaves_without_a_level_use_the_next_coarser_one(tmp_path: Path) -> None
 def test_budget_selects_the_finest_level_that_fits(
     tmp_path: Path, budget: int, count: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The finest level within the budget is read; if there is none, the coarsest, which a line says."""
+    """If no level fits, the coarsest is read, and a log line says so."""
     assert expect_kind(Gaussians, ls.load(streamed(tmp_path), budget=budget)).count == count
     assert any("no level has 7 Gaussians or fewer" in r.getMessage() for r in caplog.records) == (budget == 7)
 
 
 def test_environment_capture_is_in_every_level(tmp_path: Path) -> None:
-    """What surrounds all leaves is added at each level."""
+    """The file's environment capture is added to the leaves of each level."""
     unpacked(tmp_path / "sky", sog_files(capture(11), linear=False))
     path = streamed(tmp_path, environment="sky/meta.json")
     assert expect_kind(Gaussians, ls.load(path, lod=2)).count == 8 + 11
@@ -71,21 +71,21 @@ def test_environment_capture_is_in_every_level(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_metadata_is_refused_in_one_line(tmp_path: Path, changed: dict[str, Any], message: str) -> None:
-    """What is wrong is one line."""
+    """The error names the fault."""
     with pytest.raises(FormatError, match=message) as error:
         ls.load(streamed(tmp_path, **changed))
     assert "\n" not in str(error.value)
 
 
 def test_unknown_level_lists_the_known_ones(tmp_path: Path) -> None:
-    """The message says which levels there are."""
+    """The message has the range of levels."""
     with pytest.raises(FormatError, match=r"has no level 3: its levels are 0 \(finest\) to 2"):
         ls.load(streamed(tmp_path), lod=3)
 
 
 @pytest.mark.parametrize("count", [60, pytest.param(2000, marks=pytest.mark.deep)])
 def test_mutated_metadata_loads_or_is_refused(tmp_path: Path, count: int) -> None:
-    """With characters changed, or its end lost, a file loads or is refused in one line."""
+    """Characters are changed, or the end is lost; errors are one line."""
     path = streamed(tmp_path)
     original = path.read_bytes()
     rng = np.random.default_rng(5)
@@ -102,7 +102,7 @@ def test_mutated_metadata_loads_or_is_refused(tmp_path: Path, count: int) -> Non
 
 @pytest.mark.data
 def test_playbot_levels_match_its_metadata(data_dir: Path) -> None:
-    """PlayCanvas's scene: the finest level has the counts of its tree; coarser ones fill the same room."""
+    """PlayCanvas's scene has the counts of its tree at the finest level; coarser levels fill the same volume."""
     folder = data_dir / "splats" / "playbot"
     some = expect_kind(Gaussians, ls.load(folder, budget=20_000))
     other = expect_kind(Gaussians, ls.load(folder / "lod-meta.json", lod=4))
@@ -113,7 +113,7 @@ def test_playbot_levels_match_its_metadata(data_dir: Path) -> None:
 
 
 def test_splat_file_is_decoded(tmp_path: Path) -> None:
-    """A .splat has exact positions and scales, and colours, opacities and rotations of a byte."""
+    """Positions and scales of a .splat are exact; colours, opacities and rotations have 8 bits."""
     base = capture(100, 0)
     (tmp_path / "a.splat").write_bytes(splat_rows(base))
     loaded = load_gaussians(tmp_path / "a.splat")
@@ -126,7 +126,7 @@ def test_splat_file_is_decoded(tmp_path: Path) -> None:
 
 
 def test_splat_with_a_partial_row_is_refused(tmp_path: Path) -> None:
-    """A part of a row is noticed."""
+    """The size is not a multiple of 32 bytes."""
     (tmp_path / "a.splat").write_bytes(splat_rows(capture(3, 0))[:-1])
     with pytest.raises(FormatError, match="95 bytes are not a multiple of 32 per Gaussian"):
         ls.load(tmp_path / "a.splat")

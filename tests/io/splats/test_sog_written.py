@@ -1,4 +1,4 @@
-"""SOG as we write it: round trips, bytes that do not change, and other people's reader."""
+"""Writing of SOG: round trips, reproducible bytes, and another reader."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ FIELDS = ("means", "rotations_wxyz", "scales", "opacities", "sh")
 
 
 def written(folder: Path, gaussians: ls.Gaussians) -> tuple[ls.Gaussians, ls.Gaussians]:
-    """A capture in the order of files, and as it is read again."""
+    """Returns a capture in the order of the file, and the capture read back."""
     ls.save(folder / "a.sog", gaussians)
     return gaussians.subset(morton_order(gaussians.means)), load_gaussians(folder / "a.sog")
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_round_trip_is_within_half_a_step(tmp_path: Path, degree: int) -> None:
-    """Each value is within half a step of what was written; a palette of 256 for 300 keeps most of the SH."""
+    """A palette of 256 entries for 300 Gaussians preserves most of the SH."""
     before, after = written(tmp_path, capture(300, degree, antialiased=True))
     assert after.antialiased
     assert after.sh_degree == degree
@@ -51,7 +51,7 @@ def test_round_trip_is_within_half_a_step(tmp_path: Path, degree: int) -> None:
 
 
 def test_bundle_and_folder_have_the_same_files(tmp_path: Path) -> None:
-    """The bundle is a zip without compression; each image is a lossless WebP whose sides are multiples of 4."""
+    """The bundle is an uncompressed zip; images are lossless WebP with sides that are multiples of 4."""
     ls.save(tmp_path / "a.sog", capture(70, 2))
     ls.save(tmp_path / "folder" / "meta.json", capture(70, 2))
     with zipfile.ZipFile(tmp_path / "a.sog") as bundle:
@@ -75,14 +75,14 @@ def test_bundle_and_folder_have_the_same_files(tmp_path: Path) -> None:
 
 
 def test_equal_captures_give_equal_bytes(tmp_path: Path) -> None:
-    """Neither time nor chance is in a file."""
+    """Files contain no time stamps or random data."""
     for name in ("a.sog", "b.sog"):
         ls.save(tmp_path / name, capture(200, 3))
     assert (tmp_path / "a.sog").read_bytes() == (tmp_path / "b.sog").read_bytes()
 
 
 def test_transparent_pixels_preserve_their_colours(tmp_path: Path) -> None:
-    """DC is in the colours of pixels whose alpha is the opacity, 0 here."""
+    """DC is stored in the colour of pixels whose alpha is the opacity, 0 here."""
     base = capture(64)
     invisible = ls.Gaussians(base.means, base.rotations_wxyz, base.scales, np.zeros(64), base.sh[:, :1])
     before, after = written(tmp_path, invisible)
@@ -91,7 +91,7 @@ def test_transparent_pixels_preserve_their_colours(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 17, 1023, 1025])
 def test_any_number_of_gaussians_fits_the_images(tmp_path: Path, count: int) -> None:
-    """Images have room for any number of Gaussians, also where all share a coordinate."""
+    """All Gaussians may share a coordinate."""
     base = capture(count, 1)
     flat = ls.Gaussians(base.means * (1, 1, 0), base.rotations_wxyz, base.scales, base.opacities, base.sh)
     before, after = written(tmp_path, flat)
@@ -102,7 +102,7 @@ def test_any_number_of_gaussians_fits_the_images(tmp_path: Path, count: int) -> 
 
 @pytest.mark.parametrize("name", ["a.sog", "levels/lod-meta.json"])
 def test_far_captures_preserve_their_positions(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """At the coordinates of a map, positions are exact here; engines that decode floats round them, as a line says."""
+    """In map coordinates Lumisplat decodes exact positions; engines round them to float32, as a log line says."""
     base = capture(400, 0)
     far = replace(base, means=base.means + np.array((5e5, 5.4e6, 0.0)), scales=np.full((400, 3), 0.05))
     ls.save(tmp_path / name, far)
@@ -115,7 +115,7 @@ def test_far_captures_preserve_their_positions(tmp_path: Path, name: str, caplog
 
 
 def test_outliers_with_coarse_positions_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """A stray does not spoil what is near the origin, but is stored coarsely itself; without it, no line."""
+    """An outlier does not spoil Gaussians near the origin, but is coarse itself; without it nothing is logged."""
     base = capture(100, 0)
     means = base.means.copy()
     means[7] = (40_000.0, 0.0, 0.0)
@@ -131,7 +131,7 @@ def test_outliers_with_coarse_positions_are_counted(tmp_path: Path, caplog: pyte
 
 
 def test_second_write_loses_no_more_sh(tmp_path: Path) -> None:
-    """What was read from a SOG is written without further loss of harmonics, as its palette is found again."""
+    """The palette of a loaded SOG is found again."""
     _, once = written(tmp_path, capture(2000, 2))
     before, twice = written(tmp_path, once)
     np.testing.assert_allclose(twice.sh[:, 1:], before.sh[:, 1:], atol=1e-6)
@@ -139,12 +139,12 @@ def test_second_write_loses_no_more_sh(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("count", "size"), [(1, 1), (40, 32), (1024, 1024), (152_746, 65_536), (10**6, 65_536)])
 def test_palette_size_is_a_power_of_two(count: int, size: int) -> None:
-    """A power of two, at most as many as there are Gaussians, and as labels can count."""
+    """It is at most the number of Gaussians and the number of 16-bit labels."""
     assert palette_size(count) == size
 
 
 def test_losses_of_sog_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Materials and the kernel degree are left out, which a line says."""
+    """Materials and the kernel degree are dropped."""
     ls.save(tmp_path / "a.sog", capture(5, 0, kernel_degree=4, roughness=np.full(5, 0.5)))
     messages = " ".join(record.getMessage() for record in caplog.records)
     assert "SOG cannot store roughness" in messages
@@ -152,7 +152,7 @@ def test_losses_of_sog_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixtu
 
 
 def test_interrupted_write_leaves_no_index(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where writing ends halfway, there is no meta.json, not the old one beside new images."""
+    """There is no meta.json then, not an old one beside new images."""
     meta = tmp_path / "folder" / "meta.json"
     ls.save(meta, capture(20))
     (tmp_path / "folder" / "scales.webp").unlink()
@@ -164,7 +164,7 @@ def test_interrupted_write_leaves_no_index(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_codebook_is_exact_for_few_values() -> None:
-    """No more than 256 different values are kept exactly."""
+    """Up to 256 distinct values are exact."""
     values = np.random.default_rng(0).normal(size=200).astype(np.float32)
     many = np.repeat(values, np.arange(1, 201))
     codebook = fit_codebook(many)
@@ -173,7 +173,7 @@ def test_codebook_is_exact_for_few_values() -> None:
 
 
 def test_codebook_has_entries_for_outliers() -> None:
-    """A few values far from ten thousand others have entries of their own."""
+    """A few values far from ten thousand others get their own entries."""
     rng = np.random.default_rng(0)
     values = np.concatenate([rng.normal(size=10_000), [30.0, 31.0, -25.0, 60.0]])
     codebook = fit_codebook(values)
@@ -181,7 +181,7 @@ def test_codebook_has_entries_for_outliers() -> None:
 
 
 def test_codebook_error_is_near_the_optimum() -> None:
-    """Of evenly spread numbers, entries are spread evenly: the error is that of 256 equal steps, but for 1 %."""
+    """For uniform numbers the error is that of 256 equal steps, to 1 %."""
     values = (np.arange(51_200) + 0.5) / 51_200
     codebook = fit_codebook(values)
     error = np.mean((codebook[encode(values, codebook)] - values) ** 2)
@@ -190,7 +190,7 @@ def test_codebook_error_is_near_the_optimum() -> None:
 
 @pytest.mark.data
 def test_frames_of_a_saved_capture_match(tmp_path: Path, data_dir: Path) -> None:
-    """The biker looks the same to 60 dB."""
+    """Frames of the biker match to 60 dB."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     ls.save(tmp_path / "biker.sog", biker)
     camera = ls.frame_camera(ls.Scene(splats=[biker]), width=320, height=180)
@@ -203,7 +203,7 @@ def test_frames_of_a_saved_capture_match(tmp_path: Path, data_dir: Path) -> None
 
 
 def splat_transform() -> list[str]:
-    """The command of PlayCanvas's splat-transform, or a skip that says what is missing."""
+    """Returns the command of PlayCanvas's splat-transform, or skips the test and says what is missing."""
     command = os.environ.get("SPLAT_TRANSFORM") or shutil.which("splat-transform")
     if not command:
         pytest.skip("needs PlayCanvas's splat-transform: npm install -g @playcanvas/splat-transform@2.7.1")
@@ -212,7 +212,7 @@ def splat_transform() -> list[str]:
 
 @pytest.mark.parametrize("degree", [0, 3])
 def test_splat_transform_reads_it(tmp_path: Path, degree: int) -> None:
-    """What splat-transform makes of our file as PLY is what we read of it."""
+    """The PLY that splat-transform makes of the file equals the loaded capture."""
     command = splat_transform()
     _, ours = written(tmp_path, capture(500, degree))
     done = subprocess.run(

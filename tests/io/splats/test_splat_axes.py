@@ -17,7 +17,7 @@ SIGNS = list(itertools.product([1, -1], repeat=3))
 @pytest.mark.parametrize("signs", SIGNS)
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_mirroring_preserves_colour(signs: tuple[int, int, int], degree: int) -> None:
-    """SH of a mirrored capture, evaluated in a mirrored direction, equal the original's in the original direction."""
+    """SH of a mirrored capture in a mirrored direction equal the original's in the original direction."""
     columns = columns_from_gaussians(capture(30, degree))
     directions = np.random.default_rng(1).normal(size=(30, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -29,7 +29,7 @@ def test_mirroring_preserves_colour(signs: tuple[int, int, int], degree: int) ->
 
 @pytest.mark.parametrize("signs", SIGNS)
 def test_mirroring_mirrors_the_covariance(signs: tuple[int, int, int]) -> None:
-    """A mirrored Gaussian has the mirrored covariance S Sigma S and the mirrored mean, normals included."""
+    """A mirrored Gaussian has the covariance S Sigma S, and mirrored mean and normal."""
     columns = columns_from_gaussians(capture(30, normals=np.tile([0.6, 0.0, 0.8], (30, 1))))
     after = mirror_axes(columns, signs)
     flip = np.diag(signs)

@@ -1,4 +1,4 @@
-"""From stored numbers to valid Gaussians: refused, dropped and repaired values."""
+"""Decoding of stored columns: refused, dropped and clamped values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from support.files.splat_files import capture
 
 
 def stored(count: int = 10, degree: int = 1) -> SplatColumns:
-    """Writable columns of a valid capture."""
+    """Returns writable columns of a valid capture."""
     columns = columns_from_gaussians(capture(count, degree))
     for name in ("means", "rotations_wxyz", "log_scales", "opacities", "sh"):
         setattr(columns, name, getattr(columns, name).copy())
@@ -23,7 +23,7 @@ def stored(count: int = 10, degree: int = 1) -> SplatColumns:
 
 
 def poisoned() -> SplatColumns:
-    """Four bad rows of ten: 1 has two bad values, 3, 5 and 8 one each."""
+    """Makes four of ten rows invalid: row 1 has two invalid values, rows 3, 5 and 8 one each."""
     columns = stored()
     columns.means[1, 0] = np.nan
     columns.opacities[1] = np.nan
@@ -34,7 +34,7 @@ def poisoned() -> SplatColumns:
 
 
 def test_invalid_values_are_counted_by_property() -> None:
-    """The error says how many, in which property, and how to go on."""
+    """The error has counts, property names, and the option that drops invalid Gaussians."""
     with pytest.raises(FormatError) as error:
         gaussians_from_columns("a.ply", poisoned())
     message = str(error.value)
@@ -53,7 +53,7 @@ def test_invalid_values_are_counted_by_property() -> None:
 
 
 def test_columns_are_not_copied() -> None:
-    """Large captures are in memory once: the Gaussians use the arrays that were read."""
+    """Gaussians use the arrays that were read, so large captures are in memory once."""
     columns = stored()
     gaussians = gaussians_from_columns("a.ply", columns)
     assert np.shares_memory(gaussians.sh, columns.sh) and np.shares_memory(gaussians.means, columns.means)
@@ -61,7 +61,7 @@ def test_columns_are_not_copied() -> None:
 
 
 def test_drop_invalid_removes_only_invalid_rows(caplog: pytest.LogCaptureFixture) -> None:
-    """drop_invalid leaves out exactly the bad rows, and logs how many."""
+    """A log line has their number."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         kept = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
     np.testing.assert_array_equal(kept.means, stored().means[[0, 2, 4, 6, 7, 9]])
@@ -69,7 +69,7 @@ def test_drop_invalid_removes_only_invalid_rows(caplog: pytest.LogCaptureFixture
 
 
 def test_infinite_logits_are_valid(caplog: pytest.LogCaptureFixture) -> None:
-    """Limits of the logit and of the logarithm are values: opacities 1 and 0, and the least scale."""
+    """They are opacities 1 and 0, and a log scale of -inf is the smallest scale."""
     columns = stored()
     columns.opacities[:2] = np.inf, -np.inf
     columns.log_scales[2, 1] = -np.inf
@@ -82,7 +82,7 @@ def test_infinite_logits_are_valid(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_other_infinite_values_are_invalid() -> None:
-    """A scale that grows without end, and an opacity of a format without logits, are no values."""
+    """Infinite log scales, and infinite opacities stored directly, are invalid."""
     columns = stored()
     columns.log_scales[2, 1] = np.inf
     with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):
@@ -93,7 +93,7 @@ def test_other_infinite_values_are_invalid() -> None:
 
 
 def test_capture_without_a_valid_gaussian_is_refused() -> None:
-    """A capture without a single valid Gaussian is refused even with drop_invalid."""
+    """``drop_invalid`` does not help."""
     columns = stored(2)
     columns.means[:] = np.nan
     with pytest.raises(FormatError, match="no valid Gaussian is left"):
@@ -108,7 +108,7 @@ def test_underflowing_scales_are_clamped() -> None:
 
 
 def test_overflowing_scales_are_refused() -> None:
-    """A log scale whose exponential is infinite is an infinite value in that property."""
+    """A log scale whose exponential is infinite counts as an infinite value of that property."""
     columns = stored(3)
     columns.log_scales[2, 1] = 100.0
     with pytest.raises(FormatError, match="1 NaN or infinite values in scale_1"):
@@ -123,7 +123,7 @@ def test_large_logits_saturate_without_warning() -> None:
 
 
 def test_error_of_a_value_out_of_range_names_the_file() -> None:
-    """A value that the scene refuses is reported as an error of the file."""
+    """A value that `Gaussians` refuses is reported as an error of the file."""
     columns = stored(2)
     columns.roughness = np.array([0.5, 1.5], dtype=np.float32)
     with pytest.raises(FormatError, match=r"a\.ply: roughness"):
@@ -131,7 +131,7 @@ def test_error_of_a_value_out_of_range_names_the_file() -> None:
 
 
 def test_repeated_conversion_is_bit_exact() -> None:
-    """Files that are converted again and again do not drift, where it is logarithms and logits that are rounded."""
+    """Values decoded from logarithms and logits do not drift over many conversions."""
     rng = np.random.default_rng(1)
     columns = stored(20_000, degree=0)
     columns.log_scales = rng.uniform(-12.0, -1.0, (20_000, 3)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""PlayCanvas compressed PLY, bit by bit."""
+"""PlayCanvas compressed PLY, checked bit by bit."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ COLORS = [f"{end}_{axis}" for end in ("min", "max") for axis in "rgb"]
 
 
 def by_hand(path: Path, colors: bool, sh: bytes = b"", vertex_count: int = 1) -> Path:
-    """One Gaussian in one chunk, packed by hand.
+    """Writes one Gaussian in one chunk, packed by hand.
 
-    Position (2047, 0, 1023) of (2047, 1023, 2047) in -1..1; rotation: index 2 left out, all kept at the middle 512;
-    scale (0, 1023, 2047) of -4..-2; colour (255, 0, 51), opacity 102.
+    Position (2047, 0, 1023) of (2047, 1023, 2047) in -1..1; rotation: component 2 left out, all others at the middle
+    512; scale (0, 1023, 2047) of -4..-2; colour (255, 0, 51), opacity 102.
     """
     names = [*RANGES, *SCALES, *(COLORS if colors else [])]
     values = [-1, -1, -1, 1, 1, 1, -4, -4, -4, -2, -2, -2, *([0.25] * 3 + [0.75] * 3 if colors else [])]
@@ -46,7 +46,7 @@ def by_hand(path: Path, colors: bool, sh: bytes = b"", vertex_count: int = 1) ->
 
 
 def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
-    """Every bit field lands where the layout says."""
+    """Every bit field is where the layout says."""
     one = load_gaussians(by_hand(tmp_path / "one.ply", colors=True))
     np.testing.assert_allclose(one.means, [[1.0, -1.0, -1 + 2 * 1023 / 2047]], rtol=1e-6)
     np.testing.assert_allclose(np.log(one.scales), [[-4.0, -2.0, -2.0]], rtol=1e-6)
@@ -57,32 +57,32 @@ def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
 
 
 def test_files_without_colour_ranges_are_read(tmp_path: Path) -> None:
-    """Older files have no colour ranges: a byte is the colour itself."""
+    """In older files a byte is the colour itself."""
     one = load_gaussians(by_hand(tmp_path / "old.ply", colors=False))
     np.testing.assert_allclose(one.sh[0, 0] * SH_C0 + 0.5, [1.0, 0.0, 51 / 255], atol=1e-6)
 
 
 def test_sh_bytes_are_bin_centres(tmp_path: Path) -> None:
-    """Bytes are bin centres over -4..4, except that the first and last mean the ends; channel-major."""
+    """Bins cover -4..4; the first and last byte are the ends of the range. SH are ordered by channel."""
     one = load_gaussians(by_hand(tmp_path / "sh.ply", colors=True, sh=bytes([0, 128, 255, 64, 127, 192, 1, 2, 254])))
     expected = np.array([-4.0, 1 / 64, 4.0, -2 + 1 / 64, -1 / 64, 2 + 1 / 64, -4 + 3 / 64, -4 + 5 / 64, 4 - 3 / 64])
     np.testing.assert_allclose(one.sh[0, 1:], expected.reshape(3, 3).T, rtol=1e-6)
 
 
 def test_wrong_chunk_count_is_refused(tmp_path: Path) -> None:
-    """A chunk too few is refused, not read past."""
+    """The reader does not read past the end if a chunk is missing."""
     with pytest.raises(FormatError, match="has 1 chunks for 257 Gaussians, expected 2"):
         ls.load(by_hand(tmp_path / "few.ply", colors=True, vertex_count=257))
 
 
 def test_wrong_number_of_sh_rows_is_refused(tmp_path: Path) -> None:
-    """SH for another number of Gaussians is refused."""
+    """The file has SH for another number of Gaussians."""
     with pytest.raises(FormatError, match="has 1 sh rows of 9 values for 2 Gaussians"):
         ls.load(by_hand(tmp_path / "sh.ply", colors=True, sh=bytes(9), vertex_count=2))
 
 
 def test_morton_order_keeps_neighbours_together() -> None:
-    """Along the curve, steps are far shorter than in random order, and every index occurs once."""
+    """Steps along the curve are far shorter than in random order, and every index occurs once."""
     points = np.random.default_rng(2).random((4096, 3)).astype(np.float32)
     order = morton_order(points)
 
@@ -94,7 +94,7 @@ def test_morton_order_keeps_neighbours_together() -> None:
 
 
 def test_coarse_positions_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """One stray far away makes the positions of its chunk coarse: a warning counts the Gaussians."""
+    """One distant outlier makes positions of its chunk coarse: a warning counts the Gaussians."""
     rng = np.random.default_rng(0)
     means = rng.random((1000, 3)).astype(np.float32)
 
@@ -114,7 +114,7 @@ def test_coarse_positions_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFi
 
 
 def test_morton_order_of_coincident_points_is_defined() -> None:
-    """A box without extent does not divide by zero."""
+    """A bounding box without extent causes no division by zero."""
     np.testing.assert_array_equal(morton_order(np.ones((3, 3), dtype=np.float32)), [0, 1, 2])
 
 
@@ -131,7 +131,7 @@ def test_smallest_three_round_trip() -> None:
 
 @pytest.mark.data
 def test_real_capture_agrees_with_gsply(data_dir: Path) -> None:
-    """Rows at chunk borders equal what gsply 0.4.6 decodes (numbers taken once, by hand)."""
+    """Rows at chunk borders equal those that gsply 0.4.6 decoded (numbers recorded once)."""
     biker = load_gaussians(data_dir / "splats" / "biker.compressed.ply")
     assert (biker.count, biker.sh_degree, biker.comments) == (152_746, 0, ("Generated by SuperSplat 2.7.1",))
     for row, mean, log_scale, wxyz, opacity, dc in GSPLY_ROWS:

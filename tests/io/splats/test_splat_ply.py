@@ -1,4 +1,4 @@
-"""Gaussian PLY: files of trainers, in any order and number type."""
+"""Gaussian PLY: files of trainers, with columns in any order and number type."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ ROW = [1.0, 2.0, 3.0, 0.1, 0.2, 0.3, 0.0, -1.0, -2.0, -3.0, 2.0, 0.0, 0.0, 0.0]
 
 
 def write(path: Path, names: list[str], rows: list[list[float]], comments: str = "") -> Path:
-    """A float PLY of the given columns."""
+    """Writes a float PLY with the given columns."""
     header = ply_header(len(rows), names).replace(b"element", comments.encode() + b"element", 1)
     path.write_bytes(header + np.array(rows, dtype="<f4").tobytes())
     return path
 
 
 def test_hand_packed_values_are_decoded(tmp_path: Path) -> None:
-    """Exponential of scales, sigmoid of the opacity, wxyz normalised, positions as they are."""
+    """Scales are exponentials, opacity is a sigmoid, wxyz is normalised, positions are unchanged."""
     one = load_gaussians(write(tmp_path / "one.ply", NAMES, [ROW]))
     np.testing.assert_array_equal(one.means, [[1, 2, 3]])
     np.testing.assert_allclose(one.scales, np.exp([[-1.0, -2.0, -3.0]]), rtol=1e-6)
@@ -45,7 +45,7 @@ def test_f_rest_is_channel_major(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_property_order_does_not_matter(tmp_path: Path, seed: int) -> None:
-    """Shuffled columns, with unknown ones among them, give the same capture."""
+    """Shuffled columns, some of them unknown, give the same capture."""
     ls.save(tmp_path / "plain.ply", capture(20, degree=3))
     names, values = parse_ply((tmp_path / "plain.ply").read_bytes())
     names, values = [*names, "segment"], np.column_stack([values, np.arange(20)])
@@ -57,7 +57,7 @@ def test_property_order_does_not_matter(tmp_path: Path, seed: int) -> None:
 
 
 def test_zero_normals_are_ignored_and_real_ones_kept(tmp_path: Path) -> None:
-    """INRIA fills nx, ny, nz with zeros: no normals. Anything else is normals, made unit length."""
+    """INRIA fills nx, ny, nz with zeros: no normals. Other values are normals, normalised."""
     names = [*NAMES, "nx", "ny", "nz"]
     assert load_gaussians(write(tmp_path / "zero.ply", names, [[*ROW, 0, 0, 0]])).normals is None
     up = load_gaussians(write(tmp_path / "up.ply", names, [[*ROW, 0, 2, 0]]))
@@ -65,7 +65,7 @@ def test_zero_normals_are_ignored_and_real_ones_kept(tmp_path: Path) -> None:
 
 
 def test_written_columns_are_those_of_inria(tmp_path: Path) -> None:
-    """A written file has INRIA's columns in INRIA's order."""
+    """Columns are in INRIA's order."""
     ls.save(tmp_path / "ours.ply", capture(5, degree=1))
     names, values = parse_ply((tmp_path / "ours.ply").read_bytes())
     rest = [f"f_rest_{i}" for i in range(9)]
@@ -88,12 +88,12 @@ def test_written_columns_are_those_of_inria(tmp_path: Path) -> None:
     ],
 )
 def test_antialiased_comments_are_recognised(comments: tuple[str, ...], expected: bool) -> None:
-    """Brush's and Postshot's comments are understood; the last counts; others are ignored."""
+    """Comments of Brush and Postshot are read; the last one counts, others are ignored."""
     assert antialiased_from_comments(comments) is expected
 
 
 def test_comments_are_read(tmp_path: Path) -> None:
-    """Comments of the header are kept, and set the flag."""
+    """Header comments are preserved, and set the antialiased flag."""
     path = write(tmp_path / "brush.ply", NAMES, [ROW], "comment Exported from Brush\ncomment SplatRenderMode: mip\n")
     loaded = load_gaussians(path)
     assert loaded.comments == ("Exported from Brush", "SplatRenderMode: mip")
@@ -101,7 +101,7 @@ def test_comments_are_read(tmp_path: Path) -> None:
 
 
 def test_windows_line_ends_are_read(tmp_path: Path) -> None:
-    """A header with CR LF is read."""
+    """The header has CR LF line ends."""
     path = write(tmp_path / "crlf.ply", NAMES, [ROW])
     header, body = path.read_bytes().split(b"end_header\n")
     path.write_bytes(header.replace(b"\n", b"\r\n") + b"end_header\r\n" + body)
@@ -119,7 +119,7 @@ def test_other_elements_are_skipped(tmp_path: Path) -> None:
 
 
 def test_other_elements_of_text_files_are_skipped(tmp_path: Path) -> None:
-    """The same for a text file, in which rows are lines."""
+    """In a text file, rows are lines."""
     header = ply_header(1, NAMES, "ascii").replace(
         b"element vertex", b"element camera 2\nproperty double t\nelement vertex"
     )
@@ -148,7 +148,7 @@ def test_incomplete_captures_are_refused(tmp_path: Path, names: list[str], messa
 
 
 def test_progress_reaches_one(tmp_path: Path) -> None:
-    """Progress grows to 1."""
+    """Progress never decreases."""
     ls.save(tmp_path / "long.ply", capture(10_000, degree=3))
     seen: list[float] = []
     ls.load(tmp_path / "long.ply", progress=seen.append)
@@ -158,7 +158,7 @@ def test_progress_reaches_one(tmp_path: Path) -> None:
 
 
 def _columns(gaussians: ls.Gaussians, folder: Path) -> tuple[list[str], np.ndarray]:
-    """Property names and rows of a capture's file."""
+    """Returns property names and rows of a capture's file."""
     ls.save(folder / "plain.ply", gaussians)
     names, values = parse_ply((folder / "plain.ply").read_bytes())
     return names, np.array(values)
@@ -167,7 +167,7 @@ def _columns(gaussians: ls.Gaussians, folder: Path) -> tuple[list[str], np.ndarr
 @pytest.mark.parametrize("prefix", ["scalar_", "scal_", "scalar_scalar_"])
 @pytest.mark.parametrize("ascii", [False, True])
 def test_cloudcompare_prefixes_are_removed(tmp_path: Path, prefix: str, ascii: bool) -> None:
-    """CloudCompare writes a prefix before the name of each field but positions and normals, degree 2 included."""
+    """CloudCompare prefixes all field names except positions and normals; this works for SH degree 2, too."""
     names, values = _columns(capture(40, degree=2), tmp_path)
     written = [name if name in "xyz" or name[0] == "n" else prefix + name for name in names]
     path = write(tmp_path / "cloud.ply", written, values.tolist())
@@ -182,7 +182,7 @@ def test_cloudcompare_prefixes_are_removed(tmp_path: Path, prefix: str, ascii: b
 
 
 def test_unprefixed_property_takes_precedence(tmp_path: Path) -> None:
-    """A file may have both, of which the one without a prefix counts."""
+    """A file may have a property with and without the prefix."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "scalar_opacity", "scal_x"], [[*ROW, 9.0, 9.0]]))
     assert read.opacities[0] == 0.5
     np.testing.assert_array_equal(read.means, [[1, 2, 3]])
@@ -192,7 +192,7 @@ def test_unprefixed_property_takes_precedence(tmp_path: Path) -> None:
     ("kind", "dtype", "scale"), [("uchar", "<u1", 255), ("ushort", "<u2", 65535), ("float", "<f4", 1)]
 )
 def test_rgb_properties_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: str, scale: int) -> None:
-    """Colours of nerfstudio's mode rgb are display-referred, in place of SH; other columns count from 0 as ever."""
+    """Mode rgb of nerfstudio stores display-referred colours instead of SH."""
     whole = capture(40, degree=0)
     names, values = _columns(whole, tmp_path)
     kept = [k for k, name in enumerate(names) if not name.startswith("f_dc")]
@@ -218,7 +218,7 @@ def test_rgb_properties_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: s
 
 @pytest.mark.parametrize("colors", [("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ()])
 def test_alternative_property_names_are_read(tmp_path: Path, colors: tuple[str, ...]) -> None:
-    """Colours have three usual names, and programs write names in capitals."""
+    """Colours have three common names, and some programs write names in capitals."""
     if colors:
         names = [name for name in NAMES if not name.startswith("f_dc")] + list(colors)
         row = [value for name, value in zip(NAMES, ROW, strict=True) if not name.startswith("f_dc")] + [0.25, 0.5, 1.0]
@@ -231,13 +231,13 @@ def test_alternative_property_names_are_read(tmp_path: Path, colors: tuple[str, 
 
 
 def test_f_dc_takes_precedence_over_rgb(tmp_path: Path) -> None:
-    """Programs add colours for viewers of points; SH say more."""
+    """Some programs add colours for point cloud viewers."""
     read = load_gaussians(write(tmp_path / "a.ply", [*NAMES, "red", "green", "blue"], [[*ROW, 1.0, 1.0, 1.0]]))
     np.testing.assert_allclose(read.sh, [[[0.1, 0.2, 0.3]]], rtol=1e-6)
 
 
 def _activated(folder: Path, whole: ls.Gaussians, *, scales: bool, opacities: bool, comment: str = "") -> Path:
-    """A file with scales or opacities in place of logarithms or logits."""
+    """Writes a file with scales or opacities instead of logarithms or logits."""
     names, values = _columns(whole, folder)
     if scales:
         values[:, [names.index(f"scale_{k}") for k in range(3)]] = whole.scales
@@ -251,7 +251,7 @@ def _activated(folder: Path, whole: ls.Gaussians, *, scales: bool, opacities: bo
 def test_activated_values_are_recognised(
     tmp_path: Path, scales: bool, opacities: bool, opaque: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """As logits, opacities would all be 0.5 to 0.73; as logarithms, all Gaussians would be larger than a unit."""
+    """As logits, all opacities would be 0.5 to 0.73; as logarithms, all Gaussians would be larger than one unit."""
     opacity = np.random.default_rng(2).uniform(0.004, 0.996, 100)
     if opaque and scales and opacities:
         opacity[:] = 1.0
@@ -268,7 +268,7 @@ def test_activated_values_are_recognised(
 
 
 def test_logits_comment_overrides_the_guess(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """What the line proposes; no line then."""
+    """The log line proposes this comment, and is absent with it."""
     whole = capture(100, degree=0)
     path = _activated(tmp_path, whole, scales=True, opacities=True, comment="comment lumisplat logits\n")
     np.testing.assert_allclose(load_gaussians(path).scales, np.exp(whole.scales), rtol=1e-6)
@@ -276,7 +276,7 @@ def test_logits_comment_overrides_the_guess(tmp_path: Path, caplog: pytest.LogCa
 
 
 def test_captures_that_look_activated_round_trip(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Large Gaussians of opacities that are logits of 0..1: our own file says what it holds."""
+    """Lumisplat's own file states its encoding if large Gaussians have logits within 0..1."""
     rng = np.random.default_rng(4)
     whole = capture(100, degree=0, opacities=rng.uniform(0.55, 0.7, 100), scales=rng.uniform(1.5, 3.0, (100, 3)))
     for name in ("a.ply", "b.ply"):
@@ -290,7 +290,7 @@ def test_captures_that_look_activated_round_trip(tmp_path: Path, caplog: pytest.
 def test_trained_captures_are_not_mistaken_for_activated_ones(
     tmp_path: Path, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """In units from millimetres to kilometres, dense or faint."""
+    """Units range from millimetres to kilometres, and captures are dense or faint."""
     rng = np.random.default_rng(seed)
     count, unit = 200, 10.0 ** rng.uniform(-3, 4)
     whole = ls.Gaussians(

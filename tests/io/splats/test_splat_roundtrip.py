@@ -1,4 +1,4 @@
-"""Every format stores captures to within the steps of its quantisation."""
+"""Every format preserves captures to within the steps of its quantisation."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from lumisplat.scene.gaussians import Gaussians
 from support.files.splat_files import FORMATS, capture, load_gaussians, write_format
 
 FLOAT = 1e-6
-"""Float32 exp, log and normalisation of numbers of the size used here."""
+"""Rounding error of float32 exp, log and normalisation at the magnitudes used here."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Half a quantisation step of each property: the most that rounding can change it."""
+    """Half a quantisation step of each property, the largest change by rounding."""
 
     mean: float = 0.0
     log_scale: float = FLOAT
     rotation: float = FLOAT
-    """Of one stored component."""
+    """Half a step of one stored component."""
     opacity: float = FLOAT
     dc: float = 0.0
     rest: float = 0.0
 
 
 def half_step(values: np.ndarray, levels: int) -> float:
-    """Half a step of ``levels`` over the range of the values, largest channel, and what float32 adds."""
+    """Returns half a step of ``levels`` over the values' range, for the widest channel, plus float32 rounding."""
     return float(np.ptp(values, axis=0).max()) / levels / 2 + FLOAT
 
 
 def steps(name: str, gaussians: Gaussians) -> Steps:
-    """The tolerances of a format.
+    """Returns the tolerances of a format.
 
     Compressed PLY: the coarsest of 11+10+11 bits over a chunk, which spans at most the whole set; rotation 10 bits over
     sqrt(2); opacity and colour 8 bits; SH 256 bins over -4..4. SPZ: 12 fractional bits, log scale in 1/16, colour
@@ -83,7 +83,7 @@ def steps(name: str, gaussians: Gaussians) -> Steps:
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("name", FORMATS)
 def test_round_trip_is_within_half_a_quantisation_step(tmp_path: Path, name: str, degree: int) -> None:
-    """A capture written in a format and loaded differs by no more than half a quantisation step."""
+    """A capture is written and loaded in each format."""
     gaussians = capture(300, degree)
     loaded = load_gaussians(write_format(tmp_path, name, gaussians))
     if name.endswith(".compressed.ply"):
@@ -110,7 +110,7 @@ def test_round_trip_is_within_half_a_quantisation_step(tmp_path: Path, name: str
 def test_round_trip_preserves_antialiased_flag(
     tmp_path: Path, name: str, antialiased: bool, comments: tuple[str, ...]
 ) -> None:
-    """Every written format keeps the flag, whatever old comments say, through a second round trip too."""
+    """Old comments that state another value do not matter, also in a second round trip."""
     path = tmp_path / name
     ls.save(path, capture(20, antialiased=antialiased, comments=comments))
     once = load_gaussians(path)
@@ -125,7 +125,7 @@ def test_round_trip_preserves_antialiased_flag(
     "comments", [(), ("made by hand", "lumisplat kernel_degree 5"), ("Lumisplat Kernel_Degree  2",)]
 )
 def test_round_trip_preserves_kernel_degree(tmp_path: Path, name: str, degree: int, comments: tuple[str, ...]) -> None:
-    """PLY and compressed PLY keep the degree, whatever old comments say, and state it only where it is not 2."""
+    """PLY and compressed PLY preserve it despite old comments, and write a comment only if it is not 2."""
     path = tmp_path / name
     ls.save(path, capture(20, kernel_degree=degree, comments=comments))
     once = load_gaussians(path)
@@ -138,7 +138,7 @@ def test_round_trip_preserves_kernel_degree(tmp_path: Path, name: str, degree: i
 
 @pytest.mark.parametrize("stated", [6, -1, 999_999_999])
 def test_invalid_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None:
-    """A file that states an invalid degree is refused, and named."""
+    """The error names the file."""
     path = tmp_path / "capture.ply"
     ls.save(path, capture(5))
     path.write_bytes(path.read_bytes().replace(b"format ", b"comment lumisplat kernel_degree %d\nformat " % stated, 1))
@@ -147,7 +147,7 @@ def test_invalid_kernel_degrees_are_refused(tmp_path: Path, stated: int) -> None
 
 
 def test_spz_logs_the_lost_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """SPZ cannot store the degree: one log line if it is not the default, none otherwise."""
+    """SPZ cannot store it: there is one log line if it is not the default, else none."""
     ls.save(tmp_path / "usual.spz", capture(5))
     assert not caplog.records
     ls.save(tmp_path / "quartic.spz", capture(5, kernel_degree=4))
@@ -158,7 +158,7 @@ def test_spz_logs_the_lost_kernel_degree(tmp_path: Path, caplog: pytest.LogCaptu
 
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply"])
 def test_round_trip_preserves_comments(tmp_path: Path, name: str) -> None:
-    """Comments of a PLY are kept, in order and only once."""
+    """PLY comments stay in order and are not doubled."""
     path = tmp_path / name
     ls.save(path, capture(20, comments=("first", "second  one")))
     ls.save(path, load_gaussians(path))
@@ -166,7 +166,7 @@ def test_round_trip_preserves_comments(tmp_path: Path, name: str) -> None:
 
 
 def test_ply_round_trip_preserves_materials(tmp_path: Path) -> None:
-    """Normals, albedo, roughness and metallic come back from a PLY."""
+    """Normals, albedo, roughness and metallic are preserved."""
     rng = np.random.default_rng(3)
     normals = rng.normal(size=(30, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -179,7 +179,7 @@ def test_ply_round_trip_preserves_materials(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["lossy.compressed.ply", "lossy.spz"])
 def test_lost_materials_are_logged(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Formats that cannot store materials log which they leave out."""
+    """Formats that cannot store materials log which ones they drop."""
     ls.save(tmp_path / name, capture(10, roughness=np.full(10, 0.5)))
     assert "cannot store roughness" in caplog.text
 
@@ -187,13 +187,13 @@ def test_lost_materials_are_logged(tmp_path: Path, name: str, caplog: pytest.Log
 @pytest.mark.parametrize("name", ["capture.ply", "capture.compressed.ply", "capture.spz"])
 @pytest.mark.parametrize("count", [1, 255, 256, 257])
 def test_counts_around_a_chunk_size_round_trip(tmp_path: Path, name: str, count: int) -> None:
-    """No Gaussian is lost or invented at the edges of a chunk."""
+    """No Gaussian is lost or added at the edges of a chunk."""
     ls.save(tmp_path / name, capture(count))
     assert load_gaussians(tmp_path / name).count == count
 
 
 def test_opacities_0_and_1_round_trip(tmp_path: Path) -> None:
-    """Opacity 0 and 1, whose logits are infinite, survive a PLY."""
+    """Their logits are infinite."""
     base = capture(3)
     extreme = Gaussians(base.means, base.rotations_wxyz, base.scales, [0.0, 1.0, 0.5], base.sh)
     ls.save(tmp_path / "extreme.ply", extreme)

@@ -1,4 +1,4 @@
-"""SPZ: its versions, axes, flags and fixed-point range."""
+"""SPZ: versions, axes, flags and fixed-point range."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COORDINATES = 0xADBE0003
 
 
 def v4(path: Path, flags: int, extensions: bytes) -> Path:
-    """A version 4 file with other flags, and extension records before the table of contents."""
+    """Writes a version 4 file with other flags, and extension records before the table of contents."""
     ls.save(path, capture(20, degree=2))
     data = bytearray(path.read_bytes())
     data[14] |= flags
@@ -34,7 +34,7 @@ def v4(path: Path, flags: int, extensions: bytes) -> Path:
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 @pytest.mark.parametrize("states_sizes", [True, False])
 def test_gzip_and_zstd_containers_agree(tmp_path: Path, degree: int, states_sizes: bool) -> None:
-    """The same sections as one gzip stream and as zstd streams, whether these state their size or not."""
+    """The same sections are one gzip stream, or zstd streams with or without a stated size."""
     old = legacy_spz(capture(100, degree), 3)
     (tmp_path / "3.spz").write_bytes(old)
     (tmp_path / "4.spz").write_bytes(as_version_4(old, states_sizes))
@@ -44,7 +44,7 @@ def test_gzip_and_zstd_containers_agree(tmp_path: Path, degree: int, states_size
 
 
 def as_version_4(old: bytes, states_sizes: bool = True) -> bytes:
-    """A file of version 3 with its sections as zstd streams."""
+    """Converts a version 3 file to version 4, with its sections as zstd streams."""
     content = gzip.decompress(old)
     magic, _, count, degree, bits, flags, _ = struct.unpack_from("<IIIBBBB", content)
     sizes = [size * count for size in (9, 1, 3, 3, 4, 3 * ((degree + 1) ** 2 - 1)) if size]
@@ -75,11 +75,11 @@ SECTIONS_OF_TWO = (
     "69a595b648321c69",
     "c060ff00818da6a633808080ff00c08e8f91",
 )
-"""The sections that gsply 0.4.6 wrote for `TWO`, mirrored to RUB by hand, with 14 fractional bits."""
+"""Sections that gsply 0.4.6 wrote for `TWO`, mirrored to RUB by hand, with 14 fractional bits."""
 
 
 def test_written_sections_match_those_of_gsply(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The header and the sections of a tiny file are, byte by byte, those that another writer wrote."""
+    """Header and sections of a tiny file are equal byte by byte."""
     monkeypatch.setattr("lumisplat.io.splats.spz.position_bits", lambda path, largest: 14)
     ls.save(tmp_path / "two.spz", TWO)
     data = (tmp_path / "two.spz").read_bytes()
@@ -93,7 +93,7 @@ def test_written_sections_match_those_of_gsply(tmp_path: Path, monkeypatch: pyte
 
 
 def test_stored_axes_are_rub(tmp_path: Path) -> None:
-    """What gsply 0.4.6 read of the file of `TWO`: down and forward for us are negative in y and z in the file."""
+    """Reader gsply 0.4.6 read the file of `TWO` with y and z negated: Lumisplat's down and forward are negative in RUB."""
     (tmp_path / "two.spz").write_bytes(
         as_version_4(
             gzip.compress(
@@ -117,7 +117,7 @@ def test_stored_axes_are_rub(tmp_path: Path) -> None:
 
 
 def damaged_stream(path: Path, stream: int, replacement: bytes, states: int | None = None) -> Path:
-    """A file of version 4 in which one stream is another one, which the table of contents calls as large as before."""
+    """Replaces one stream of a version 4 file; the table of contents still states the old size."""
     ls.save(path, capture(50, degree=1))
     data = path.read_bytes()
     toc = [list(entry) for entry in struct.iter_unpack("<QQ", data[32 : 32 + 6 * 16])]
@@ -131,7 +131,7 @@ def damaged_stream(path: Path, stream: int, replacement: bytes, states: int | No
 
 @pytest.mark.parametrize("states_size", [True, False])
 def test_zstd_bombs_are_refused(tmp_path: Path, states_size: bool) -> None:
-    """A stream that unpacks to a gigabyte is refused in one line, and takes no more memory than it should."""
+    """A stream that unpacks to a gigabyte is refused in one line, without more memory than it should take."""
     packer = zstandard.ZstdCompressor(level=1, write_content_size=states_size)
     stream = packer.compressobj(size=2**28 if states_size else -1)
     bomb = b"".join([*(stream.compress(bytes(2**23)) for _ in range(32)), stream.flush()])
@@ -159,13 +159,13 @@ def test_zstd_bombs_are_refused(tmp_path: Path, states_size: bool) -> None:
     ],
 )
 def test_damaged_streams_are_named(tmp_path: Path, stream: bytes, states: int | None, message: str) -> None:
-    """A stream that is none, too short or too long is named."""
+    """A stream may be invalid, too short or too long."""
     with pytest.raises(FormatError, match=message):
         ls.load(damaged_stream(tmp_path / "a.spz", 1, stream, states))
 
 
 def test_checksums_detect_changed_bytes(tmp_path: Path) -> None:
-    """Our streams have checksums: no changed byte of their content is taken for Gaussians."""
+    """Written streams have checksums, so no changed byte is decoded to Gaussians."""
     ls.save(tmp_path / "a.spz", capture(50, degree=1))
     data = (tmp_path / "a.spz").read_bytes()
     for position in range(32 + 6 * 16 + 20, len(data), 37):
@@ -177,7 +177,7 @@ def test_checksums_detect_changed_bytes(tmp_path: Path) -> None:
 @pytest.mark.parametrize("version", [1, 2, 3])
 @pytest.mark.parametrize("flag", [0, 1])
 def test_antialiased_flag_is_read_from_all_versions(tmp_path: Path, version: int, flag: int) -> None:
-    """Flag bit 0 is read from every version."""
+    """The flag is bit 0."""
     (tmp_path / "a.spz").write_bytes(legacy_spz(capture(5), version, flags=flag))
     assert load_gaussians(tmp_path / "a.spz").antialiased is bool(flag)
 
@@ -198,7 +198,7 @@ def test_antialiased_flag_is_read_from_all_versions(tmp_path: Path, version: int
     ],
 )
 def test_axes_extension_is_read(tmp_path: Path, container: str, number: int, signs: tuple[int, int, int]) -> None:
-    """LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF are 1 to 8, RUB is the default; unknown records are stepped over."""
+    """LDB, RDB, LUB, RUB, LDF, RDF, LUF, RUF are 1 to 8, RUB is the default; unknown records are skipped."""
     record = struct.pack("<II3s", 0x12340001, 3, b"abc") + struct.pack("<III", COORDINATES, 4, number)
     path = tmp_path / "axes.spz"
     if container == "v4":
@@ -213,7 +213,7 @@ def test_axes_extension_is_read(tmp_path: Path, container: str, number: int, sig
 
 
 def test_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
-    """Axes that cannot be converted are an error, not a wrong picture."""
+    """Axes that cannot be converted are an error, not a wrong capture."""
     path = v4(tmp_path / "rfu.spz", flags=2, extensions=struct.pack("<III", COORDINATES, 4, 16))
     with pytest.raises(FormatError, match="SPZ_ADOBE_coordinate_system 16"):
         ls.load(path)
@@ -221,7 +221,7 @@ def test_axes_with_exchanged_y_and_z_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("largest", [1e-6, 0.01, 1.0, 31.9, 32.0, 100.0, 2047.9, 2048.0, 1e5, 4e6])
 def test_positions_fit_their_bits(largest: float) -> None:
-    """Coordinates stay within 24 bits, steps within 2^-17 of the largest one or 12 fractional bits, whatever fits."""
+    """Coordinates fit 24 bits, with steps of at most 2^-17 of the largest one, or 12 fractional bits."""
     bits = position_bits("a.spz", largest)
     assert 1 <= bits <= 24
     assert round(largest * 2**bits) <= 2**23
@@ -231,7 +231,7 @@ def test_positions_fit_their_bits(largest: float) -> None:
 
 @pytest.mark.parametrize("size", [0.01, 30.0, 5000.0, 1e6])
 def test_positions_of_small_and_large_scenes_are_precise(tmp_path: Path, size: float) -> None:
-    """Positions survive at any scale of the scene to 2^-16 of its size."""
+    """At any scale, positions are preserved to 2^-16 of the scene's size."""
     base = capture(50)
     means = base.means / np.abs(base.means).max() * size
     ls.save(tmp_path / "a.spz", ls.Gaussians(means, base.rotations_wxyz, base.scales, base.opacities, base.sh))
@@ -239,7 +239,7 @@ def test_positions_of_small_and_large_scenes_are_precise(tmp_path: Path, size: f
 
 
 def test_clamped_values_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Scales end at e^-10 and e^5.94, DC at 3.33, other SH at -1 and 1; Gaussians that are clamped are counted."""
+    """The limits are e^-10 and e^5.94 for scales, 3.33 for DC, -1 and 1 for other SH."""
     base = capture(4)
     scales, sh = base.scales.copy(), base.sh.copy()
     scales[0], scales[1, 2], scales[2] = 1e-7, 4.4e-5, 1e4
@@ -281,7 +281,7 @@ def test_positions_beyond_the_format_are_refused(tmp_path: Path) -> None:
 def test_header_fields_are_checked(
     tmp_path: Path, container: str, field: tuple[int, str], value: int, message: str
 ) -> None:
-    """Each header field out of its range is named, in both containers."""
+    """An error names each header field out of range, in both containers."""
     path = tmp_path / "a.spz"
     if container == "v4":
         ls.save(path, capture(20))
@@ -299,7 +299,7 @@ def test_header_fields_are_checked(
 
 @pytest.mark.data
 def test_spz_and_compressed_ply_of_one_capture_agree(data_dir: Path) -> None:
-    """The biker lands on itself: positions to half a step of 12 bits (and the PLY's), rotations, colours, opacities."""
+    """Positions of the biker agree to half a step of 12 bits and of the PLY; so do rotations, colours and opacities."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     np.testing.assert_allclose(spz.means, ply.means, rtol=0, atol=2**-13 + 1e-6)
     np.testing.assert_allclose(spz.opacities, ply.opacities, rtol=0, atol=2e-6)
@@ -314,7 +314,7 @@ def test_spz_and_compressed_ply_of_one_capture_agree(data_dir: Path) -> None:
 
 @pytest.mark.data
 def test_only_the_chosen_mirroring_makes_files_agree(data_dir: Path) -> None:
-    """Of the eight ways to flip axes, the one chosen is the only one that makes the two files agree."""
+    """All eight combinations of mirrored axes are tried."""
     spz, ply = (load_gaussians(data_dir / "splats" / name) for name in ("biker.spz", "biker.compressed.ply"))
     agreeing = []
     for signs in itertools.product((1, -1), (1, -1), (1, -1)):
