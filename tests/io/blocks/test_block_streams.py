@@ -33,10 +33,10 @@ def test_streamed_chunks_equal_the_loaded_capture(
     """Chunks are equal bit for bit, in the order of the file, and progress is reported."""
     monkeypatch.setattr(stream, "BLOCK_PIECE", piece)
     written(tmp_path / "a.ply", degree=degree)
-    told: list[float] = []
-    opened = ls.io.stream_ply(tmp_path / "a.ply", progress=told.append)
+    reported: list[float] = []
+    opened = ls.io.stream_ply(tmp_path / "a.ply", progress=reported.append)
     pieces = list(opened)
-    assert len(pieces) == max(1, -(-500 // piece)) and told[-1] == 1.0 and told == sorted(told)
+    assert len(pieces) == max(1, -(-500 // piece)) and reported[-1] == 1.0 and reported == sorted(reported)
     assert (opened.count, opened.sh_count) == (500, (degree + 1) ** 2)
     whole = ls.load(tmp_path / "a.ply")
     assert isinstance(whole, ls.Gaussians)

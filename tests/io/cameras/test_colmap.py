@@ -11,14 +11,14 @@ import pytest
 import lumisplat as ls
 from lumisplat.math.transforms import rotation_matrix
 
-TURN = (0.5, -0.5, 0.5, 0.5)
+ROTATION = (0.5, -0.5, 0.5, 0.5)
 LENSES = {
     1: ("PINHOLE", 1, (500.0, 510.0, 322.0, 238.0)),
     2: ("OPENCV", 4, (500.0, 510.0, 322.0, 238.0, 0.1, -0.02, 0.003, -0.004)),
     3: ("SIMPLE_RADIAL", 2, (480.0, 320.0, 240.0, 0.05)),
     4: ("OPENCV_FISHEYE", 5, (300.0, 301.0, 320.0, 240.0, 0.01, 0.02, 0.03, 0.04)),
 }
-IMAGES = [(7, TURN, (1.0, 2.0, 3.0), 2, "room/b 1.jpg"), (3, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0), 1, "a.png")]
+IMAGES = [(7, ROTATION, (1.0, 2.0, 3.0), 2, "room/b 1.jpg"), (3, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 4.0), 1, "a.png")]
 
 
 def write_binary(folder: Path, images=IMAGES, lenses=LENSES) -> Path:
@@ -27,8 +27,8 @@ def write_binary(folder: Path, images=IMAGES, lenses=LENSES) -> Path:
     for number, (_, model, values) in lenses.items():
         cameras += struct.pack(f"<iiQQ{len(values)}d", number, model, 640, 480, *values)
     poses = struct.pack("<Q", len(images))
-    for number, turn, move, lens, name in images:
-        poses += struct.pack("<i7di", number, *turn, *move, lens) + name.encode() + b"\0"
+    for number, rotation, move, lens, name in images:
+        poses += struct.pack("<i7di", number, *rotation, *move, lens) + name.encode() + b"\0"
         poses += struct.pack("<Qddqddq", 2, 1.0, 2.0, -1, 3.0, 4.0, 5)
     (folder / "cameras.bin").write_bytes(cameras)
     (folder / "images.bin").write_bytes(poses)
@@ -41,8 +41,8 @@ def write_text(folder: Path) -> Path:
     lines += [f"{n} {name} 640 480 {' '.join(map(str, values))}" for n, (name, _, values) in LENSES.items()]
     (folder / "cameras.txt").write_text("\n".join(lines) + "\n")
     lines = ["# Image list with two lines of data per image:"]
-    for k, (number, turn, move, lens, name) in enumerate(IMAGES):
-        lines += [f"{number} {' '.join(map(str, (*turn, *move)))} {lens} {name}", "" if k else "1 2 -1 3 4 5"]
+    for k, (number, rotation, move, lens, name) in enumerate(IMAGES):
+        lines += [f"{number} {' '.join(map(str, (*rotation, *move)))} {lens} {name}", "" if k else "1 2 -1 3 4 5"]
     (folder / "images.txt").write_text("\n".join(lines) + "\n")
     return folder
 
@@ -55,7 +55,7 @@ def test_model_is_read_as_cameras(tmp_path, write, named):
     suffix = ".bin" if write is write_binary else ".txt"
     first, second = ls.load_cameras(tmp_path / (named + suffix) if named else tmp_path)
     assert (first.name, second.name) == ("b 1", "a")
-    np.testing.assert_allclose(first.camera_from_world[:3, :3], rotation_matrix(TURN), atol=1e-12)
+    np.testing.assert_allclose(first.camera_from_world[:3, :3], rotation_matrix(ROTATION), atol=1e-12)
     np.testing.assert_array_equal(first.camera_from_world[:3, 3], (1.0, 2.0, 3.0))
     np.testing.assert_array_equal(second.eye, (0.0, 0.0, -4.0))
     assert (first.width, first.height, first.fx, first.fy, first.cx, first.cy) == (640, 480, 500.0, 510.0, 322.0, 238.0)
@@ -64,7 +64,7 @@ def test_model_is_read_as_cameras(tmp_path, write, named):
 
 def test_lens_parameters_are_read(tmp_path):
     """Models have one or two focal lengths, radial coefficients, or are fisheyes."""
-    images = [(k, TURN, (0.0, 0.0, 0.0), k, f"{k}.png") for k in LENSES]
+    images = [(k, ROTATION, (0.0, 0.0, 0.0), k, f"{k}.png") for k in LENSES]
     pinhole, _, radial, fisheye = ls.load_cameras(write_binary(tmp_path, images))
     assert pinhole.distortion == (0.0,) * 6
     assert (radial.fx, radial.fy, radial.distortion) == (480.0, 480.0, (0.05, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -88,7 +88,7 @@ def test_unsupported_camera_models_are_named(tmp_path, model, name):
         (lambda f: (f / "cameras.bin").write_bytes((f / "cameras.bin").read_bytes()[:-9]), "ends too early"),
         (lambda f: (f / "cameras.bin").write_bytes(struct.pack("<Q", 2**62)), "ends too early"),
         (lambda f: (f / "images.bin").write_bytes(struct.pack("<Q", 0)), "no images with a pose"),
-        (lambda f: write_binary(f, [(1, TURN, (0, 0, 0), 9, "a.png")]), "camera 9, which is not in the model"),
+        (lambda f: write_binary(f, [(1, ROTATION, (0, 0, 0), 9, "a.png")]), "camera 9, which is not in the model"),
         (lambda f: write_binary(f, [(1, (0, 0, 0, 0), (0, 0, 0), 1, "a.png")]), r"image 1 \(a.png\).*zero length"),
     ],
 )

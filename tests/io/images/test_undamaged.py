@@ -60,14 +60,14 @@ def test_truncated_images_are_refused(kind: str, tmp_path: Path) -> None:
     """Files truncated at any byte are refused as by decoding; the complete file is accepted."""
     path, data = tmp_path / "a.img", encoded(kind)
     assert is_whole(path, data)
-    for kept in [*range(1, len(data), 97), *range(len(data) - 5, len(data))]:
+    for size in [*range(1, len(data), 97), *range(len(data) - 5, len(data))]:
         try:
-            with Image.open(io.BytesIO(data[:kept])) as image:
+            with Image.open(io.BytesIO(data[:size])) as image:
                 image.load()
             decodes = True  # a PNG whose pixels are all there lacks its end only
         except Exception:
             decodes = False
-        assert is_whole(path, data[:kept]) == decodes, kept
+        assert is_whole(path, data[:size]) == decodes, size
 
 
 @pytest.mark.parametrize("kind", ["baseline", "progressive"])

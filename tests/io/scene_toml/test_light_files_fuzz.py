@@ -70,14 +70,14 @@ def point_light_gltf() -> Gltf:
 
 def spoil(document: Any, rng: random.Random) -> None:
     """Replaces or removes one value anywhere in a JSON document."""
-    places: list[tuple[Any, Any]] = []
+    entries: list[tuple[Any, Any]] = []
     pending = [document]
     while pending:
         here = pending.pop()
         keys = here if isinstance(here, dict) else range(len(here))
-        places += [(here, key) for key in keys]
+        entries += [(here, key) for key in keys]
         pending += [here[key] for key in keys if isinstance(here[key], dict | list)]
-    here, key = rng.choice(places)
+    here, key = rng.choice(entries)
     if isinstance(here, dict) and rng.random() < 0.2:
         del here[key]
     else:

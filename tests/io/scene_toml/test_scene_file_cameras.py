@@ -104,12 +104,12 @@ def test_placed_cameras_project_placed_points_to_the_same_pixels(tmp_path: Path)
     """The orthographic camera does so, too, and depth scales with the placement."""
     camera_glb(tmp_path)
     entry = '[[cameras]]\npath = "a.glb"\nheight = 40\n'
-    turn = "position = [1, 2, 3]\nrotation_wxyz = [0.5, 0.1, -0.7, 0.2]\nscale = 2.5\n"
+    rotation = "position = [1, 2, 3]\nrotation_wxyz = [0.5, 0.1, -0.7, 0.2]\nscale = 2.5\n"
     (tmp_path / "a.obj").write_text("v 2.3 0.4 -3\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    scene = ls.load(write_scene(tmp_path, '[[meshes]]\npath = "a.obj"\n' + turn))
+    scene = ls.load(write_scene(tmp_path, '[[meshes]]\npath = "a.obj"\n' + rotation))
     assert isinstance(scene, ls.Scene)
     point = np.array([2.3, 0.4, -3.0, 1.0])
-    for camera, placed in zip(load(tmp_path, entry), load(tmp_path, entry + turn), strict=True):
+    for camera, placed in zip(load(tmp_path, entry), load(tmp_path, entry + rotation), strict=True):
         assert (placed.width, placed.height) == (camera.width, camera.height)
         before, after = camera.camera_from_world @ point, placed.camera_from_world @ scene.meshes[0].transform @ point
         np.testing.assert_allclose(after[:3], 2.5 * before[:3], atol=1e-9)

@@ -169,8 +169,8 @@ def test_blocks_refuse_an_origin(tmp_path: Path, capsys: pytest.CaptureFixture[s
     """Blocks store absolute positions, so the capture would be misplaced."""
     ls.save(tmp_path / "far.ply", capture())
     assert main(["blocks", str(tmp_path / "far.ply"), "-o", str(tmp_path / "far.blocks")]) == 2
-    said = capsys.readouterr().err
-    assert "convert --translate=-500123" in said and not (tmp_path / "far.blocks").exists()
+    log_line = capsys.readouterr().err
+    assert "convert --translate=-500123" in log_line and not (tmp_path / "far.blocks").exists()
 
 
 def test_info_and_convert_handle_the_origin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

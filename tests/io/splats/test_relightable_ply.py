@@ -173,7 +173,7 @@ def test_materials_of_unknown_trainers_are_dropped(
 
 
 @pytest.mark.parametrize(
-    ("missing", "said"),
+    ("missing", "expected"),
     [
         (("base_color_2",), "albedo left out: no base_color_2"),
         (("nx", "nz"), "normals left out: no nx, nz"),
@@ -182,15 +182,15 @@ def test_materials_of_unknown_trainers_are_dropped(
     ],
 )
 def test_materials_with_a_missing_column_are_dropped(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: tuple[str, ...], said: str | None
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, missing: tuple[str, ...], expected: str | None
 ) -> None:
     """A log line names them; a material without any column is not mentioned."""
     row = {name: value for name, value in r3dg_row((0.0, 0.25, 1.0), 0.5).items() if name not in missing}
     with caplog.at_level(logging.WARNING, "lumisplat"):
         loaded = load_gaussians(write(tmp_path / "a.ply", row))
-    told = [record.getMessage() for record in caplog.records]
-    assert told == ([] if said is None else [f"{tmp_path / 'a.ply'}: {said}"])
-    field = "roughness" if said is None else said.split()[0]
+    logged = [record.getMessage() for record in caplog.records]
+    assert logged == ([] if expected is None else [f"{tmp_path / 'a.ply'}: {expected}"])
+    field = "roughness" if expected is None else expected.split()[0]
     assert getattr(loaded, field) is None
 
 
@@ -212,11 +212,11 @@ def test_invalid_stored_values_are_named_by_their_column(tmp_path: Path) -> None
     assert load_gaussians(path, drop_invalid=True).count == 1
 
 
-def flat_row(x: float, turn: tuple[float, ...], log_scales: tuple[float, float]) -> dict[str, float]:
+def flat_row(x: float, rotation: tuple[float, ...], log_scales: tuple[float, float]) -> dict[str, float]:
     """Returns a row of 2D Gaussian Splatting: 61 columns, two scales."""
     row = {"x": x, "y": 0.0, "z": 4.0, "nx": 0.0, "ny": 0.0, "nz": 0.0} | SH | {"opacity": 2.0}
     row |= {"scale_0": log_scales[0], "scale_1": log_scales[1]}
-    return row | {f"rot_{i}": value for i, value in enumerate(turn)}
+    return row | {f"rot_{i}": value for i, value in enumerate(rotation)}
 
 
 def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:

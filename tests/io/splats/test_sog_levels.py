@@ -59,10 +59,10 @@ def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> Non
     given = capture(600, 0)
     path = tmp_path / "lod-meta.json"
     ls.save(path, given)
-    said = json.loads(path.read_text())
-    assert said["lodLevels"] == 4 == streamed_sog.level_count(600)
+    meta = json.loads(path.read_text())
+    assert meta["lodLevels"] == 4 == streamed_sog.level_count(600)
     levels = [expect_kind(ls.Gaussians, ls.load(path, lod=level)) for level in range(4)]
-    assert [one.count for one in levels] == said["counts"] and said["count"] == sum(said["counts"])
+    assert [one.count for one in levels] == meta["counts"] and meta["count"] == sum(meta["counts"])
     for fine, coarse in pairwise(levels):
         assert 0.4 < coarse.count / fine.count <= 0.5
     middle = [np.average(one.means, axis=0, weights=one.opacities * one.scales.max(axis=1) ** 2) for one in levels]
@@ -73,10 +73,10 @@ def test_levels_halve_the_count_and_cover_the_same_extent(tmp_path: Path) -> Non
 def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
     """Each leaf has all levels, and its box contains its Gaussians."""
     ls.save(tmp_path / "lod-meta.json", capture(600, 0))
-    said = json.loads((tmp_path / "lod-meta.json").read_text())
-    leaves = leaves_of(said["tree"])
+    meta = json.loads((tmp_path / "lod-meta.json").read_text())
+    leaves = leaves_of(meta["tree"])
     assert len(leaves) > 4
-    captures = [load_gaussians(tmp_path / name) for name in said["filenames"]]
+    captures = [load_gaussians(tmp_path / name) for name in meta["filenames"]]
     assert max(one.count for one in captures) <= 100 + 100
     inside = 0
     for leaf in leaves:
@@ -87,8 +87,8 @@ def test_leaves_are_small_and_inside_their_parents(tmp_path: Path) -> None:
             assert (means > low - 0.01).all() and (means < high + 0.01).all()
             inside += len(means)
         assert leaf["lods"]["0"]["count"] <= 100
-    assert inside == said["count"]
-    top_low, top_high = (np.array(said["tree"]["bound"][end]) for end in ("min", "max"))
+    assert inside == meta["count"]
+    top_low, top_high = (np.array(meta["tree"]["bound"][end]) for end in ("min", "max"))
     assert (top_low <= np.min([leaf["bound"]["min"] for leaf in leaves], axis=0)).all()
     assert (top_high >= np.max([leaf["bound"]["max"] for leaf in leaves], axis=0)).all()
 

@@ -63,8 +63,8 @@ def test_columns_are_not_copied() -> None:
 def test_drop_invalid_removes_only_invalid_rows(caplog: pytest.LogCaptureFixture) -> None:
     """A log line has their number."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
-        kept = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
-    np.testing.assert_array_equal(kept.means, stored().means[[0, 2, 4, 6, 7, 9]])
+        valid = gaussians_from_columns("a.ply", poisoned(), drop_invalid=True)
+    np.testing.assert_array_equal(valid.means, stored().means[[0, 2, 4, 6, 7, 9]])
     assert "dropped 4 Gaussians" in caplog.text
 
 

@@ -101,8 +101,8 @@ def test_coarse_positions_are_logged(tmp_path: Path, caplog: pytest.LogCaptureFi
     def saved_with(means: np.ndarray) -> str:
         caplog.clear()
         count = len(means)
-        turns, sh = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 1, 3))
-        gaussians = ls.Gaussians(means, turns, np.full((count, 3), 0.01), np.full(count, 0.5), sh)
+        rotations, sh = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 1, 3))
+        gaussians = ls.Gaussians(means, rotations, np.full((count, 3), 0.01), np.full(count, 0.5), sh)
         ls.save(tmp_path / "a.compressed.ply", gaussians)
         return caplog.text
 
@@ -122,10 +122,10 @@ def test_smallest_three_round_trip() -> None:
     """Packing and unpacking give the same rotation, whichever component is largest."""
     quaternions = np.random.default_rng(0).normal(size=(200, 4)).astype(np.float32)
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-    largest, kept = pack_smallest_three(quaternions)
+    largest, smallest = pack_smallest_three(quaternions)
     assert set(largest) == {0, 1, 2, 3}
-    assert np.abs(kept).max() <= np.sqrt(0.5) + 1e-6
-    cosines = np.einsum("ij,ij->i", unpack_smallest_three(largest, kept), quaternions)
+    assert np.abs(smallest).max() <= np.sqrt(0.5) + 1e-6
+    cosines = np.einsum("ij,ij->i", unpack_smallest_three(largest, smallest), quaternions)
     np.testing.assert_allclose(np.abs(cosines), 1.0, atol=1e-6)
 
 

@@ -195,15 +195,15 @@ def test_rgb_properties_replace_missing_f_dc(tmp_path: Path, kind: str, dtype: s
     """Mode rgb of nerfstudio stores display-referred colours instead of SH."""
     whole = capture(40, degree=0)
     names, values = _columns(whole, tmp_path)
-    kept = [k for k, name in enumerate(names) if not name.startswith("f_dc")]
+    indices = [k for k, name in enumerate(names) if not name.startswith("f_dc")]
     shares = np.random.default_rng(3).uniform(0.0, 1.0, (40, 3))
     colors = (np.round(scale * shares) if scale > 1 else shares).astype(dtype)
-    rows = np.empty(40, [(names[k], "<f4") for k in kept] + [(name, dtype) for name in ("red", "green", "blue")])
-    for k in kept:
+    rows = np.empty(40, [(names[k], "<f4") for k in indices] + [(name, dtype) for name in ("red", "green", "blue")])
+    for k in indices:
         rows[names[k]] = values[:, k]
     for k, name in enumerate(("red", "green", "blue")):
         rows[name] = colors[:, k]
-    header = ply_header(40, [names[k] for k in kept]).replace(
+    header = ply_header(40, [names[k] for k in indices]).replace(
         b"end_header",
         "\n".join(f"property {kind} {name}" for name in ("red", "green", "blue")).encode() + b"\nend_header",
     )

@@ -93,7 +93,7 @@ def test_written_sections_match_those_of_gsply(tmp_path: Path, monkeypatch: pyte
 
 
 def test_stored_axes_are_rub(tmp_path: Path) -> None:
-    """Reader gsply 0.4.6 read the file of `TWO` with y and z negated: Lumisplat's down and forward are negative in RUB."""
+    """The reader of gsply 0.4.6 sees y and z of `TWO` negated: down and forward are negative in RUB."""
     (tmp_path / "two.spz").write_bytes(
         as_version_4(
             gzip.compress(

@@ -202,11 +202,11 @@ def test_nonfinite_points_are_refused(colmap, tmp_path):
         assert problem in refusal(tmp_path / "t")
 
 
-def mutated(data: bytes, places: list[tuple[int, int]], cut: int) -> bytes:
+def mutated(data: bytes, changes: list[tuple[int, int]], cut: int) -> bytes:
     """Returns data with some bytes changed or its end cut off."""
     changed = bytearray(data)
-    for place, value in places:
-        changed[place % len(changed)] = value
+    for offset, value in changes:
+        changed[offset % len(changed)] = value
     return bytes(changed[: len(changed) - cut % len(changed)])
 
 
@@ -231,7 +231,7 @@ def survives(path: Path, data: bytes, read: Callable[[], object]) -> None:
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_points_load_or_are_refused(colmap, places, cut):
+def test_damaged_points_load_or_are_refused(colmap, changes, cut):
     """Random bytes of points3D.bin give a Lumisplat error or finite points."""
     path = colmap / "sparse/0/points3D.bin"
 
@@ -240,23 +240,23 @@ def test_damaged_points_load_or_are_refused(colmap, places, cut):
         if found is not None:
             assert np.isfinite(found[0]).all() and len(found[0]) == len(found[1])
 
-    survives(path, mutated(path.read_bytes(), places, cut), read)
+    survives(path, mutated(path.read_bytes(), changes, cut), read)
 
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_models_load_or_are_refused(colmap, places, cut):
+def test_damaged_models_load_or_are_refused(colmap, changes, cut):
     """Random bytes of images.bin are changed."""
     path = colmap / "sparse/0/images.bin"
-    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_training_images(colmap))
+    survives(path, mutated(path.read_bytes(), changes, cut), lambda: ls.io.load_training_images(colmap))
 
 
 @CHECKED
 @given(*MUTATIONS)
-def test_damaged_transforms_load_or_are_refused(nerfstudio, places, cut):
+def test_damaged_transforms_load_or_are_refused(nerfstudio, changes, cut):
     """Random bytes of transforms.json are changed."""
     path = nerfstudio / "transforms.json"
-    survives(path, mutated(path.read_bytes(), places, cut), lambda: ls.io.load_training_images(nerfstudio))
+    survives(path, mutated(path.read_bytes(), changes, cut), lambda: ls.io.load_training_images(nerfstudio))
 
 
 VALUES = st.recursive(

@@ -48,13 +48,13 @@ def test_images_without_texture_have_no_poses(tmp_path):
     (tmp_path / "images").mkdir()
     for k in range(3):
         write_png(tmp_path / "images" / f"grey {k}.png", np.full((60, 80, 3), 0.5))
-    told: list[tuple[str, float]] = []
+    reported: list[tuple[str, float]] = []
     with pytest.raises(ls.FormatError, match="no poses were found for its 3 images: they have too little texture"):
-        ls.io.find_poses(tmp_path, progress=lambda what, share: told.append((what, share)))
+        ls.io.find_poses(tmp_path, progress=lambda what, share: reported.append((what, share)))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}
     steps = ["extracting features", "selecting pairs", "matching images", "finding poses"]
-    assert list(dict.fromkeys(what.partition(",")[0] for what, _ in told)) == steps
-    assert all(0.0 <= share <= 1.0 for _, share in told)
+    assert list(dict.fromkeys(what.partition(",")[0] for what, _ in reported)) == steps
+    assert all(0.0 <= share <= 1.0 for _, share in reported)
 
 
 @needs_colmap
@@ -88,13 +88,13 @@ def test_interrupted_call_continues(tmp_path, data_dir, caplog):
 
         return report
 
-    for step, share, kept in (
+    for step, share, summary in (
         ("extracting features", 0.3, "features of 4 of 10 images, 0 matched pairs"),
         ("matching images", 0.5, "features of 10 of 10 images, 32 matched pairs"),
         ("finding poses", 0.5, "features of 10 of 10 images, 45 matched pairs"),
     ):
         caplog.clear()
-        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
+        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {summary}; the same command continues"):
             ls.io.find_poses(tmp_path, ordered=True, progress=until(step, share))
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
     assert ls.io.find_poses(tmp_path, ordered=True).is_dir()
@@ -125,12 +125,12 @@ def test_poses_of_the_fox_match_its_transforms(tmp_path, data_dir):
     assert found[0].fx == pytest.approx(known[found[0].name].fx, rel=0.03)
     ours = np.stack([camera.eye for camera in found])
     theirs = np.stack([known[camera.name].eye for camera in found])
-    turn, scale = similarity(ours, theirs)
-    moved = scale * (ours - ours.mean(axis=0)) @ turn.T + theirs.mean(axis=0)
+    rotation, scale = similarity(ours, theirs)
+    moved = scale * (ours - ours.mean(axis=0)) @ rotation.T + theirs.mean(axis=0)
     radius = np.linalg.norm(theirs - theirs.mean(axis=0), axis=1).max()
     assert np.linalg.norm(moved - theirs, axis=1).max() < 0.02 * radius
     for camera in found:
-        between = camera.camera_from_world[:3, :3] @ turn.T @ known[camera.name].camera_from_world[:3, :3].T
+        between = camera.camera_from_world[:3, :3] @ rotation.T @ known[camera.name].camera_from_world[:3, :3].T
         assert np.degrees(np.arccos(0.5 * (np.trace(between) - 1.0))) < 1.5
     read = ls.io.load_training_images(tmp_path)
     assert read.points is not None and len(read.points) > 500
@@ -148,7 +148,7 @@ def test_known_similarity_is_recovered():
     """Tests the helper `similarity`."""
     camera = ls.Camera.look_at((1, 2, 3), (0, 0, 0))
     points = np.random.default_rng(1).normal(size=(9, 3))
-    turn = camera.camera_from_world[:3, :3]
-    found, scale = similarity(points, 2.5 * points @ turn.T + 4.0)
-    np.testing.assert_allclose(found, turn, atol=1e-12)
+    rotation = camera.camera_from_world[:3, :3]
+    found, scale = similarity(points, 2.5 * points @ rotation.T + 4.0)
+    np.testing.assert_allclose(found, rotation, atol=1e-12)
     assert scale == pytest.approx(2.5)

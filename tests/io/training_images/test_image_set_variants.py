@@ -46,8 +46,8 @@ def test_masks_are_found_beside_images_and_in_parallel_folders(tmp_path: Path) -
     """Masks in ``masks/a`` belong to images in ``images/a``."""
     write_nerfstudio_images(tmp_path, ring_cameras(3))
     content = json.loads((tmp_path / "transforms.json").read_text())
-    for place in ("images/left", "masks/left"):
-        (tmp_path / place).mkdir(parents=True)
+    for directory in ("images/left", "masks/left"):
+        (tmp_path / directory).mkdir(parents=True)
     (tmp_path / "images/view_0.png").rename(tmp_path / "images/left/view_0.png")
     content["frames"][0]["file_path"] = "images/left/view_0.png"
     (tmp_path / "transforms.json").write_text(json.dumps(content))
@@ -82,8 +82,8 @@ def test_test_file_without_images_is_replaced(tmp_path: Path, caplog: pytest.Log
     found = ls.io.load_training_images(tmp_path)
     assert [view.path.parent.name for view in found.held_out] == ["val" if has_val else "train"]
     assert len(found.training) == (4 if has_val else 3)
-    said = "the images of transforms_val.json are held out" if has_val else "some training images are held out"
-    assert "none of its images exists" in caplog.text and said in caplog.text
+    expected = "the images of transforms_val.json are held out" if has_val else "some training images are held out"
+    assert "none of its images exists" in caplog.text and expected in caplog.text
 
 
 def test_model_with_most_images_is_used(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -123,20 +123,20 @@ def test_downscaled_images_are_area_means(tmp_path, scale, size):
     np.testing.assert_allclose(view.pixels(), expected, atol=2 * BYTE)
 
 
-@pytest.mark.parametrize("place", ["mask_path", "beside", "colmap"])
-def test_black_mask_pixels_have_zero_weight(tmp_path, place):
+@pytest.mark.parametrize("location", ["mask_path", "beside", "colmap"])
+def test_black_mask_pixels_have_zero_weight(tmp_path, location):
     """Masks are named by the file or found by image name; any other value has weight 1, as in nerfstudio and COLMAP."""
     cameras = ring_cameras(3)
-    if place == "colmap":
+    if location == "colmap":
         write_colmap_images(tmp_path, cameras, POINTS)
     else:
         write_nerfstudio_images(tmp_path, cameras)
-    name = {"mask_path": "of/zero.png", "beside": "masks/view_0.png", "colmap": "masks/view_0.png.png"}[place]
+    name = {"mask_path": "of/zero.png", "beside": "masks/view_0.png", "colmap": "masks/view_0.png.png"}[location]
     (tmp_path / name).parent.mkdir()
     grey = np.zeros((30, 40), np.uint8)
     grey[:15], grey[15:, :20] = 255, 1
     Image.fromarray(grey).save(tmp_path / name)
-    if place == "mask_path":
+    if location == "mask_path":
         change_frame(tmp_path / "transforms.json", 0, mask_path=name)
     first, second = ls.io.load_training_images(tmp_path, hold_out=0).training[:2]
     mask = first.mask()

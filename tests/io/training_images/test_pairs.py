@@ -19,11 +19,11 @@ from lumisplat.io.training_images.poses import (
 def walk_features(count: int, period: int, seed: int = 0) -> list[np.ndarray]:
     """Returns noisy features of video frames in which frame k shows the same objects as frame k + period."""
     rng = np.random.default_rng(seed)
-    things = rng.uniform(size=(4 * period, 128)) ** 4
+    objects = rng.uniform(size=(4 * period, 128)) ** 4
     frames = []
     for k in range(count):
-        at = (4 * (k % period) + np.arange(32)) % len(things)
-        seen = things[at] + rng.uniform(0.0, 0.03, (32, 128))
+        at = (4 * (k % period) + np.arange(32)) % len(objects)
+        seen = objects[at] + rng.uniform(0.0, 0.03, (32, 128))
         frames.append((seen / np.linalg.norm(seen, axis=1, keepdims=True)).astype(np.float32)[rng.permutation(32)])
     return frames
 
@@ -38,8 +38,8 @@ def test_few_images_are_all_matched() -> None:
 def test_loop_of_a_video_is_closed() -> None:
     """Frames are paired with the next ones, and with those of the second round that show the same objects."""
     count, period = 80, 40
-    told: list[float] = []
-    pairs = compared_pairs(count, lambda: walk_features(count, period), True, told.append)
+    reported: list[float] = []
+    pairs = compared_pairs(count, lambda: walk_features(count, period), True, reported.append)
     assert pairs == sorted({*pairs}) and all(i < j for i, j in pairs)
     near = {(i, j) for i in range(count) for j in range(i + 1, count) if j - i <= NEXT_FRAMES}
     assert near <= {*pairs}
@@ -49,7 +49,7 @@ def test_loop_of_a_video_is_closed() -> None:
         apart = (j - i) % period
         assert min(apart, period - apart) < 8
     assert len(far) <= count * SIMILAR_IMAGES
-    assert told == sorted(told) and 0.0 <= told[0] and told[-1] <= 1.0
+    assert reported == sorted(reported) and 0.0 <= reported[0] and reported[-1] <= 1.0
 
 
 def test_unordered_images_are_matched_with_similar_ones() -> None:
@@ -80,12 +80,12 @@ def test_largest_features_are_selected() -> None:
     """Features are ordered by the size of their shape, affine or not."""
     rng = np.random.default_rng(0)
     count = 3 * SIMILARITY_FEATURES
-    size, turn = rng.permutation(count) + 1.0, rng.uniform(0.0, 6.0, count)
+    size, rotation = rng.permutation(count) + 1.0, rng.uniform(0.0, 6.0, count)
     descriptors = rng.integers(1, 256, (count, 128)).astype(np.uint8)
     x = rng.uniform(size=(count, 2))
-    cos, sin = size * np.cos(turn), size * np.sin(turn)
+    cos, sin = size * np.cos(rotation), size * np.sin(rotation)
     expected = descriptors[np.argsort(-size)[:SIMILARITY_FEATURES]].astype(np.float64)
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    for shape in (np.stack([cos, -sin, sin, cos], axis=1), np.stack([size, turn], axis=1)):
+    for shape in (np.stack([cos, -sin, sin, cos], axis=1), np.stack([size, rotation], axis=1)):
         taken = largest_features(np.concatenate([x, shape], axis=1), descriptors)
         np.testing.assert_allclose(taken, expected, rtol=1e-5)

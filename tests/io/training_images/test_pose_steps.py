@@ -45,13 +45,13 @@ def test_interrupted_run_keeps_its_results(colmap: ColmapStub, tmp_path: Path, c
     """At every step, the next call continues, logs this, and removes the work folder at the end."""
     write_images(tmp_path, 9)
     colmap.pieces = [range(9)]
-    for step, kept in (
+    for step, summary in (
         ("extract", "features of 4 of 9 images, 0 matched pairs"),
         ("match", "features of 9 of 9 images, 32 matched pairs"),
         ("place", "features of 9 of 9 images, 36 matched pairs"),
     ):
         colmap.interrupt_in = step
-        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {kept}; the same command continues"):
+        with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {summary}; the same command continues"):
             ls.io.find_poses(tmp_path)
         assert {path.name for path in tmp_path.iterdir()} == {"images", "poses.unfinished"}
     assert caplog.text.count("continues from") == 2
@@ -86,13 +86,13 @@ def test_changed_images_restart_the_run(colmap: ColmapStub, tmp_path: Path, capl
 def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """The log counts images without a pose by their original names."""
     colmap.pieces = [(0, 1, 2), (3, 4, 5, 6, 7)]
-    told: list[tuple[str, float]] = []
-    model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: told.append((what, share)))
+    reported: list[tuple[str, float]] = []
+    model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: reported.append((what, share)))
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
     assert "2 separate models, of 5 and 3 images: the largest is used" in caplog.text
     assert "no pose was found for 4 of 9 images (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
-    placing = [entry for entry in told if entry[0].startswith("finding poses")]
-    assert ("finding poses, 8 of 9 images", 8 / 9) in placing, "photographs of all pieces count"
+    placing = [entry for entry in reported if entry[0].startswith("finding poses")]
+    assert ("finding poses, 8 of 9 images", 8 / 9) in placing, "images of all models count"
     assert [share for _, share in placing] == sorted(share for _, share in placing)
 
 
@@ -106,9 +106,9 @@ def test_models_without_further_images_are_not_logged(colmap: ColmapStub, tmp_pa
 def test_progress_reports_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) -> None:
     """The last adjustment of many images takes long, and the progress bar at 99 % says why."""
     colmap.pieces = [range(5)]
-    told: list[tuple[str, float]] = []
-    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: told.append((what, share)))
-    assert told[-2:] == [("finding poses, bundle adjustment", 0.99), ("finding poses", 1.0)]
+    reported: list[tuple[str, float]] = []
+    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: reported.append((what, share)))
+    assert reported[-2:] == [("finding poses, bundle adjustment", 0.99), ("finding poses", 1.0)]
 
 
 @pytest.mark.parametrize(

@@ -50,14 +50,14 @@ def test_sharpest_frame_of_each_interval_is_extracted(tmp_path: Path) -> None:
     """Of ten frames per second, one in five is not blurred."""
     sharp = [3, 5, 14]
     pictures = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
-    told: list[float] = []
+    reported: list[float] = []
     files = ls.io.extract_frames(
-        write_video(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: told.append(share)
+        write_video(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: reported.append(share)
     )
     assert [file.relative_to(tmp_path).as_posix() for file in files] == [f"walk/images/{n:04}.jpg" for n in (1, 2, 3)]
     for file, number in zip(files, sharp, strict=True):
         assert np.abs(pixels(file) - np.asarray(pictures[number], np.float64)).mean() < 8.0
-    assert told == sorted(told) and told[-1] > 0.9
+    assert reported == sorted(reported) and reported[-1] > 0.9
 
 
 def test_interval_length_sets_the_number_of_images(tmp_path: Path) -> None:
