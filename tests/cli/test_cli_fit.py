@@ -149,7 +149,7 @@ def test_no_file_of_a_sky_that_was_not_found(work, caplog):
     options = ("--environment-degree", "1", "--size", "32", "--pipeline", "raster", "--samples", "2", "--device", "cpu")
     done = work.run("fit", "@room.toml", "@door.png", *options, "-o", "@f.toml")
     assert done.status == 0, done.err
-    assert "environment: none of its light was found in the photographs, and the scene has none" in caplog.messages
+    assert "environment: none of its light was found in the images, so the scene has none" in caplog.messages
     assert "environment" not in work.path("f.toml").read_text() and "environment" not in done.out
     assert not work.path("f.assets").exists()
 
@@ -217,12 +217,12 @@ def test_nothing_is_overwritten_unless_asked_for(work):
         ),
         (("@room.toml", "@door.png", "-o", "@b.toml"), "b.assets: is a file, expected a folder"),
         (("@room.toml", "@door.png", "-o", "@a.toml", "--keep-hues", "--no-intensities"), "give one of them"),
-        (("@room.toml", "@door.png", "-o", "@a.toml", "--no-intensities"), "nothing is left to find"),
+        (("@room.toml", "@door.png", "-o", "@a.toml", "--no-intensities"), "nothing to fit"),
         (
             ("@room.toml", "@door.png", "-o", "@a.toml", "--report", "@door.png"),
             "door.png: is a file, expected a folder",
         ),
-        (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "of another shape"),
+        (("@room.toml", "@wide.png", "-o", "@a.toml", "--camera", "door"), "another aspect ratio"),
     ],
 )
 def test_mistakes_are_said_in_a_line(work, arguments, message):

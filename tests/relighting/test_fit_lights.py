@@ -64,7 +64,7 @@ def test_a_lamp_that_is_off_is_off():
     assert power(found.lights[1]).max() < 0.02 * power(lamps[0]).max()
     exact = fitted(closed(*unknown(*lamps)), taken(closed(lamps[0], dark, lamps[2]), VIEW))
     assert power(exact.lights[1]).max() < 1e-6
-    assert exact.remarks == ("warm: it is off",)
+    assert exact.remarks == ("warm: the fit turned it off",)
 
 
 def test_hues_are_kept_if_asked_for():
@@ -155,7 +155,7 @@ def test_exposures_are_found_against_the_first():
     found = fitted(closed(*unknown(*lamps)), photographs, [VIEW, OTHER], exposure="fit")
     np.testing.assert_allclose(found.exposures, [0.0, -1.3], atol=5e-3)
     assert_powers(found.lights, lamps, 5e-3)
-    assert "the exposure of photograph 0 stays 0 stops" in found.remarks[0]
+    assert "the exposure of image 0 stays 0 stops" in found.remarks[0]
 
 
 def test_exposure_is_found_by_what_shines():
@@ -256,7 +256,7 @@ def test_an_environment_of_which_nothing_is_found_is_none(room):
     found = fitted(room(*unknown(*lamps)), taken(room(*lamps), VIEW), **options)
     assert found.environment is None and found.scene.lights == found.lights and len(found.lights) == 3
     assert len(found.shares) == len(found.standard_errors) == len(found.position_errors) == 3
-    assert found.remarks[0] == "environment: none of its light was found in the photographs, and the scene has none"
+    assert found.remarks[0] == "environment: none of its light was found in the images, so the scene has none"
     assert_powers(found.lights, lamps, 0.03)
 
 
@@ -288,7 +288,7 @@ def test_lamps_at_one_place_are_flagged():
     lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
     twin = replace(lamp, name="right")
     found = fitted(closed(*unknown(lamp, twin)), taken(closed(lamp), VIEW))
-    assert found.remarks == ("left and right cannot be told apart in the photographs: only their sum is known",)
+    assert found.remarks == ("left and right cannot be distinguished in the images: only their sum is determined",)
     np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(lamp), rtol=1e-3)
 
 
@@ -300,7 +300,7 @@ def test_a_lamp_that_is_not_seen_stays_as_it_was():
     found = fitted(closed(*unknown(*lamps), hidden, switched), taken(closed(*lamps), VIEW))
     assert found.scene.lights[3].intensity == 9.0 and found.scene.lights[3].color == hidden.color
     assert found.scene.lights[4] is switched and len(found.lights) == 4
-    assert found.remarks == ("hidden: none of its light is in the photographs, it stays as it was",)
+    assert found.remarks == ("hidden: none of its light appears in the images, so it is unchanged",)
 
 
 def test_what_no_light_has_is_not_looked_for():
@@ -309,8 +309,8 @@ def test_what_no_light_has_is_not_looked_for():
     small = view(32, 24)
     found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), small), small, radii=True, angles=True)
     assert found.remarks == (
-        "radii were asked for, and no light has any: nothing was looked for",
-        "angles were asked for, and no light has any: nothing was looked for",
+        "radii is set, but no light has any: none were fitted",
+        "angles is set, but no light has any: none were fitted",
     )
 
 
@@ -340,7 +340,7 @@ def test_all_base_colours_keep_their_product():
     photograph = taken(room, camera)
     grey = [replace(one, mesh=replace(one.mesh, material=matte(0.5))) for one in room.meshes]
     found = fitted(replace(room, meshes=grey, lights=unknown(*lamps)), photograph, camera, base_colors=True)
-    assert any("up to a factor" in line for line in found.remarks)
+    assert any("up to one factor" in line for line in found.remarks)
     assert found.views[0].residual < 0.01
     colors = np.array(list(found.base_colors.values()))
     np.testing.assert_allclose(np.log(colors).mean(axis=0), np.log(0.5), atol=0.1)

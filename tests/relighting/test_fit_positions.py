@@ -69,7 +69,7 @@ def test_progress_goes_on_with_every_picture(monkeypatch):
     assert max(np.diff(rendered)) <= 2 and min(np.diff(rendered)) >= 1 and len(rendered) > 100
     labels, shares = zip(*told, strict=True)
     assert list(shares) == sorted(shares) and told[-1] == ("fitting lights", 1.0)
-    stages = ("looking for lamps", "a picture of each", "step by step", "errors")
+    stages = ("searching for positions", "rendering each light", "refining", "estimating errors")
     assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
 
 

@@ -26,9 +26,9 @@ def refusal(*photographs, scene: ls.Scene | None = None, cameras=None, **options
 
 def test_photographs_that_do_not_fit_their_cameras():
     """Of another shape, of another number."""
-    assert "the photograph is 96 x 96, and its camera" in refusal(np.full((96, 96, 3), 0.5))
-    assert "1 cameras and 2 photographs" in refusal(GREY, GREY)
-    assert "2 cameras and 1 photographs" in refusal(GREY, cameras=[view(), view()])
+    assert "the image is 96 x 96, but its camera" in refusal(np.full((96, 96, 3), 0.5))
+    assert "1 cameras and 2 images" in refusal(GREY, GREY)
+    assert "2 cameras and 1 images" in refusal(GREY, cameras=[view(), view()])
     assert "expected (H, W, 3)" in refusal(np.full((72, 96), 0.5))
     assert "expected (H, W, 3)" in refusal(np.full((72, 96, 4), 0.5))
 
@@ -52,7 +52,7 @@ def test_photographs_without_light():
     assert "is black" in refusal(np.zeros((72, 96, 3)))
     assert "every pixel is clipped" in refusal(np.ones((72, 96, 3)))
     assert "clipped or masked" in refusal(GREY, masks=np.zeros((72, 96)))
-    assert "the mask of the photograph has shape (10, 10)" in refusal(GREY, masks=np.ones((10, 10)))
+    assert "the mask of the image has shape (10, 10)" in refusal(GREY, masks=np.ones((10, 10)))
     holes = GREY.copy()
     holes[3, 4:7] = np.nan
     assert "has 3 pixels that are NaN" in refusal(holes)
@@ -63,10 +63,10 @@ def test_scenes_without_anything_to_fit():
     assert "no lights to fit" in refusal(GREY, scene=closed())
     off = [replace(lamp, enabled=False) for lamp in three_lamps()]
     assert "no lights to fit" in refusal(GREY, scene=closed(*off))
-    assert "nothing is left to find" in refusal(GREY, intensities=False)
+    assert "nothing to fit" in refusal(GREY, intensities=False)
     away = ls.Camera.look_at((2, 1.5, -9), (2, 1.5, -20), width=96, height=72)
-    assert "show nothing that the lights light" in refusal(GREY, cameras=away)
-    assert "show nothing that the lights light" in refusal(GREY, cameras=away, positions=True)
+    assert "no pixel of the images can be fitted" in refusal(GREY, cameras=away)
+    assert "no pixel of the images can be fitted" in refusal(GREY, cameras=away, positions=True)
     assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lamps()))
 
 

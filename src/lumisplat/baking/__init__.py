@@ -1,1 +1,1 @@
-"""Scenes as captures: what Gaussians show under lights, in their own spherical harmonics."""
+"""Bakes lit scenes into captures: fits SH to the radiance that Gaussians show under lights."""

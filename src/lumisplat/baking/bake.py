@@ -1,4 +1,4 @@
-"""Bakes lit scenes into captures that every viewer shows: ``bake``."""
+"""Bakes lit scenes into captures that every Gaussian splat viewer can show: ``bake``."""
 
 from __future__ import annotations
 
@@ -40,22 +40,23 @@ from lumisplat.scene.ops.colors import scale_light_of
 from lumisplat.scene.scene import Scene, SplatInstance
 
 BAKE_DIRECTIONS = 32
-"""From which each Gaussian is looked at: twice as many as the harmonics of degree 3, as half of them see its back."""
+"""Directions from which each Gaussian is viewed: twice the number of SH coefficients of degree 3, because half of the
+views show the back of the Gaussian."""
 
 BAKE_SAMPLES = 8
-"""Paths a ray; even, so that both halves tell the noise."""
+"""Paths per view; an even number, because the noise is estimated from two halves."""
 
 VIEWS_AT_ONCE = 2**17
-"""Views that are on the device at once: some 60 MiB."""
+"""Views that are on the device at once, about 60 MiB."""
 
 PILOT_DIRECTIONS = 8
-"""From which each Gaussian is seen first, to know on which side it is seen; with two paths each."""
+"""Directions of the pilot views, two paths each, which find the visible side of each Gaussian."""
 
 SIGNAL_MIN = 1e-8
-"""Variance of colours over directions below which they are taken to be one, display-referred: 0.03 of 255."""
+"""Lower bound of the variance of colours over directions, display-referred: a standard deviation of 0.03 of 255."""
 
 BAKE_DIRECTIONS_MAX = 1024
-"""More directions of a Gaussian are a typing error: harmonics of degree 3 have 16 coefficients."""
+"""Largest number of directions. More is taken for a typing error, because SH of degree 3 has 16 coefficients."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -70,54 +71,54 @@ def bake(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> Scene:
-    """The splat sets of a scene as captures of how they look in its light: with shadows, bounces and highlights.
+    """Bakes the light of a scene, with shadows, bounces and highlights, into the SH colours of its splat sets.
 
-    Each Gaussian is seen from directions all around it by paths of light. What it shows is tone-mapped, and fitted by
-    its spherical harmonics, so that every viewer of captures shows it. Meshes and lights do their part, and are not in
-    the result; `gaussians_from_mesh` makes Gaussians of a mesh. Sets that keep their captured light come out as they
-    are, to the bit; ``shadow_catcher`` ones are darkened, or brightened, by what was added to them. Source:
+    Path tracing renders each Gaussian from directions all around it. The radiance is tone-mapped and fitted by the
+    Gaussian's SH coefficients, which every viewer of captures shows. Meshes and lights act on the splats but are not in
+    the result; `gaussians_from_mesh` converts a mesh to Gaussians. Unlit captures are returned unchanged, to the bit.
+    Captures that are a ``shadow_catcher`` are darkened or brightened by what was added to the scene. Source:
     docs/method/relighting.md#baking.
 
-    Captures hold what a display shows: what is brighter than its white is white, so choose ``exposure`` and
-    ``config.tone_map`` as for a picture.
+    SH colours are display-referred and end at display white, so choose ``exposure`` and ``config.tone_map`` as for a
+    rendered image.
 
     Args:
-        scene: Sets that are to be lit have a material. Something gives light.
-        config: Settings; None: paths. ``Pipeline.TRACE`` is direct light without bounces. ``samples`` are those of
-            each ray, from 2 on; None: 8. More are less noisy, and take as much longer.
-        degree: Of the harmonics, 0 to 3: how much of what changes with the direction of view is kept.
-        directions: From which each Gaussian is seen, 4 to 1024.
-        exposure: Stops by which the light is brightened, as that of a camera.
+        scene: Scene with a material on the splat sets that are to be lit, and with at least one source of light.
+        config: Settings; None: path tracing. ``Pipeline.TRACE`` bakes direct light without bounces. ``samples`` is the
+            number of samples per ray, at least 2; None: 8. The time is proportional to it.
+        degree: SH degree of the result, 0 to 3; higher degrees keep more view dependence.
+        directions: Directions from which each Gaussian is viewed, 4 to 1024.
+        exposure: Exposure in stops, as of a camera.
         device: As for `create_renderer`.
         progress: Called with a label and the fraction done, 0..1.
 
     Returns:
-        The same instances in the same places, without materials, meshes and lights. Of sets that were lit, the
-        Gaussians keep everything but their harmonics, and lose albedo, roughness and metallic, which would be lit
-        again.
+        The scene's splat instances with the same transforms, without materials, meshes and lights. Gaussians of lit
+        sets keep everything but their SH, and lose albedo, roughness and metallic, so that they are not lit a second
+        time.
 
     Raises:
-        ConfigError: A number is out of range, or the pipeline does not follow rays.
+        ConfigError: A number is out of range, or the pipeline does not trace rays.
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: There are no splat sets, or none that light changes, or no light.
+        SceneError: There are no splat sets, none of them reflects light, or there is no light.
     """
     config = RenderConfig(pipeline=Pipeline.PATH) if config is None else checked_config(config)
     check_scene(scene)
     settings = _Settings(config, degree, directions, exposure)
     lit = [not emits_capture_only(instance) for instance in scene.splats]
     if not scene.splats:
-        raise SceneError("bake takes a scene with splat sets: gaussians_from_mesh makes one of a mesh")
+        raise SceneError("bake takes a scene with splat sets: convert meshes with gaussians_from_mesh")
     if not any(lit):
         raise SceneError(
-            "nothing to bake: no splat set has a material or an albedo, so all show what was captured in any light; "
-            "delight finds an albedo"
+            "nothing to bake: no splat set has a material or an albedo, so all show their captured colours under any "
+            "light; delight estimates an albedo"
         )
     viewer = GaussianViewer(config, Launcher(device), progress)
     frame, _ = rendered_frame(scene)
     scene = frame.scene(scene)
     viewer.upload(scene, _extent(scene), progress)
     if not viewer.is_lit:
-        raise SceneError("nothing to bake: the scene has no lights or environment, and nothing in it shines")
+        raise SceneError("nothing to bake: the scene has no lights, no environment and no emission")
     joint = sum(one.gaussians.count for one in scene.splats if is_relit(one))
     rays = SampleRays.allocated(joint, directions)
     baker = _Baker(viewer, settings, progress, scene.gaussian_count, rays)
@@ -128,7 +129,7 @@ def bake(
 
 @dataclass(frozen=True, slots=True)
 class _Settings:
-    """How sets are baked; raises ConfigError if a value is out of range."""
+    """Settings of a bake; raises ConfigError if a value is out of range."""
 
     config: RenderConfig
     degree: int
@@ -146,30 +147,30 @@ class _Settings:
 
     @property
     def samples(self) -> int:
-        """Number of samples of each ray."""
+        """Samples per ray."""
         return self.config.samples or BAKE_SAMPLES
 
     @property
     def samples_separate(self) -> int:
-        """Number of samples of each direction, for sets that are fitted together afterwards."""
+        """Samples per view of sets whose SH are refitted jointly afterwards."""
         return max(self.samples // 2, 2)
 
 
 @dataclass(slots=True)
 class _Baker:
-    """Bakes the sets of a scene, some Gaussians at a time."""
+    """Bakes the splat sets of a scene, a range of Gaussians at a time."""
 
     viewer: GaussianViewer
     settings: _Settings
     progress: Progress | None
     total: int
-    """Gaussians of the scene."""
+    """Number of Gaussians in the scene."""
     rays: SampleRays
-    """Along which eyes see the Gaussians of relit sets; of as many of them as are baked."""
+    """Distribution of camera rays towards the Gaussians of relit sets, filled for those already baked."""
     rays_stored: int = 0
 
     def baked(self, scene: Scene, number: int) -> SplatInstance:
-        """The instance of this number, as it looks in the light of the scene."""
+        """Returns a splat instance of the scene with its light baked into the SH."""
         instance = scene.splats[number]
         first = sum(one.gaussians.count for one in scene.splats[:number])
         parts: list[FloatArray] = []
@@ -187,7 +188,7 @@ class _Baker:
                 self.rays_stored += views.gaussians.count
         if nonfinite:
             _log.warning(
-                "%d samples of %s were not finite and left out: lights or materials are too bright for float32",
+                "%d samples of %s were not finite and were dropped: lights or materials are too bright for float32",
                 nonfinite,
                 instance.name or "a set",
             )
@@ -198,7 +199,7 @@ class _Baker:
         return replace(instance, gaussians=baked, material=None, sh_degree=SH_DEGREE_MAX)
 
     def joint_fitted(self, scene: Scene, splats: list[SplatInstance]) -> list[SplatInstance]:
-        """The sets, with harmonics of relit ones changed such that blends of them show what frames do."""
+        """Refits the SH of relit sets so that alpha blends of Gaussians match rendered frames."""
         if not self.rays_stored:
             return splats
         terms = (self.settings.degree + 1) ** 2
@@ -217,7 +218,7 @@ class _Baker:
         ]
 
     def _views(self, instance: SplatInstance, first: int) -> Iterator[_Views]:
-        """The views of a set, of some Gaussians at a time."""
+        """Yields the views of a set, for a range of Gaussians at a time."""
         count = instance.gaussians.count
         at_once = max(VIEWS_AT_ONCE // self.settings.directions, 1)
         rotation = instance.transform[:3, :3] / instance.scale
@@ -232,37 +233,37 @@ class _Baker:
             yield replace(pilot, directions=pilot.on_visible_sides(self._rendered(pilot, 2), turned))
 
     def _rendered(self, views: _Views, samples: int) -> ViewRadiance:
-        """Renders views of Gaussians; returns what they show."""
+        """Renders views of single Gaussians."""
         count = views.directions.shape[1]
         gaussian = np.repeat(np.arange(views.first, views.first + views.gaussians.count), count)
-        number = views.first * count % 2**30  # of random numbers: 32 bits on the device
+        number = views.first * count % 2**30  # seeds 32-bit random numbers on the device
         return self.viewer.render_views(number, gaussian, views.along, samples)
 
 
 @dataclass(frozen=True, slots=True)
 class _Views:
-    """Gaussians of a set, and the directions from which they are seen."""
+    """A range of Gaussians of a set, and the directions from which they are viewed."""
 
     gaussians: Gaussians
     directions: Doubles
-    """From the eye, object space, (N, D, 3)."""
+    """Directions from the camera to the Gaussian, object space, shape (N, D, 3)."""
     rotation: Doubles
-    """World from object, (3, 3)."""
+    """Rotation from object to world, shape (3, 3)."""
     first: int
-    """Number of the first Gaussian among all of the scene's."""
+    """Index of the first Gaussian among all Gaussians of the scene."""
 
     @property
     def along(self) -> FloatArray:
-        """The directions in world space, a view each, (N * D, 3)."""
+        """Directions of all views in world space, shape (N * D, 3)."""
         return (self.directions.reshape(-1, 3) @ self.rotation.T).astype(np.float32)
 
     def on_visible_sides(self, viewed: ViewRadiance, directions: Doubles) -> Doubles:
-        """Other directions of these Gaussians, on the sides that count by what these views show."""
+        """Mirrors other directions of these Gaussians to the side that these views found visible."""
         weights = self._weights(viewed)
         return on_visible_sides(directions, plane_normals(self.gaussians), weights, self._front)
 
     def fitted_sh(self, viewed: ViewRadiance, settings: _Settings) -> FloatArray:
-        """Harmonics of what views show, (N, K, 3)."""
+        """Fits SH to the radiance of the views, shape (N, K, 3)."""
         shape = (*self.directions.shape[:2], 3)
         even, odd = viewed.even.reshape(shape), viewed.odd.reshape(shape)
         front = self._front
@@ -275,7 +276,7 @@ class _Views:
                 np.float64
             )
 
-        # The curve bends noise: that of the mean by half as much as that of the halves, which is taken out.
+        # The tone curve biases noisy values, the mean half as much as each half: extrapolation removes the bias.
         halves = displayed(even), displayed(odd)
         noise = 0.25 * np.square(halves[0] - halves[1]).mean(axis=2)
         shares = weights / weights.sum(axis=1, keepdims=True)
@@ -283,13 +284,13 @@ class _Views:
         return fit_sh(self.directions, colors, (shares * noise).sum(axis=1), weights, settings.degree)
 
     def rays(self, viewed: ViewRadiance, instance: SplatInstance) -> SampleRays:
-        """Along which eyes see these Gaussians of the instance, by what views show."""
+        """Returns the distribution of camera rays towards these Gaussians, weighted by the views."""
         weights, distances = self._weights(viewed), viewed.distance.reshape(self.directions.shape[:2])
         some = replace(instance, gaussians=self.gaussians)
         return SampleRays.of_views(some, self.directions, weights, distances, self.first)
 
     def shadow(self, viewed: ViewRadiance) -> FloatArray:
-        """Factors of the light of captured colours, (N, 3); exactly 1 where nothing has changed."""
+        """Returns factors of the captured colours, shape (N, 3); exactly 1 where the irradiance did not change."""
         shape = (*self.directions.shape[:2], 3)
         weights = self._weights(viewed)[..., None]
         change = (weights * viewed.change.reshape(shape)).sum(axis=1)
@@ -303,7 +304,7 @@ class _Views:
         return (self.directions @ normals[:, :, None])[..., 0] < 0.0
 
     def _weights(self, viewed: ViewRadiance) -> Doubles:
-        """How much views count, (N, D)."""
+        """Returns the weight of each view, shape (N, D)."""
         shape = self.directions.shape[:2]
         light = (0.5 * (viewed.even + viewed.odd) + decode_srgb(viewed.captured)).reshape(*shape, 3)
         has_front = self.gaussians.normals is not None
@@ -311,20 +312,20 @@ class _Views:
 
 
 def _extent(scene: Scene) -> float:
-    """How far away eyes may be: the diagonal of a box around the bulk of the scene."""
+    """Returns the largest distance of a camera, scene units: the diagonal of a box around the bulk of the scene."""
     low, high = scene.bulk_bounds()
     return max(float(np.linalg.norm(high - low)), 1e-6)
 
 
 def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Doubles, degree: int) -> FloatArray:
-    """The harmonics whose colours ``SH + 0.5`` are nearest to those that were seen.
+    """Fits SH whose colours ``SH + 0.5`` match viewed colours, by weighted ridge least squares.
 
     Args:
-        directions: From the eye to the Gaussian, in its own space, unit, shape (N, D, 3).
-        colors: Display-referred, shape (N, D, 3).
-        noise: Variance of these, shape (N,).
-        weights: Of the views, at least 0, shape (N, D).
-        degree: 0 to 3.
+        directions: Unit directions from the camera to the Gaussian, object space, shape (N, D, 3).
+        colors: Display-referred colours, shape (N, D, 3).
+        noise: Variance of the colours, shape (N,).
+        weights: Weights of the views, at least 0, shape (N, D).
+        degree: SH degree, 0 to 3.
 
     Returns:
         Coefficients, shape (N, K, 3), K = (degree + 1)^2.
@@ -340,10 +341,11 @@ def fit_sh(directions: Doubles, colors: Doubles, noise: Doubles, weights: Double
 
 
 def _penalties(colors: Doubles, noise: Doubles, shares: Doubles, degree: int) -> Doubles:
-    """Returns what is added to the diagonal of each system, shape (N, K).
+    """Returns the ridge of each coefficient, shape (N, K).
 
-    As much as the noise of a coefficient is of the variance that is to be expected of it (Wiener): what colours vary
-    with the direction but for noise, shared among the degrees as 1 / l^2. And a little, so that all is determined.
+    The ridge is the noise variance of a coefficient over its expected variance (Wiener filter). The expected variance
+    is that of the colours over directions less noise, distributed over the degrees as 1 / l^2. A small constant keeps
+    the system regular.
     """
     mean = (shares[..., None] * colors).sum(axis=1, keepdims=True)
     spread = (shares * np.square(colors - mean).mean(axis=2)).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Host pass: single Gaussians as they are seen from given directions, lit (docs/method/relighting.md#baking)."""
+"""Renders single lit Gaussians from given directions on the device (docs/method/relighting.md#baking)."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.scene.scene import Scene
 
 VIEW_SPREAD = 0.5
-"""Within how much of a Gaussian it is seen, standard deviations of its own. Frames blur once more what they blend of
-neighbours: at 1, edges are blurred twice, and Gaussians see around corners (1.1 dB in a room); at 0, the edge of a
-shadow is jagged."""
+"""Standard deviation of the viewed points on a Gaussian, in standard deviations of the Gaussian. At 1, blending blurs
+edges a second time and Gaussians receive light around corners (1.1 dB worse in a room). At 0, shadow edges are jagged.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class CatcherLight:
-    """Irradiance of shadow catchers, arrays of one shape; `catcher_change` of the device is the same in one channel."""
+    """Irradiance of shadow catchers, arrays of one shape; the device's `catcher_change` is the same for one channel."""
 
     sent: Doubles
-    """Irradiance by the scene's lights, without anything that was added."""
+    """Irradiance from the scene's lights without the added objects."""
     change: Doubles
-    """Its change by all that was added, bounced light included."""
+    """Change of that irradiance by the added objects, indirect light included."""
     own_sent: Doubles
-    """Irradiance by the captures around the surface, without anything that was added, as far as it was found."""
+    """Irradiance from the surrounding captures without the added objects, as far as rays found it."""
     own_change: Doubles
-    """Its change by all that was added; what added surfaces emit counts here."""
+    """Change of that irradiance by the added objects, including the light that they emit."""
     ambient: Doubles
-    """Given irradiance besides that of lights; 0: what was found of the captures is all there is."""
+    """Given irradiance in addition to the lights'; 0: only what rays found of the captures."""
     blocked: Doubles
-    """The part of ``ambient`` that something added blocks."""
+    """Part of ``ambient`` that the added objects block."""
     least: Doubles
-    """Lower bound of the irradiance: no surface reflects more than it receives."""
+    """Lower bound of the total irradiance, because no surface reflects more than it receives."""
 
     def change_and_received(self) -> tuple[Doubles, Doubles]:
-        """Returns the change of the irradiance by all that was added, and the irradiance before."""
+        """Returns the change of the total irradiance by the added objects, and the irradiance before."""
         given, rest = self.ambient > 0.0, self.least - self.sent
         ambient = np.maximum(np.where(given, self.ambient, self.own_sent), rest)
         own_share = np.divide(ambient, self.own_sent, out=np.ones_like(rest), where=given & (self.own_sent > ambient))
@@ -59,28 +59,28 @@ class CatcherLight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ViewRadiance:
-    """Holds what V views show, as means over the samples."""
+    """Radiance of V views of single Gaussians, as means over the samples."""
 
     even: Doubles
-    """Linear light that does not come from captured colours, by every other sample, (V, 3)."""
+    """Linear radiance of the even samples, without captured colours, shape (V, 3)."""
     odd: Doubles
-    """Linear light by the other samples, (V, 3)."""
+    """Linear radiance of the odd samples, shape (V, 3)."""
     captured: Doubles
-    """Display-referred captured colour that is kept, (V, 3)."""
+    """Display-referred captured colour of unlit Gaussians, shape (V, 3)."""
     captured_weight: Doubles
-    """1 where there is one, else 0, (V,)."""
+    """1 for unlit Gaussians, else 0, shape (V,)."""
     change: Doubles
-    """Change of the irradiance of a shadow catcher by all that was added, (V, 3)."""
+    """Change of a shadow catcher's irradiance by the added objects, shape (V, 3)."""
     received: Doubles
-    """Irradiance of the catcher as it was captured, (V, 3); 0 elsewhere."""
+    """Irradiance of the shadow catcher as captured, shape (V, 3); 0 for other Gaussians."""
     distance: Doubles
-    """To what hides the Gaussian from eyes that are farther away, scene units, (V,)."""
+    """Distance from the Gaussian towards the camera up to the first occluder, scene units, shape (V,)."""
     nonfinite: int
-    """Samples that were left out."""
+    """Number of samples that were dropped because they were not finite."""
 
 
 class GaussianViewer(Renderer):
-    """Shows single Gaussians of a scene, each alone, as rays that meet it see it.
+    """Renders single Gaussians of a scene, each as if a camera ray had hit that Gaussian alone.
 
     Args:
         config: Settings, with ``Pipeline.PATH`` or ``Pipeline.TRACE``.
@@ -94,33 +94,33 @@ class GaussianViewer(Renderer):
         self._far = 0.0
 
     def upload(self, scene: Scene, far: float, progress: Progress | None = None) -> None:
-        """Uploads the scene; eyes are at most ``far`` scene units away from what they see."""
+        """Uploads the scene; ``far`` is the largest distance of a camera from a Gaussian, scene units."""
         plan = self._sync_rays(scene)
-        # Rays of queries do not find what shadow catchers receive; views do.
+        # Ray queries skip the irradiance of shadow catchers; views need it.
         receives = FramePlan.of(self.config, scene).has_receivers
         self._plan, self._far = replace(plan, has_receivers=receives), far
         self._load([*self._modules(self._plan, bounced=True), kernels], progress)
 
     @property
     def launcher(self) -> Launcher:
-        """Launches on the views' device."""
+        """Launcher of the views' device."""
         return self._launcher
 
     @property
     def is_lit(self) -> bool:
-        """Whether anything in the scene gives light."""
+        """True if the scene has any source of light."""
         return self._plan.is_lit
 
     def render_views(
         self, first: int, gaussian: npt.NDArray[np.integer], direction: FloatArray, samples: int
     ) -> ViewRadiance:
-        """Renders views of single Gaussians; returns what they show.
+        """Renders views of single Gaussians.
 
         Args:
-            first: Number of the first view, by which random numbers are chosen.
-            gaussian: Among all of the scene's, shape (V,).
-            direction: From the eye to the Gaussian, world space, unit, shape (V, 3).
-            samples: A view, at least 2.
+            first: Number of the first view, which seeds the random numbers.
+            gaussian: Index of each view's Gaussian among all of the scene, shape (V,).
+            direction: Unit directions from the camera to the Gaussian, world space, shape (V, 3).
+            samples: Samples per view, at least 2.
         """
         scene, buffers, run = self._scene, self._buffers, self._launcher.run_banded
         count = len(gaussian)
@@ -148,14 +148,14 @@ class GaussianViewer(Renderer):
         return self._means(sums, count, samples)
 
     def _means(self, sums: kernels.ViewSums, count: int, samples: int) -> ViewRadiance:
-        """The means of sums over samples."""
+        """Divides the sums over samples by the number of samples."""
 
         def read(array: Any) -> Doubles:
             return device_array(array).numpy()[:count].astype(np.float64)
 
         finite = read(sums.count)
         halves = (samples + 1) // 2, samples // 2
-        # Samples that are not finite are few, and not told apart: both halves are scaled for them alike.
+        # Dropped samples are few and are not counted per half, so both halves are scaled alike.
         scale = (samples / np.maximum(finite, 1.0))[:, None]
         captured, weight = read(sums.captured), read(sums.captured_weight)
         change: Doubles = np.zeros_like(captured)

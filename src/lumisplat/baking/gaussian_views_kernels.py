@@ -1,7 +1,7 @@
-"""Views of single Gaussians: each is seen alone from a direction, as if a ray had met it. One item is one view.
+"""Kernels that view single Gaussians, each as if a camera ray had hit it alone. One item is one view.
 
-The hits that ``meet_gaussians`` writes are those that a ray has which meets the Gaussian, and integrators shade them as
-any others. Rays the other way tell how far away an eye may be that sees it. The equations are in
+``hit_gaussians`` writes the hit that a ray would have on the Gaussian, and integrators shade these hits as any others.
+A second ray, from the Gaussian towards the camera, measures how far the Gaussian can be seen. The equations are in
 docs/method/relighting.md#baking.
 """
 
@@ -20,52 +20,53 @@ from lumisplat.device.structs.shading import ShadingScene, WaveData
 
 wp.set_module_options({"enable_backward": False})
 
-# Branches of a view's keys that no integrator has.
+# Random branches that no integrator uses.
 POINT_BRANCH = wp.constant((1 << 20) + 8)
-"""Where within the Gaussian it is seen: two of three coordinates."""
+"""Random branch of the viewed point's first two coordinates within the Gaussian."""
 THIRD_BRANCH = wp.constant((1 << 20) + 9)
-"""The third."""
+"""Random branch of the viewed point's third coordinate."""
 
 
 @struct
 class GaussianViews:
-    """Which Gaussians are seen, and from where; one element a view."""
+    """Gaussian and direction of each view."""
 
     gaussian: wp.array[int]
-    """Among all of the scene's."""
+    """Index of the Gaussian among all of the scene."""
     direction: wp.array[wp.vec3]
-    """From the eye to the Gaussian, world space, unit."""
+    """Unit direction from the camera to the Gaussian, world space."""
 
 
 @struct
 class ViewSums:
-    """Sums over the samples of views so far; the light of even and of odd samples apart."""
+    """Sums over the samples of each view, with radiance of even and odd samples apart."""
 
     even: wp.array[wp.vec3]
-    """Linear light that does not come from captured colours."""
+    """Linear radiance of the even samples, without captured colours."""
     odd: wp.array[wp.vec3]
     count: wp.array[int]
-    """Samples; those that are not finite are left out."""
+    """Number of finite samples; others are dropped."""
     captured: wp.array[wp.vec3]
-    """Display-referred captured colour that is kept, the same in each sample."""
+    """Display-referred captured colour of an unlit Gaussian, equal in all samples."""
     captured_weight: wp.array[float]
-    """1 where there is one, else 0."""
+    """1 for an unlit Gaussian, else 0."""
     factor: wp.array[wp.vec3]
-    """Share of captured colours that shadows leave, of frames without paths."""
+    """Fraction of the captured colour that shadows leave, in frames without path tracing."""
     sent: wp.array[wp.vec3]
-    """Irradiance of shadow catchers by lights, as they were captured, of paths; the next five as of `RayRadiance`."""
+    """Irradiance of a shadow catcher from lights without added objects, in path tracing. The next five are as in
+    `RayRadiance`."""
     arrived: wp.array[wp.vec3]
     own_sent: wp.array[wp.vec3]
     own_arrived: wp.array[wp.vec3]
     ambient: wp.array[wp.vec3]
     open: wp.array[wp.vec3]
     distance: wp.array[float]
-    """From the Gaussian to what hides it from eyes farther away, scene units."""
+    """Distance from the Gaussian towards the camera up to the first occluder, scene units."""
 
 
 @wp.func
 def normal_point(key: wp.uint32, sample: int, reach: float) -> wp.vec3:
-    """A point of the standard normal distribution in three dimensions, no farther out than ``reach``."""
+    """Samples a point of the 3D standard normal distribution, pulled back to at most ``reach`` from the origin."""
     u = sobol_2d(branch_key(key, POINT_BRANCH), sample)
     v = sobol_2d(branch_key(key, THIRD_BRANCH), sample)
     radius = wp.sqrt(-2.0 * wp.log(1.0 - u[0]))
@@ -84,16 +85,16 @@ def store_hit(
     direction: wp.vec3,
     hits: GaussianHits,
 ):
-    """The hit of a ray that meets Gaussian ``k`` of an instance alone, where the ray begins.
+    """Stores the hit of a ray on Gaussian ``k`` of an instance alone, at the ray's origin.
 
     Args:
-        i: The ray.
-        sh_degree: Highest that is evaluated.
+        i: Index of the ray.
+        sh_degree: Largest SH degree to evaluate.
         instance: The instance.
-        gaussians: Its set.
-        k: The Gaussian.
-        direction: Of the ray, object space, unit.
-        hits: Receives it.
+        gaussians: Gaussians of the instance's set.
+        k: Index of the Gaussian in the set.
+        direction: Unit direction of the ray, object space.
+        hits: Receives the hit.
     """
     eye = gaussians.means[k] - direction
     color = wp.vec3(0.0)
@@ -122,12 +123,12 @@ def start_ray(
     sample: SampleData,
     rays: RayData,
 ):
-    """Starts a ray without width; ``number`` is that of its random numbers."""
+    """Starts a ray without a footprint; ``number`` seeds its random numbers."""
     rays.is_active[i] = True
     rays.origin[i] = origin
     rays.direction[i] = direction
     rays.t_min[i] = t_min
-    rays.normal[i] = wp.vec3(0.0)  # as cameras see Gaussians: whatever layer is before them
+    rays.normal[i] = wp.vec3(0.0)  # no layer is skipped, as for camera rays
     rays.t_max[i] = wp.inf
     rays.path_length[i] = 0.0
     rays.spread[i] = 0.0
@@ -151,21 +152,21 @@ def hit_gaussians(
     hits_out: GaussianHits,
     outward_out: RayData,
 ):
-    """The rays of views, each with the hit of its Gaussian, and those from there to the eye.
+    """Creates the ray of each view with the hit on its Gaussian, and the ray from the Gaussian to the camera.
 
     Args:
         start: First item: a view.
-        first: Number of the first view, of all that a set has.
-        count: Views; further elements are inactive.
-        sh_degree: Highest that is evaluated.
-        spread: Within how much of a Gaussian it is seen: a standard deviation, in its own.
+        first: Number of the first view among all views of the set.
+        count: Number of views; further elements become inactive.
+        sh_degree: Largest SH degree to evaluate.
+        spread: Standard deviation of the viewed points, in standard deviations of the Gaussian.
         scene: The scene.
-        assets: Its distinct Gaussian sets.
+        assets: Distinct Gaussian sets of the scene.
         views: The views.
-        rays_out: Rays that end where they begin.
-        meshes_out: Without a hit.
-        hits_out: Their Gaussians.
-        outward_out: From there to the eye, past Gaussians of the same layer.
+        rays_out: Rays of length 0 at the viewed points.
+        meshes_out: Mesh hits of these rays: none.
+        hits_out: Hits on the Gaussians.
+        outward_out: Rays from the viewed points to the camera, starting beyond Gaussians of the same layer.
     """
     i = start + wp.tid()
     rays_out.is_active[i] = False
@@ -184,7 +185,7 @@ def hit_gaussians(
     scales = gaussians.scales[k]
     along = wp.normalize(instance.object_from_world * views.direction[i])
 
-    # The peak of the response on the ray through a random point: in one step, as the point is known in canonical space.
+    # The peak of the response on the ray through a random point, computed in canonical space.
     reach = wp.sqrt(wp.max(reach_squared(instance.kernel, gaussians.opacities[k]), 0.0))
     point = spread * normal_point(pixel_key_of(first + i, sample.seed), sample.index, reach)
     slope = canonical_from_object(gaussians.rotations[k], scales) * along
@@ -200,7 +201,7 @@ def hit_gaussians(
 
 @wp.func
 def is_finite(color: wp.vec3) -> bool:
-    """No NaN or infinity in any channel."""
+    """Returns whether no channel is NaN or infinite."""
     return wp.isfinite(color[0] + color[1] + color[2])
 
 
@@ -214,16 +215,16 @@ def add_views(
     hidden: GaussianHits,
     sums_inout: ViewSums,
 ):
-    """Adds what a sample of the views has shown.
+    """Adds one shaded sample of the views to their sums.
 
     Args:
         start: First item: a view.
-        sample: Number of the sample; the first one begins the sums.
-        far: Farthest distance of an eye, scene units.
+        sample: Number of the sample; sample 0 first clears the sums.
+        far: Largest distance of a camera, scene units.
         wave: The shaded views.
-        ends: Meshes on the rays to the eye.
-        hidden: Gaussians on these.
-        sums_inout: Of the views.
+        ends: Mesh hits of the rays to the camera.
+        hidden: Gaussian hits of the rays to the camera.
+        sums_inout: Sums of the views.
     """
     i = start + wp.tid()
     if sample == 0:

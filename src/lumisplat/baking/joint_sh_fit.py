@@ -1,4 +1,4 @@
-"""Host pass: fits SH of Gaussians so that their blends match frames (docs/method/relighting.md#baking)."""
+"""Refits the SH of Gaussians so that their alpha blends match rendered frames (docs/method/relighting.md#baking)."""
 
 from __future__ import annotations
 
@@ -30,106 +30,108 @@ from lumisplat.scene.ops.neighbours import morton_order
 from lumisplat.scene.scene import Scene, SplatInstance
 
 RAYS_A_DIRECTION = 2
-"""Rays to Gaussians that are seen together, for each direction from which they are seen alone."""
+"""Rays to each Gaussian in the joint fit, per direction of its separate fit."""
 
 RAY_DRAWS = 8
-"""Rounds of as many lines as a Gaussian is to have rays, to those that lack any: in closed rooms, a quarter
-to a half of the lines show the back of something, or what is not baked, and near corners up to nine in ten."""
+"""Maximum number of times rays are drawn for Gaussians that still lack usable ones. In closed rooms a quarter to a
+half of the rays show backs or sets that are not baked; near corners, up to nine in ten."""
 
 DIRECT_SLOPE = 2.0
-"""How fast rays keep more of their own direct light as they differ from what is shared by more than their noise: by 1,
-edges of shadows are drawn to the mean, too, which costs 0.5 dB in a room."""
+"""Slope of the shrinkage of direct light, as in `denoised_by_rays`. With 1, shadow edges are also blurred, which costs
+0.5 dB in a room."""
 
 BOUNCED_FRACTION = 2
-"""One in so many paths of each ray bounces: what has bounced is shared among rays, so that fewer tell enough."""
+"""Divisor of the samples for indirect light: as it is averaged over rays, fewer paths suffice."""
 
 BOUNCED_MIN = 2
-"""Paths of each half of the samples that bounce at least, if there are as many."""
+"""Smallest number of paths with bounces in each half of the samples, if the half has as many."""
 
 CONTRIBUTION_MIN = 0.005
-"""Share of a ray below which a Gaussian is left out of it: half of those that it reaches, and 1 % of what it shows."""
+"""Blend weight below which a Gaussian is ignored on a ray: half of the hits, and 1 % of the colour."""
 
 COVERED_MIN = 0.05
-"""Share of a ray that Gaussians must cover for it to tell of them."""
+"""Smallest alpha of a ray that is used."""
 
 OTHERS_MAX = 0.02
-"""Share of a ray up to which what is not baked may show on it; it is not shaded."""
+"""Largest weight on a usable ray of sets that are not baked and of meshes, which are not shaded."""
 
 SPAN_PAST = 1e-4
-"""How far behind the last Gaussian rays end before meshes, of its distance: more than float32 leaves uncertain."""
+"""Distance by which a ray ends behind its last Gaussian and before a mesh, relative to the Gaussian's distance: more
+than the rounding of float32."""
 
 RAYS_AT_ONCE = 2**17
-"""Lines whose Gaussians are listed at once: some 200 MB of the host's memory."""
+"""Rays whose Gaussians are listed at once, about 200 MB of host memory."""
 
 CHANGE_SPREAD = 0.15
-"""Standard deviation of the changes that are expected of coefficients by what is seen together, of degree 0; of degree
-l a part of 1 / (l + 1), so that noise of rays does not go into how matt surfaces change with the direction."""
+"""Expected standard deviation of the change of the coefficient of degree 0 in the joint fit. Degree l has 1 / (l + 1)
+of it, so that noise does not make diffuse surfaces view-dependent."""
 
 MISFIT = 0.03
-"""Error of blended harmonics that is expected besides noise, display-referred."""
+"""Expected error of blended SH colours in addition to noise, display-referred."""
 
 JOINT_STEPS = 40
-"""Most steps of conjugate gradients: with 10, a room has 0.3 dB less, a statue 0.3, a ball of rough metal 0.6."""
+"""Maximum number of conjugate gradient steps. Ten steps lose 0.3 dB on a room, 0.3 on a statue and 0.6 on a rough
+metal ball."""
 
 JOINT_ERROR = 1e-6
-"""Relative residual at which these end: what single precision on the device resolves."""
+"""Relative residual at which conjugate gradients end: the resolution of single precision on the device."""
 
 JOINT_RAYS = 2**19
-"""Rays to Gaussians that are changed together: to 8,192 of them with 32 directions."""
+"""Rays in one joint fit: those to 8,192 Gaussians with 32 directions."""
 
 _Rows = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pixels:
-    """Holds what frames show on P rays, and which Gaussians are blended there."""
+    """Frame colours on P rays, and the Gaussians that are blended there."""
 
     colors: Doubles
-    """Display-referred, shape (P, 3)."""
+    """Display-referred colours, shape (P, 3)."""
     noise: float
-    """Mean variance of these."""
+    """Mean variance of the colours."""
     ray: _Rows
-    """Ray of each of S sights, ascending, shape (S,)."""
+    """Ray of each of S contributions, ascending, shape (S,)."""
     gaussian: _Rows
-    """Gaussian of each sight, shape (S,)."""
+    """Gaussian of each contribution, shape (S,)."""
     weight: Doubles
-    """Share of the Gaussian's colour in the ray's, shape (S,)."""
+    """Blend weight of the Gaussian's colour on the ray, shape (S,)."""
     direction: FloatArray
-    """From the eye to the Gaussian's mean, its own space, unit, shape (S, 3)."""
+    """Unit direction from the camera to the Gaussian's mean, object space, shape (S, 3)."""
 
     def information(self, gaussians: int) -> Doubles:
-        """About each coefficient of a Gaussian, as if it was seen from all sides, in units of their noise, shape (N,).
+        """Returns the information about each Gaussian's coefficients, in units of 1 / noise variance, shape (N,).
 
-        The diagonal of the normal equations; the mean square of a harmonic over all directions is 1 / (4 pi). Pixels of
-        all parts of a bake are taken to be as noisy.
+        It is the diagonal of the normal equations for views from all directions: the mean square of an SH basis
+        function over the sphere is 1 / (4 pi). All parts of a bake are assumed to be equally noisy.
         """
         return np.bincount(self.gaussian, np.square(self.weight), gaussians) / (4.0 * np.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _UsableRays:
-    """P rays that show nothing but relit sets, from their front, and S sights of the Gaussians that they blend."""
+    """P rays that show only front sides of relit sets, and the S contributions of Gaussians to them."""
 
     origins: FloatArray
-    """World space, (P, 3)."""
+    """Origins, world space, shape (P, 3)."""
     directions: FloatArray
-    """Unit, (P, 3)."""
+    """Unit directions, shape (P, 3)."""
     share: Doubles
-    """Share of each ray's pixel that Gaussians cover, (P,)."""
+    """Alpha of each ray, shape (P,)."""
     before_mesh: Flags
-    """Which end at a mesh behind them, (P,)."""
+    """True where a ray ends at a mesh behind its Gaussians, shape (P,)."""
     ray: _Rows
-    """Ascending, (S,)."""
+    """Ray of each contribution, ascending, shape (S,)."""
     side: IntArray
-    """Twice the number of the Gaussian, and one more where its back is seen, (S,)."""
+    """Twice the Gaussian's index, plus one where its back is visible, shape (S,)."""
     weight: Doubles
-    """They add up to the share of each ray, (S,)."""
+    """Blend weights, which sum to the alpha of each ray, shape (S,)."""
     along: FloatArray
-    """From the eye to the Gaussian's mean, its own space, unit, (S, 3)."""
+    """Unit direction from the camera to the Gaussian's mean, object space, shape (S, 3)."""
 
     @classmethod
     def joined(cls, parts: list[_UsableRays]) -> _UsableRays:
-        """All of them, in order; the list is emptied, and one field at a time is held twice."""
+        """Concatenates rays and empties the list, so that only one field at a time is in memory twice."""
         firsts = np.cumsum([0, *(len(part.share) for part in parts)])
         fields = {name: [getattr(part, name) for part in parts] for name in cls.__slots__}
         fields["ray"] = [ray + first for ray, first in zip(fields["ray"], firsts, strict=False)]
@@ -138,12 +140,12 @@ class _UsableRays:
 
 
 class JointShFit:
-    """Looks at the Gaussians of a scene together.
+    """Refits the SH of all relit Gaussians of a scene jointly.
 
     Args:
-        scene: With its lights and meshes.
-        config: Settings of what frames show; ``samples`` are paths a ray, even.
-        exposure: Stops.
+        scene: Scene with its lights and meshes.
+        config: Settings of the rendered frames; ``samples`` is the even number of paths per ray.
+        exposure: Exposure, stops.
         launcher: The device.
     """
 
@@ -161,11 +163,11 @@ class JointShFit:
         self._paths = FrameRays(replace(config, samples=half), launcher)
         self._bounced: tuple[FrameRays, FrameRays] | None = None
         if config.pipeline.traces_paths and config.max_bounces != 0:
-            # By the same random numbers: what paths bring without bouncing is a part of what they bring.
+            # Equal random numbers: the direct light of both renderers is the same and cancels in the difference.
             few = replace(config, samples=min(max(half // BOUNCED_FRACTION, BOUNCED_MIN), half))
             self._bounced = FrameRays(few, launcher), FrameRays(replace(few, max_bounces=0), launcher)
             self._paths = FrameRays(replace(self._paths.config, max_bounces=0), launcher)
-        # Where rays of lit frames meet Gaussians: by peaks, by which it is told, too, what lies before an end.
+        # Lit frames sort hits by their peak distance, which also decides what lies before the end of a segment.
         order = config.trace.hit_distance or HitDistance.PEAK
         unlit = replace(
             config, pipeline=Pipeline.TRACE, lighting=False, trace=replace(config.trace, hit_distance=order)
@@ -174,10 +176,10 @@ class JointShFit:
         self._blends = Renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), launcher)
 
     def refitted(self, sh: Doubles, rays_of_gaussians: SampleRays, progress: Progress | None) -> Doubles:
-        """Harmonics of all Gaussians of the scene, (N, K, 3), such that rays along these ways show what frames do.
+        """Refits the SH of all Gaussians, shape (N, K, 3), so that blends along sampled rays match rendered frames.
 
-        Neighbours are changed together, some thousands at a time. What is around them follows, and the more rays it was
-        fitted to before, the less.
+        Some thousands of neighbouring Gaussians are fitted at a time. Gaussians around them that the rays also show
+        change too, but less the more rays they were fitted to before.
         """
         result, information = np.array(sh), np.zeros(len(sh))
         order = morton_order(self._means[rays_of_gaussians.gaussian])
@@ -196,13 +198,13 @@ class JointShFit:
         return result
 
     def pixels(self, rays_of_gaussians: SampleRays, count: int) -> Pixels:
-        """What frames show on so many rays to each Gaussian, along these ways."""
+        """Draws ``count`` usable rays to each Gaussian, and renders the frame's colours on them."""
         rays = self._rays(rays_of_gaussians, count)
         colors, noise = self._displayed(self._light(rays), rays.share[:, None])
         return Pixels(colors, noise, rays.ray, rays.side.astype(np.int64) // 2, rays.weight, rays.along)
 
     def _rays(self, rays_of_gaussians: SampleRays, count: int) -> _UsableRays:
-        """Those that show nothing but relit sets, from their front; in place of others, more are drawn, some rounds."""
+        """Draws usable rays to each Gaussian, again for Gaussians that lack some, up to `RAY_DRAWS` times."""
         parts: list[_UsableRays] = []
         lacking = np.full(len(rays_of_gaussians.gaussian), count)
         for number in range(RAY_DRAWS):
@@ -219,7 +221,7 @@ class JointShFit:
         return _UsableRays.joined(parts)
 
     def _choose_usable(self, drawn: DrawnRays, wanted: _Rows) -> tuple[_UsableRays, _Rows]:
-        """The first lines to each Gaussian that show relit sets as viewers of captures do, and how many these are."""
+        """Returns the first usable rays to each Gaussian, at most ``wanted``, and how many each has."""
         origins, directions = (array.reshape(-1, 3) for array in (drawn.origins, drawn.directions))
         hits = self._blends.trace_rays(self._scene, origins, directions, profile=True)
         assert hits.profile is not None
@@ -228,9 +230,9 @@ class JointShFit:
         usable = (share > COVERED_MIN) & (gaussian_hits.total(~relit) < OTHERS_MAX)
         usable &= 1.0 - hits.transmittance - share < OTHERS_MAX
         facing = self._facing(gaussian_hits.gaussian, directions[gaussian_hits.ray])
-        # Rays that see more of the backs of Gaussians with normals than of their fronts: nobody is there.
+        # Rays that show more backs than fronts of Gaussians with normals come from inside an object.
         usable &= gaussian_hits.total(facing * self._has_front[gaussian_hits.gaussian]) <= 0.0
-        if self._config.pipeline.traces_paths:  # which shows lights as bodies, in front of Gaussians and behind
+        if self._config.pipeline.traces_paths:  # path tracing shows lights as surfaces
             usable &= ~hits_light(self._scene.lights, origins, directions)
         usable = usable.reshape(drawn.origins.shape[:2])
         usable &= np.cumsum(usable, axis=1) <= wanted[:, None]
@@ -251,11 +253,11 @@ class JointShFit:
         return rays, found
 
     def _facing(self, gaussian: _Rows, directions: FloatArray) -> Doubles:
-        """Cosines of directions to the normals of Gaussians: above 0 where they show their backs."""
+        """Returns cosines between directions and normals of Gaussians: above 0 where a ray shows the back."""
         return (self._normals[gaussian] * directions).sum(axis=1)
 
     def _light(self, rays: _UsableRays) -> Doubles:
-        """Linear light of what rays meet, by every other sample and by the others, with less noise, (2, P, 3)."""
+        """Renders the radiance of rays from even and from odd samples, linear and denoised, shape (2, P, 3)."""
         begins, ends, base = self._lit_segments(rays)
         starts = (rays.origins + begins[:, None] * rays.directions).astype(np.float32)
         twice = (
@@ -269,7 +271,7 @@ class JointShFit:
             hit_share = 1.0 - hits.transmittance.astype(np.float64)
             return hits.radiance.astype(np.float64).reshape(2, -1, 3), hit_share.reshape(2, -1, 1)
 
-        # Both sides of a sheet have light of their own.
+        # The two sides of a sheet are lit differently.
         sides, renamed = np.unique(rays.side, return_inverse=True)
         weights = RayWeights(rays.ray, renamed, rays.weight, len(rays.share), len(sides))
         light = denoised_by_rays(*rendered(self._paths), base, weights, DIRECT_SLOPE)
@@ -279,10 +281,12 @@ class JointShFit:
         return light
 
     def _lit_segments(self, rays: _UsableRays) -> tuple[Doubles, Doubles, Doubles]:
-        """Where the parts of rays begin and end on which nothing but relit sets is, and what these show of even light.
+        """Finds the segment of each ray that contains only relit sets, and its colour in a constant environment.
 
-        As lit frames sort them, by where rays meet them: viewers of captures sort them by their means. Shapes (P,),
-        (P,), (P, 3).
+        Lit frames sort Gaussians by their hit distance, viewers of captures by the distance of their means.
+
+        Returns:
+            Start and end of the segments, shape (P,) each, and colours, shape (P, 3).
         """
         parts: list[tuple[Doubles, Doubles, Doubles]] = []
         for rows in _ranges(len(rays.share), RAYS_AT_ONCE):
@@ -296,20 +300,20 @@ class JointShFit:
         return begins, ends, base
 
     def _displayed(self, light: Doubles, share: Doubles) -> tuple[Doubles, float]:
-        """Display-referred colours of rays of this light, and the mean variance of their noise."""
+        """Tone-maps the radiance of rays to display-referred colours, and returns the mean variance of their noise."""
 
         def displayed(light: Doubles) -> Doubles:
             nothing = np.zeros_like(light)
             values = lit_picture(nothing, nothing[..., 0], light, self._exposure, self._config.tone_map)
             return share * values.astype(np.float64)
 
-        # The curve bends noise: that of the mean by half as much as that of the halves, which is taken out.
+        # The tone curve biases noisy values, the mean half as much as each half: extrapolation removes the bias.
         halves = displayed(light)
         colors = 2.0 * displayed(light.mean(axis=0)) - halves.mean(axis=0)
         return colors, float(0.25 * np.square(halves[0] - halves[1]).mean()) if len(colors) else 0.0
 
     def _directions(self, eyes: FloatArray, gaussian: _Rows) -> FloatArray:
-        """From eyes, world space, to Gaussians, in their own space."""
+        """Returns unit directions from camera positions in world space to Gaussians, each in its object space."""
         towards = self._means[gaussian] - eyes
         for number, one in enumerate(self._scene.splats):
             here = self._instance[gaussian] == number
@@ -319,7 +323,7 @@ class JointShFit:
 
 
 class Blend:
-    """Blends harmonics of Gaussians into pixels, and gathers errors of pixels, on the device."""
+    """Blends SH colours of Gaussians into pixels, and gathers errors of pixels, on the device."""
 
     def __init__(self, pixels: Pixels, gaussians: int, terms: int, launcher: Launcher) -> None:
         buffers = Buffers(launcher.device)
@@ -338,15 +342,15 @@ class Blend:
         self._sh = buffers.get("sh", wp.vec3, (gaussians, terms))
 
     def pixel_colors(self, sh: Doubles) -> Doubles:
-        """What pixels show, (N, K, 3) to (P, 3)."""
+        """Returns the colours of pixels, SH of shape (N, K, 3) to (P, 3), with negative Gaussian colours clamped."""
         return self._blended(sh, 0.5, 0.0)
 
     def blend(self, sh: Doubles) -> Doubles:
-        """The linear part of that."""
+        """Returns the linear part of `pixel_colors`, without constant and clamping."""
         return self._blended(sh, 0.0, -float(np.finfo(np.float32).max))
 
     def gather(self, errors: Doubles) -> Doubles:
-        """The transpose of ``blend``, (P, 3) to (N, K, 3)."""
+        """Applies the transpose of ``blend``, shape (P, 3) to (N, K, 3)."""
         self._colors.assign(errors.astype(np.float32))
         self._sh.fill_(0.0)
         self._launcher.run_banded(
@@ -367,16 +371,16 @@ class Blend:
 
 
 def refitted_sh(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles) -> Doubles:
-    """Harmonics (N, K, 3) changed so that pixels show their colours, by least squares.
+    """Returns SH of shape (N, K, 3), changed so that blended pixels match their colours, by ridge least squares.
 
-    Coefficients are expected to change by some hundredths, and pixels tell as much of it as their noise lets them: the
-    ridge is the ratio of the two variances. Solved by conjugate gradients.
+    The ridge is the ratio of two variances: that of the pixels' noise, and that of the expected change of the
+    coefficients, a few hundredths. Conjugate gradients solve the system.
 
     Args:
-        blend: Of the pixels.
-        pixels: What they show, and of which Gaussians.
-        sh: What is to be changed.
-        information: Of the pixels to which it was fitted before, as of `Pixels.information`, shape (N,).
+        blend: Blending of the pixels.
+        pixels: Colours and Gaussians of the pixels.
+        sh: SH to change.
+        information: Information of earlier pixels about each Gaussian, as in `Pixels.information`, shape (N,).
     """
     level: Doubles = np.floor(np.sqrt(np.arange(sh.shape[1], dtype=np.float64) + 0.5))[:, None]
     ridge = (pixels.noise + MISFIT**2) / CHANGE_SPREAD**2 * (level + 1.0) ** 2 + information[:, None, None]
@@ -392,18 +396,18 @@ def refitted_sh(blend: Blend, pixels: Pixels, sh: Doubles, information: Doubles)
 
 
 def _ranges(count: int, at_once: int) -> Iterator[slice]:
-    """Ranges of so many numbers at once; at least an empty one."""
+    """Yields slices of at most ``at_once`` numbers; at least one, which may be empty."""
     for begin in range(0, max(count, 1), at_once):
         yield slice(begin, min(begin + at_once, count))
 
 
 def _world_normals(instance: SplatInstance) -> Doubles:
-    """Normals of the planes of Gaussians, world space, shape (N, 3)."""
+    """Returns the normals of an instance's Gaussians, world space, shape (N, 3)."""
     return plane_normals(instance.gaussians) @ instance.transform[:3, :3].T / instance.scale
 
 
 def _first_of(numbers: _Rows, count: int) -> IntArray:
-    """Where each number from 0 on begins once all are sorted, and how many there are at the end."""
+    """Returns the first position of each number in the sorted numbers, followed by their count."""
     return np.concatenate([[0], np.cumsum(np.bincount(numbers, minlength=count))]).astype(np.int32)
 
 
@@ -414,14 +418,14 @@ def _uploaded(buffers: Buffers, name: str, values: IntArray) -> DeviceArray:
 
 
 class FrameRays(Renderer):
-    """A renderer that shows rays up to where they end, and lists what they meet in the order of its settings."""
+    """Renders radiance along segments of rays, and lists the Gaussians that rays hit in the order of the settings."""
 
     def radiance(self, scene: Scene, origins: FloatArray, directions: FloatArray, ends: FloatArray) -> RayHits:
-        """What rays show before these distances, shape (N,); directions are unit vectors."""
+        """Renders rays up to these distances, shape (N,); directions are unit vectors."""
         return self._queries.query(self._scene, self._ready(scene), origins, directions, ends=ends)
 
     def hits(self, scene: Scene, origins: FloatArray, directions: FloatArray) -> RayProfile:
-        """The Gaussians on rays, one by one; directions are unit vectors."""
+        """Lists the Gaussians on each ray; directions are unit vectors."""
         self._ready(scene)
         return self._profiles.query(self._scene, scene, origins, directions)
 
@@ -433,21 +437,21 @@ class FrameRays(Renderer):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HitGaussians:
-    """The Gaussians on P rays, S rows sorted by ray, each ray's in the order in which they are blended."""
+    """Gaussians on P rays: S rows, sorted by ray, and on each ray in blending order."""
 
     ray: _Rows
-    """Shape (S,)."""
+    """Ray of each row, shape (S,)."""
     gaussian: _Rows
-    """Among all of the scene's, shape (S,)."""
+    """Index among all Gaussians of the scene, shape (S,)."""
     weight: Doubles
-    """Share of it in what the ray shows, shape (S,)."""
+    """Blend weight of the Gaussian on the ray, shape (S,)."""
     t: Doubles
-    """Distance, scene units, shape (S,)."""
+    """Distance along the ray, scene units, shape (S,)."""
     rays: int
 
     @classmethod
     def of(cls, profile: RayProfile, firsts: IntArray) -> HitGaussians:
-        """Those of a profile; ``firsts`` are the numbers of the first Gaussian of each instance."""
+        """Converts a ray profile; ``firsts`` is the index of each instance's first Gaussian."""
         return cls(
             ray=np.repeat(np.arange(len(profile)), np.diff(profile.first)),
             gaussian=firsts[profile.instance_index] + profile.gaussian_index.astype(np.int64),
@@ -457,26 +461,26 @@ class HitGaussians:
         )
 
     def where(self, rows: Flags) -> HitGaussians:
-        """Some of them, on the same rays."""
+        """Returns some rows, on the same rays."""
         return HitGaussians(self.ray[rows], self.gaussian[rows], self.weight[rows], self.t[rows], self.rays)
 
     def total(self, values: Doubles | Flags) -> Doubles:
-        """Weighted sums of values of the rows over each ray, shape (P,)."""
+        """Returns sums over each ray of values times blend weights, shape (P,)."""
         return np.bincount(self.ray, self.weight * values, self.rays).astype(np.float64)
 
 
 def clear_spans(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[Doubles, Doubles, Flags]:
-    """The part of each ray around what it shows most of, on which nothing but wanted Gaussians is.
+    """Returns the segment of each ray that contains only wanted Gaussians, around the one with the largest weight.
 
     Args:
         hits: The Gaussians on the rays.
-        wanted: Which rows are of these, shape (S,).
-        before_mesh: Which rays meet a mesh behind all of them, shape (P,).
+        wanted: Rows of wanted Gaussians, shape (S,).
+        before_mesh: Rays that hit a mesh behind all Gaussians, shape (P,).
 
     Returns:
-        Where it begins and where it ends, shape (P,) each: 0 and infinity where the ray reaches nothing else, else half
-        way between what is wanted and what is not; and which rows are within, shape (S,). A ray that nothing is left
-        of ends where it begins.
+        Start and end of each segment, shape (P,) each, and the rows inside, shape (S,). A segment ends half-way between
+        a wanted and an unwanted Gaussian; without unwanted Gaussians it goes from 0 to infinity. It is empty if the ray
+        has no wanted Gaussian.
     """
     ray, t = hits.ray, hits.t
     most, middle = np.zeros(hits.rays), np.zeros(hits.rays)
@@ -498,10 +502,10 @@ def clear_spans(hits: HitGaussians, wanted: Flags, before_mesh: Flags) -> tuple[
 
 
 def reflected_colors(instance: SplatInstance) -> Doubles:
-    """About what the Gaussians of a set show in even light of radiance 1, linear, shape (N, 3).
+    """Returns approximate colours of a set's Gaussians in a constant environment of radiance 1, linear, shape (N, 3).
 
-    By the colours that they are shaded with: those that were captured, of sets that shine by them, whatever their
-    albedo. What the surface of a dielectric mirrors is white, so that black ones that are glossy are not black.
+    Colours are those that the set is shaded with: captured colours if the set emits them, else the albedo. A white
+    specular part is added, so that glossy black dielectrics are not black.
     """
     (by_albedo,) = shading_overrides(Scene([instance]), lit=True)["shows_albedo"]
     gaussians = instance.gaussians if by_albedo else replace(instance.gaussians, albedo=None)
@@ -514,12 +518,12 @@ def reflected_colors(instance: SplatInstance) -> Doubles:
 
 
 def hits_light(lights: Iterable[Light], origins: FloatArray, directions: FloatArray) -> Flags:
-    """Returns which rays reach a light that is visible, whatever hides it, shape (N,).
+    """Returns which rays reach a visible light, ignoring occluders, shape (N,).
 
     Args:
-        lights: Of a scene.
-        origins: World space, shape (N, 3).
-        directions: Unit, shape (N, 3).
+        lights: Lights of a scene.
+        origins: Origins, world space, shape (N, 3).
+        directions: Unit directions, shape (N, 3).
     """
     starts, along = origins.astype(np.float64), directions.astype(np.float64)
     reaches = np.zeros(len(origins), np.bool_)

@@ -1,7 +1,7 @@
-"""What rays show of Gaussians by their harmonics, and the transpose of that (docs/method/relighting.md#baking).
+"""Blends SH colours of Gaussians along rays, and the transpose of that (docs/method/relighting.md#baking).
 
-Rays and Gaussians meet in *sights*, sorted by ray. One item is a ray where colours are blended, and a Gaussian where
-errors are gathered.
+A *contribution* is a Gaussian on a ray; contributions are sorted by ray. One item is a ray when colours are blended,
+and a Gaussian when errors are gathered.
 """
 
 import warp as wp
@@ -14,14 +14,14 @@ wp.set_module_options({"enable_backward": False})
 
 @struct
 class Contributions:
-    """A Gaussian on a ray."""
+    """Gaussians that contribute to rays."""
 
     ray: wp.array[int]
     gaussian: wp.array[int]
     weight: wp.array[float]
-    """Of its colour in what the ray shows."""
+    """Blend weight of the Gaussian's colour in the ray's."""
     direction: wp.array[wp.vec3]
-    """From the eye to its mean, its own space, unit."""
+    """Unit direction from the camera to the Gaussian's mean, object space."""
 
 
 @wp.kernel
@@ -35,16 +35,16 @@ def blend_sh(
     sh: wp.array2d[wp.vec3],
     color_out: wp.array[wp.vec3],
 ):
-    """What rays show, a ray an item.
+    """Blends the SH colours of Gaussians along each ray. One item is one ray.
 
     Args:
         start: First item.
-        terms: Coefficients of a Gaussian.
-        shift: Added to the colour of each Gaussian.
-        least: Below which no channel of these falls.
-        contributions: Sorted by ray.
-        first: Each ray's first sight, and their number at the end.
-        sh: Coefficients.
+        terms: SH coefficients per Gaussian.
+        shift: Constant added to the colour of each Gaussian.
+        least: Lower bound of each channel of a Gaussian's colour.
+        contributions: Contributions, sorted by ray.
+        first: Index of each ray's first contribution, followed by the number of contributions.
+        sh: SH coefficients.
         color_out: Blended colours.
     """
     i = start + wp.tid()
@@ -68,16 +68,16 @@ def gather_errors(
     error: wp.array[wp.vec3],
     sh_inout: wp.array2d[wp.vec3],
 ):
-    """Sums errors of rays into coefficients, a Gaussian an item.
+    """Sums the errors of rays into SH coefficients, the transpose of `blend_sh`. One item is one Gaussian.
 
     Args:
         start: First item.
-        terms: Coefficients of a Gaussian.
-        contributions: Sorted by ray.
-        order: Sights sorted by Gaussian.
-        first: Each Gaussian's first place in that order, and the number of sights at the end.
-        error: Of rays.
-        sh_inout: Receives the sums; zero before.
+        terms: SH coefficients per Gaussian.
+        contributions: Contributions, sorted by ray.
+        order: Indices of the contributions, sorted by Gaussian.
+        first: Each Gaussian's first position in that order, followed by the number of contributions.
+        error: Errors of the rays.
+        sh_inout: Sums; zero at the start.
     """
     i = start + wp.tid()
     for j in range(first[i], first[i + 1]):

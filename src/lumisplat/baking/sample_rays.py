@@ -1,4 +1,4 @@
-"""Chooses the rays along which Gaussians are viewed, from free space, and their weights."""
+"""Samples camera rays from free space towards Gaussians, and weights the views of a Gaussian."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import SplatInstance
 
 SIDE_MIN = 0.05
-"""Share of what counts below which a side is not looked at any further: the other one gets all directions."""
+"""Fraction of the weight of one side of a Gaussian below which all views are moved to the other side."""
 
 BACK_SHARE = 0.02
-"""How much views of the back of Gaussians count whose normals are known, relative to those of their front."""
+"""Weight of back views of Gaussians with known normals, relative to front views."""
 
 DARK_SIDE_MIN = 1e-3
-"""Least factor of views of a side that is dark, where the other one is lit: it is the inside of something closed."""
+"""Smallest weight factor of a dark side where the other side is lit. The dark side is the inside of a closed object."""
 
 GOLDEN_STEP = 0.6180339887498949
-"""Fraction of the golden ratio: its multiples are spread evenly, however many there are."""
+"""Fractional part of the golden ratio, whose multiples are evenly distributed in 0..1 for any count."""
 
 POINT_REACH = 3.0
-"""Standard deviations from the middle of a Gaussian up to which rays look at it, of those seen together."""
+"""Largest distance of the points at which sample rays aim, in standard deviations from the Gaussian's mean."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,31 +36,31 @@ class DrawnRays:
     """Rays, world space, R to each of N Gaussians."""
 
     origins: FloatArray
-    """The eyes, (N, R, 3)."""
+    """Camera positions, shape (N, R, 3)."""
     directions: FloatArray
-    """Unit, (N, R, 3)."""
+    """Unit directions, shape (N, R, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampleRays:
-    """Ways along which eyes may see N Gaussians, D each, world space: rays are drawn from them when they are needed."""
+    """Distributions of camera rays towards N Gaussians, D directions each, world space, from which rays are drawn."""
 
     gaussian: IntArray
-    """Which Gaussians of the scene, shape (N,)."""
+    """Index of each Gaussian in the scene, shape (N,)."""
     means: FloatArray
-    """Shape (N, 3)."""
+    """Means of the Gaussians, shape (N, 3)."""
     axes: FloatArray
-    """Those of the Gaussians, times standard deviations, in columns, shape (N, 3, 3)."""
+    """Axes of the Gaussians times their standard deviations, as columns, shape (N, 3, 3)."""
     directions: FloatArray
-    """From the eye, unit, shape (N, D, 3)."""
+    """Unit directions from the camera, shape (N, D, 3)."""
     distances: FloatArray
-    """Up to which eyes see the Gaussian, scene units, shape (N, D)."""
+    """Largest distance from which each direction sees the Gaussian, scene units, shape (N, D)."""
     shares: FloatArray
-    """Of rays along each way and the ways before it, up to 1, shape (N, D)."""
+    """Cumulative probability of the directions, ending at 1, shape (N, D)."""
 
     @classmethod
     def allocated(cls, gaussians: int, directions_each: int) -> SampleRays:
-        """Room for so many ways to each of so many Gaussians."""
+        """Allocates uninitialised distributions for a number of Gaussians and of directions for each."""
         shapes = (3,), (3, 3), (directions_each, 3), (directions_each,), (directions_each,)
         return cls(np.empty(gaussians, np.int32), *(np.empty((gaussians, *shape), np.float32) for shape in shapes))
 
@@ -68,17 +68,18 @@ class SampleRays:
     def of_views(
         cls, instance: SplatInstance, directions: Doubles, weights: Doubles, distances: Doubles, first: int
     ) -> SampleRays:
-        """Those of views of an instance's Gaussians: the more rays, the more a view counts and the farther it sees.
+        """Builds the distributions from views: probability is proportional to a view's weight times its distance.
 
-        Eyes that are in free space anywhere would be spread evenly along a view, each with as many pixels of the
-        Gaussian as it shows; but people look across rooms, and not at the wall beside them.
+        Cameras anywhere in free space would be uniform along a view, and each would show the Gaussian in equally many
+        pixels. The additional factor of the distance reflects that people look across rooms rather than at the wall
+        beside them.
 
         Args:
-            instance: The Gaussians, in their place.
-            directions: From the eye, object space, unit, shape (N, D, 3).
-            weights: Of these, shape (N, D).
-            distances: Up to which it is seen, scene units, shape (N, D).
-            first: Number of the first Gaussian in the scene.
+            instance: The splat instance.
+            directions: Unit directions from the camera, object space, shape (N, D, 3).
+            weights: Weights of the directions, shape (N, D).
+            distances: Largest distance from which each direction sees the Gaussian, scene units, shape (N, D).
+            first: Index of the instance's first Gaussian in the scene.
         """
         gaussians = instance.gaussians
         across = weights * distances
@@ -94,35 +95,35 @@ class SampleRays:
         )
 
     def put(self, first: int, some: SampleRays) -> None:
-        """Writes those of some Gaussians, from this row on."""
+        """Copies the distributions of some Gaussians into the rows from ``first``."""
         rows = slice(first, first + len(some.gaussian))
         for name in self.__slots__:
             getattr(self, name)[rows] = getattr(some, name)
 
     def of(self, rows: npt.NDArray[np.int64]) -> SampleRays:
-        """Those of some of the Gaussians."""
+        """Returns the distributions of some Gaussians."""
         return SampleRays(*(getattr(self, name)[rows] for name in self.__slots__))
 
     def draw(self, number: int, count: int, seed: int) -> DrawnRays:
-        """Rays to each Gaussian, through points drawn from it: those of a round, evenly spread over the ways.
+        """Draws rays to each Gaussian through random points of it, stratified over its directions.
 
-        Eyes are spread along the distance up to which the Gaussian is seen, the farther the more.
+        The density of camera positions along a direction grows linearly with the distance.
 
         Args:
-            number: Of the round, from 0 on: each has other rays.
-            count: Of the rays to each Gaussian; the same in all rounds.
-            seed: By which, and by the number of the Gaussian, points and distances are drawn.
+            number: Number of the iteration, from 0; each iteration draws other rays.
+            count: Number of rays to each Gaussian, equal in all iterations.
+            seed: Seed of points and distances, together with the Gaussian's index.
         """
         uniform, points = self._draws(number, count, seed)
         wanted = (GOLDEN_STEP * np.arange(number * count, (number + 1) * count) + uniform[:, :1]) % 1.0
-        # With the row added, the shares of all Gaussians ascend, and are searched at once.
+        # Adding the row index makes the shares of all Gaussians one ascending array for a single search.
         row = np.arange(len(wanted))[:, None]
         below = np.searchsorted((row + self.shares[:, :-1].astype(np.float64)).ravel(), row + wanted)
         chosen = below - row * (self.shares.shape[1] - 1)
         along = np.take_along_axis(self.directions, chosen[:, :, None], axis=1).astype(np.float64)
         away = np.take_along_axis(self.distances, chosen, axis=1) * np.sqrt(uniform[:, 1:])
         points *= np.minimum(1.0, POINT_REACH / np.maximum(np.linalg.norm(points, axis=2, keepdims=True), 1e-12))
-        # From the eye; one within the very point that it looks at looks past it.
+        # A camera at the viewed point itself looks along the direction instead.
         to_point = away[..., None] * along + points @ np.swapaxes(self.axes, 1, 2)
         length = np.linalg.norm(to_point, axis=2, keepdims=True)
         to_point = np.where(length > 0.0, to_point / np.maximum(length, 1e-300), along)
@@ -130,7 +131,7 @@ class SampleRays:
         return DrawnRays(eyes.astype(np.float32), to_point.astype(np.float32))
 
     def _draws(self, number: int, count: int, seed: int) -> tuple[Doubles, Doubles]:
-        """Even numbers, the first of a Gaussian the same in all rounds, (N, 1 + R), and normal ones, (N, R, 3)."""
+        """Returns uniform numbers, shape (N, 1 + R), the first equal in all iterations, and normal ones, (N, R, 3)."""
         uniform, normal = np.empty((len(self.gaussian), 1 + count)), np.empty((len(self.gaussian), count, 3))
         for row, gaussian in enumerate(self.gaussian):
             start, rng = (
@@ -144,31 +145,31 @@ class SampleRays:
 
 
 def random_rotations(count: int, rng: np.random.Generator) -> Doubles:
-    """Rotations, uniform, as unit quaternions, wxyz, shape (count, 4)."""
+    """Returns uniform random rotations as unit quaternions, wxyz, shape (count, 4)."""
     rotations = rng.standard_normal((count, 4))
     return rotations / np.linalg.norm(rotations, axis=1, keepdims=True)
 
 
 def rotated_directions(count: int, rotations: Doubles) -> Doubles:
-    """Even directions, turned for each Gaussian, so that neighbours are seen from others: shape (N, count, 3)."""
+    """Returns evenly spread directions, rotated differently for each Gaussian, shape (N, count, 3)."""
     return even_directions(count) @ np.swapaxes(matrices_from_quaternions(rotations), 1, 2)
 
 
 def plane_normals(gaussians: Gaussians) -> Doubles:
-    """Normals, object space, shape (N, 3): those that are stored, else the smallest axes, of either sign."""
+    """Returns normals, object space, shape (N, 3): the stored ones, else the shortest axes with arbitrary sign."""
     if gaussians.normals is not None:
         return gaussians.normals.astype(np.float64)
     return shortest_axes(gaussians)
 
 
 def on_visible_sides(directions: Doubles, normals: Doubles, weights: Doubles, front: Flags) -> Doubles:
-    """Directions, mirrored at the planes of the Gaussians onto the side that alone counts, where one does.
+    """Mirrors directions of a Gaussian to its visible side, if nearly all weight is on one side.
 
     Args:
-        directions: To be looked along, shape (N, D, 3).
-        normals: Of the planes, shape (N, 3).
-        weights: Of views that have been looked at already, shape (N, E).
-        front: Which of those show the front, shape (N, E).
+        directions: Directions to mirror, shape (N, D, 3).
+        normals: Normals of the Gaussians, shape (N, 3).
+        weights: Weights of the pilot views, shape (N, E).
+        front: Pilot views that show the front, shape (N, E).
     """
     share = side_means(weights, front.astype(np.float64))[:, None]
     across = (directions * normals[:, None]).sum(axis=2)
@@ -178,18 +179,18 @@ def on_visible_sides(directions: Doubles, normals: Doubles, weights: Doubles, fr
 
 
 def view_weights(front: Flags, light: Doubles, distance: Doubles, *, has_front: bool) -> Doubles:
-    """How much views count, shape (N, D).
+    """Returns the weights of views, shape (N, D).
 
-    The share of all pixels that show a Gaussian from a direction, if eyes are anywhere in free space, is as the
-    distance up to which they see it: there are more of them farther away, by its square, but it is smaller to them by
-    as much. Harmonics cannot show two sides of a sheet that are lit differently. So the side counts that is lit: the
-    other one is the inside of something closed, or the outside of a room. And of Gaussians with normals, their front.
+    A view's weight is proportional to the distance up to which cameras see the Gaussian. If cameras are anywhere in
+    free space, their number grows with the squared distance and the Gaussian's pixels shrink by as much, so that each
+    distance counts equally. SH cannot show two differently lit sides of a sheet, so the brighter side counts more: the
+    darker side is the inside of a closed object, or the outside of a room. If normals are known, the front counts more.
 
     Args:
-        front: Whether the front is seen, shape (N, D).
-        light: Linear radiance, shape (N, D, 3).
-        distance: Up to which it is seen, shape (N, D).
-        has_front: Whether the front is the outside.
+        front: Views that show the front, shape (N, D).
+        light: Linear radiance of the views, shape (N, D, 3).
+        distance: Distance up to which cameras see the Gaussian, shape (N, D).
+        has_front: Whether the front is known to be the outside.
     """
     weights = np.maximum(distance, 1e-6 * distance.max(initial=1e-30))
     luminance = light @ np.array(LUMINANCE)
@@ -203,6 +204,6 @@ def view_weights(front: Flags, light: Doubles, distance: Doubles, *, has_front: 
 
 
 def side_means(weights: Doubles, values: Doubles) -> Doubles:
-    """Weighted means over directions, shape (N, D) to (N,); 0 where nothing counts."""
+    """Returns weighted means over directions, shape (N, D) to (N,); 0 where all weights are 0."""
     total = weights.sum(axis=1)
     return np.divide((weights * values).sum(axis=1), total, out=np.zeros(len(total)), where=total > 0.0)

@@ -1,1 +1,1 @@
-"""Lights and materials of a known scene, fitted to photographs of it."""
+"""Fits lights and materials of a known scene to images of it."""

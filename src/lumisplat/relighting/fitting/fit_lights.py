@@ -1,4 +1,4 @@
-"""Lights of a known scene, and its base colours, from photographs of it: ``lumisplat.fit_lights``."""
+"""Estimates the lights and base colours of a scene with known surfaces from images: ``lumisplat.fit_lights``."""
 
 from __future__ import annotations
 
@@ -26,30 +26,37 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.scene import Scene
 
 FIT_SIZE = 128
-"""Pixels along the longer side of the pictures in which lights are fitted: light is smooth, and shadows are wide."""
+"""Longer side of the renders in a light fit, pixels. Few suffice, because light is smooth and shadows are wide."""
 
 COARSE_SIZE = 40
-"""The same where lamps are looked for: shadows that are coarse have no edges to be caught at."""
+"""Longer side of the renders in the search for light positions, pixels. Blurred shadows have no sharp edges at which
+the search could get stuck."""
 
 COARSE_SAMPLES = 0.25
-"""Of the samples, there."""
+"""Fraction of the samples per pixel that the search for light positions takes."""
 
 LATTICE_SIDES = (3, 4)
-"""Lamps are tried at so many places along each side of the box that holds the scene, cubed, one lattice after the
-other: from one alone, three lamps of one photograph ended in a wrong place."""
+"""Sizes of the lattices of trial positions, one search after the other: n means n^3 positions in the box of the scene.
+With one lattice alone, a light of three was placed wrongly from one image."""
 
 STEPS_EXPECTED = 8
-"""Steps that searches mostly take, to say how far a fit is: two that were far away took 11 and 22, others 2 to 8."""
+"""Steps that a search is expected to take, for the progress bar. Most took 2 to 8; two that began far away took 11 and
+22."""
 
 _log = logging.getLogger("lumisplat")
 
 ImageLike = npt.NDArray[np.floating] | npt.NDArray[np.unsignedinteger] | str | os.PathLike[str]
 
 _LABEL = "fitting lights"
-_SEARCHING, _RENDERING, _REFINING, _ERRORS = "looking for lamps", "a picture of each", "step by step", "errors"
-"""Stages, of which the pictures take the time."""
+_SEARCHING, _RENDERING, _REFINING, _ERRORS = (
+    "searching for positions",
+    "rendering each light",
+    "refining",
+    "estimating errors",
+)
+"""Stages of the fit, as the progress report names them. Rendering takes nearly all of their time."""
 _COST_RATIO_MAX = 0.9
-"""A lamp that was found elsewhere has to leave less than this share of the cost of one found near where it was."""
+"""Largest ratio of costs at which a light found from the lattice replaces the light found near its given position."""
 
 
 def fit_lights(
@@ -73,53 +80,55 @@ def fit_lights(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> LightFit:
-    """Finds the lights of a scene, whose surfaces are known, from photographs of it.
+    """Fits the lights of a scene with known surfaces to one or more images of it.
 
-    A photograph is taken for ``gain (own + sum_l power_l picture_l)``: what shines by itself, and pictures of lights,
-    rendered one by one. Powers, at least 0, follow by least squares, robust against what the scene lacks;
-    positions and what else pictures are not proportional to by Gauss-Newton, from where the scene has the lights and
-    from a lattice of other places. Source: docs/method/relighting.md#lights-of-a-photograph.
+    An image is modelled as ``gain (emitted + sum_l power_l render_l)``: the light that surfaces emit, and one render of
+    each light with power 1. The powers, at least 0, are a robust linear least-squares fit, so that objects which are
+    missing from the scene count little. Positions and the other parameters that renders depend on nonlinearly are found
+    by Gauss-Newton, from the given values and from a lattice of other positions. Source:
+    docs/method/relighting.md#lights-of-a-photograph.
 
-    Only products are seen of a light's strength and a surface's colour, and of both and the exposure. So base colours
-    are known unless they are asked for; if those of all materials are, their product over the materials stays, by
-    channel, as the scene has it. Exposures are known unless they are asked for; if nothing in the scene shines by
-    itself, that of the first photograph stays.
+    Images show only the product of light power and surface colour, and its product with the exposure. Base colours are
+    therefore known unless ``base_colors`` asks for them. If it asks for all materials, their product over the materials
+    stays as in the scene, for each channel. Exposures are known unless ``exposure`` asks for them. If no surface of the
+    scene emits light, the exposure of the first image stays.
 
     Args:
-        scene: Meshes, and captures with materials; its lights, where they are thought to be. Those that are not enabled
-            stay so.
-        cameras: One, or one a photograph, of the same aspect ratio.
-        images: Files or arrays (H, W, 3), uint8 or 0..1: one, or several in a list. Display-referred sRGB; .exr
-            and .hdr are linear.
-        masks: One a photograph, files or arrays (H, W): what is at least half white counts. None, also in place of one:
-            all does.
-        environment_degree: Of an environment in spherical harmonics in place of the scene's own, 0 to 4 (1 to 25
-            coefficients); None: none, and the scene's own keeps its image. ``"auto"``: 2, unless the scene's own has an
-            image, or intensities are not asked for.
-        intensities: Whether to find the lights' intensities and colours; else they are as the scene has them.
-        keep_hues: Whether each light keeps its colour, so that only its intensity is found.
-        positions: Whether to find positions of lights, and directions of spots and suns.
-        radii: Whether to find radii of points, spots and spheres that have one.
-        angles: Whether to find cones of spots.
-        base_colors: Whether to find base colours: of meshes' materials, and one factor a channel for the colours of
-            each capture whose material reflects and does not shine. All, or those of these names (of a material, else
-            of its instance or mesh; of a capture's instance, else "capture 0" by its number), the others being known.
-            Not found: roughness, textures, and colours of single Gaussians.
-        exposure: Of the photographs, stops: one, or one for each, or ``"fit"``; None: those of the cameras.
+        scene: Meshes, and captures with materials. Its lights are the starting point; disabled lights stay disabled.
+        cameras: One camera, or one for each image, with the aspect ratio of its image.
+        images: One image, or several in a list: files, or arrays of shape (H, W, 3), uint8 or 0..1. They are
+            display-referred sRGB; .exr and .hdr files are linear.
+        masks: One mask for each image, files or arrays of shape (H, W). Pixels of at least half white are fitted. None,
+            also as an item of the list: all pixels are.
+        environment_degree: SH degree of an environment that replaces the scene's own, 0 to 4 (1 to 25 coefficients).
+            None: no SH environment, and the scene's own keeps its image. ``"auto"``: 2, or None if the scene's
+            environment has an image or ``intensities`` is False.
+        intensities: Whether to fit the lights' intensities and colours; otherwise they stay as in the scene.
+        keep_hues: Whether each light keeps its colour, so that only its intensity is fitted.
+        positions: Whether to fit positions of lights, and directions of spots and suns.
+        radii: Whether to fit radii of points, spots and spheres whose radius is above 0.
+        angles: Whether to fit the cone angles of spots.
+        base_colors: Base colours to fit: True for all, or a list of names; the others are known. Each material of
+            meshes has one colour. Each capture with a reflecting material that does not emit has one factor per
+            channel. Names are those of a material, else of its instance or mesh; of a capture's instance, else "capture
+            0" by its number. Roughness, textures, and colours of single Gaussians are not fitted.
+        exposure: Exposure of the images in stops: one number, or one for each image, or ``"fit"``. None: those of the
+            cameras.
         linear: Whether arrays hold linear light; None: they do not.
-        tone_map: What display-referred photographs went through.
-        size: Pixels along the longer side of the pictures that are compared, 16 to 4096.
-        config: How light behaves. None: paths, 64 samples for each light, as in reality. A photograph that was rendered
-            by another pipeline is explained by the same one. Shadows of lights with a size are soft if it says so.
+        tone_map: Tone map that display-referred images were made with; the fit inverts it.
+        size: Longer side of the renders that are compared with the images, pixels, 16 to 4096.
+        config: How light is rendered. None: path tracing with 64 samples per pixel for each light, as for real
+            photographs. Images that were rendered by another pipeline are best explained by that pipeline. Lights with
+            a radius cast soft shadows if the settings say so.
         device: As for ``create_renderer``.
-        progress: Called with what is being done and the fraction done, 0..1.
+        progress: Called with a label of the current stage and the fraction done, 0..1.
 
     Raises:
-        ConfigError: A setting is out of its range, or nothing is asked for.
+        ConfigError: A setting is out of its range, or there is nothing to fit.
         DeviceError: There is no such device, or it is out of memory.
-        FormatError: A photograph or a mask cannot be read.
-        SceneError: The scene has no lights, cameras and photographs do not match, values are not finite, a photograph
-            is black, or no pixel counts; the message says which.
+        FormatError: An image or a mask cannot be read.
+        SceneError: The scene has no lights, cameras and images do not match, values are not finite, an image is black,
+            or no pixel can be fitted; the message says which.
     """
     check_scene(scene)
     check_whole("size", size, 16, 4096)
@@ -153,15 +162,15 @@ def fit_lights(
     fitter = PowerFitter(task, small, layers)
     if not fitter.observed.counts.any():
         raise SceneError(
-            "the photographs show nothing that the lights light, but what is clipped or masked: captures "
-            "without a material keep their look, whatever the light; give them one"
+            "no pixel of the images can be fitted: all are clipped, masked, background or unlit captures; give "
+            "captures a material to be lit"
         )
     start, gains = task.scene, task.gains
     if any(parameter.kind == "position" for parameter in task.light_parameters):
         pace.begin(_SEARCHING)
         quick = LightLayers(config, device, COARSE_SAMPLES, rendered=lambda: pace.add(tiny_cost))
         coarse = PowerFitter(task, tiny, quick)
-        if not coarse.observed.counts.any():  # large pixels that are whole: what is clipped may lie everywhere
+        if not coarse.observed.counts.any():  # each large pixel may contain a clipped one
             coarse = fitter
         start, gains = _coarse_search(coarse)
     pace.begin(_RENDERING)
@@ -175,11 +184,11 @@ def fit_lights(
 
 
 def _costs(task: FitTask, tiny: float) -> dict[str, float]:
-    """Pictures that the stages of a fit are expected to take.
+    """Returns the expected cost of each stage of a fit, in renders of the fit's size.
 
     Args:
-        task: What is unknown.
-        tiny: What a picture costs in which lamps are looked for, of one of the fit's size.
+        task: The unknowns.
+        tiny: Cost of a render in the search for positions, relative to a render of the fit's size.
     """
     moved = {parameter.light for parameter in task.light_parameters}
     placed = {parameter.light for parameter in task.light_parameters if parameter.kind == "position"}
@@ -191,7 +200,7 @@ def _costs(task: FitTask, tiny: float) -> dict[str, float]:
 
 
 def _coarse_search(fitter: PowerFitter) -> tuple[Scene, Doubles]:
-    """Where lamps are about, by small pictures, and exposures: the best of searches from several places."""
+    """Returns the scene with lights at coarse positions, and exposures: the best of several low-resolution searches."""
     best = search(fitter, fitter.begin(fitter.task.scene, fitter.task.gains))
     for side in LATTICE_SIDES:
         scene = lattice_search(fitter, best, side)

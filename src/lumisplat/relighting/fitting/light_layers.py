@@ -1,4 +1,4 @@
-"""Renders what each light contributes to the images' pixels, alone, with bounced light denoised over surfaces."""
+"""Renders what each light alone contributes to the images' pixels, with indirect light denoised over surfaces."""
 
 from __future__ import annotations
 
@@ -25,35 +25,39 @@ from lumisplat.scene.materials import Material, MaterialPbr
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 CLIPPED_ABOVE = 0.995
-"""Display value from which on a pixel may be clipped: 254 of 255 and above."""
+"""Display value above which a pixel may be clipped: 254 of 255."""
 
 _ASPECT_ERROR = 0.51
-"""Pixels by which the height of a photograph may miss the camera's aspect ratio."""
+"""Largest difference between the height of an image and the height that the camera's aspect ratio gives, pixels."""
 _WHOLE = 1.0 - 1e-4
-"""Share of its own pixels that count from which on a larger pixel counts."""
+"""Fraction of the pixels below a downscaled pixel that must be fitted for the downscaled pixel to be fitted, less
+rounding."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitImage:
-    """A photograph at its own size."""
+    """An image to fit, in linear light, with its camera and the pixels that count."""
 
     camera: Camera
-    """Of the photograph's size."""
+    """Camera with the image's size."""
     light: Doubles
-    """Linear Rec.709, exposed, shape (H, W, 3)."""
+    """Linear Rec.709 radiance times exposure, shape (H, W, 3)."""
     counts: Flags
-    """Which channels of which pixels are fitted, shape (H, W, 3)."""
+    """Channels of pixels that are fitted, shape (H, W, 3)."""
     label: str
-    """What messages call it."""
+    """Name of the image in messages."""
     clipped: int
-    """Pixels that are left out, as they are at the end of the range."""
+    """Number of pixels left out because a channel is at an end of its range."""
     masked: int
-    """Pixels that a mask leaves out."""
+    """Number of pixels that the mask leaves out."""
     full_size: int
-    """Pixels of the photograph as it was given."""
+    """Number of pixels of the image as it was given."""
 
     def scaled(self, longest: int) -> FitImage:
-        """The photograph with at most so many pixels along its longer side; a pixel counts if all of it does."""
+        """Returns the image downscaled to at most ``longest`` pixels along its longer side.
+
+        A downscaled pixel is fitted only if all the pixels that it covers are.
+        """
         height, width = self.light.shape[:2]
         factor = longest / max(height, width)
         if factor >= 1.0:
@@ -78,28 +82,30 @@ def read_images(
     linear: bool | None = None,
     tone_map: ToneMap = ToneMap.NONE,
 ) -> list[FitImage]:
-    """The photographs of cameras.
+    """Reads the images to fit, decodes them to linear light and marks the pixels that can be fitted.
 
     Args:
-        cameras: One, or one a photograph.
-        images: As of `lumisplat.fit_lights`.
-        masks: One a photograph, (H, W): what is at least half white counts; None, also in place of one: all does.
-        linear: Whether arrays hold linear light; None: arrays and pictures are display-referred, EXR and HDR linear.
-        tone_map: What display colours went through.
+        cameras: One camera, or one for each image.
+        images: As for `lumisplat.fit_lights`.
+        masks: One mask for each image, shape (H, W): pixels of at least half white are fitted. None, also as an item:
+            all.
+        linear: Whether arrays hold linear light. None: arrays and display images are display-referred, EXR and HDR
+            linear.
+        tone_map: Tone map that display-referred images were made with.
 
     Raises:
-        SceneError: Numbers or sizes do not match, values are not finite, or nothing counts.
+        SceneError: Numbers or sizes do not match, values are not finite, or no pixel can be fitted.
         FormatError: A file cannot be read.
     """
     views = [cameras] if isinstance(cameras, Camera) else list(cameras)
     given = [images] if _is_single_image(images) else list(images)
     covers = [None] * len(given) if masks is None else [masks] if _is_single_image(masks) else list(masks)
     for view in views:
-        check_instance(view, Camera, "cameras holds something else, expected a Camera")
+        check_instance(view, Camera, "cameras holds something else, expected Cameras")
     if not given or len(views) != len(given):
-        raise SceneError(f"there are {len(views)} cameras and {len(given)} photographs, expected one camera for each")
+        raise SceneError(f"there are {len(views)} cameras and {len(given)} images, expected one camera for each")
     if len(covers) != len(given):
-        raise SceneError(f"there are {len(given)} photographs and {len(covers)} masks, expected one for each, or None")
+        raise SceneError(f"there are {len(given)} images and {len(covers)} masks, expected one for each, or None")
     rows = zip(range(len(given)), views, given, covers, strict=True)
     return [
         _read(number if len(given) > 1 else None, view, item, cover, linear=linear, tone_map=tone_map)
@@ -108,12 +114,12 @@ def read_images(
 
 
 def _path_of(given: Any) -> Path | None:
-    """The path, if it is one."""
+    """Returns the argument as a path, or None if it is no path."""
     return Path(cast("str", given)) if isinstance(given, str | os.PathLike) else None
 
 
 def _is_single_image(images: Any) -> bool:
-    """Whether this is one picture: a path, or an array of three axes; else it is a sequence of them."""
+    """Returns whether the argument is one image (a path or an array of at most three axes) rather than a sequence."""
     if _path_of(images) is not None:
         return True
     return not isinstance(images, list | tuple) and np.ndim(images) < 4
@@ -123,7 +129,7 @@ def _read(
     number: int | None, camera: Camera, image: Any, mask: Any, *, linear: bool | None, tone_map: ToneMap
 ) -> FitImage:
     path = _path_of(image)
-    label = "the photograph" if number is None else f"photograph {number}"
+    label = "the image" if number is None else f"image {number}"
     label = label if path is None else str(path)
     if path is not None:
         is_linear = path.suffix.lower() in LINEAR
@@ -144,10 +150,10 @@ def _read(
         masked = int(np.count_nonzero(~lit_pixels))
         counts = counts & lit_pixels[..., None]
     if not light.any():
-        raise SceneError(f"{label} is black: there is no light in it to be explained")
+        raise SceneError(f"{label} is black: it shows no light to fit")
     if not counts.any():
-        why = "is clipped or masked" if masked else f"is clipped, at 0 or at {CLIPPED_ABOVE} and above"
-        raise SceneError(f"{label}: every pixel {why}, so that nothing is left to fit; expose it otherwise")
+        why = "is clipped or masked" if masked else f"is clipped (at 0, or at {CLIPPED_ABOVE} and above)"
+        raise SceneError(f"{label}: every pixel {why}, and none is left to fit; change its exposure")
     return FitImage(
         camera=camera,
         light=np.asarray(light, np.float64),
@@ -160,36 +166,36 @@ def _read(
 
 
 def _checked(label: str, values: npt.NDArray[Any]) -> FloatArray:
-    """An image of numbers: bytes become 0..1."""
+    """Returns an image's values as float32, integers scaled to 0..1; refuses other shapes, types and values."""
     if values.dtype.kind not in "fu" or values.ndim != 3 or values.shape[2] != 3 or not values.size:
         raise SceneError(f"{label} is an array {values.shape} of {values.dtype}, expected (H, W, 3), float or uint8")
     if values.dtype.kind == "u":
         return (values.astype(np.float32) / np.float32(np.iinfo(values.dtype).max)).astype(np.float32)
     bad = int(np.count_nonzero(~np.isfinite(values).all(axis=2)))
     if bad:
-        raise SceneError(f"{label} has {bad:,} pixels that are NaN or infinite: mend them, or mask them with 0 instead")
+        raise SceneError(f"{label} has {bad:,} pixels that are NaN or infinite: set them to 0 and mask them")
     return values.astype(np.float32)
 
 
 def _camera_of_size(label: str, camera: Camera, width: int, height: int) -> Camera:
-    """The camera at the size of its photograph.
+    """Returns the camera scaled to the size of its image.
 
     Raises:
-        SceneError: The aspect ratio is another.
+        SceneError: The aspect ratios differ.
     """
     if abs(height - width * camera.height / camera.width) > _ASPECT_ERROR * max(1.0, height / camera.height):
         raise SceneError(
-            f"{label} is {width} x {height}, and its camera {camera.name or 'without a name'} {camera.width} x "
-            f"{camera.height}, of another shape: crop the picture, or give the camera that took it"
+            f"{label} is {width} x {height}, but its camera {camera.name or '(unnamed)'} is {camera.width} x "
+            f"{camera.height}, another aspect ratio: crop the image, or give the camera that took it"
         )
     return camera.scaled(width, height)
 
 
 def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
-    """Where a photograph counts, shape (H, W).
+    """Returns the pixels that a mask selects, shape (H, W).
 
     Raises:
-        SceneError: The mask has another size.
+        SceneError: The mask has another size than its image.
     """
     values: npt.NDArray[Any] = np.asarray(mask) if _path_of(mask) is None else read_display_image(mask)
     if values.dtype == np.uint8:
@@ -197,47 +203,50 @@ def _mask(label: str, mask: Any, size: tuple[int, ...]) -> Flags:
     if values.ndim == 3:
         values = values.mean(axis=2)
     if values.shape != size:
-        raise SceneError(f"the mask of {label} has shape {values.shape}, expected {size}, as the photograph")
+        raise SceneError(f"the mask of {label} has shape {values.shape}, expected {size}, as the image")
     return values >= 0.5
 
 
 FIT_SAMPLES_OF_PATHS = 64
-"""Samples a pixel of paths, for each light: with them, 128 x 96 pixels know a lamp's light to some thousandths."""
+"""Samples per pixel for each light in path-traced fits. With 128 x 96 pixels, the power of a light is then known to a
+few thousandths."""
 
 SMOOTH_REACH = 1.0 / 32.0
-"""How far to each side light that has bounced is averaged, of the longer side of the picture: as far in the scene,
-whatever the picture's size. With twice that, at 64 pixels, a lamp of a bounced room was off by 2.8 % instead of 1.4."""
+"""Half the width of the window over which indirect light is averaged, as a fraction of the render's longer side, so
+that it covers as much of the scene at any resolution. Twice the width gave an error of 2.8 % instead of 1.4 % for a
+light in a room with bounces, at 64 pixels."""
 
 SMOOTH_COSINE_MIN = 0.9
-"""Cosine between normals from which on neighbours are on one surface."""
+"""Smallest cosine between the normals of two pixels on one surface."""
 
 SMOOTH_PLANE = 0.2
-"""Distance of a neighbour from a pixel's plane up to which both are on one surface, relative to their distance."""
+"""Largest distance of a neighbour from a pixel's tangent plane, relative to their distance, for both to be on one
+surface."""
 
 SMOOTH_ROUGHNESS_MIN = 0.3
-"""Roughness below which what a surface reflects is not averaged: it may have edges."""
+"""Roughness below which reflected light is not averaged, because reflections may have sharp edges."""
 
 SMOOTH_ALBEDO_MIN = 0.02
-"""Least albedo by which light is divided before it is averaged, so that textures stay sharp."""
+"""Lower bound of the albedo that light is divided by before averaging; the division keeps textures sharp."""
 
 Layer = Callable[[Scene, Frame], Doubles]
-"""What is taken of a frame, shape (H, W, 3)."""
+"""Function that takes a layer out of a frame, linear, shape (H, W, 3)."""
 _Instances = tuple[tuple[SplatInstance, ...], tuple[MeshInstance, ...]]
 _PATH_AOVS = ("lights", "albedo", "direct_diffuse", "direct_glossy", "emission")
 _DISABLED_LIGHT = LightPoint((0.0, 0.0, 0.0), enabled=False)
-"""Keeps the headlight away from scenes without lights."""
+"""Disabled light for scenes without lights, so that the renderer adds no headlight."""
 _UNLIT_WEIGHT_MAX = 1e-3
-"""Share of captures that keep their look, and of nothing at all, up to which a pixel tells of lights."""
+"""Largest coverage by unlit captures or background of a pixel that is fitted."""
 
 
 class LightLayers:
-    """Renders lights one by one, in all photographs.
+    """Renders single lights into all images.
 
     Args:
-        config: How light behaves; None: as paths.
-        device: As of ``create_renderer``.
-        share: Of the samples that are taken.
-        rendered: Called after each light.
+        config: How light is rendered; None: path tracing.
+        device: As for ``create_renderer``.
+        share: Fraction of the samples per pixel to take.
+        rendered: Called after each light that was rendered.
     """
 
     def __init__(
@@ -250,7 +259,9 @@ class LightLayers:
     ) -> None:
         base = RenderConfig(pipeline=Pipeline.PATH) if config is None else config
         if base.pipeline.is_sequence:
-            raise ConfigError("Pipeline.REALTIME finds light over many frames: fit by Pipeline.PATH, whose light it is")
+            raise ConfigError(
+                "Pipeline.REALTIME gathers light over many frames: use Pipeline.PATH, which it approximates"
+            )
         self.is_path = base.pipeline.traces_paths
         samples = base.samples or (FIT_SAMPLES_OF_PATHS if self.is_path else None)
         half = None if samples is None else max(1, round(0.5 * share * samples))
@@ -260,38 +271,41 @@ class LightLayers:
         self._device, self._rendered = device, rendered
         self._renderers: list[Renderer] = []
         self._smooth: dict[tuple[object, ...], tuple[_Instances, SurfaceAverage]] = {}
-        """By view: the things of the last scene, and which pixels are on one surface."""
+        """Averaging windows of each view, by camera, with the instances for which they were made."""
         self._is_random = self.is_path or base.raster.strategy is RasterStrategy.STOCHASTIC
 
     def lit_pixels(self, scene: Scene, images: Sequence[FitImage]) -> Flags:
-        """Which pixels show what lights light, shape (N,)."""
+        """Returns the pixels that show nothing but surfaces which reflect light, shape (N,)."""
         frames = self._frames(0, _with_lights(scene, ()), images)
         weights = [np.asarray(frame.captured_weight).ravel() for frame in frames]
         return np.concatenate(weights) < _UNLIT_WEIGHT_MAX
 
     def render(self, scene: Scene, lights: Sequence[Light], images: Sequence[FitImage]) -> Doubles:
-        """Linear light of a scene under these lights alone, what shines by itself included, shape (2, N, 3)."""
+        """Renders the radiance of a scene under these lights only, including emission, linear, shape (2, N, 3).
+
+        The first axis holds two renders with independent random numbers.
+        """
         return self._both(_with_lights(scene, lights), images, self._all_light)
 
     def render_light(self, scene: Scene, light: Light, images: Sequence[FitImage], fixed: Doubles) -> Doubles:
-        """Linear light that one light adds.
+        """Renders the radiance that one light adds to a scene.
 
         Args:
             scene: The scene.
             light: The light.
-            images: Say which pixels.
-            fixed: The picture without lights.
+            images: Images whose pixels are rendered.
+            fixed: Render of the scene without lights, shape (2, N, 3).
 
         Returns:
-            Shape (2, N, 3).
+            Two renders with independent random numbers, linear, shape (2, N, 3).
         """
         lit = _with_lights(scene, (light,))
-        if self.is_path:  # its own layer: what else shines would only bring noise
+        if self.is_path:  # the light's own layer; a difference of renders would add noise
             return self._both(lit, images, self._single_light)
         return self._both(lit, images, self._all_light) - fixed
 
     def _both(self, scene: Scene, images: Sequence[FitImage], layer: Layer) -> Doubles:
-        """A layer rendered with two seeds; a single time, if it is not random."""
+        """Renders a layer with two seeds; a deterministic render is made once and repeated."""
         first = self._frames(0, scene, images)
         rows = self._rows(scene, first, layer)
         second = rows
@@ -310,7 +324,7 @@ class LightLayers:
         return [self._renderers[seed_index].render(scene, replace(item.camera, exposure=0.0)) for item in images]
 
     def _all_light(self, scene: Scene, frame: Frame) -> Doubles:
-        """All light, what has bounced averaged."""
+        """Returns the radiance of a frame, with indirect light averaged over surfaces."""
         light = np.asarray(frame.light, np.float64)
         if not self.is_path:
             return light
@@ -320,7 +334,7 @@ class LightLayers:
         return first + self._averaged(scene, frame, light - first)
 
     def _single_light(self, scene: Scene, frame: Frame) -> Doubles:
-        """The light of the only light, what has bounced averaged."""
+        """Returns the radiance due to the first light of a frame, with its indirect light averaged over surfaces."""
         assert frame.light_total is not None and frame.light_direct is not None and frame.light_shadow is not None
         first = np.asarray(frame.light_direct[0] * frame.light_shadow[0], np.float64)
         return first + self._averaged(scene, frame, frame.light_total[0] - first)
@@ -335,17 +349,17 @@ class LightLayers:
 
 
 def unit(light: Light) -> Light:
-    """The light with a power of 1 in each channel."""
+    """Returns the light with a power of 1 in each channel."""
     return replace(light, color=(1.0, 1.0, 1.0), intensity=1.0)
 
 
 def power_of(light: Light) -> Doubles:
-    """Colour times intensity, shape (3,)."""
+    """Returns colour times intensity, shape (3,)."""
     return np.array(light.color, np.float64) * light.intensity
 
 
 def with_power(light: Light, power: Doubles) -> Light:
-    """The light with this power: its brightest channel becomes the intensity; one without any keeps its colour."""
+    """Returns the light with another power: the brightest channel becomes the intensity. Power 0 keeps the colour."""
     brightest = float(power.max())
     if brightest <= 0.0:
         return replace(light, intensity=0.0)
@@ -361,18 +375,18 @@ _Number = TypeVar("_Number", bound=np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceAverage:
-    """Which pixels of a view are on one surface."""
+    """Averaging windows of one view: the neighbours of each pixel that are on the same surface."""
 
     albedo: Doubles
-    """By which light is divided before, (H, W, 3)."""
+    """Albedo that light is divided by before averaging, shape (H, W, 3)."""
     offsets: tuple[tuple[int, int], ...]
-    """Rows and columns to neighbours."""
+    """Row and column offsets of the neighbours in the window."""
     same_surface: Flags
-    """Whether each neighbour is on the pixel's surface, (offsets, H, W)."""
+    """True where a neighbour is on the pixel's surface, shape (offsets, H, W)."""
 
     @classmethod
     def of(cls, scene: Scene, frame: Frame) -> SurfaceAverage:
-        """Of a frame with albedo."""
+        """Builds the windows from a frame's albedo, positions, normals and instances."""
         assert frame.albedo is not None
         radius = max(1, round(SMOOTH_REACH * max(frame.camera.width, frame.camera.height)))
         reach = range(-radius, radius + 1)
@@ -394,7 +408,7 @@ class SurfaceAverage:
         return cls(albedo, offsets, same_surface)
 
     def averaged(self, light: Doubles) -> Doubles:
-        """Light of the view, (H, W, 3), averaged over each pixel's surface nearby."""
+        """Averages light of the view, shape (H, W, 3), over the window of each pixel, keeping the albedo's texture."""
         arriving = light / self.albedo
         total = np.zeros_like(arriving)
         for offset, same_surface in zip(self.offsets, self.same_surface, strict=True):
@@ -403,7 +417,7 @@ class SurfaceAverage:
 
 
 def _matt_surfaces(scene: Scene, instances: IntArray) -> IntArray:
-    """The instance that each pixel shows; -1 where there is none, or what it reflects is sharp."""
+    """Returns the instance that each pixel shows; -1 for background and for glossy surfaces."""
     materials = [instance.material for instance in scene.splats] + [item.mesh.material for item in scene.meshes]
     matt = np.array([*(_is_matt(material) for material in materials), False])
     return np.where(matt[instances], instances, -1).astype(np.int32)
@@ -414,12 +428,12 @@ def _is_matt(material: Material | None) -> bool:
 
 
 def _shifted(image: npt.NDArray[_Number], offset: tuple[int, int]) -> npt.NDArray[_Number]:
-    """What stands at an offset from each pixel; rows and columns go round."""
+    """Returns the value at an offset from each pixel; indices wrap around at the borders."""
     return np.roll(image, (-offset[0], -offset[1]), axis=(0, 1))
 
 
 def _inside_image(image: IntArray, offset: tuple[int, int]) -> Flags:
-    """Whether an offset from each pixel leads to one of the image."""
+    """Returns whether an offset from each pixel stays inside the image."""
     height, width = image.shape
     inside = np.zeros((height, width), np.bool_)
     down, across = offset

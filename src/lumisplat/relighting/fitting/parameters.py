@@ -1,4 +1,4 @@
-"""Parameters of a fit of lights: positions, directions and sizes of lights, base colours, exposure."""
+"""Unknowns of a light fit: positions, directions and sizes of lights, base colours and exposures."""
 
 from __future__ import annotations
 
@@ -19,37 +19,38 @@ from lumisplat.scene.ops.colors import base_colors, scale_light
 from lumisplat.scene.scene import Scene
 
 FIT_DEGREE_MAX = 4
-"""Of an environment's harmonics: matt surfaces take in hardly more than degree 2 (Ramamoorthi and Hanrahan 2001)."""
+"""Largest SH degree of a fitted environment; diffuse surfaces hardly depend on degrees above 2 (Ramamoorthi and
+Hanrahan 2001)."""
 
 POSITION_STEP = 0.004
-"""Of the room's size: half the way between two pictures of a derivative."""
+"""Step of central differences by position, relative to the size of the scene."""
 
 ANGLE_STEP = 0.02
-"""The same of directions and cones, radians."""
+"""Step of central differences by directions and cone angles, radians."""
 
 Kind = Literal["position", "direction", "radius", "inner", "outer"]
 _ANGLE_GAP = 1e-3
-"""Least angle between the inner and the outer cone of a spot, radians."""
+"""Smallest difference between the outer and the inner cone angle of a spot, radians."""
 _SMALLEST = 1e-3
-"""Radius, of the room's size, that lights with one do not fall below."""
+"""Smallest radius of a light with a fitted radius, relative to the size of the scene."""
 
 
 @dataclass(frozen=True, slots=True)
 class LightParameter:
-    """One number of one light."""
+    """One scalar parameter of one light that renders depend on nonlinearly."""
 
     light: int
-    """Number of the light in the scene."""
+    """Index of the light in the scene."""
     kind: Kind
     axis: int = 0
-    """Of a position x, y or z; of a direction one of two tangents."""
+    """Axis of a position (0, 1, 2: x, y, z), or tangent of a direction (0 or 1)."""
     step: float = 1.0
-    """Half the way between the two pictures of its derivative."""
+    """Step of the central difference by this parameter."""
     least: float = 0.0
-    """Of radii."""
+    """Lower bound of a radius, scene units."""
 
     def applied(self, light: Light, amount: float) -> Light:
-        """The light with this number larger by an amount, within its bounds."""
+        """Returns the light with ``amount`` added to this parameter, within the parameter's bounds."""
         if self.kind == "position":
             assert isinstance(light, PlacedLight)
             return replace(light, position=np.add(light.position, amount * np.eye(3)[self.axis]))
@@ -71,15 +72,15 @@ class LightParameter:
 def light_parameters_of(
     number: int, light: Light, size: float, *, positions: bool, radii: bool, angles: bool
 ) -> list[LightParameter]:
-    """The numbers of a light that are asked for.
+    """Returns the parameters of a light that the options ask for.
 
     Args:
-        number: Of the light in the scene.
+        number: Index of the light in the scene.
         light: The light.
-        size: Of the room, scene units.
-        positions: Places, and of spots and suns directions.
-        radii: Of points, spots and spheres that have one.
-        angles: The cones of spots.
+        size: Size of the scene, scene units.
+        positions: Whether positions, and directions of spots and suns, are fitted.
+        radii: Whether radii above 0 of points, spots and spheres are fitted.
+        angles: Whether cone angles of spots are fitted.
     """
     light_parameters: list[LightParameter] = []
     if positions and isinstance(light, PlacedLight):
@@ -97,40 +98,40 @@ def light_parameters_of(
 
 
 def _tangents(along: Doubles) -> tuple[Doubles, Doubles]:
-    """Two unit vectors, perpendicular to a unit one and to each other."""
+    """Returns two unit vectors perpendicular to a unit vector and to each other."""
     first = unit_vector(np.asarray(np.cross(along, np.eye(3)[int(np.abs(along).argmin())]), np.float64))
     return first, np.asarray(np.cross(along, first), np.float64)
 
 
 _DARK = 1e-6
-"""Linear colour up to which a channel is black, whatever it is multiplied by."""
+"""Linear colour up to which a channel counts as black, which no factor changes."""
 _WHITE = 1.0 - 1e-4
-"""Linear colour from which on a channel is white."""
+"""Linear colour from which a channel counts as white."""
 
 
 @dataclass(frozen=True, slots=True)
 class BaseColor:
-    """A material of meshes, or the colours of a capture, which share one factor a channel."""
+    """A base colour to fit: of a material of meshes, or of a capture, whose colours share a factor for each channel."""
 
     name: str
-    """Of the material, else of its first mesh; of the capture's instance."""
+    """Name of the material, else of its first mesh; of the capture's instance."""
     meshes: tuple[int, ...] = ()
-    """Mesh instances of the scene that have it."""
+    """Indices of the mesh instances with this material."""
     capture: int | None = None
-    """Splat instance of the scene, in place of meshes."""
+    """Index of the splat instance; None for a material of meshes."""
     given: Gaussians | None = None
-    """Its Gaussians as they came."""
+    """Gaussians of the capture before the fit."""
 
 
 def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor]:
-    """The base colours that are asked for: of meshes' materials, equal names being one material, and of captures.
+    """Returns the base colours to fit: of meshes' materials, where equal names are one material, and of captures.
 
     Args:
         scene: The scene.
-        wanted: True: all; names: only these.
+        wanted: True for all; a list of names for these only; False for none.
 
     Raises:
-        SceneError: A name is unknown, or there are neither meshes nor captures that light is reflected by.
+        SceneError: A name is unknown, or the scene has neither meshes nor captures that reflect light.
     """
     if isinstance(wanted, bool) and not wanted:
         return []
@@ -145,7 +146,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
             name = f"{name} (capture)" if name in taken else name
             base_colors.append(BaseColor(name, capture=number, given=instance.gaussians))
     if not base_colors:
-        raise SceneError("base colours are those of meshes and of captures with a material, and the scene has neither")
+        raise SceneError("base_colors fits meshes and captures with a material, but the scene has neither")
     if isinstance(wanted, bool):
         return base_colors
     by_name = {base_color.name: base_color for base_color in base_colors}
@@ -156,7 +157,7 @@ def base_colors_of(scene: Scene, wanted: bool | Sequence[str]) -> list[BaseColor
 
 
 def share_at_white(scene: Scene, base_color: BaseColor) -> float:
-    """Of a capture's Gaussians, how many have become as bright as white in some channel."""
+    """Returns the fraction of a capture's Gaussians that the fit has made white in some channel."""
     if base_color.capture is None or base_color.given is None:
         return 0.0
     white = [(base_colors(some) >= _WHITE) for some in (scene.splats[base_color.capture].gaussians, base_color.given)]
@@ -164,14 +165,14 @@ def share_at_white(scene: Scene, base_color: BaseColor) -> float:
 
 
 def colors_of(scene: Scene, base_colors: Sequence[BaseColor]) -> Doubles:
-    """The base colours, linear, shape (M, 3); of a capture, the mean over its Gaussians."""
+    """Returns the base colours, linear, shape (M, 3); for a capture, the mean over its Gaussians."""
     return np.array([_color(scene, base_color) for base_color in base_colors], np.float64).reshape(-1, 3)
 
 
 def with_base_colors(scene: Scene, colors: Mapping[BaseColor, Doubles]) -> Scene:
-    """The scene with other base colours, each of shape (3,); all else stays the same objects.
+    """Returns the scene with other base colours, each of shape (3,); everything else stays the same object.
 
-    The Gaussians of a capture become brighter or darker by one factor a channel; none becomes brighter than 1 by it.
+    The Gaussians of a capture are multiplied by one factor for each channel, but not beyond 1.
     """
     meshes, splats = list(scene.meshes), list(scene.splats)
     for base_color, color in colors.items():
@@ -194,7 +195,7 @@ def _color(scene: Scene, base_color: BaseColor) -> Doubles:
 
 
 def _with_mean(gaussians: Gaussians, color: Doubles) -> Gaussians:
-    """Gaussians under one factor a channel, by which their mean is this colour."""
+    """Returns Gaussians multiplied by one factor for each channel, so that their mean is this colour."""
     own = base_colors(gaussians)
     mean = own.mean(axis=0)
     gain = np.divide(color, mean, out=np.ones(3), where=mean > _DARK)
@@ -214,7 +215,7 @@ Exposure = float | Sequence[float] | Literal["fit"] | None
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitOptions:
-    """What a caller asks for, as of `lumisplat.fit_lights`."""
+    """Options of a fit, as the caller gave them to `lumisplat.fit_lights`."""
 
     environment_degree: int | Literal["auto"] | None = "auto"
     intensities: bool = True
@@ -236,54 +237,55 @@ class FitOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FitTask:
-    """The unknowns of a fit."""
+    """The unknowns of a fit and its starting point."""
 
     scene: Scene
-    """Where it begins: without its environment, if harmonics replace it."""
+    """Scene at the start, without its own environment if an SH environment replaces it."""
     lights: tuple[int, ...]
-    """Numbers of the lights that are fitted: those that are enabled."""
+    """Indices of the fitted lights: all that are enabled."""
     degree: int | None
-    """Of the environment's harmonics; None: there are none."""
+    """Degree of the SH environment; None: there is none."""
     scales: bool
-    """Whether powers of lights are unknown."""
+    """True if the powers of lights are unknown."""
     keeps_hues: bool
-    """Whether the channels of a light share one unknown."""
+    """True if a light has one unknown power instead of one for each channel."""
     light_parameters: tuple[LightParameter, ...]
     base_colors: tuple[BaseColor, ...]
     anchors: bool
-    """Whether the base colours' mean is held, for only its product with the lights' strength is known."""
+    """True if the mean of the base colours is held, because only its product with the lights' power can be estimated.
+    """
     exposed: tuple[bool, ...]
-    """Which photographs' exposures are unknown."""
+    """True for each image whose exposure is unknown."""
     gains: Doubles
-    """Factors of the exposures where it begins, shape (V,)."""
+    """Exposure factors at the start, shape (V,)."""
     size: float
-    """Of the room, scene units: the longest side of the box that holds the scene."""
+    """Size of the scene, scene units: the longest side of its bounding box."""
     low: Doubles
-    """Of a box for lamps: that of the scene, and of the lamps as they are."""
+    """Lower corner of the box in which lights may move: the scene's bounding box, extended by the given lights."""
     high: Doubles
 
     @classmethod
     def of(
         cls, scene: Scene, options: FitOptions, exposures: Sequence[float], *, shines: Callable[[], bool]
     ) -> FitTask:
-        """The unknowns.
+        """Collects the unknowns that the options ask for.
 
         Args:
             scene: The scene as it was given.
-            options: What is asked for.
-            exposures: Of the photographs' cameras, stops.
-            shines: Says whether something in the scene shines that is not fitted.
+            options: The caller's options.
+            exposures: Exposures of the images' cameras, stops.
+            shines: Returns whether the scene emits light that is not fitted.
 
         Raises:
-            ConfigError: Nothing is asked for, or an exposure is none.
-            SceneError: The scene has no lights to fit, is empty, or has no such material.
+            ConfigError: There is nothing to fit, or an exposure is invalid.
+            SceneError: The scene has no lights to fit, is empty, or has no material of a given name.
         """
         start, degree = _with_sh_environment(scene, options)
         lights = tuple(number for number, light in enumerate(start.lights) if light.enabled)
         if not lights and degree is None:
             raise SceneError(
-                "the scene has no lights to fit: put lamps where they may be (ls.inverse.estimate_lights finds some of "
-                "a capture), or ask for an environment_degree"
+                "the scene has no lights to fit: add lights at likely positions (ls.inverse.estimate_lights finds "
+                "those of a capture), or set environment_degree"
             )
         low, high = start.bulk_bounds()
         size = float((high - low).max())
@@ -303,12 +305,12 @@ class FitTask:
         fits_exposure = isinstance(options.exposure, str) and options.exposure == "fit"
         if not (options.intensities or light_parameters or base_colors or fits_exposure or degree is not None):
             raise ConfigError(
-                "nothing is left to find: intensities are kept, and neither places, sizes, colours, an exposure nor an "
-                "environment are asked for, or the scene has none that could change"
+                "nothing to fit: intensities is False, and neither positions, radii, angles, base_colors, exposure nor "
+                "environment_degree asks for anything that the scene has"
             )
         unknown = [fits_exposure] * len(exposures)
         if fits_exposure and options.intensities and not shines():
-            unknown[0] = False  # else all lights could be twice as strong, and the exposure a stop less
+            unknown[0] = False  # a stop less exposure equals lights twice as strong
         every = isinstance(options.base_colors, bool) or len(base_colors) == len(base_colors_of(start, True))
         fitted = [start.lights[number] for number in lights]
         placed = [light.position for light in fitted if isinstance(light, PlacedLight)]
@@ -331,7 +333,7 @@ class FitTask:
 
 
 def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int | None]:
-    """The scene, without the environment that harmonics replace, and their degree."""
+    """Returns the scene without the environment that an SH environment replaces, and the SH degree."""
     own = [light for light in scene.lights if isinstance(light, LightEnvironment) and light.enabled]
     degree = options.environment_degree
     if degree == "auto":
@@ -343,17 +345,17 @@ def _with_sh_environment(scene: Scene, options: FitOptions) -> tuple[Scene, int 
 
 
 def _stops(exposure: Exposure, cameras: Sequence[float]) -> Doubles:
-    """The exposure of each photograph, as it is given, else as its camera says.
+    """Returns the exposure of each image in stops: as given, else as its camera's.
 
     Raises:
-        ConfigError: It is neither a number, nor one a photograph, nor "fit".
+        ConfigError: The exposure is neither a number, nor one for each image, nor "fit".
     """
     if exposure is None or (isinstance(exposure, str) and exposure == "fit"):
         return np.array(cameras, np.float64)
     given = [exposure] * len(cameras) if is_number(exposure) else list(cast(Sequence[float], exposure))
     if len(given) != len(cameras) or not all(map(is_number, given)):
         raise ConfigError(
-            f"exposure is {exposure!r}, expected stops, for all photographs or for each of the {len(cameras)}, or 'fit'"
+            f"exposure is {exposure!r}, expected stops, for all images or for each of the {len(cameras)}, or 'fit'"
         )
     if not np.isfinite(given).all():
         raise ConfigError(f"exposure is {exposure!r}, expected finite stops")

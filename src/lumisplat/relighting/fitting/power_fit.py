@@ -1,4 +1,4 @@
-"""Fits the powers of lights at given positions, and an environment in SH, to images: a linear problem."""
+"""Fits the powers of lights at given positions, and an SH environment, to images by robust linear least squares."""
 
 from __future__ import annotations
 
@@ -20,100 +20,102 @@ from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.scene import Scene
 
 HUBER_WIDTH = 1.345
-"""Deviations up to which residuals count as squares: 95 % efficient if they are normal (Huber 1981)."""
+"""Residual, in standard deviations, up to which Huber's loss is quadratic: 95 % efficient for normal residuals (Huber
+1981)."""
 
 TUKEY_WIDTH = 4.685
-"""Deviations from which on a residual does not count at all: as efficient (Beaton and Tukey 1974)."""
+"""Residual, in standard deviations, from which Tukey's weight is 0: as efficient as Huber's (Beaton and Tukey 1974)."""
 
 DEVIATION_MIN = 1e-4
-"""Of residuals, in units of the expected noise: perfect photographs have none, and weights divide by it."""
+"""Lower bound of the residuals' standard deviation, in units of the expected noise. Perfect images have none, and
+weights divide by it."""
 
 ROBUST_STEPS = 40
-"""Steps of reweighting, at most."""
+"""Maximum number of reweighting steps."""
 
 ROBUST_CHANGE = 1e-7
-"""Change of the unknowns, relative, at which reweighting ends."""
+"""Relative change of the unknowns at which reweighting ends."""
 
 NORMAL_RIDGE = 1e-9
-"""Relative to the diagonal of the normal equations: lights that cannot be told apart share evenly."""
+"""Ridge of the normal equations, relative to their diagonal: lights with equal renders get equal powers."""
 
 NOISE_SHARE_MAX = 0.5
-"""Of the square of a sum of pictures, at most so much is taken for noise and left out: of more, nothing is known."""
+"""Largest fraction of the squared norm of a sum of renders that is removed as noise."""
 
 _MAD_TO_DEVIATION = 1.4826
-"""Standard deviation of normal numbers over the median of their magnitudes."""
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """What is to be explained: N pixels of all photographs."""
+    """The N pixels of all images that the fit explains."""
 
     target: Doubles
-    """Linear light, shape (N, 3)."""
+    """Linear light of the pixels, shape (N, 3)."""
     counts: Flags
-    """What of it counts, shape (N, 3)."""
+    """Channels of pixels that are fitted, shape (N, 3)."""
     noise: Doubles
-    """Error that is expected of it, shape (N, 3)."""
+    """Expected error of the light, shape (N, 3)."""
     blocks: Rows
-    """Which pixels' residuals go together, numbered from 0, shape (N,)."""
+    """Index of the square of pixels whose residuals are correlated, from 0, shape (N,)."""
     sizes: tuple[tuple[int, int], ...]
-    """Rows and columns of each photograph."""
+    """Height and width of each image, pixels."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """K pictures of which the photographs are a sum."""
+    """The K columns of the linear problem: renders whose weighted sum models the images."""
 
     renders: Doubles
-    """Each rendered twice, shape (2, K, N, 3)."""
+    """Renders, each made twice with independent noise, shape (2, K, N, 3)."""
     fixed: Doubles
-    """What is there in any case, shape (2, N, 3)."""
+    """Render of the light that is not fitted, shape (2, N, 3)."""
     tints: tuple[Doubles | None, ...]
-    """Of each column, its unknown's factors in the channels, shape (3,); None: each channel has an unknown of its
-    own."""
+    """Factors, shape (3,), by which the one unknown of each column scales the channels. None: the column has an
+    unknown for each channel."""
     bounded: Doubles
-    """Inequalities of the unknowns, ``bounded @ x >= least``, shape (R, U)."""
+    """Matrix of the inequality constraints ``bounded @ x >= least``, shape (R, U)."""
     least: Doubles
-    """Shape (R,)."""
+    """Right side of the constraints, shape (R,)."""
     ridge: Doubles = field(default_factory=lambda: np.zeros(0))
-    """Added to the diagonal of the normal equations, relative to it, shape (U,); empty: nothing."""
+    """Ridge of each unknown, relative to the diagonal of the normal equations, shape (U,); empty for none."""
 
     @property
     def spread(self) -> Doubles:
-        """Factors of the pictures' channels from unknowns, shape (3, K, U)."""
+        """Linear map from the unknowns to the factors of the renders' channels, shape (3, K, U)."""
         return spread_of(self.tints)
 
     def channels(self, unknowns: Doubles) -> Doubles:
-        """Factor of each picture's channels, shape (K, 3)."""
+        """Returns the factor of each render in each channel, shape (K, 3)."""
         return np.asarray(np.einsum("cku,u->kc", self.spread, unknowns))
 
     def model(self, unknowns: Doubles) -> Doubles:
-        """What is explained, shape (N, 3)."""
+        """Returns the modelled pixels, shape (N, 3)."""
         factors = self.channels(unknowns)
         return self.fixed.mean(axis=0) + np.einsum("knc,kc->nc", self.renders.mean(axis=0), factors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """What explains the photographs best."""
+    """The unknowns with the smallest robust loss."""
 
     unknowns: Doubles
-    """Shape (U,)."""
+    """Values of the unknowns, shape (U,)."""
     model: Doubles
-    """Shape (N, 3)."""
+    """Modelled pixels, shape (N, 3)."""
     weights: Doubles
-    """Of pixels, in one over squares of light, shape (N, 3)."""
+    """Weights of the squared residuals, shape (N, 3)."""
     deviation: Doubles
-    """Of the residuals, in units of the expected noise; a number, as an array of no axes."""
+    """Standard deviation of the residuals, in units of the expected noise, as a 0-dimensional array."""
 
 
 def unknown_counts(tints: Sequence[Doubles | None]) -> list[int]:
-    """How many unknowns each column has."""
+    """Returns the number of unknowns of each column, 1 or 3."""
     return [3 if tint is None else 1 for tint in tints]
 
 
 def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
-    """As `Columns.spread`."""
+    """Returns the map of `Columns.spread` for these tints."""
     spread = np.zeros((3, len(tints), sum(unknown_counts(tints))))
     first = 0
     for column, tint in enumerate(tints):
@@ -126,9 +128,10 @@ def spread_of(tints: Sequence[Doubles | None]) -> Doubles:
 
 
 def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> tuple[Doubles, Doubles]:
-    """``(G, m)`` of the weighted least squares: products of one rendering with the other, positive definite.
+    """Returns matrix and right side of the weighted normal equations, ``(G, m)``, with G positive definite.
 
-    Where noise is more than `NOISE_SHARE_MAX` of what a sum of pictures is, no more than that is taken for noise.
+    Products are taken between the two renders of each column, whose noise is independent, so that noise does not bias
+    them. At most `NOISE_SHARE_MAX` of the squared norm of a sum of renders is removed as noise.
     """
     spread = columns.spread
     first, second = columns.renders
@@ -146,11 +149,11 @@ def normal_equations(observed: Observed, columns: Columns, weights: Doubles) -> 
 
 
 def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
-    """The matrix with a ridge, relative to its diagonal, that makes it positive definite.
+    """Returns the matrix with a ridge, relative to its diagonal, that makes it positive definite.
 
     Args:
-        gram: Positive semidefinite, shape (U, U).
-        ridge: Beside `NORMAL_RIDGE`, shape (U,); empty: none.
+        gram: Positive semidefinite matrix, shape (U, U).
+        ridge: Ridge in addition to `NORMAL_RIDGE`, shape (U,); empty for none.
     """
     diagonal = np.diag(gram)
     largest = float(diagonal.max(initial=0.0)) or 1.0
@@ -159,7 +162,7 @@ def lifted(gram: Doubles, ridge: Doubles) -> Doubles:
 
 
 def _without(gram: Doubles, noise: Doubles) -> Doubles:
-    """Products of pictures with themselves, without those of their noise: at least a share of them stays."""
+    """Subtracts the noise of renders from their products, but at most `NOISE_SHARE_MAX` of any sum's squared norm."""
     if not noise.any():
         return gram
     root = np.linalg.cholesky(gram)
@@ -170,13 +173,12 @@ def _without(gram: Doubles, noise: Doubles) -> Doubles:
 
 
 def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = False) -> Solution:
-    """The unknowns that explain the photographs best, by Huber's loss.
+    """Solves for the unknowns by iteratively reweighted least squares with Huber's loss.
 
     Args:
-        observed: The photographs.
-        columns: Of what they are a sum.
-        redescends: Whether Tukey's loss ends it, for which what does not fit at all does not count: things that the
-            scene lacks.
+        observed: Pixels of the images.
+        columns: Columns of the linear problem.
+        redescends: Whether to end with Tukey's loss, which gives outliers weight 0: objects that the scene lacks.
     """
     base = observed.counts / observed.noise**2
     weights, unknowns, deviation = base, np.zeros(columns.spread.shape[2]), 1.0
@@ -199,9 +201,10 @@ def robust_solve(observed: Observed, columns: Columns, *, redescends: bool = Fal
 
 
 def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
-    """The mean of residuals over the pixels around each that count, shape (N, 3).
+    """Averages residuals over the fitted pixels of each 3 x 3 neighbourhood, shape (N, 3).
 
-    Weights go by it: what the scene lacks is larger than a pixel, and noise, of pictures above all, must not choose.
+    The robust weights use these means. Objects that the scene lacks are larger than a pixel, and noise must not choose
+    the weights.
     """
     result = np.zeros_like(residuals)
     first = 0
@@ -215,41 +218,44 @@ def mean_around(observed: Observed, residuals: Doubles) -> Doubles:
 
 
 def sum_around(image: Doubles) -> Doubles:
-    """The sum over each pixel and its eight neighbours, (H, W, C)."""
+    """Sums over each pixel and its eight neighbours, shape (H, W, C)."""
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))
     down = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray(down[:, :-2] + down[:, 1:-1] + down[:, 2:])
 
 
 def huber_cost(observed: Observed, model: Doubles, deviation: Doubles) -> float:
-    """Mean loss of the residuals, in squares of a deviation."""
+    """Returns the mean Huber loss of the residuals, in units of the squared deviation."""
     size = np.abs((observed.target - model) / (observed.noise * deviation))[observed.counts]
     return float(np.where(size <= HUBER_WIDTH, 0.5 * size**2, HUBER_WIDTH * (size - 0.5 * HUBER_WIDTH)).mean())
 
 
 def huber_weights(residuals: Doubles) -> Doubles:
-    """1 up to Huber's width, then falling as one over the residual."""
+    """Returns Huber's weights: 1 up to the width, then inversely proportional to the residual."""
     return HUBER_WIDTH / np.maximum(np.abs(residuals), HUBER_WIDTH)
 
 
 def tukey_weights(residuals: Doubles) -> Doubles:
-    """Falling to 0 at Tukey's width."""
+    """Returns Tukey's biweights, which fall to 0 at the width."""
     return np.maximum(1.0 - (residuals / TUKEY_WIDTH) ** 2, 0.0) ** 2
 
 
 def deviation_of(residuals: Doubles) -> float:
-    """Of most residuals, whatever the others are."""
+    """Estimates the standard deviation of residuals from their median magnitude, which outliers do not change."""
     return max(_MAD_TO_DEVIATION * float(np.median(np.abs(residuals))), DEVIATION_MIN)
 
 
 def covariance(observed: Observed, columns: Columns, solution: Solution, held: Doubles) -> Doubles:
-    """Of the unknowns, shape (U, U): by how residuals of neighbouring pixels go together (White 1980, in blocks).
+    """Estimates the covariance of the unknowns, with residuals correlated within blocks of pixels (White 1980).
 
     Args:
-        observed: The photographs.
-        columns: Of what they are a sum.
-        solution: What explains them.
-        held: What is added to the normal equations, (U, U).
+        observed: Pixels of the images.
+        columns: Columns of the linear problem.
+        solution: The solution.
+        held: Matrix added to the normal equations, such as the anchor of base colours, shape (U, U).
+
+    Returns:
+        Shape (U, U).
     """
     gram, _ = normal_equations(observed, columns, solution.weights)
     spread, renders = columns.spread, columns.renders.mean(axis=0)
@@ -260,46 +266,46 @@ def covariance(observed: Observed, columns: Columns, solution: Solution, held: D
         rows = [np.bincount(observed.blocks, column * weighted[:, channel], count) for column in renders[..., channel]]
         scores += np.array(rows).reshape(len(rows), count).T @ spread[channel]
     normal = gram + held
-    # What is known up to a factor alone leaves a direction without curvature: its variance is huge, not infinite.
+    # Unknowns that are determined up to a common factor have no curvature: the ridge keeps their variance finite.
     least = np.finfo(np.float64).eps * float(np.trace(normal)) * np.eye(len(normal))
     inverse = np.linalg.inv(normal + least)
     return np.asarray(inverse @ (scores.T @ scores) @ inverse)
 
 
 RELATIVE_NOISE = 0.02
-"""Error of a photograph's light that is expected of it, relative to the pixel and to the mean: no model is better."""
+"""Expected error of an image's light, relative to the sum of pixel and mean: no model is more exact."""
 
 NOISE_BLUR = 2
-"""Pixels to each side over which a photograph is averaged to say what error is expected: by noisy pixels
-themselves, those that noise has made dark would weigh more."""
+"""Radius of the blur, pixels, before the expected error is computed. Without it, pixels that noise has darkened would
+get larger weights."""
 
 ENVIRONMENT_ROWS = 32
-"""Rows of the images of harmonics as environments, and of the environment that is found."""
+"""Rows of the images of SH environments, both of the basis functions and of the fitted one."""
 
 ENVIRONMENT_DIRECTIONS = 96
-"""Directions in which the radiance of harmonics must not be negative, spread evenly."""
+"""Number of evenly spread directions in which the SH environment must not be negative."""
 
 BLOCK_PX = 8
-"""Side of the squares of pixels whose residuals are taken to go together, where errors are estimated."""
+"""Side of the squares of pixels whose residuals count as correlated when standard errors are estimated."""
 
 _SH_RIDGE = 1e-7
-"""Of an environment's coefficients beyond the constant: directions that no surface faces stay even."""
+"""Ridge of the environment's coefficients above degree 0: directions that no surface faces stay constant."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """Lights, materials and exposures, and what follows from them."""
+    """A guess of lights, base colours and exposures, with its renders and the best powers for them."""
 
     scene: Scene
-    """With the lights as they are guessed; their powers are those of the candidate before."""
+    """Scene with the guessed light parameters. The lights' powers are still those of the previous candidate."""
     gains: Doubles
-    """Factors of exposure, shape (V,)."""
+    """Exposure factors, shape (V,)."""
     lights: Mapping[int, Doubles]
-    """The picture of each fitted light alone, of power 1, (2, N, 3)."""
+    """Render of each fitted light with power 1, by the light's index, shape (2, N, 3)."""
     sh_renders: Doubles
-    """Pictures under harmonics, (2, K, N, 3); K is 0 if there are none."""
+    """Render for each SH basis function of the environment, shape (2, K, N, 3); K is 0 without one."""
     fixed: Doubles
-    """The picture of what is not fitted, (2, N, 3)."""
+    """Render of the light that is not fitted, shape (2, N, 3)."""
     columns: Columns
     solution: Solution
 
@@ -314,14 +320,14 @@ class Candidate:
 
     @property
     def coefficients(self) -> Doubles:
-        """Of the environment's harmonics, shape (K, 3)."""
+        """SH coefficients of the environment, shape (K, 3)."""
         count = self.sh_renders.shape[1]
         factors = self.columns.channels(self.solution.unknowns)
         return factors[len(factors) - count :]
 
     @property
     def lit_scene(self) -> Scene:
-        """The scene with the lights as strong as they were found, the harmonics as its last light."""
+        """The scene with the fitted powers, and the SH environment as its last light."""
         lights = list(self.scene.lights)
         for number, power in self.powers.items():
             lights[number] = with_power(lights[number], power)
@@ -331,19 +337,19 @@ class Candidate:
 
 
 class PowerFitter:
-    """Makes guesses for photographs of one resolution.
+    """Renders candidates for images of one resolution, and fits their powers.
 
     Args:
-        task: What is unknown.
-        images: At this resolution.
-        layers: Renders.
+        task: The unknowns.
+        images: Images at this resolution.
+        layers: Renderer of single lights.
     """
 
     def __init__(self, task: FitTask, images: Sequence[FitImage], layers: LightLayers) -> None:
         self.task, self.images, self.layers = task, images, layers
         sizes = [image.light.shape[0] * image.light.shape[1] for image in images]
         self.view: Rows = np.repeat(np.arange(len(sizes)), sizes)
-        """Which photograph each pixel is of, shape (N,)."""
+        """Index of the image that each pixel belongs to, shape (N,)."""
         counts = np.concatenate([image.counts.reshape(-1, 3) for image in images])
         self.observed = Observed(
             target=np.concatenate([image.light.reshape(-1, 3) for image in images]),
@@ -354,23 +360,23 @@ class PowerFitter:
         )
 
     def begin(self, scene: Scene, gains: Doubles) -> Candidate:
-        """The first candidate."""
+        """Returns the first candidate."""
         return self._guess(scene, gains, None)
 
     def moved(self, candidate: Candidate, scene: Scene, gains: Doubles) -> Candidate:
-        """A candidate with other lights, materials or exposures; what is as it was is not rendered again."""
+        """Returns a candidate with other lights, base colours or exposures; renders of unchanged lights are reused."""
         return self._guess(scene, gains, candidate)
 
     def settled(self, candidate: Candidate) -> Candidate:
-        """The candidate, with what does not fit at all left out."""
+        """Returns the candidate solved again with Tukey's loss, which ignores outliers."""
         return replace(candidate, solution=robust_solve(self.observed, candidate.columns, redescends=True))
 
     def render_of(self, candidate: Candidate, number: int, scene: Scene) -> Doubles:
-        """The picture of a light of a scene alone, of power 1, shape (2, N, 3)."""
+        """Renders one light of ``scene`` with power 1, shape (2, N, 3)."""
         return self.layers.render_light(candidate.scene, unit(scene.lights[number]), self.images, candidate.fixed)
 
     def exposed(self, renders: Doubles, gains: Doubles) -> Doubles:
-        """Pictures (..., N, 3), as the photographs are exposed."""
+        """Returns renders, shape (..., N, 3), multiplied by the exposure factor of each pixel's image."""
         return renders * gains[self.view][:, None]
 
     def _guess(self, scene: Scene, gains: Doubles, before: Candidate | None) -> Candidate:
@@ -398,7 +404,7 @@ class PowerFitter:
     def _columns(
         self, scene: Scene, gains: Doubles, lights: Mapping[int, Doubles], sh_renders: Doubles, fixed: Doubles
     ) -> Columns:
-        """Of the lights, then of the harmonics; lights of a given power are a part of what is fixed."""
+        """Builds the columns: lights, then SH basis functions. Lights of known power are part of the fixed render."""
         renders, tints = list(lights.values()), [self._tint(scene, number) for number in lights]
         if not self.task.scales:
             shining = (power_of(scene.lights[number]) * render for number, render in lights.items())
@@ -424,7 +430,7 @@ class PowerFitter:
         )
 
     def _tint(self, scene: Scene, number: int) -> Doubles | None:
-        """The colour of a light, if it is kept."""
+        """Returns the colour of a light if it is kept, brightest channel 1; None if each channel is fitted."""
         if not self.task.keeps_hues:
             return None
         color = np.array(scene.lights[number].color, np.float64)
@@ -432,19 +438,19 @@ class PowerFitter:
 
 
 def _differs_only_in_lights(scene: Scene, other: Scene) -> bool:
-    """Whether nothing but their lights is different."""
+    """Returns whether two scenes have the same meshes and splat instances."""
     return scene.meshes == other.meshes and scene.splats == other.splats
 
 
 def _expected_noise(image: FitImage) -> Doubles:
-    """Errors that are expected of a photograph, (H, W, 3), by what is around pixels: noise must not weigh itself."""
+    """Returns the expected error of an image's light, shape (H, W, 3), computed from blurred pixels."""
     light = _blurred(image.light)
     step = 1.0 / (255.0 * _encoding_slope(light))
     return RELATIVE_NOISE * (light + light.mean()) + step
 
 
 def _blurred(image: Doubles) -> Doubles:
-    """The mean over the pixels around each, within the image."""
+    """Returns a box blur of the image, with its border repeated."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((NOISE_BLUR, NOISE_BLUR), (NOISE_BLUR, NOISE_BLUR), (0, 0)), mode="edge")
     reach = range(2 * NOISE_BLUR + 1)
@@ -453,13 +459,13 @@ def _blurred(image: Doubles) -> Doubles:
 
 
 def _encoding_slope(light: Doubles) -> Doubles:
-    """By how much display values grow with linear light."""
+    """Returns the derivative of display values by linear light."""
     bright = np.clip(light, 1e-4, 1.0)
     return np.asarray((encode_srgb(1.01 * bright) - encode_srgb(0.99 * bright)) / (0.02 * bright))
 
 
 def _blocks(images: Sequence[FitImage]) -> Rows:
-    """Numbers of the squares that pixels are in, shape (N,)."""
+    """Returns the index of the square block that each pixel belongs to, shape (N,)."""
     blocks: list[Rows] = []
     first = 0
     for image in images:
@@ -473,15 +479,17 @@ def _blocks(images: Sequence[FitImage]) -> Rows:
 
 
 ENVIRONMENT_NAME = "environment"
-"""Of the light that is found."""
+"""Name of the fitted environment."""
 
 
 def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> Doubles:
-    """Pictures under each harmonic as an environment.
+    """Renders the scene under each SH basis function as an environment.
+
+    Basis functions with negative values are rendered with a constant added, whose render is subtracted again.
 
     Args:
-        degree: Of the harmonics.
-        render_light: The picture of a light alone, (2, N, 3).
+        degree: SH degree.
+        render_light: Renders one light, shape (2, N, 3).
 
     Returns:
         Shape (2, K, N, 3), K = (degree + 1)^2; all 0 if no light of an environment arrives anywhere.
@@ -502,11 +510,11 @@ def render_sh_lights(degree: int, render_light: Callable[[Light], Doubles]) -> D
 
 @cache
 def radiance_rows(degree: int) -> Doubles:
-    """Radiance in directions all around, of coefficients, shape (D, K): none of them may be negative."""
+    """Returns the matrix from SH coefficients to radiance in evenly spread directions, shape (D, K)."""
     return np.asarray(sh_basis(even_directions(ENVIRONMENT_DIRECTIONS), degree), np.float64)
 
 
 def environment_of(coefficients: Doubles, scene: Scene) -> LightEnvironment:
-    """The environment of coefficients, shape (K, 3): it stands upright in the scene, and is not seen directly."""
+    """Returns the environment with coefficients of shape (K, 3), upright in the scene and invisible to the camera."""
     light = EnvironmentProbe(coefficients).light(ENVIRONMENT_ROWS, scene.upright_wxyz)
     return LightEnvironment(light.image, rotation_wxyz=light.rotation_wxyz, visible=False, name=ENVIRONMENT_NAME)

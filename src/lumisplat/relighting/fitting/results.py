@@ -1,4 +1,4 @@
-"""The result of a fit of lights: the scene in the light that was found, residuals, and remarks for people."""
+"""The result of a light fit: the scene under the fitted lights, residuals and remarks."""
 
 from __future__ import annotations
 
@@ -29,50 +29,52 @@ from lumisplat.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedView:
-    """A photograph and what explains it, at the resolution of the fit; both linear Rec.709, exposed."""
+    """An image and its model at the resolution of the fit, both linear Rec.709 times exposure."""
 
     camera: Camera
-    """At that resolution, with the exposure that was found."""
+    """Camera at the resolution of the fit, with the fitted exposure."""
     image: Doubles
-    """Shape (H, W, 3)."""
+    """The image, shape (H, W, 3)."""
     fitted: Doubles
-    """Shape (H, W, 3)."""
+    """The model of the image: all renders times their fitted powers, shape (H, W, 3)."""
     weights: Doubles
-    """How much each channel of each pixel counted in the end, 0..1, shape (H, W, 3): 0 where it is clipped or masked,
-    where a capture keeps its look or nothing is, and where nothing in the scene explains it."""
+    """Final weight of each channel of each pixel, 0..1, shape (H, W, 3). It is 0 where the pixel is clipped or masked,
+    where it shows an unlit capture or background, and where the model does not explain it."""
     residual: float
-    """Root mean square difference of display values, 0..1, pixels counting by their weights."""
+    """Weighted root mean square difference of display values between image and model, 0..1."""
     clipped: int
-    """Pixels of the photograph with a channel at an end of its range."""
+    """Number of pixels of the image with a channel at an end of its range."""
     masked: int
-    """Pixels of the photograph that the mask leaves out."""
+    """Number of pixels of the image that the mask leaves out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightFit:
-    """What `fit_lights` has found."""
+    """Lights, base colours and exposures that `fit_lights` estimated, with their errors."""
 
     scene: Scene
-    """The scene with these lights, and base colours if they were asked for."""
+    """The scene with the fitted lights, and with the fitted base colours if any."""
     lights: tuple[Light, ...]
-    """The L lights that were fitted, in the order of the scene; an environment of harmonics is the last one, if light
-    of one was found."""
+    """The L fitted lights, in the order of the scene. An SH environment is the last one, if any of its light was
+    found."""
     shares: Doubles
-    """Of the light that is explained, how much each light gives, shape (L,); the rest shines by itself."""
+    """Fraction of the modelled luminance that each light gives, shape (L,); the remainder is emitted by surfaces."""
     standard_errors: Doubles
-    """Of the lights' powers, colour times intensity, shape (L, 3); of harmonics, that of the mean radiance."""
+    """Standard errors of the lights' powers (colour times intensity), shape (L, 3); for an SH environment, of its mean
+    radiance."""
     position_errors: Doubles
-    """Standard errors of positions, scene units, shape (L, 3); NaN where they were not fitted."""
+    """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
     environment: EnvironmentProbe | None
-    """The harmonics that were found; None: none were asked for, or none of the light is theirs."""
+    """The fitted SH environment; None if it was not asked for, or none of its light was found."""
     base_colors: dict[str, tuple[float, float, float]]
-    """Those that were fitted, linear, by the names of materials; of captures, the mean over their Gaussians."""
+    """Fitted base colours, linear, by the name of the material or capture; for a capture, the mean over its Gaussians.
+    """
     exposures: Doubles
-    """Of the photographs, stops, shape (V,)."""
+    """Exposures of the images, stops, shape (V,)."""
     views: tuple[FittedView, ...]
-    """One a photograph."""
+    """Residuals of each image."""
     remarks: tuple[str, ...]
-    """What to know about the result, a line each."""
+    """Notes on the result, one sentence each, such as lights that the images cannot distinguish."""
 
     def __repr__(self) -> str:
         residuals = ", ".join(f"{view.residual:.4f}" for view in self.views)
@@ -82,22 +84,22 @@ class LightFit:
 def result_of(
     given: Scene, options: FitOptions, fitter: PowerFitter, candidate: Candidate, certainty: Certainty
 ) -> LightFit:
-    """What the last candidate means for the caller.
+    """Converts the last candidate to the caller's result.
 
     Args:
         given: The caller's scene.
-        options: What was asked for.
-        fitter: Has the photographs.
+        options: The caller's options.
+        fitter: Fitter with the images.
         candidate: The last candidate.
-        certainty: What it knows.
+        certainty: Standard errors, and unknowns that could not be estimated.
     """
     task, lit_scene = fitter.task, candidate.lit_scene
     lights_found = list(lit_scene.lights)
-    for number in certainty.dark:  # nothing is known of it
+    for number in certainty.dark:  # the images do not show it
         lights_found[number] = task.scene.lights[number]
     shares = _shares(fitter, candidate)
     has_environment = _has_environment(candidate, shares, certainty)
-    if candidate.sh_renders.shape[1] and not has_environment:  # a scene with a black one would pass for lit by a sky
+    if candidate.sh_renders.shape[1] and not has_environment:  # a black environment would count as a light
         del lights_found[-1]
     lights = tuple(lights_found[number] for number in task.lights) + ((lights_found[-1],) if has_environment else ())
     colors = colors_of(candidate.scene, task.base_colors)
@@ -120,7 +122,7 @@ def result_of(
 
 
 def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty) -> bool:
-    """Whether harmonics are more than what noise is taken for."""
+    """Returns whether the SH environment is stronger than what noise alone would give."""
     if not candidate.sh_renders.shape[1]:
         return False
     mean = SH_C0 * np.abs(candidate.coefficients[0])
@@ -128,7 +130,7 @@ def _has_environment(candidate: Candidate, shares: Doubles, certainty: Certainty
 
 
 def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
-    """The photographs beside what explains them."""
+    """Pairs each image with its model."""
     views: list[FittedView] = []
     solution, observed = candidate.solution, fitter.observed
     shares = solution.weights * observed.noise**2
@@ -145,7 +147,7 @@ def _views(fitter: PowerFitter, candidate: Candidate) -> tuple[FittedView, ...]:
 
 
 def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
-    """Luminance that each light gives to what counts, of all that is explained there."""
+    """Returns each light's fraction of the luminance that is modelled at the fitted pixels."""
     counts = fitter.observed.counts
 
     def brightness(render: Doubles) -> float:
@@ -159,13 +161,13 @@ def _shares(fitter: PowerFitter, candidate: Candidate) -> Doubles:
 
 
 _CLIPPED = 0.2
-"""Share of a photograph's pixels from which on it is said that they are clipped: at an end of its range."""
+"""Fraction of an image's pixels above which a remark reports clipping."""
 _UNEXPLAINED = 0.1
-"""Share of what counts from which on it is said that nothing explains it."""
+"""Fraction of the fitted pixels above which a remark reports that the model does not explain them."""
 _WHITE = 0.01
-"""Share of a capture's Gaussians from which on it is said that they have become white."""
+"""Fraction of a capture's Gaussians above which a remark reports that they have become white."""
 _OFF_BELOW = 1e-6
-"""Share of the light below which a light is off."""
+"""Power relative to the brightest light below which a light is reported as off."""
 
 
 def _remarks_of(
@@ -177,7 +179,7 @@ def _remarks_of(
     *,
     has_environment: bool,
 ) -> tuple[str, ...]:
-    """The lines; arguments as of ``result_of``, and whether light of harmonics was found."""
+    """Collects the remarks; arguments are those of ``result_of``, and whether light of an SH environment was found."""
     return (
         *_fixed_remarks(given, options, fitter, has_environment=has_environment),
         *_base_color_remarks(fitter, candidate),
@@ -187,63 +189,60 @@ def _remarks_of(
 
 
 def _fixed_remarks(given: Scene, options: FitOptions, fitter: PowerFitter, *, has_environment: bool) -> Iterator[str]:
-    """What was fixed, as only products are seen."""
+    """Yields remarks on quantities that were held, because images only determine their product with others."""
     task = fitter.task
     if task.degree is not None and any(isinstance(light, LightEnvironment) and light.enabled for light in given.lights):
-        instead = f"replaced by harmonics of degree {task.degree}" if has_environment else "taken out"
+        instead = f"replaced by an SH environment of degree {task.degree}" if has_environment else "removed"
         yield f"the scene's environment was {instead}"
     sought = {"positions": ("position", "direction"), "radii": ("radius",), "angles": ("inner", "outer")}
     for name, kinds in sought.items():
         if getattr(options, name) and not any(parameter.kind in kinds for parameter in task.light_parameters):
-            yield f"{name} were asked for, and no light has any: nothing was looked for"
+            yield f"{name} is set, but no light has any: none were fitted"
     if isinstance(options.exposure, str) and not task.exposed[0]:
-        others = "; those of the others follow from it" if len(task.exposed) > 1 else ""
+        others = "; the other exposures are relative to it" if len(task.exposed) > 1 else ""
         yield (
-            f"the exposure of {fitter.images[0].label} stays {np.log2(task.gains[0]):g} stops: nothing in the "
-            f"scene shines by itself, so that only the product of light and exposure is seen{others}"
+            f"the exposure of {fitter.images[0].label} stays {np.log2(task.gains[0]):g} stops: no surface of the "
+            f"scene emits light, so images show only the product of light and exposure{others}"
         )
     if task.anchors:
         yield (
-            "base colours and lights are known up to a factor in each channel: the product of the base colours stays "
-            "as the scene has it (name those that are unknown, and the others fix it)"
+            "base colours and lights are determined up to one factor per channel: the product of the base colours "
+            "stays as in the scene (name only the unknown ones in base_colors, and the others fix the factor)"
         )
 
 
 def _base_color_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """Captures that cannot be as bright as asked for."""
+    """Yields remarks on captures whose colours reached white."""
     for base_color in fitter.task.base_colors:
         share = share_at_white(candidate.scene, base_color)
         if share > _WHITE:
-            yield f"{base_color.name}: {share:.0%} of its Gaussians have become white, and can be no brighter"
+            yield f"{base_color.name}: {share:.0%} of its Gaussians are white and cannot become brighter"
 
 
 def _light_remarks(
     fitter: PowerFitter, candidate: Candidate, certainty: Certainty, *, has_environment: bool
 ) -> Iterator[str]:
-    """What cannot be told of lights."""
+    """Yields remarks on lights that could not be estimated, are off, or cannot be distinguished."""
     for number in certainty.dark:
-        yield f"{light_name(candidate, number)}: none of its light is in the photographs, it stays as it was"
+        yield f"{light_name(candidate, number)}: none of its light appears in the images, so it is unchanged"
     for number, power in candidate.powers.items():
         if (
             number not in certainty.dark
             and fitter.task.scales
             and not (power > _OFF_BELOW * _brightest(candidate)).any()
         ):
-            yield f"{light_name(candidate, number)}: it is off"
+            yield f"{light_name(candidate, number)}: the fit turned it off"
     if candidate.sh_renders.shape[1] and not has_environment:
-        yield f"{ENVIRONMENT_NAME}: none of its light was found in the photographs, and the scene has none"
+        yield f"{ENVIRONMENT_NAME}: none of its light was found in the images, so the scene has none"
     for names in certainty.confounded:
         if ENVIRONMENT_NAME in names and not has_environment:
             continue
         if names == (ENVIRONMENT_NAME,):
-            yield (
-                f"{ENVIRONMENT_NAME}: some of its harmonics cannot be told from the photographs, and follow from the "
-                "others"
-            )
+            yield f"{ENVIRONMENT_NAME}: the images do not determine all of its SH coefficients"
         elif len(names) == 1:
-            yield f"{names[0]}: its numbers cannot all be told from the photographs, as some changes look alike"
+            yield f"{names[0]}: the images do not determine all of its parameters"
         else:
-            yield f"{' and '.join(names)} cannot be told apart in the photographs: only their sum is known"
+            yield f"{' and '.join(names)} cannot be distinguished in the images: only their sum is determined"
 
 
 def _brightest(candidate: Candidate) -> float:
@@ -251,51 +250,51 @@ def _brightest(candidate: Candidate) -> float:
 
 
 def _image_remarks(fitter: PowerFitter, candidate: Candidate) -> Iterator[str]:
-    """What was left out of photographs."""
+    """Yields remarks on pixels that were left out."""
     weights = candidate.solution.weights * fitter.observed.noise**2
     for number, image in enumerate(fitter.images):
         in_image = fitter.view == number
         pixels = image.full_size
         if image.clipped > _CLIPPED * pixels:
             share = image.clipped / pixels
-            yield f"{image.label}: {share:.0%} of its pixels are clipped (a channel is black or white), and left out"
+            yield f"{image.label}: {share:.0%} of its pixels are clipped (a channel is black or white), left out"
         counts = fitter.observed.counts[in_image]
         if not counts.any():
-            yield f"{image.label}: nothing of it counts"
+            yield f"{image.label}: none of its pixels can be fitted"
             continue
         unexplained = float((weights[in_image][counts] < 0.05).mean())
         if unexplained > _UNEXPLAINED:
-            yield f"{image.label}: nothing in the scene explains {unexplained:.0%} of it, which was left out"
+            yield f"{image.label}: the scene does not explain {unexplained:.0%} of its pixels, which were left out"
 
 
 CONFOUNDED_BELOW = 1e-3
-"""Eigenvalue of the columns' correlations below which those that its vector is made of cannot be told apart: two of
-them correlate to 0.999."""
+"""Eigenvalue of the columns' correlation matrix below which the columns of its eigenvector cannot be distinguished:
+two columns then correlate to 0.999."""
 
 DARK_SHARE = 1e-5
-"""Of the brightest column's length: a light of that little is not in the photographs."""
+"""Length of a column relative to the longest below which the light does not appear in the images."""
 
 _PART = 0.3
-"""Of a unit vector: what has at least this share of an eigenvector is named."""
+"""Smallest component of a unit eigenvector for which an unknown is named in a remark."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Certainty:
-    """What is known about a fit, besides its numbers."""
+    """Standard errors of a fit, and the unknowns that the images do not determine."""
 
     powers: Doubles
-    """Standard errors of the lights' powers, the mean radiance of harmonics last, shape (L, 3); 0 where they were
-    given."""
+    """Standard errors of the lights' powers, shape (L, 3), the SH environment's mean radiance last; 0 where powers
+    were given."""
     positions: Doubles
-    """Standard errors of the positions, scene units, shape (L, 3); NaN where they were not fitted."""
+    """Standard errors of the positions, scene units, shape (L, 3); NaN where positions were not fitted."""
     dark: tuple[int, ...]
-    """Lights of which nothing is in the photographs."""
+    """Indices of lights that do not appear in the images."""
     confounded: tuple[tuple[str, ...], ...]
-    """Names of what cannot be told apart, a group each."""
+    """Groups of names of unknowns that the images cannot distinguish."""
 
 
 def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
-    """A scene with candidate lights, their images, and the powers that explain the photographs best."""
+    """Computes the standard errors of the unknowns, and finds the unknowns that the images do not determine."""
     task = fitter.task
     joint = joint_columns(candidate, slopes_of(fitter, candidate))
     gram, _ = normal_equations(fitter.observed, joint, candidate.solution.weights)
@@ -329,7 +328,7 @@ def certainty_of(fitter: PowerFitter, candidate: Candidate) -> Certainty:
 
 
 def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-    """Groups of names whose pictures depend on each other."""
+    """Returns groups of names whose columns are linearly dependent."""
     lengths = np.sqrt(np.diag(gram))
     values, vectors = np.linalg.eigh(gram / np.outer(lengths, lengths))
     groups: dict[tuple[str, ...], None] = {}
@@ -340,7 +339,7 @@ def _confounded(gram: Doubles, names: Sequence[str]) -> tuple[tuple[str, ...], .
 
 
 def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
-    """What the unknowns are of."""
+    """Returns the name of each unknown's light, material or exposure."""
     columns = [light_name(candidate, number) for number in candidate.lights if task.scales]
     columns += [ENVIRONMENT_NAME] * candidate.sh_renders.shape[1]
     columns += [light_name(candidate, parameter.light) for parameter in task.light_parameters]
@@ -349,5 +348,5 @@ def _names(candidate: Candidate, task: FitTask, joint: Columns) -> list[str]:
 
 
 def light_name(candidate: Candidate, number: int) -> str:
-    """What messages call a light."""
+    """Returns the name of a light in messages."""
     return candidate.scene.lights[number].name or f"light{number}"

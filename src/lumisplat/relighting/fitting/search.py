@@ -1,6 +1,6 @@
-"""Searches light parameters that images do not depend on linearly: damped Gauss-Newton (Marquardt 1963).
+"""Searches the parameters on which images depend nonlinearly by damped Gauss-Newton (Marquardt 1963).
 
-A lattice of positions in the box of the scene gives other starts.
+A lattice of positions in the box of the scene gives further starting points.
 """
 
 from __future__ import annotations
@@ -27,37 +27,38 @@ from lumisplat.scene.lights import Light, PlacedLight
 from lumisplat.scene.scene import Scene
 
 COLOR_STEP = 0.04
-"""Step of a derivative by a base colour."""
+"""Step of central differences by base colours."""
 
 STEP_LENGTH_MAX = 0.15
-"""Of the room's size: the longest way of a lamp in one step."""
+"""Longest displacement of a light in one step, relative to the size of the scene."""
 
 STEP_MIN = 2e-4
-"""Of the room's size: steps shorter than this end the search."""
+"""Step, relative to the size of the scene, below which the search ends."""
 
 SEARCH_STEPS = 25
-"""Gauss-Newton steps at each resolution, at most."""
+"""Maximum number of Gauss-Newton steps at each resolution."""
 
 _ANGLE_MAX, _STOPS_MAX = 0.3, 0.7
-"""Largest steps of angles, radians, and of the logarithm of an exposure's factor."""
+"""Largest steps of angles, radians, and of the logarithm of an exposure factor."""
 _ANCHOR = 1e3
-"""How much heavier the mean of base colours weighs than all that is seen."""
+"""Weight that holds the mean of the base colours, relative to the weight of the images."""
 _GAIN_MIN = 1e-3
-"""Share of the cost that a step has to save to be followed by another."""
+"""Relative decrease of the cost below which the search ends."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Slopes:
-    """How the photographs change with the numbers of a candidate."""
+    """Derivatives of the modelled images by the nonlinear parameters of a candidate."""
 
     renders: Doubles
-    """Derivatives, exposed, (2, J, N, 3): of light parameters, of exposures, of base colours."""
+    """Derivatives times exposure, shape (2, J, N, 3): by light parameters, exposures and base colours."""
     tints: tuple[Doubles | None, ...]
-    """Light parameters and exposures are one number for all channels, base colours one a channel."""
+    """Tints as in `Columns.tints`: light parameters and exposures are one number for all channels, base colours one for each
+    channel."""
 
 
 def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
-    """The best candidate near one."""
+    """Returns the candidate at a local minimum of the cost near the given one."""
     task, damping = fitter.task, DAMPING_START
     if not (task.light_parameters or task.base_colors or any(task.exposed)):
         return candidate
@@ -81,7 +82,7 @@ def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
 
 
 def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
-    """By central differences of pictures."""
+    """Computes the derivatives at a candidate, by central differences of renders."""
     task = fitter.task
     powers = candidate.powers
     renders = [
@@ -107,11 +108,11 @@ def slopes_of(fitter: PowerFitter, candidate: Candidate) -> Slopes:
 
 
 def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: LightParameter) -> Doubles:
-    """Of a light of power 1."""
+    """Returns the derivative of a light's render, with power 1, by one of its parameters."""
     light = candidate.scene.lights[parameter.light]
     ends = [parameter.applied(light, sign * parameter.step) for sign in (-1.0, 1.0)]
     span = 2.0 * parameter.step
-    if parameter.kind not in ("position", "direction"):  # it may be at its bound
+    if parameter.kind not in ("position", "direction"):  # the parameter may be at its bound
         span = _value(parameter, ends[1]) - _value(parameter, ends[0])
     scenes = [_with_light(candidate.scene, parameter.light, end) for end in ends]
     before, after = (fitter.render_of(candidate, parameter.light, scene) for scene in scenes)
@@ -119,7 +120,7 @@ def _slope_of_parameter(fitter: PowerFitter, candidate: Candidate, parameter: Li
 
 
 def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: BaseColor) -> Doubles:
-    """Of all light."""
+    """Returns the derivative of the render under all lights by a base colour."""
     color = colors_of(lit_scene, [base_color])[0]
     ends = [np.clip(color + sign * COLOR_STEP, 0.0, 1.0) for sign in (-1.0, 1.0)]
     lights = [light for light in lit_scene.lights if light.enabled]
@@ -130,7 +131,7 @@ def _slope_of_base_color(fitter: PowerFitter, lit_scene: Scene, base_color: Base
 
 
 def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
-    """The pictures of a candidate, and after them how they change."""
+    """Returns the linear columns of a candidate, followed by the derivatives as further columns."""
     columns = candidate.columns
     added = spread_of(slopes.tints).shape[2]
     return Columns(
@@ -144,14 +145,17 @@ def joint_columns(candidate: Candidate, slopes: Slopes) -> Columns:
 
 
 def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: float) -> Doubles:
-    """The damped step of light parameters, exposures and base colours, with the powers that go with it, shape (J',)."""
+    """Returns the damped Gauss-Newton step of light parameters, exposures and base colours, shape (J',).
+
+    The powers are solved for in the same system, so that the step accounts for their change.
+    """
     task, joint = fitter.task, joint_columns(candidate, slopes)
     gram, moments = normal_equations(fitter.observed, joint, candidate.solution.weights)
     if task.anchors:
         gram = gram + anchor_of(candidate, task.base_colors, gram)
     first = candidate.columns.spread.shape[2]
     rows: Rows = np.arange(first, len(moments), dtype=np.int64)
-    # Relative to what is left of a column once powers have taken their part: a radius changes a light's power, too.
+    # Damping is relative to a column's part that powers do not explain: a radius also changes a light's power.
     by_powers = np.linalg.solve(gram[:first, :first], gram[:first, first:])
     left = np.diag(gram)[first:] - np.einsum("ij,ij->j", gram[:first, first:], by_powers)
     gram[rows, rows] += damping * np.maximum(left, 0.0)
@@ -165,7 +169,10 @@ def _change(fitter: PowerFitter, candidate: Candidate, slopes: Slopes, damping: 
 
 
 def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Doubles) -> Doubles:
-    """Holds the product of all base colours, by channel: lights could else be stronger and surfaces darker."""
+    """Returns a quadratic form that holds the product of all base colours in each channel, shape (U, U).
+
+    Without it, lights could become stronger and surfaces darker without a change of the images.
+    """
     colors = np.maximum(colors_of(candidate.scene, base_colors), 1e-3)
     anchor = np.zeros_like(gram)
     first = len(gram) - 3 * len(base_colors)
@@ -177,7 +184,7 @@ def anchor_of(candidate: Candidate, base_colors: tuple[BaseColor, ...], gram: Do
 
 
 def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tuple[Scene, Doubles]:
-    """The scene and the exposures after a step, which is cut where it is too long."""
+    """Returns the scene and the exposure factors after a step; components that are too long are shortened."""
     task, scene, gains = fitter.task, candidate.scene, candidate.gains.copy()
     light_parameters = _shortened(fitter, change[: len(task.light_parameters)])
     lights: dict[int, Light] = {number: scene.lights[number] for number in task.lights}
@@ -198,7 +205,7 @@ def _applied(fitter: PowerFitter, candidate: Candidate, change: Doubles) -> tupl
 
 
 def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
-    """Amounts of the light parameters, none of which is too long."""
+    """Returns the step of the light parameters with displacements and angles limited."""
     task = fitter.task
     result = amounts.copy()
     for number in task.lights:
@@ -216,7 +223,7 @@ def _shortened(fitter: PowerFitter, amounts: Doubles) -> Doubles:
 
 
 def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
-    """Whether a step hardly changed anything."""
+    """Returns whether every component of a step is below `STEP_MIN`."""
     task = fitter.task
     units = [task.size if parameter.kind in ("position", "radius") else 1.0 for parameter in task.light_parameters]
     scaled = np.abs(change) / np.concatenate([units, np.ones(len(change) - len(units))])
@@ -224,7 +231,7 @@ def _is_short(fitter: PowerFitter, change: Doubles) -> bool:
 
 
 def _inside(light: Light, low: Doubles, high: Doubles) -> Light:
-    """The light in the box for lamps."""
+    """Returns the light, moved into the box in which lights may be."""
     assert isinstance(light, PlacedLight)
     position = np.array(light.position)
     clipped = np.clip(position, low, high)
@@ -238,23 +245,23 @@ def _with_light(scene: Scene, number: int, light: Light) -> Scene:
 
 
 def _value(parameter: LightParameter, light: Light) -> float:
-    """The number that a move of a radius or a cone changes."""
+    """Returns the value of a radius or cone angle parameter."""
     return float(getattr(light, "radius" if parameter.kind == "radius" else f"{parameter.kind}_angle"))
 
 
 _SWEEPS = 3
-"""How often each lamp chooses among all places, the others being where they have chosen to be."""
+"""Number of sweeps in which each light chooses its best position while the other lights stay."""
 
 
 def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scene:
-    """The scene with its lamps at those places, of a lattice and where they are, that explain the photographs best.
+    """Moves each light to the lattice point with the smallest residual, or leaves it where it is.
 
-    It is the same object if they are best where they are.
+    Returns the same scene object if all lights stay.
 
     Args:
-        fitter: Of small pictures.
-        candidate: Where lamps are.
-        side: Places along each side of the lattice.
+        fitter: Fitter of small renders.
+        candidate: Candidate with the present positions.
+        side: Lattice points along each side of the box.
     """
     task = fitter.task
     movable = [
@@ -297,7 +304,7 @@ def lattice_search(fitter: PowerFitter, candidate: Candidate, side: int) -> Scen
 
 
 def _lattice(fitter: PowerFitter, side: int) -> Doubles:
-    """Places in the box for lamps, shape (P, 3)."""
+    """Returns lattice points in the box for lights, shape (P, 3)."""
     shares = (np.arange(side) + 0.5) / side
     grid = np.stack(np.meshgrid(shares, shares, shares, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.asarray(fitter.task.low + grid * (fitter.task.high - fitter.task.low))
@@ -308,7 +315,7 @@ def _placed(light: Light, positions: Doubles) -> list[Light]:
 
 
 def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tuple[Doubles, Doubles]:
-    """Products of all pictures with each other and with the photographs, a matrix a channel."""
+    """Returns inner products of all renders with each other and with the images, for each channel."""
     observed = fitter.observed
     exposed = fitter.exposed(renders, candidate.gains)
     weights = observed.counts / observed.noise**2
@@ -318,7 +325,7 @@ def _products(fitter: PowerFitter, candidate: Candidate, renders: Doubles) -> tu
 
 
 def _explained(gram: Doubles, moments: Doubles, rows: list[int]) -> float:
-    """How much of the squares some pictures explain, by channel with powers of its own."""
+    """Returns the decrease of the squared residuals by some renders with their best powers, over all channels."""
     total = 0.0
     for channel in range(3):
         part, toward = gram[channel][np.ix_(rows, rows)], moments[channel][rows]
