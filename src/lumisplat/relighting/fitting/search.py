@@ -53,8 +53,7 @@ class Slopes:
     renders: Doubles
     """Derivatives times exposure, shape (2, J, N, 3): by light parameters, exposures and base colours."""
     tints: tuple[Doubles | None, ...]
-    """Tints as in `Columns.tints`: light parameters and exposures are one number for all channels, base colours one for each
-    channel."""
+    """Factors as in `Columns.tints`: light parameters and exposures have one unknown, base colours one per channel."""
 
 
 def search(fitter: PowerFitter, candidate: Candidate) -> Candidate:
