@@ -356,8 +356,8 @@ def test_actors_in_the_dark_are_told_which_option_helps(work, caplog):
     work.path("dark.toml").write_text(RELIT)
     with caplog.at_level(logging.WARNING, "lumisplat"):
         assert work.run("animate", "@dark.toml", "-o", "@frames", "--frames", "0").status == 0
-    line = next(record.getMessage() for record in caplog.records if "come out as dark" in record.getMessage())
-    assert re.search(r"a --gamma of \S+ shows them half as bright as they were captured, \S+ as bright", line)
+    line = next(record.getMessage() for record in caplog.records if "actors appear at" in record.getMessage())
+    assert re.search(r"a --gamma of \S+ shows them half as bright as captured, \S+ as bright", line)
     key = re.search(r"(\w+) in (\[animation.*\])", line)
     assert key is not None
     work.path("bright.toml").write_text(f"{RELIT}\n{key[2]}\n{key[1]} = 12.5\n")

@@ -108,16 +108,16 @@ def test_a_full_disk_for_the_sky_is_said_in_a_line(work):
         (("@ball.ply", "-o", "@out.ply", "--up", "0,0,0"), "--up is '0,0,0', expected a direction"),
         (
             ("@point.ply", "-o", "@out.ply"),
-            "point.ply: no surface whose material could be told: all Gaussians are in one",
+            "point.ply: no surface to estimate materials of: all Gaussians are at one",
         ),
         (("@ball.ply", "-o", "@out.ply", "--lod", "2"), "--lod is of streamed SOGs"),
         (("@scene.toml", "-o", "@out.ply"), "is not a capture"),
         (("@none.ply", "-o", "@out.ply"), "none.ply"),
         (
             ("@fog.ply", "-o", "@out.ply"),
-            "fog.ply: no surface whose material could be told: light passes between round Gaussians",
+            "fog.ply: no surface to estimate materials of: Gaussians are isotropic",
         ),
-        (("@few.ply", "-o", "@out.ply"), "few.ply: no surface whose material could be told: 9 of 9 Gaussians"),
+        (("@few.ply", "-o", "@out.ply"), "few.ply: no surface to estimate materials of: 9 of 9 Gaussians"),
     ],
 )
 def test_mistakes_end_in_one_line(work, arguments, said):

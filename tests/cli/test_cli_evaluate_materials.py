@@ -81,7 +81,9 @@ def test_what_is_missing_is_said_in_a_line(work, caplog):
         path.unlink()
     work.path("set/truth/normal").rmdir()
     assert table(work.run(*COMMAND).out)["normals, mean"] == "-"
-    assert any(line.startswith("no truth of normal:") and line.endswith("is not there") for line in caplog.messages)
+    assert any(
+        line.startswith("no ground truth for normal:") and line.endswith("is missing") for line in caplog.messages
+    )
 
 
 @pytest.mark.parametrize(

@@ -282,7 +282,7 @@ def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFi
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         stage = lighter(scene, None)
     assert stage.lights == (LIGHT,)
-    assert "2 of 3 captures reflect light: their shadows are from the renderer's rays" in caplog.text
+    assert "2 of 3 captures reflect light: the renderer's shadow rays shadow them" in caplog.text
     frame = stage.light([puppet()])
     assert frame.lights == scene.lights
     shiny = replace(puppet(), material=ls.MaterialPbr())
@@ -359,8 +359,8 @@ def test_shadows_can_be_switched_off() -> None:
 @pytest.mark.parametrize(
     ("scene", "lights", "actors", "said"),
     [
-        (3, None, [], "takes a Scene that has captured Gaussians"),
-        (ls.Scene(), None, [], "takes a Scene that has captured Gaussians"),
+        (3, None, [], "takes a Scene with captured Gaussians"),
+        (ls.Scene(), None, [], "takes a Scene with captured Gaussians"),
         (ls.Scene(splats=[floor()]), [], [], "none of the lights"),
         (ls.Scene(splats=[floor()]), [ls.LightEnvironment()], [], "none of the lights"),
         (ls.Scene(splats=[floor()]), [replace(LIGHT, casts_shadow=False)], [], "none of the lights"),
@@ -424,8 +424,8 @@ def test_actors_in_the_dark_are_told_once(caplog: pytest.LogCaptureFixture) -> N
         with caplog.at_level(logging.WARNING, logger="lumisplat"):
             for x in (0.0, 0.3):
                 stage.light([puppet(x)])
-        assert caplog.text.count("actors stand in 0.21 of display white") == lines
-        advice = "a RelightConfig.gamma of 1.4 shows them half as bright as they were captured, 4.7 as bright (in a sc"
+        assert caplog.text.count("actors appear at 0.21 of their captured brightness") == lines
+        advice = "a RelightConfig.gamma of 1.4 shows them half as bright as captured, 4.7 as bright (in a scene.toml"
         assert (advice in caplog.text) == bool(lines)
 
 
@@ -501,7 +501,7 @@ def test_without_lamps_the_sun_casts(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         frame = stage.light([puppet()])
     assert stage.estimate is None and stage.sun is not None and stage.lights is not None
-    assert "no lamp found" in caplog.text
+    assert "no light found" in caplog.text
     (sun,) = stage.lights
     assert isinstance(sun, ls.LightDirectional) and sun.intensity > 0.1
     assert -np.dot(sun.direction, towards) / np.linalg.norm(towards) > np.cos(np.radians(10.0))

@@ -80,7 +80,7 @@ def test_the_gain_that_is_found_exposes_an_object_as_its_surroundings() -> None:
 @pytest.mark.parametrize(
     ("scene", "said"),
     [
-        (ls.Scene([], [ball(0.3, diffuse(0.5), rows=8)]), "no capture that is as captured"),
+        (ls.Scene([], [ball(0.3, diffuse(0.5), rows=8)]), "no unlit capture"),
         (ls.Scene([shell(0.5)]), "give the position"),
     ],
 )

@@ -107,7 +107,7 @@ def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None
         ({"transmittances": [[0.5, 1.5]]}, ls.SceneError, "1 of 2 are outside 0..1"),
         ({"transmittances": [[0.5, np.nan]]}, ls.SceneError, "1 non-finite"),
         ({"lights": [], "transmittances": np.ones((0, 2))}, ls.SceneError, "at least one light"),
-        ({"lights": [ls.LightEnvironment()]}, ls.SceneError, "shines from everywhere"),
+        ({"lights": [ls.LightEnvironment()]}, ls.SceneError, "lights holds an environment"),
         ({"receivers": 3}, ls.SceneError, "got a int"),
         ({"lights": [3]}, ls.SceneError, "lights holds a int"),
         ({"lights": ls.LightPoint((0, 0, 3))}, ls.SceneError, "lights is one LightPoint, expected a list"),

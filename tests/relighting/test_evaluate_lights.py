@@ -86,15 +86,13 @@ def test_an_environment_in_a_room_is_not_compared(folder, ball):
     """It is said why, and the other figures are there."""
     result = ls.inverse.evaluate_materials(ball, folder, environment=sky(), samples=1, device="cpu")
     assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
-    assert result.remarks == (
-        f"the environment that was found is not compared: lamps made the photographs of {folder}",
-    )
+    assert result.remarks == (f"the estimated environment is not compared: local lights lit the images of {folder}",)
 
 
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ('[[splats]]\npath = "ball.ply"\n', "is in the light of a set, expected"),
+        ('[[splats]]\npath = "ball.ply"\n', "is named in a light file of a data set, expected"),
         ("[[lights]]\ntype = 'rect'\n", "dusk.toml"),
         ("", "dusk.toml"),
     ],

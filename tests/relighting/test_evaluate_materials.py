@@ -194,7 +194,7 @@ def test_what_a_set_lacks_is_said(folder, ball):
     result = evaluate(ball, folder)
     assert np.isnan(result.roughness_rmse) and np.isnan(result.environment_psnr) and result.relit == {}
     assert result.albedo_psnr > 100.0
-    assert [line.split(":")[0] for line in result.remarks] == ["no truth of roughness", "nothing is relit"]
+    assert [line.split(":")[0] for line in result.remarks] == ["no ground truth for roughness", "nothing is relit"]
 
 
 def test_progress_is_told(folder, ball):
@@ -225,10 +225,10 @@ def not_finite(folder: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("spoil", "name", "problem"),
     [
-        (rename, "truth/albedo/r_002.exr", "truth/albedo/r_002.exr: no such file: the set is incomplete"),
-        (rename, "relit/dusk/r_003.png", "relit/dusk/r_003.png: no such file: the set is incomplete"),
-        (rename, "environment.exr", "environment.exr: no such file: the set is incomplete"),
-        (rename, "transforms_test.json", "has no transforms_test.json, of whose cameras the truth is"),
+        (rename, "truth/albedo/r_002.exr", "truth/albedo/r_002.exr: no such file: the data set is incomplete"),
+        (rename, "relit/dusk/r_003.png", "relit/dusk/r_003.png: no such file: the data set is incomplete"),
+        (rename, "environment.exr", "environment.exr: no such file: the data set is incomplete"),
+        (rename, "transforms_test.json", "has no transforms_test.json with the cameras of the ground truth"),
         (small_layer, "albedo", "r_002.exr: has 8 x 8 pixels, expected the 32 x 32 of"),
         (not_finite, "normal", "r_002.exr: has values that are not finite"),
     ],

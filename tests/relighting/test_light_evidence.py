@@ -35,7 +35,7 @@ def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
 def test_what_lights_nothing_is_no_lamp() -> None:
     """Flowers in even light are bright and small: an error says what to do; by their looks alone they are taken."""
     capture = meadow(None, ambient=1.0)
-    with pytest.raises(ls.SceneError, match=r"no lamp found within .* none lights what is around it; give a sun"):
+    with pytest.raises(ls.SceneError, match=r"no light found within .* none lights its surroundings; give a sun"):
         ls.inverse.estimate_lights(capture, CENTER, 3)
     by_looks = ls.inverse.estimate_lights(capture, CENTER, 3, config=ls.config.LightEstimationConfig(evidence=0.0))
     assert len(by_looks.lights) and (by_looks.evidence == 0.0).all()
@@ -57,7 +57,7 @@ def test_the_sun_is_found_within_ten_degrees(sun: Point) -> None:
     cosine = -np.dot(found.light.direction, sun) / np.linalg.norm(sun)
     assert math.degrees(math.acos(min(float(cosine), 1.0))) < 10.0
     assert 0.2 < found.confidence <= 1.0 and found.significance > 6.0
-    with pytest.raises(ls.SceneError, match="no lamp found"):
+    with pytest.raises(ls.SceneError, match="none lights its surroundings"):
         ls.inverse.estimate_lights(capture, CENTER, 3)
 
 
@@ -82,7 +82,7 @@ def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
     """A man without the lamps and the sun that lit him: the error says to give a sun, and there is none to find."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     beside = (-0.9, -1.3, 0.85)
-    with pytest.raises(ls.SceneError, match=r"no lamp found within .*; give a sun"):
+    with pytest.raises(ls.SceneError, match=r"no light found within .*; give a sun"):
         ls.inverse.estimate_lights(biker, beside)
     assert ls.inverse.estimate_sun(biker, beside) is None
 

@@ -1,1 +1,1 @@
-"""The light of a captured scene on what is put into it: lights found, probes, transfer to avatars, shadows."""
+"""Estimates the light and materials of captures, and lights avatars and objects that are placed in them."""

@@ -1,4 +1,4 @@
-"""Actors of a frame, Gaussians and meshes placed in the world, and the shadows that they cast on captured sets."""
+"""Places actors (Gaussians and meshes) in the world, and darkens captured sets by the shadows that they cast."""
 
 from __future__ import annotations
 
@@ -27,42 +27,42 @@ from lumisplat.shadow_maps.casters_and_receivers import Content, MeshesAsGaussia
 from lumisplat.shadow_maps.deep_shadow_map import DeepShadowMap
 
 PlacedActor = SplatInstance | MeshInstance
-"""What moves through the scene, as it is at one time."""
+"""A moving splat set or mesh with its pose in one frame."""
 
 
 def placed_actors(actors: Iterable[PlacedActor | Gaussians | Mesh]) -> list[PlacedActor]:
-    """Actors as instances.
+    """Returns actors as instances.
 
     Raises:
-        SceneError: It is no list, or holds something else.
+        SceneError: The argument is no list, or holds something other than Gaussians, meshes and instances.
     """
     given: object = actors
     return [_placed(actor) for actor in _items("actors", given)]
 
 
 def actor_flags(name: str, flags: Sequence[bool] | None, count: int) -> Sequence[bool]:
-    """One flag for each actor; all True if none are given.
+    """Returns one flag for each actor; all True if ``flags`` is None.
 
     Raises:
-        SceneError: They are no list of booleans, or of another number.
+        SceneError: ``flags`` is no list of booleans, or has another length.
     """
     if flags is None:
         return [True] * count
     _check_booleans(name, flags)
     if len(flags) != count:
-        raise SceneError(f"{name} has {len(flags)} entries, expected {count}, one an actor")
+        raise SceneError(f"{name} has {len(flags)} entries, expected {count}, one per actor")
     return flags
 
 
 def centroid(actors: Sequence[PlacedActor]) -> npt.NDArray[np.float64]:
-    """World-space mean of the Gaussians of all actors, weighted by opacity; meshes by their vertices, shape (3,)."""
+    """Returns the world-space mean of all actors' Gaussians, weighted by opacity, and of mesh vertices, shape (3,)."""
     sums, total = np.zeros(3), 0.0
     for actor in actors:
         if isinstance(actor, SplatInstance):
             points, weights = actor.gaussians.means, actor.gaussians.opacities.astype(np.float64)
         else:
             points, weights = actor.mesh.positions, np.ones(actor.mesh.vertex_count)
-        # Actors that are transparent throughout have a place nevertheless.
+        # Fully transparent actors have a position, too.
         weights = weights if weights.any() else np.ones_like(weights)
         world = points @ actor.transform[:3, :3].T + actor.transform[:3, 3]
         sums += weights @ world
@@ -90,27 +90,28 @@ def _check_booleans(name: str, flags: object) -> None:
     if not isinstance(flags, Sequence) or not all(
         isinstance(flag, bool | np.bool_) for flag in cast("Sequence[object]", flags)
     ):
-        raise SceneError(f"{name} is {flags!r:.60}, expected a list of True and False, one an actor")
+        raise SceneError(f"{name} is {flags!r:.60}, expected a list of True and False, one per actor")
 
 
 def shadowed(
     receivers: Subject, lights: Sequence[Light], transmittances: npt.ArrayLike, direct: float = 1.0
 ) -> Subject:
-    """Captured Gaussians in the shadow of casters that were not captured.
+    """Darkens captured Gaussians by the shadows of casters that were not part of the capture.
 
-    A channel's light becomes ``1 - direct (1 - sum_l w_l T_l)`` of what it was, with ``w_l`` the share of light l in
-    the irradiance that all of them give there. With one light and ``direct`` 1 this is its T, as in Mir et al.
-    (2026, section 3.3). Colours that no light is blocked from keep their bits. Source:
+    Each channel is multiplied by ``1 - direct (1 - sum_l w_l T_l)``, with ``w_l`` the fraction of light l in the
+    irradiance that all lights give at the Gaussian. With one light and ``direct`` 1 this is its transmittance T, as in
+    Mir et al. (2026, section 3.3). Colours that no light is blocked from keep their bits. Source:
     docs/method/relighting.md#captured-shadow.
 
     Args:
         receivers: Gaussians in world space, or an instance.
-        lights: Those that the receivers' captured colours come from; no environment.
-        transmittances: Of each light at each Gaussian, 0..1, shape (L, N): `DeepShadowMap.transmittance_of`.
-        direct: Share of the receivers' light that comes from these lights, 0..1.
+        lights: Lights that the captured colours come from; no environment.
+        transmittances: Transmittance of each light at each Gaussian, 0..1, shape (L, N), as from
+            `DeepShadowMap.transmittance_of`.
+        direct: Fraction of the captured radiance that is due to these lights, 0..1.
 
     Returns:
-        Receivers of the same type, with other ``sh``; the same object if no light is blocked anywhere.
+        Receivers of the same type with other ``sh``; the same object if no light is blocked anywhere.
 
     Raises:
         ConfigError: ``direct`` is outside 0..1.
@@ -132,54 +133,56 @@ def shadowed(
 
 
 def _light_shares(lights: Sequence[Light], receivers: SplatInstance) -> FloatArray:
-    """Share of each light in the irradiance that all give a Gaussian that faces them, per channel, shape (L, N, 3).
+    """Returns each light's fraction of the irradiance at a Gaussian that faces it, per channel, shape (L, N, 3).
 
-    There is no cosine, because captures have no normals to rely on. Shares are 0 if no light arrives.
+    There is no cosine, because normals of captures are unreliable. Fractions are 0 where no light arrives.
 
     Raises:
-        SceneError: There is an environment among the lights: it has no place, so no shadow map.
+        SceneError: One light is an environment, which has no position and thus no shadow map.
     """
     for light in lights:
         if isinstance(light, LightEnvironment):
-            raise SceneError("an environment shines from everywhere: it has no deep shadow map")
+            raise SceneError(
+                "lights holds an environment, which has no deep shadow map: give lights with a position or direction"
+            )
     arriving = np.array([facing_irradiance(light, receivers.world_means) for light in lights])
     total = arriving.sum(axis=0)
     return np.divide(arriving, total, out=np.zeros_like(arriving), where=total > 0.0).astype(np.float32)
 
 
 def _light_factors(shares: FloatArray, transmittances: npt.NDArray[np.floating], direct: float) -> FloatArray:
-    """Share of the light that each Gaussian keeps, per channel, shape (N, 3); exactly 1 if no light is blocked.
+    """Returns the factor of each Gaussian's colour, per channel, shape (N, 3); exactly 1 if no light is blocked.
 
     Args:
-        shares: Of each light, shape (L, N, 3).
-        transmittances: 0..1, shape (L, N).
-        direct: 0..1.
+        shares: Fraction of each light in the irradiance, shape (L, N, 3).
+        transmittances: Transmittance of each light, 0..1, shape (L, N).
+        direct: Fraction of the captured radiance that is due to the lights, 0..1.
     """
     blocked = np.einsum("lnc,ln->nc", shares, 1.0 - transmittances)
-    # Rounded shares may sum to slightly more than 1.
+    # Rounded fractions may sum to slightly more than 1.
     return np.clip(1.0 - direct * blocked, 0.0, 1.0).astype(np.float32)
 
 
 _log = logging.getLogger("lumisplat")
 
 _SUSPICIOUS_SHADOW = 0.9
-"""Share of the receivers in shadow of a light above which something is likely to be wrong."""
+"""Fraction of the receivers in shadow of a light above which a warning reports a likely mistake."""
 
 
 def casting_lights(lights: Iterable[Light]) -> tuple[Light, ...]:
-    """Enabled lights that cast shadows, without environments, which have no deep shadow map."""
+    """Returns the enabled lights that cast shadows; environments are left out, because they have no deep shadow map."""
     return tuple(
         light for light in lights if light.enabled and light.casts_shadow and not isinstance(light, LightEnvironment)
     )
 
 
 class ActorShadows:
-    """Darkens captured sets by the shadows of actors.
+    """Darkens captured sets by the shadows of actors, with one deep shadow map per light.
 
     Args:
         receivers: Captured sets, which do not move.
-        lights: At least one, none of them an environment.
-        meshes: Other casters, which do not move.
+        lights: At least one light, none of them an environment.
+        meshes: Static casters besides the actors.
         config: Settings.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
@@ -197,18 +200,18 @@ class ActorShadows:
     ) -> None:
         self._receivers, self._lights = list(receivers), tuple(lights)
         self._direct, self._radius = config.direct, config.shadow_map.region_radius
-        # A map's region stays around its first casters, but actors walk out of it: the radius is applied here instead.
+        # A map keeps its region around the first casters, but actors leave it: the radius is applied here instead.
         self._config = replace(config.shadow_map, region_radius=None)
         self._device, self._progress = device, progress
         self._meshes = MeshesAsGaussians()
         self._maps: list[DeepShadowMap] = []
-        """One for each light, once there were actors."""
+        """Shadow map of each light; empty until the first frame with actors."""
         self._shares = [_light_shares(self._lights, receiver) for receiver in self._receivers]
         self._origin = rendered_frame(Scene(self._receivers))[0].origin
-        """World position about which casters are."""
+        """World position that casters are relative to."""
         self._means = [receiver.world_means for receiver in self._receivers]
         self._static = np.ones((len(self._lights), sum(map(len, self._means))), dtype=np.float32)
-        """Transmittance of the meshes for each light at all receivers, shape (L, N)."""
+        """Transmittance of each light through the meshes at all receivers, shape (L, N)."""
         self._warned_lights: set[int] = set()
         self._warned_of_radius = False
         if meshes:
@@ -216,10 +219,10 @@ class ActorShadows:
                 self._static[row] = self._build(meshes, light).transmittance_of(self._receivers)
 
     def darken(self, casters: Sequence[PlacedActor]) -> list[SplatInstance]:
-        """The receivers in the shadow of casters; those without any shadow are the same objects as before.
+        """Returns the receivers in the shadow of casters; receivers without any shadow stay the same objects.
 
         Args:
-            casters: Actors of this frame; there may be none.
+            casters: Actors of this frame; the list may be empty.
         """
         transmittances = self._static
         if casters:
@@ -232,9 +235,9 @@ class ActorShadows:
         ]
 
     def _transmittances(self, casters: PlacedGaussians) -> FloatArray:
-        """Transmittance of casters for each light at all receivers, shape (L, N)."""
+        """Returns the transmittance of each light through the casters at all receivers, shape (L, N)."""
         self._warn_of_lights_inside(casters)
-        # One set in the world for all lights: meshes are turned into Gaussians once.
+        # One set for all lights, so that meshes are converted to Gaussians once.
         sh = np.zeros((len(casters.means), 1, 3), dtype=np.float32)
         gaussians = Gaussians(*casters, sh=sh, origin=self._origin)
         if self._maps:
@@ -249,7 +252,7 @@ class ActorShadows:
         return transmittances
 
     def _is_far(self, casters: PlacedGaussians, radius: float) -> npt.NDArray[np.bool_]:
-        """Which receivers are out of the reach of shadows, shape (N,); warns once if all are."""
+        """Returns which receivers are beyond ``radius`` from the casters, shape (N,); warns once if all are."""
         far = distance_from_body(np.concatenate(self._means) - self._origin, casters) > radius
         if far.all() and not self._warned_of_radius:
             self._warned_of_radius = True
@@ -262,30 +265,30 @@ class ActorShadows:
         )
 
     def _warn_of_darkness(self, transmittances: FloatArray) -> None:
-        """Warns, once a light, if hardly any of it arrives: it is among the casters, or the captured room is cast."""
+        """Warns once per light if hardly any of it arrives: the light is in a caster, or the capture itself is cast."""
         for row in np.flatnonzero((transmittances < 0.5).mean(axis=1) > _SUSPICIOUS_SHADOW).tolist():
             if row not in self._warned_lights:
                 self._warned_lights.add(row)
                 _log.warning(
-                    "light %r hardly reaches the capture: it is inside of what casts, or the capture itself is cast",
+                    "light %r hardly reaches the capture: it is inside a caster, or the capture itself is a caster",
                     self._lights[row].name or row,
                 )
 
     def _warn_of_lights_inside(self, casters: PlacedGaussians) -> None:
-        """Warns, once a light, if an actor has walked into it: the actor then shadows nearly everything."""
+        """Warns once per light if an actor has moved over it, because the actor then shadows nearly everything."""
         for row, light in enumerate(self._lights):
             if not isinstance(light, PlacedLight) or row in self._warned_lights:
                 continue
             if _is_inside(np.array(light.position) - self._origin, casters):
                 self._warned_lights.add(row)
                 _log.warning(
-                    "light %r is inside an actor, which then shadows all around it: move the light, or leave it out",
+                    "light %r is inside an actor, which shadows everything around: move the light, or leave it out",
                     light.name or row,
                 )
 
 
 def _is_inside(point: npt.NDArray[np.float64], casters: PlacedGaussians) -> bool:
-    """Whether a point is in the footprint of any Gaussian."""
+    """Returns whether a point is in the footprint of any Gaussian."""
     offset = (point - casters.means).astype(np.float32)
     near = np.einsum("ij,ij->i", offset, offset) < (SHADOW_FOOTPRINT * casters.scales.max(axis=1)) ** 2
     axes = matrices_from_quaternions(casters.rotations_wxyz[near])

@@ -1,6 +1,6 @@
-"""Fits the light for which surfaces get the most similar albedos: Gauss-Newton over pairs of Gaussians.
+"""Fits the light under which surfaces of like chromaticity get like albedos, by Gauss-Newton over pairs of Gaussians.
 
-The environment is a set of cells of equal area, finer where it is bright.
+The environment is piecewise constant over cells of the sphere, which are smaller where it is bright.
 """
 
 from __future__ import annotations
@@ -22,53 +22,56 @@ from lumisplat.relighting.irradiance import (
 from lumisplat.scene.ops.neighbours import Pairs
 
 CELL_REACH = 1.3
-"""How far apart the centres of neighbouring cells of the sky may be, in sums of the radii of discs as large."""
+"""Largest angle between the centres of neighbouring environment cells, relative to the sum of the radii of discs of
+the cells' solid angles."""
 
 RANDOM_PAIR_SHARE = 0.25
-"""Pairs of any Gaussians that are compared, beside one of neighbours: things of like chroma are often of one albedo,
-and neighbours more often."""
+"""Number of pairs of random Gaussians per pair of neighbours. Surfaces of like chromaticity often have one albedo, and
+neighbours more often."""
 
 CHROMA_WIDTH = 0.03
-"""Difference of chromaticity, natural logarithm, of Gaussians that may have one albedo."""
+"""Standard deviation of the difference of chromaticity, natural logarithm, between Gaussians of one albedo."""
 
 EDGE_WIDTHS = (0.2, 0.1)
-"""Differences of albedo, natural logarithm, from which on they are rather edges (Cauchy): first and last."""
+"""Widths of the Cauchy weight of albedo differences, natural logarithm, in the first and the last solve. Larger
+differences are likely edges of textures."""
 
 RANDOM_PAIRS_MIN = 1000
-"""Such pairs, at least."""
+"""Smallest number of pairs of random Gaussians."""
 
 LIGHT_STEPS = 25
-"""Steps of Gauss-Newton, at most."""
+"""Maximum number of Gauss-Newton steps."""
 
 LIGHT_STEP_MAX = 0.7
-"""Longest of them, natural logarithm of radiances."""
+"""Largest change of a radiance in one step, natural logarithm."""
 
 LIGHT_CONVERGED = 1e-3
-"""Largest change of a radiance, natural logarithm, at which they end."""
+"""Change of all radiances, natural logarithm, below which the steps end."""
 
 ENVIRONMENT_SMOOTHNESS = 3e-3
-"""Weight of differences between neighbouring directions of the sky, beside one pair of Gaussians."""
+"""Weight of squared differences between neighbouring environment cells, relative to one pair of Gaussians."""
 
 LIGHT_PRIOR = 3e-4
-"""Weight of a radiance's distance from that which it begins with, likewise."""
+"""Weight of a radiance's squared distance from its initial value, relative to one pair of Gaussians."""
 
 IRRADIANCE_WEIGHT_MAX = 3.0
-"""Light of lamps at a Gaussian, in medians, from which on it tells that no better, for its error grows with it: a shade
-beside a lamp counts as nine walls at most. Of trained rooms, 2 to 4 % of the Gaussians have more."""
+"""Irradiance of a Gaussian from lights, in medians, above which its weight no longer grows, because the irradiance's
+error grows too. A shade beside a lamp thus counts as nine walls at most. In trained rooms, 2 to 4 % of the Gaussians
+receive more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvironmentCells:
-    """K squares of the map of all directions (`directions_of_square`), in which areas are solid angles."""
+    """K squares of the equal-area map of directions (`directions_of_square`), on which the environment is constant."""
 
     corners: Doubles
-    """The lowest ones, 0..1, shape (K, 2)."""
+    """Lower corners on the map, 0..1, shape (K, 2)."""
     sides: Doubles
-    """Their lengths, shape (K,)."""
+    """Side lengths on the map, shape (K,)."""
 
     @staticmethod
     def even(across: int) -> EnvironmentCells:
-        """``across`` times ``across`` of one size."""
+        """Returns ``across`` x ``across`` cells of equal size."""
         v, u = np.divmod(np.arange(across * across), across)
         return EnvironmentCells(np.stack([u, v], axis=1) / across, np.full(across * across, 1.0 / across))
 
@@ -77,34 +80,34 @@ class EnvironmentCells:
 
     @property
     def solid_angles(self) -> Doubles:
-        """In sr, shape (K,)."""
+        """Solid angles of the cells, sr, shape (K,)."""
         return 4.0 * np.pi * self.sides**2
 
     @property
     def directions(self) -> Doubles:
-        """Of their centres, unit, shape (K, 3)."""
+        """Unit directions of the cells' centres, shape (K, 3)."""
         return directions_of_square(self.corners + 0.5 * self.sides[:, None])
 
     @property
     def neighbours(self) -> Rows:
-        """Pairs of cells beside each other, shape (S, 2)."""
+        """Pairs of adjacent cells, shape (S, 2)."""
         radii = np.sqrt(self.solid_angles / np.pi)
         angles = np.arccos(np.clip(self.directions @ self.directions.T, -1.0, 1.0))
         first, second = np.nonzero(np.triu(angles < CELL_REACH * (radii[:, None] + radii), 1))
         return np.stack([first, second], axis=1)
 
     def of(self, rows: Rows) -> EnvironmentCells:
-        """Some of them."""
+        """Returns some of the cells."""
         return EnvironmentCells(self.corners[rows], self.sides[rows])
 
     def joined(self, others: EnvironmentCells) -> EnvironmentCells:
-        """These, and others after them."""
+        """Returns these cells followed by others."""
         return EnvironmentCells(
             np.concatenate([self.corners, others.corners]), np.concatenate([self.sides, others.sides])
         )
 
     def parts(self, across: int) -> EnvironmentCells:
-        """Each in ``across`` times ``across``, one after the other."""
+        """Divides each cell into ``across`` x ``across`` cells, in the order of the cells."""
         v, u = np.divmod(np.arange(across * across), across)
         within = np.stack([u, v], axis=1)[None] * (self.sides[:, None, None] / across)
         return EnvironmentCells(
@@ -112,50 +115,50 @@ class EnvironmentCells:
         )
 
     def directions_within(self, cell: int, count: int, rng: np.random.Generator) -> Doubles:
-        """Random directions of a cell, even in solid angle, unit, shape (count, 3)."""
+        """Samples unit directions uniformly in the solid angle of a cell, shape (count, 3)."""
         return directions_of_square(self.corners[cell] + self.sides[cell] * rng.random((count, 2)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Light:
-    """Radiances, linear, in units of display white."""
+    """Radiances of environment cells and emitters, linear, in units of display white."""
 
     environment: Doubles
-    """Shape (K, 3)."""
+    """Radiance of each environment cell, shape (K, 3)."""
     emitters: Doubles
-    """Shape (L, 3)."""
+    """Radiance of each emitter in the capture, shape (L, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlbedoPairFit:
-    """The light of which pairs of Gaussians get the most alike albedos.
+    """Finds the light for which pairs of Gaussians get the most similar albedos.
 
-    Albedo is outgoing radiance over irradiance over pi. Of surfaces with one albedo, the logarithms of both differ by
-    as much; pairs that differ otherwise are edges of textures, and count little (Retinex, with pairs anywhere and
-    a model of the light in place of smoothness).
+    Albedo is outgoing radiance over irradiance / pi. If two surfaces have one albedo, the logarithms of their radiance
+    and irradiance differ equally. Other pairs are edges of textures and get low weights. This is Retinex with pairs
+    anywhere in the capture, and with a model of the light instead of a smoothness assumption.
     """
 
     outgoing: Doubles
-    """Radiance of Gaussians, shape (N, 3)."""
+    """Outgoing radiance of the Gaussians, shape (N, 3)."""
     incident: Irradiance
-    """What shines on them."""
+    """Irradiance of the Gaussians, by source."""
     pairs: Rows
-    """Of Gaussians, shape (P, 2)."""
+    """Pairs of Gaussians that are compared, shape (P, 2)."""
     cells: EnvironmentCells
-    """Of the sky."""
+    """Cells of the environment."""
 
     def solved(self, start: Light) -> Light:
-        """The light, from one to begin with; edges are told apart the more finely the nearer it is."""
+        """Returns the fitted light; the weights of edges become stricter as the light improves."""
         light = start
         for width in EDGE_WIDTHS:
             light = self._improved(light, width)
         return light
 
     def _improved(self, start: Light, width: float) -> Light:
-        """Steps of Gauss-Newton with one width of edges."""
+        """Takes Gauss-Newton steps with one width of the edge weights."""
         first = np.concatenate([start.environment, start.emitters])
         radiances, prior = first.copy(), self._prior()
-        rows, pairs = np.unique(self.pairs, return_inverse=True)  # of many Gaussians, few are in pairs
+        rows, pairs = np.unique(self.pairs, return_inverse=True)  # few of the Gaussians are in pairs
         first_row, second_row = pairs.reshape(-1, 2).T
         columns = np.concatenate([self.incident.environment[rows], self.incident.emitters[rows]], axis=1)
         log_outgoing, observed = np.log(np.maximum(self.outgoing[rows], RADIANCE_LEAST)), self.incident.observed[rows]
@@ -181,12 +184,12 @@ class AlbedoPairFit:
         return Light(radiances[: len(self.cells)], radiances[len(self.cells) :])
 
     def _weights(self, differences: Doubles, width: float) -> Doubles:
-        """How much pairs count, shape (P, 3)."""
+        """Returns the weight of each pair, shape (P, 3)."""
         alike = chroma_similarity(differences, CHROMA_WIDTH) / len(differences)
         return alike / (1.0 + (differences / width) ** 2)
 
     def _prior(self) -> Doubles:
-        """The quadratic form of changes of light: smooth over the sky, and small; shape (K + L, K + L)."""
+        """Returns the prior's quadratic form for a smooth, little changed environment, shape (K + L, K + L)."""
         emitters, share = self.incident.emitters.shape[1], self.cells.solid_angles / (4.0 * np.pi)
         form = LIGHT_PRIOR * np.diag(np.concatenate([share, np.full(emitters, 1.0 / max(emitters, 1))]))
         first, second = self.cells.neighbours.T
@@ -199,10 +202,11 @@ class AlbedoPairFit:
 
 
 def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
-    """Grey, the same from everywhere, and so much that the lightest surfaces have a usual albedo.
+    """Returns a grey, constant light under which the lightest surfaces have a typical albedo.
 
-    Of lamps, Gaussians count by the square of the light that reaches them: what is wrong about that light makes a
-    radiance wrong by as much, divided by it. Without, some that fog hides from a lamp make it many times too bright.
+    With emitters, Gaussians are weighted by the squared irradiance from them. The relative error of the radiance is
+    that of the irradiance. Without the weights, Gaussians that haze hides from an emitter make it many times too
+    bright.
     """
     irradiance = unit_irradiance(incident)
     exponent = 2.0 if incident.emitters.size else 0.0
@@ -214,20 +218,20 @@ def initial_light(outgoing: Doubles, incident: Irradiance) -> Light:
 
 
 def with_typical_albedos(light: Light, outgoing: Doubles, incident: Irradiance) -> Light:
-    """The light, brighter or darker by one factor, so that the lightest surfaces have a usual albedo."""
+    """Scales the light by one factor, so that the lightest surfaces have a typical albedo."""
     irradiance = incident.total(light.environment, light.emitters) - incident.observed
     factor = typical_albedo_factor(outgoing, incident.observed, irradiance, np.ones(len(irradiance)))
     return Light(factor * light.environment, factor * light.emitters)
 
 
 def albedo_pairs(near: Pairs, reflects: Rows, count: int, rng: np.random.Generator) -> Rows:
-    """Pairs whose albedos are compared: at most ``count`` of neighbours, and some of any, shape (P, 2).
+    """Chooses pairs of Gaussians to compare: at most ``count`` of neighbours, and some random ones, shape (P, 2).
 
     Args:
         near: Pairs of neighbours, in both orders.
         reflects: Gaussians that may be compared.
-        count: Of pairs of neighbours.
-        rng: Chooses.
+        count: Largest number of pairs of neighbours.
+        rng: Random generator.
     """
     beside = np.stack([near.first, near.second], axis=1)[near.first < near.second]
     beside = rng.permutation(beside[np.isin(beside, reflects).all(axis=1)])[:count]

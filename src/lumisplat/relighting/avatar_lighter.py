@@ -1,4 +1,4 @@
-"""Avatars in a captured scene: it takes their shadows, they take its light (docs/method/relighting.md)."""
+"""Lights avatars in a captured scene and casts their shadows on it (docs/method/relighting.md)."""
 
 from __future__ import annotations
 
@@ -30,69 +30,71 @@ from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, checked_li
 _log = logging.getLogger("lumisplat")
 
 _DARK = 0.3
-"""Mean radiance, display white is 1, below which actors are shown less than half as bright as they were captured."""
+"""Mean radiance at an actor, relative to display white, below which a warning reports that the actor becomes dark."""
 
 
 @dataclass(frozen=True, slots=True)
 class _LightRoles:
-    """What the lights of a scene, and those that are given besides, are for."""
+    """Roles of the scene's lights, or of the lights given instead."""
 
     casting: tuple[Light, ...] | None
-    """They cast the shadows of actors; None: lights have to be estimated."""
+    """Lights that cast the shadows of actors; None: they must be estimated."""
     on_meshes: tuple[Light, ...]
-    """They light meshes in frames that are lit for actors."""
+    """Lights that illuminate meshes in frames that are lit because of mesh actors."""
     as_captured: bool
-    """Whether the scene's own lights are in all frames, because they light something in it."""
+    """True if the scene's own lights are kept in all frames, because something in the scene reflects them."""
 
     @classmethod
     def of(cls, scene: Scene, lights: Sequence[Light] | None) -> _LightRoles:
-        """The roles of a scene's lights, and of those that are given.
+        """Assigns roles to the scene's lights, or to the given ones.
 
         Raises:
-            SceneError: ``lights`` is no list of lights, or none of them casts shadows from a place or a direction.
+            SceneError: ``lights`` is no list of lights, or none of them casts shadows from a position or a direction.
         """
         enabled = tuple(light for light in scene.lights if light.enabled)
         if lights is None:
-            # Lights of a scene in which nothing reflects them can only be those that it was captured in.
+            # If nothing in the scene reflects its lights, they describe the light of the capture.
             are_captured = not scene.meshes and all(map(emits_capture_only, scene.splats))
             on_meshes = enabled if are_captured else ()
             return cls(casting_lights(scene.lights) or None, on_meshes, bool(enabled) and not are_captured)
         given = checked_lights(lights)
         if not casting_lights(given):
-            raise SceneError("none of the lights is enabled, casts shadows and shines from somewhere")
+            raise SceneError(
+                "none of the lights can cast shadows: expected one that is enabled, casts shadows and is no environment"
+            )
         return cls(casting_lights(given), tuple(light for light in given if light.enabled), bool(enabled))
 
 
 class AvatarLighter:
-    """Lights actors in a captured scene, and darkens the scene where they stand in its light.
+    """Lights actors in a captured scene, and darkens the scene by the actors' shadows.
 
-    The captured sets of the scene receive shadows from all actors, through a deep shadow map for each light that is
-    rebuilt every frame, and from the scene's own meshes, which count as put there after the capture. Actors made of
-    Gaussians are relit by a probe of the scene at their place, and by the suns that are given, as far as the scene does
-    not block them and the probe does not hold them. They shadow neither each other nor themselves.
+    Captured sets receive the shadows of all actors, through one deep shadow map per light that is rebuilt every frame.
+    The scene's own meshes cast shadows on captured sets too, as objects placed after the capture. Actors made of
+    Gaussians are relit by an environment probe of the scene at their position, and by the given suns as far as the
+    scene does not block them and the probe does not already hold them. Actors shadow neither each other nor themselves.
 
-    Actors that are meshes stay meshes, and make the frame a lit one: the lights, and a probe at the meshes' place for
-    the rest of the light, light all meshes of the scene, without shadows on these; captured sets are shown as captured.
-    A scene whose own lights already light something in it, a mesh or a set with a material, keeps these lights: what
-    reflects them gets its shadows from the renderer's rays, and none from shadow maps.
+    Actors that are meshes stay meshes, and make the frame a lit one. The lights, and a probe at the meshes' position
+    for the rest of the light, illuminate all meshes without shadows; captured sets stay unlit. If the scene's own
+    lights already illuminate a mesh or a set with a material, the scene keeps them: shadows on reflecting surfaces are
+    then those of the renderer's shadow rays, not of shadow maps.
 
     Not safe to share between threads.
 
     Args:
-        scene: What does not move, as captured.
-        lights: The lights that the captured colours come from; those that cast no shadows, and an environment, only
-            light meshes. None: the scene's own, or if none of them casts shadows, those that `estimate_lights` finds
-            around the actors of the first frame, or if it finds none, the sun of `estimate_sun`.
+        scene: Static scene, as captured.
+        lights: Lights that the captured colours come from. Those that cast no shadows, and an environment, only
+            illuminate meshes. None: the scene's own. If none of those casts shadows, `estimate_lights` searches around
+            the actors of the first frame, and if it finds none, `estimate_sun`.
         config: Settings; None: the defaults.
-        background: Display-referred sRGB behind everything in the probes, 0..1 each.
+        background: Background of the probes, display-referred sRGB, 0..1 each.
         device: As for `create_renderer`.
-        progress: Called with a label and a fraction 0..1, while kernels compile and a sun is looked for.
+        progress: Called with a label and a fraction 0..1, while kernels compile and a sun is searched for.
 
     Raises:
         ConfigError: ``config`` is no AvatarLightingConfig.
         DeviceError: There is no such device.
         SceneError: The scene is of another type or has no captured sets, ``lights`` is no list of lights, or none of
-            them casts shadows from a place or a direction.
+            them casts shadows from a position or a direction.
     """
 
     def __init__(
@@ -110,21 +112,21 @@ class AvatarLighter:
         check_kind("config", self.config, AvatarLightingConfig)
         _check_scene(scene)
         self.scene = scene
-        """What does not move."""
+        """Static scene."""
         self._roles = _LightRoles.of(scene, lights)
         self.lights: tuple[Light, ...] | None = self._roles.casting
-        """Those that cast the shadows of actors; None: not estimated yet."""
+        """Lights that cast the shadows of actors; None: not estimated yet."""
         self.estimate: LightEstimate | None = None
-        """The lights that were estimated, if none were given."""
+        """Estimated lights, if none were given."""
         self.sun: SunEstimate | None = None
-        """The sun that was estimated, if no lights were given or found."""
+        """Estimated sun, if no lights were given or found."""
         self._device, self._progress = device, progress
         self._probes = ProbeCache(scene, background, device, progress)
         suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
         self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
         self._receivers = _receivers(scene, self._roles.as_captured)
         self._shadows: ActorShadows | None = None
-        """Of the receivers, once shadows were needed."""
+        """Shadows on the receivers, created when first needed."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
         """Gaussians of the last frame's actors and their normals, by the Gaussians' id."""
         self._warned_of_darkness = False
@@ -136,22 +138,22 @@ class AvatarLighter:
         casts_shadow: Sequence[bool] | None = None,
         relit: Sequence[bool] | None = None,
     ) -> Scene:
-        """The scene with actors in it, for one frame.
+        """Returns the scene with lit actors in it, for one frame.
 
-        Sets without any shadow stay the same objects, so that a renderer does not upload them again; the same actors
-        give the same scene, to the bit.
+        Sets without any shadow stay the same objects, so that a renderer does not upload them again. Equal actors give
+        an equal scene, to the bit.
 
         Args:
-            actors: In world space, or instances.
-            casts_shadow: Whether each darkens the scene; None: all do.
-            relit: Whether each is relit by the probe of its place; None: all are.
+            actors: Gaussians and meshes in world space, or instances.
+            casts_shadow: Whether each actor casts shadows on the scene; None: all do.
+            relit: Whether each actor is relit by the probe at its position; None: all are.
 
         Returns:
-            The captured sets, darkened, and the actors after them; meshes likewise.
+            The darkened captured sets followed by the actors; likewise for meshes.
 
         Raises:
             DeviceError: The device is out of memory.
-            SceneError: An actor is neither Gaussians nor a mesh, flags are of another number, or no light is found.
+            SceneError: An actor is neither Gaussians nor a mesh, flags have another length, or no light is found.
         """
         placed = placed_actors(actors)
         casts = actor_flags("casts_shadow", casts_shadow, len(placed))
@@ -169,24 +171,24 @@ class AvatarLighter:
         if uses_scene_lights:
             lights = self.scene.lights
         elif meshes:
-            # Only meshes are to be lit: sets that would reflect the lights of another frame are shown as captured.
+            # Only meshes are lit in this frame: reflecting sets become unlit.
             sets, splats = (
                 [_as_captured(instance) for instance in sets],
                 [_as_captured(instance) for instance in splats],
             )
             lights = self._mesh_lights(meshes)
         else:
-            # An environment is seen behind everything; other lights have nothing to light.
+            # The environment is the background; nothing reflects the other lights.
             lights = tuple(light for light in self.scene.lights if isinstance(light, LightEnvironment))
         return replace(self.scene, splats=(*sets, *splats), meshes=(*self.scene.meshes, *meshes), lights=lights)
 
     def _uses_scene_lights(self, actors: list[PlacedActor]) -> bool:
-        """Whether the scene's lights stay in the frame: they light something in it, or an actor that reflects."""
+        """Returns whether the frame keeps the scene's lights, because the scene or an actor reflects them."""
         reflecting = any(isinstance(actor, SplatInstance) and not emits_capture_only(actor) for actor in actors)
         return self._roles.as_captured or (reflecting and bool(self.scene.lights))
 
     def _darken(self, casting: list[PlacedActor]) -> list[SplatInstance]:
-        """The scene's sets in the shadow of casters and of the scene's own meshes."""
+        """Returns the scene's sets in the shadow of casters and of the scene's own meshes."""
         sets = list(self.scene.splats)
         if not (self.config.shadows and self._receivers and (casting or self.scene.meshes)):
             return sets
@@ -204,16 +206,16 @@ class AvatarLighter:
         return sets
 
     def _casting_lights(self, actors: Sequence[PlacedActor]) -> tuple[Light, ...]:
-        """The lights that cast shadows, estimated around the actors if there are none yet."""
+        """Returns the lights that cast shadows, and estimates them around the actors if there are none yet."""
         if self.lights is None:
             position = centroid(actors) if actors else np.mean(self.scene.bounds(), axis=0)
-            # The lights give ``direct`` of the irradiance at the place, its surroundings the rest.
+            # The lights give the fraction ``direct`` of the irradiance at the position.
             irradiance = self.config.direct * np.pi * _mean_luminance(self._probes.at(position))
             self.lights = self._estimated_lights(position, irradiance)
         return self.lights
 
     def _estimated_lights(self, position: npt.NDArray[np.float64], irradiance: float) -> tuple[Light, ...]:
-        """The lamps of the capture, or its sun; together they give a place an irradiance."""
+        """Estimates local lights of the capture, or else its sun, scaled to give ``irradiance`` at a position."""
         try:
             self.estimate = estimate_lights(
                 self.scene, position, self.config.light_count, config=self.config.estimation
@@ -228,10 +230,10 @@ class AvatarLighter:
         return tuple(replace(light, intensity=scale * light.intensity) for light in self.estimate.lights)
 
     def _relight(self, actor: SplatInstance) -> SplatInstance:
-        """An actor in the light of its place."""
+        """Returns an actor relit by the light at its position."""
         if not self.config.relight:
             return actor
-        # Normals of an actor that only moves stay the same, and take long to estimate.
+        # Estimating normals is expensive, and those of a moving actor stay the same.
         key, gaussians = id(actor.gaussians), actor.gaussians
         if key not in self._normals:
             self._normals[key] = gaussians, estimate_normals(gaussians, self.config.transfer.normals)
@@ -245,29 +247,31 @@ class AvatarLighter:
         return scale_light_of(actor, transfer.gamma * scales)
 
     def _forget_normals(self, actors: list[PlacedActor]) -> None:
-        """Drops the normals of Gaussians that are not in the frame."""
+        """Drops cached normals of Gaussians that are not in the frame."""
         present = {id(actor.gaussians) for actor in actors if isinstance(actor, SplatInstance)}
         self._normals = {key: held for key, held in self._normals.items() if key in present}
 
     def _warn_of_darkness(self, mean: float) -> None:
-        """Warns, once, if actors become much darker than they were captured, by the mean light on them."""
+        """Warns once if the mean light on actors makes them much darker than captured."""
         if not self._warned_of_darkness and mean * self.config.transfer.gamma < _DARK:
             self._warned_of_darkness = True
             gamma = self.config.transfer.gamma
-            as_dark = "as dark" if gamma == 1.0 else f"at {gamma * mean:.2g} of what they were captured"
-            message = f"actors stand in {mean:.2g} of display white, and come out {as_dark}"
+            message = (
+                f"actors appear at {gamma * mean:.2g} of their captured brightness, because the light at their "
+                f"position is {mean:.2g} of display white"
+            )
             if mean > 1e-3:
                 message += (
-                    f": a RelightConfig.gamma of {_DARK / mean:.2g} shows them half as bright as they were captured, "
+                    f": a RelightConfig.gamma of {_DARK / mean:.2g} shows them half as bright as captured, "
                     f"{1.0 / mean:.2g} as bright (in a scene.toml: gamma in [animation.lighting.transfer])"
                 )
             _log.warning("%s", message)
 
     def _mesh_lights(self, meshes: Sequence[MeshInstance]) -> tuple[Light, ...]:
-        """The lights for meshes, and an environment of the rest of the light at their place.
+        """Returns the lights for meshes, and an environment for the rest of the light at their position.
 
-        None casts shadows by rays: an estimated lamp is inside its own Gaussians, and the light of the probe comes from
-        the very walls that would block it.
+        None of them casts shadows by rays: an estimated light is inside its own Gaussians, and the walls that the
+        probe's light comes from would block it.
         """
         on_meshes = self._roles.on_meshes
         lights = on_meshes if casting_lights(on_meshes) else (*self._casting_lights(meshes), *on_meshes)
@@ -279,16 +283,16 @@ class AvatarLighter:
 
 def _check_scene(scene: object) -> None:
     if not isinstance(scene, Scene) or not scene.splats:
-        raise SceneError("an AvatarLighter takes a Scene that has captured Gaussians")
+        raise SceneError("AvatarLighter takes a Scene with captured Gaussians")
 
 
 def _receivers(scene: Scene, is_lit: bool) -> list[int]:
-    """Rows of the splat instances that shadow maps darken: in lit scenes, those that reflect get shadows from rays."""
+    """Returns the indices of splat instances that shadow maps darken; reflecting ones get ray-traced shadows."""
     rows = [row for row, instance in enumerate(scene.splats) if not is_lit or emits_capture_only(instance)]
     others = len(scene.splats) - len(rows)
     if others:
         _log.warning(
-            "%d of %d captures reflect light: their shadows are from the renderer's rays, and none from shadow maps",
+            "%d of %d captures reflect light: the renderer's shadow rays shadow them, shadow maps do not",
             others,
             len(scene.splats),
         )
@@ -300,5 +304,5 @@ def _as_captured(instance: SplatInstance) -> SplatInstance:
 
 
 def _mean_luminance(probe: EnvironmentProbe) -> float:
-    """Of the radiance from all directions, at least 0."""
+    """Returns the mean luminance of the radiance from all directions, at least 0."""
     return max(float(SH_C0 * probe.coefficients[0] @ np.array(LUMINANCE)), 0.0)

@@ -1,4 +1,4 @@
-"""Measures captures: whether their Gaussians form a surface, and the gain by which their light exposes an object.
+"""Measures whether a capture's Gaussians form a surface, and estimates the gain of its light on objects.
 
 The methods are in docs/method/delighting.md#surfaces and docs/guide/paths.md#capture-gain.
 """
@@ -36,63 +36,64 @@ from lumisplat.scene.ops.normals import shortest_axes
 from lumisplat.scene.scene import Scene
 
 SURFACE_RAYS = 512
-"""Rays from outside by which fog is told from surfaces."""
+"""Rays from outside that test whether the Gaussians form surfaces."""
 
 HIT_ALPHA_MIN = 0.5
-"""Share of its light that a ray has to lose to have met anything."""
+"""Smallest alpha of a ray that counts as a hit."""
 
 HAZE_AT_ONCE_MAX = 0.6
-"""Share of what they lose that half of the rays lose within that, at least, if there is a surface: 0.9 to 1 of captures
-of others and of baked ones, 0.39 to 0.99 of those that were learnt in some minutes, 0 to 0.56 of balls of fog
+"""Median fraction of a ray's alpha near its depth below which there is no surface. It is 0.9 to 1 in others' captures
+and in baked ones, 0.39 to 0.99 in captures trained for some minutes, 0 to 0.56 in balls of haze
 (docs/adr/0079-fog-has-no-surface.md)."""
 
 SURFACE_SHARP = 0.8
-"""Share that half of the rays lose at once below which a capture has no clear surface: 0.90 to 1 of captures of others,
-of Gaussians of meshes and of a fox that was trained with flatness, 0.66 to 0.70 of foxes without."""
+"""Median fraction of a ray's alpha near its depth below which a capture has no clear surface. It is 0.90 to 1 in
+others' captures, in Gaussians of meshes and in a fox trained with flatness, 0.66 to 0.70 in foxes trained without."""
 
 AGREEING_LEAST = 0.35
-"""Mean squared cosine between normals of neighbours below which they are random: in fog it is 0.333 to 0.340, of
-captures of others 0.41 to 0.76, of foxes of some minutes 0.5 to 0.9."""
+"""Mean squared cosine between normals of neighbours below which they count as random. It is 0.333 to 0.340 in haze,
+0.41 to 0.76 in others' captures, 0.5 to 0.9 in foxes trained for some minutes."""
 
 AGREEING_COUNT = 300
-"""Gaussians from which on they are: on fewer, neighbours are far apart, and surfaces turn."""
+"""Smallest number of Gaussians whose normals are compared: among fewer, neighbours are far apart and surfaces curve."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurfaceMeasure:
-    """Tells by how much the Gaussians of a set look like a surface."""
+    """Measures of how much the Gaussians of a set form a surface."""
 
     at_once: float
-    """Share of its light that a ray from outside loses around the depth that it shows, 0..1: the median of many."""
+    """Fraction of a ray's alpha that comes from near its depth, 0..1: the median over rays from outside."""
     round_share: float
-    """Share of the Gaussians, by area, that have no shortest axis to be their normal, 0..1."""
+    """Fraction of the Gaussians by area whose two shorter axes are about equal, so that they have no normal, 0..1."""
     agreement: float
-    """Mean squared cosine between normals of neighbours, 0..1; 1/3 if they are random; 1 of few Gaussians."""
+    """Mean squared cosine between normals of neighbours, 0..1; 1/3 for random normals. It is 1 if there are few
+    Gaussians."""
 
     @property
     def has_no_surface(self) -> bool:
-        """Whether there is surely no surface: Gaussians are round, and rays lose their light bit by bit."""
+        """True if there is surely no surface: Gaussians are isotropic, and rays lose transmittance gradually."""
         return self.round_share >= ISOTROPIC_SHARE_MAX and self.at_once < HAZE_AT_ONCE_MAX
 
     @property
     def fault(self) -> str | None:
-        """What is wrong with the surface, a clause; None: nothing."""
+        """Clause that says what is wrong with the surface; None if nothing is."""
         if self.round_share >= ISOTROPIC_SHARE_MAX:
             return f"{self.round_share:.0%} of its Gaussians, by area, are round and have no normal"
         if self.agreement < AGREEING_LEAST:
             return "normals of neighbouring Gaussians differ as if they were random"
         if self.at_once < SURFACE_SHARP:
-            return f"rays lose {1.0 - self.at_once:.0%} of their light before or behind the depth that they show"
+            return f"rays lose {1.0 - self.at_once:.0%} of their transmittance away from their depth"
         return None
 
 
 def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> SurfaceMeasure:
-    """Measures the surface of a set.
+    """Measures how much the Gaussians of a set form a surface.
 
     Args:
-        gaussians: The set; some of it is seen.
-        renderer: Traces unlit rays in order.
-        seed: Of the rays.
+        gaussians: The set; some of it is visible.
+        renderer: Traces unlit rays with sorted hits.
+        seed: Seed of the rays.
     """
     least, middle, largest = np.sort(gaussians.scales.astype(np.float64), axis=1).T
     areas = np.where(gaussians.opacities >= OPACITY_SEEN, middle * largest * gaussians.opacities, 0.0)
@@ -106,7 +107,7 @@ def measure_surface(gaussians: Gaussians, renderer: Renderer, seed: int) -> Surf
 
 
 def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
-    """Returns a sentence about a capture whose Gaussians form no surface to be lit, and what to do; None: they do.
+    """Returns a sentence with advice if a capture's Gaussians form no surface that can be lit; None if they do.
 
     It takes less than a second for most captures. Source: docs/method/delighting.md#surfaces.
 
@@ -116,7 +117,7 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
 
     Raises:
         DeviceError: There is no such device, or it is out of memory.
-        SceneError: ``gaussians`` are none.
+        SceneError: ``gaussians`` is of another type.
     """
     check_argument("surface_remark", gaussians, Gaussians, "Gaussians")
     seen = np.count_nonzero(gaussians.opacities >= OPACITY_SEEN)
@@ -128,15 +129,15 @@ def surface_remark(gaussians: Gaussians, *, device: str = "auto") -> str | None:
 
 
 def no_surface_message(fault: str) -> str:
-    """Returns the sentence that says so, with what to do."""
+    """Returns a sentence that reports the lack of a surface, with advice on training."""
     return (
-        f"the capture has no clear surface ({fault}): normals, light and shadows on it come out in patches; train it "
-        "longer and with --flatness 0.3 --normals 0.05 --depth-spread 0.3"
+        f"the capture has no clear surface ({fault}): shading and shadows on it are patchy; train it longer, "
+        "with --flatness 0.3 --normals 0.05 --depth-spread 0.3"
     )
 
 
 def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, seed: int) -> Doubles:
-    """Of what rays lose that come from outside, the share that they lose around the depth that they show, 0..1."""
+    """Returns the fraction of each ray's alpha that comes from near its depth, 0..1; 0 for rays without a hit."""
     rng, scene = np.random.default_rng([seed, 11]), Scene([gaussians])
     low, high = scene.bulk_bounds()
     extent = float(np.linalg.norm(high - low))
@@ -159,7 +160,7 @@ def _lost_at_once(gaussians: Gaussians, weights: Doubles, renderer: Renderer, se
 
 
 def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
-    """Mean squared cosine between normals of some Gaussians and of their neighbours, 0..1."""
+    """Returns the mean squared cosine between normals of sampled Gaussians and of their neighbours, 0..1."""
     rng = np.random.default_rng([seed, 12])
     seen = np.flatnonzero(weights > 0.0)
     if len(seen) < AGREEING_COUNT:
@@ -169,7 +170,7 @@ def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
     picks = rng.choice(gaussians.count, AGREEING_PICKS, p=weights)
     _, near = cKDTree(gaussians.means[others]).query(gaussians.means[picks], k=AGREEING_NEIGHBOURS + 1)
     near = others[near]
-    # A pick may be among the others: it is then no neighbour, else the farthest is one too many.
+    # A pick that is among the others is not its own neighbour; for other picks, the farthest one is dropped.
     is_extra = near == picks[:, None]
     is_extra[:, -1] |= ~is_extra.any(axis=1)
     near = near[~is_extra].reshape(AGREEING_PICKS, AGREEING_NEIGHBOURS)
@@ -178,48 +179,46 @@ def _agreement(gaussians: Gaussians, weights: Doubles, seed: int) -> float:
 
 
 CAPTURE_GAIN_MAX = 6.0
-"""Stops that are found at most: beyond, the place is too dark to say what light it has."""
+"""Largest gain that is estimated, stops. Positions that would need more are too dark for an estimate."""
 
 AROUND_ALBEDO = 0.5
-"""Albedo that surfaces around an object are taken to have on average, of which the brightness of the light on them
-follows: rooms have 0.4 to 0.6 (CIBSE, Lighting Guide 5)."""
+"""Assumed mean albedo of the surfaces around an object, from which their irradiance follows. Rooms have 0.4 to 0.6
+(CIBSE, Lighting Guide 5)."""
 
 GAIN_DIRECTIONS = 1024
-"""Rays that look around an object for the gain of captured light."""
+"""Rays around an object that measure how much of the sphere the capture covers."""
 
 
 def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, device: str = "auto") -> float:
-    """Estimates the `RenderConfig.capture_gain` with which captured light exposes an object as its surroundings.
+    """Estimates the `RenderConfig.capture_gain` that lights an object as brightly as its captured environment was lit.
 
-    Captures are display-referred: the light sources in them are clipped at white, and parts of the surroundings are
-    missing. The surfaces around an object were lit by all of that light, and show as much as they reflect: surfaces of
-    the mean radiance L and the albedo 0.5 received the irradiance 2 pi L. At the object, what is found is pi L times
-    the share of all directions in which there are any. The gain is the one over the other: it follows from that share
-    alone, not from how bright the capture is. A capture that shows all of its light unclipped, as one of an overcast
-    sky, needs none: 0.
+    Captures are display-referred: light sources in them are clipped at white, and parts of the environment are missing.
+    The surfaces around the object were lit by all of the light. With mean radiance L and albedo 0.5, they received the
+    irradiance 2 pi L. The object receives pi L times the fraction of directions in which the capture has surfaces. The
+    gain is the ratio of the two, so it depends on that fraction alone and not on the capture's brightness. A capture
+    that holds all of its light unclipped, such as one of an overcast sky, needs a gain of 0.
 
     Args:
-        scene: Its captures that are as captured are the surroundings, whatever else is in it.
-        position: World position of the object, shape (3,), scene units; None: the middle of all that is no such
+        scene: Its unlit captures are the environment, whatever else is in the scene.
+        position: World position of the object, shape (3,), scene units; None: the centre of everything that is no unlit
             capture.
         device: ``auto`` (CUDA if there is one), ``cpu``, ``cuda`` or ``cuda:N``.
 
     Returns:
-        Stops, 1 (captures all around) to 6, to a tenth.
+        Stops, 1 (captures all around) to 6, rounded to 0.1.
 
     Raises:
-        SceneError: The scene has no capture that is as captured, there is nothing in it but captures and no position is
-            given.
+        SceneError: The scene has no unlit capture, or has nothing but unlit captures and no position is given.
         DeviceError: There is no such device.
     """
     check_scene(scene)
     around = tuple(instance for instance in scene.splats if not is_relit(instance))
     if not around:
-        raise SceneError("the scene has no capture that is as captured: there is no captured light to be brightened")
+        raise SceneError("the scene has no unlit capture: there is no captured light to scale")
     if position is None:
         added = Scene(tuple(instance for instance in scene.splats if is_relit(instance)), scene.meshes)
         if not added.splats and not added.meshes:
-            raise SceneError("the scene has nothing but captures that are as captured: give the position of the object")
+            raise SceneError("the scene has nothing but unlit captures: give the position of the object")
         center = np.mean(added.bulk_bounds(), axis=0)
     else:
         center = np.array(three_numbers("position", position))
@@ -227,5 +226,5 @@ def estimate_capture_gain(scene: Scene, position: npt.ArrayLike | None = None, d
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE), device)
     clear = renderer.transmittance(Scene(around), np.broadcast_to(center, directions.shape), directions)
     coverage = 1.0 - float(clear.mean(dtype=np.float64))
-    # The mean radiance of the surroundings arrives times their coverage, and had arrived over their albedo.
+    # The object receives mean radiance times coverage; the surfaces around received mean radiance over albedo.
     return round(-math.log2(max(AROUND_ALBEDO * coverage, 2.0**-CAPTURE_GAIN_MAX)), 1)

@@ -1,6 +1,6 @@
-"""A capture as cells, which of them are solid, and the traces that lights leave on them.
+"""Voxelises a capture, and measures how well a light explains the shading of its surfaces.
 
-A light leaves a trace where captured surfaces are brighter the more it would shine on them.
+A light *explains* shading if captured surfaces are brighter where its unshadowed irradiance would be larger.
 """
 
 from __future__ import annotations
@@ -21,69 +21,72 @@ from lumisplat.scene.scene import SplatInstance
 # Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SURFACE_CELLS = 64
-"""Cells along each side of the cube that holds a capture: in a room of 5 m, 8 cm."""
+"""Voxels along each side of the cube around a capture: 8 cm in a room of 5 m."""
 
 SURFACE_COVERAGE = 0.3
-"""Area of the Gaussians in a cell, times their opacity, in faces of the cell, from which it is solid: haze is not."""
+"""Smallest sum of area times opacity of the Gaussians in a voxel, in areas of its face, for it to be solid. Haze has
+less."""
 
 SURFACE_FLATNESS = 0.25
-"""Largest ratio of the smallest variance of what is in a cell to the second one: foliage has no normal."""
+"""Largest ratio of the smallest to the middle variance of positions in a voxel with a normal; foliage has none."""
 
 SURFACE_THIN = 0.5
-"""Largest ratio of the smallest scale of a Gaussian to the second one for it to have a normal of its own."""
+"""Largest ratio of the smallest to the middle scale of a Gaussian with a normal of its own."""
 
 SURFACE_DISC = 1.2
-"""Radius of the circle on which a Gaussian's area is put, standard deviations: about its root mean square."""
+"""Radius of the circle on which a Gaussian's area is distributed, in standard deviations: about its root mean square.
+"""
 
 SURFACE_PER_CELL = 3
-"""Gaussians of a cell that are used, at most: fine objects must not outvote the room."""
+"""Maximum number of Gaussians per voxel that are used, so that fine objects do not outweigh the room."""
 
 SURFACE_CLIP = 0.98
-"""Quantile of the luminance of surfaces that none exceeds: lamps are not what they light."""
+"""Quantile at which the luminance of surfaces is clipped, because light sources are not lit by the light."""
 
 SURFACE_OFFSET = 1.8
-"""Distance from a surface at which ways to the light start, cells: beyond the diagonal of its own."""
+"""Distance from a surface at which shadow rays start, voxels: more than the diagonal of the surface's own voxel."""
 
 SURFACE_STEP = 0.7
-"""Steps along ways to the light, cells."""
+"""Step length along shadow rays, voxels."""
 
 SURFACE_BLOCK = 4
-"""Side of a block, cells: what texture makes brighter is brighter over a block, and counts once."""
+"""Side, in voxels, of the blocks of surfaces whose residuals count as correlated, as texture is."""
 
 SURFACES_MAX = 3000
-"""Gaussians on surfaces that are used, a random choice if there are more."""
+"""Maximum number of surface Gaussians; a random subset is used if there are more."""
 
 TRACE_RIDGE = 1e-6
-"""Ridge of the regression, in mean squares of its columns: in a closed room the sky lights nothing."""
+"""Ridge of the regression, relative to the mean square of its columns. In a closed room the environment's columns are
+0."""
 
 TRACE_FLOOR = 0.25
-"""Residuals are relative to the explained luminance, at least to this share of the median."""
+"""Lower bound, relative to the median luminance, of the explained luminance that residuals are divided by."""
 
 TRACE_STEPS = 4
-"""Steps of the robust weights."""
+"""Number of reweighting steps."""
 
 _DISC = [(0.0, 0.0)] + [(np.cos(angle), np.sin(angle)) for angle in np.arange(8) * (np.pi / 4.0)]
-"""Where a Gaussian's area is put: at its centre, and on a circle."""
+"""Points over which a Gaussian's area is distributed: its centre, and eight on a circle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SolidCells:
-    """Which cells of a cube light does not pass."""
+    """Voxels of a cube that block light."""
 
     solid: Flags
-    """Shape (n, n, n)."""
+    """True for voxels that block light, shape (n, n, n)."""
     corner: Doubles
-    """Lower corner of cell (0, 0, 0), world space, shape (3,)."""
+    """Lower corner of voxel (0, 0, 0), world space, shape (3,)."""
     cell: float
-    """Side of a cell, scene units."""
+    """Side of a voxel, scene units."""
 
     def is_free(self, origins: Doubles, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Flags:
-        """Whether no solid cell is on each way, shape (N,).
+        """Returns whether each ray passes no solid voxel, shape (N,).
 
         Args:
-            origins: World space, shape (N, 3).
-            directions: Unit, shape (N, 3).
-            distances: How far the ways go, scene units, a number or shape (N,).
+            origins: Origins of the rays, world space, shape (N, 3).
+            directions: Unit directions, shape (N, 3).
+            distances: Lengths of the rays, scene units, a number or shape (N,).
         """
         grid_points = (origins - self.corner) / self.cell
         step = SURFACE_STEP * directions
@@ -108,27 +111,27 @@ class SolidCells:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CapturedSurfaces:
-    """Gaussians of a capture that lie on surfaces, evenly spread over these."""
+    """Gaussians of a capture that lie on surfaces, sampled evenly over the surfaces."""
 
     positions: Doubles
-    """World space, shape (M, 3)."""
+    """World-space positions, shape (M, 3)."""
     normals: Doubles
-    """Unit, of either sign, shape (M, 3)."""
+    """Unit normals of arbitrary sign, shape (M, 3)."""
     luminance: Doubles
-    """Linear, mean over all directions, the brightest cut, shape (M,)."""
+    """Linear luminance, mean over all directions, clipped at `SURFACE_CLIP`, shape (M,)."""
     blocks: Rows
-    """Group of neighbouring surfaces that each belongs to, 0 to the number of groups - 1, shape (M,)."""
+    """Index of the block of neighbouring surfaces, from 0, shape (M,)."""
     cells: SolidCells
-    """What casts shadows on them."""
+    """Voxels that shadow the surfaces."""
 
     def cosines(self, directions: Doubles, distances: npt.ArrayLike = np.inf) -> Doubles:
-        """Cosine at each surface to the light from a direction, 0 where another surface is in the way, shape (M,).
+        """Returns the cosine at each surface towards a light, 0 where the surface is shadowed, shape (M,).
 
-        Surfaces are lit on either side: for the side that is inside of something, the thing itself is in the way.
+        Surfaces are lit on either side: if one side is the inside of an object, the object itself shadows it.
 
         Args:
-            directions: Towards the light, unit, shape (3,) or (M, 3).
-            distances: To the light, scene units, a number or shape (M,).
+            directions: Unit directions towards the light, shape (3,) or (M, 3).
+            distances: Distances to the light, scene units, a number or shape (M,).
         """
         along = np.broadcast_to(directions, self.positions.shape)
         cosine = np.einsum("ij,ij->i", self.normals, along)
@@ -140,12 +143,12 @@ class CapturedSurfaces:
 def captured_surfaces(
     splats: tuple[SplatInstance, ...], worlds: list[Doubles], center: Doubles, extent: float
 ) -> CapturedSurfaces:
-    """The surfaces of a capture within a cube around a place.
+    """Finds the surfaces of a capture within a cube.
 
     Args:
-        splats: The capture.
-        worlds: Means of each instance in the world.
-        center: The place, world space, shape (3,).
+        splats: Splat instances of the capture.
+        worlds: World-space means of each instance.
+        center: Centre of the cube, world space, shape (3,).
         extent: Half the side of the cube, scene units.
     """
     discs = _Discs.joined(
@@ -170,7 +173,7 @@ def captured_surfaces(
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Cubic cells."""
+    """Grid of cubic voxels."""
 
     corner: Doubles
     cell: float
@@ -180,7 +183,7 @@ class _Grid:
         return SURFACE_CELLS, SURFACE_CELLS, SURFACE_CELLS
 
     def keys(self, points: Doubles) -> tuple[Rows, Flags]:
-        """The cell of each point, as a number, and whether it is in the grid: 0 where it is not."""
+        """Returns the flat index of each point's voxel, 0 outside the grid, and whether the point is inside."""
         cells = np.floor((points - self.corner) / self.cell).astype(np.int64)
         inside = np.asarray(((cells >= 0) & (cells < SURFACE_CELLS)).all(axis=1))
         cells[~inside] = 0
@@ -188,22 +191,22 @@ class _Grid:
 
 
 class _Discs(NamedTuple):
-    """Gaussians as discs in the world."""
+    """Gaussians as discs in world space."""
 
     means: Doubles
-    """Shape (N, 3)."""
+    """Centres, shape (N, 3)."""
     first: Doubles
-    """The widest axis, times the standard deviation of what is flat along it, shape (N, 3)."""
+    """Longest axis times the disc's standard deviation along it, shape (N, 3)."""
     second: Doubles
-    """The next one."""
+    """Middle axis, likewise."""
     normals: Doubles
-    """Unit, of either sign, shape (N, 3)."""
+    """Unit normals of arbitrary sign, shape (N, 3)."""
     area: Doubles
-    """Covered, times opacity, shape (N,)."""
+    """Covered area times opacity, shape (N,)."""
     luminance: Doubles
-    """Linear, shape (N,)."""
+    """Linear luminance, shape (N,)."""
     is_flat: Flags
-    """Whether it is thin enough to have a normal, shape (N,)."""
+    """True for Gaussians thin enough to have a normal, shape (N,)."""
 
     @classmethod
     def joined(cls, parts: list[_Discs]) -> _Discs:
@@ -211,7 +214,7 @@ class _Discs(NamedTuple):
 
 
 def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: float) -> _Discs:
-    """The Gaussians of an instance within a cube."""
+    """Returns the Gaussians of an instance within a cube."""
     near = np.flatnonzero(np.abs(world - center).max(axis=1) < extent)
     gaussians = instance.gaussians.subset(near)
     order = np.argsort(-gaussians.scales, axis=1, kind="stable")
@@ -219,7 +222,7 @@ def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: flo
     axes = matrices_from_quaternions(gaussians.rotations_wxyz).transpose(0, 2, 1)
     axes = axes @ (instance.transform[:3, :3] / instance.scale).T
     rows = np.arange(near.size)
-    # Round Gaussians become points: a disc of theirs would lie anyhow.
+    # Isotropic Gaussians become points, because the orientation of their disc is arbitrary.
     flat = np.sqrt(np.maximum(scales[:, :2] ** 2 - scales[:, 2:] ** 2, 0.0))
     display = np.maximum(SH_C0 * gaussians.sh[:, 0].astype(np.float64) + 0.5, 0.0)
     return _Discs(
@@ -234,7 +237,7 @@ def _discs(instance: SplatInstance, world: Doubles, center: Doubles, extent: flo
 
 
 def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
-    """Which cells are solid, the normals of what is in them, shape (n^3, 3), and whether that is flat."""
+    """Returns which voxels are solid, the normal of each voxel's content, shape (n^3, 3), and whether it is flat."""
     count = SURFACE_CELLS**3
     area, first, second = np.zeros(count), np.zeros((3, count)), np.zeros((3, 3, count))
     for u, v in _DISC:
@@ -251,14 +254,14 @@ def _solid_cells(discs: _Discs, grid: _Grid) -> tuple[Flags, Doubles, Flags]:
     mean = first[:, solid] / area[solid]
     spread = second[:, :, solid] / area[solid] - mean[:, None] * mean[None]
     spread = np.tril(spread.transpose(2, 0, 1))
-    values, vectors = np.linalg.eigh(spread)  # Reads the lower triangle.
+    values, vectors = np.linalg.eigh(spread)  # reads the lower triangle
     normals, is_flat = np.zeros((count, 3)), np.zeros(count, np.bool_)
     normals[solid], is_flat[solid] = vectors[:, :, 0], values[:, 0] < SURFACE_FLATNESS * values[:, 1]
     return solid, normals, is_flat
 
 
 def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
-    """Few rows of each cell, and not too many in all, drawn at random."""
+    """Returns a random subset of rows with at most `SURFACE_PER_CELL` per voxel and `SURFACES_MAX` in all."""
     shuffled = np.random.default_rng(0).permutation(rows.size)
     order = shuffled[np.argsort(cells[shuffled], kind="stable")]
     starts = np.searchsorted(cells[order], cells[order])
@@ -269,39 +272,41 @@ def _evenly_spread(rows: Rows, cells: Rows) -> Rows:
 
 
 _EVEN_PRODUCTS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Products of the components of normals that span what depends on a normal, and not on its sign, to degree 2."""
+"""Products of components of the normal that span all even functions of the normal up to degree 2."""
 
 
 class Trace(NamedTuple):
-    """What one more light explains of the luminance of surfaces."""
+    """Evidence for one more light in the luminance of surfaces."""
 
     significance: float
-    """Luminance for each unit of its irradiance, over the standard error of that; below 0 if darker in its light."""
+    """Luminance per irradiance of the light, over its standard error; negative if surfaces are darker in the light."""
     share: float
-    """Of the variance that nothing else explains, -1..1; below 0 if darker in its light."""
+    """Fraction of the remaining variance that the light explains, -1..1; negative if surfaces are darker in the light.
+    """
     factor: float
-    """Luminance for each unit of its irradiance."""
+    """Luminance per irradiance of the light."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shading:
-    """Luminance of surfaces, and what explains it so far."""
+    """Regression of the luminance of surfaces on the irradiance from lights."""
 
     surfaces: CapturedSurfaces
     design: Doubles
-    """Irradiance of what is known, a column each, shape (M, K)."""
+    """Columns of the regression so far: a smooth environment, and lights already found, shape (M, K)."""
     weights: Doubles
-    """Of each surface's squared residual: residuals are relative, and outliers count little, shape (M,)."""
+    """Weight of each surface's squared residual, from relative residuals and Huber's loss, shape (M,)."""
 
     @classmethod
     def of(cls, surfaces: CapturedSurfaces, directions: Doubles, cosines: Doubles, degree: int = 1) -> Shading:
-        """Explained by nothing but surroundings that are smooth: a sky of low degree and what depends on the normal.
+        """Starts a regression on a smooth environment of low SH degree, and on functions of the normal.
 
         Args:
             surfaces: The surfaces.
-            directions: Evenly spread over the sphere, shape (D, 3).
-            cosines: Of the light from each of these, shape (M, D), as from `CapturedSurfaces.cosines`.
-            degree: Of the sky.
+            directions: Directions evenly spread over the sphere, shape (D, 3).
+            cosines: Unshadowed cosines of the surfaces towards each direction, shape (M, D), as from
+                `CapturedSurfaces.cosines`.
+            degree: SH degree of the environment.
         """
         normals = surfaces.normals
         even = np.stack([normals[:, i] * normals[:, j] for i, j in _EVEN_PRODUCTS], axis=1)
@@ -310,15 +315,15 @@ class Shading:
         return cls(surfaces, design, _robust_weights(design, surfaces.luminance))
 
     def with_light(self, irradiance: Doubles) -> Shading:
-        """The same with one more light known."""
+        """Returns the regression with one more light as a column."""
         return replace(self, design=np.column_stack([self.design, irradiance]))
 
     def traces(self, irradiances: Doubles, counted: Flags | None = None) -> list[Trace]:
-        """The trace of each of several lights alone.
+        """Returns the evidence for each of several candidate lights, each added alone.
 
         Args:
-            irradiances: Of surfaces, any unit, a column each, shape (M, L).
-            counted: Which surfaces count, shape (M,); None: all.
+            irradiances: Irradiance of the surfaces from each light in any unit, shape (M, L).
+            counted: Surfaces that count, shape (M,); None: all.
         """
         weights = self.weights if counted is None else self.weights * counted
         both = np.column_stack([self.surfaces.luminance, irradiances])
@@ -327,7 +332,7 @@ class Shading:
         power = np.maximum(weights @ light**2, 1e-30)
         factors = (weights * dark) @ light / power
         variance = max(float(weights @ dark**2), 1e-30)
-        # Residuals of one block go together: texture and shadows are larger than a Gaussian.
+        # Residuals within a block are correlated, because texture and shadows are larger than a Gaussian.
         scores = weights[:, None] * light * (dark[:, None] - factors * light)
         sums = np.zeros((int(self.surfaces.blocks.max(initial=-1)) + 1, light.shape[1]))
         np.add.at(sums, self.surfaces.blocks, scores)
@@ -338,18 +343,18 @@ class Shading:
 
 
 def ground_direction(surfaces: CapturedSurfaces, center: Doubles) -> Doubles:
-    """Where a place is blocked more than elsewhere: the ground, outdoors; shape (3,).
+    """Returns the direction in which a position is blocked most, which is downwards outdoors, shape (3,).
 
-    Its length is 1 over an endless ground under an open sky, and 0 in a closed room or in the air.
+    Its length is 1 above an endless ground under an open sky, and 0 in a closed room or in the air.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     is_open = surfaces.cells.is_free(np.broadcast_to(center, directions.shape), directions)
-    # The mean of a half space of unit vectors has length 1/4.
+    # The mean over the sphere of the unit vectors in one hemisphere has length 1/4.
     return -4.0 * np.mean(is_open[:, None] * directions, axis=0)
 
 
 def _robust_weights(design: Doubles, luminance: Doubles) -> Doubles:
-    """Weights of squared residuals, relative to the luminance and by Huber's loss, shape (M,)."""
+    """Returns weights of squared residuals, from residuals relative to the luminance and Huber's loss, shape (M,)."""
     weights = np.ones_like(luminance)
     if not luminance.size:
         return weights
@@ -364,7 +369,7 @@ def _robust_weights(design: Doubles, luminance: Doubles) -> Doubles:
 
 
 def _explained(design: Doubles, values: Doubles, weights: Doubles) -> Doubles:
-    """The part of values, shape (M,) or (M, L), that the columns of ``known`` explain: weighted least squares."""
+    """Returns the part of values, shape (M,) or (M, L), that ``design`` explains by weighted least squares."""
     weighted = design * weights[:, None]
     gram = weighted.T @ design
     gram += TRACE_RIDGE * np.trace(gram) / len(gram) * np.eye(len(gram))

@@ -1,4 +1,4 @@
-"""A capture's own light taken out of it (docs/method/delighting.md): steps and their order."""
+"""Estimates a capture's materials and removes the captured light from its colours (docs/method/delighting.md)."""
 
 from __future__ import annotations
 
@@ -42,43 +42,43 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs
 from lumisplat.scene.ops.normals import agreeing_signs, shortest_axes
 
 BRIGHT_CELLS = 6
-"""Cells of the sky that are divided further: those that shine most."""
+"""Number of the brightest environment cells that each refinement divides."""
 
 BRIGHT_PARTS = 4
-"""Into so many times so many parts."""
+"""Parts along each side into which a bright cell is divided."""
 
 BRIGHT_REFINEMENTS = 2
-"""Times that this is done."""
+"""Number of refinements of the bright environment cells."""
 
 CLIPPED = 0.985
-"""Display-referred value of all channels from which on a Gaussian may have been brighter than could be captured."""
+"""Display-referred value of all channels above which a Gaussian may have been brighter than the camera could record."""
 
 EMITTERS_MAX = 8
-"""Groups of such Gaussians whose light is found apart."""
+"""Maximum number of emitters (groups of clipped Gaussians) whose radiance is fitted separately."""
 
 EMITTER_GAP = 4.0
-"""Distance between Gaussians of one group, in median scales of such Gaussians."""
+"""Largest distance between neighbouring Gaussians of one emitter, in median scales of clipped Gaussians."""
 
 PAIRS = 24_000
-"""Pairs of neighbours whose albedos are compared, at most."""
+"""Maximum number of pairs of neighbours whose albedos are compared."""
 
 IRRADIANCE_KNOWN = 0.03
-"""Light at a Gaussian, as a share of the median, below which its albedo is that of its neighbours."""
+"""Irradiance relative to the median below which a Gaussian's albedo is replaced by that of its neighbours."""
 
 MATT_LEAST = 0.2
-"""Share of what Gaussians show that is left, at least, when what they mirror is taken away."""
+"""Smallest fraction of a Gaussian's reflectance that remains after the specular part is subtracted."""
 
 CONFIDENT = 0.8
-"""Sureness of a roughness from which on highlights are said to tell it."""
+"""Confidence above which a remark counts a Gaussian's roughness as determined by highlights."""
 
 TOO_LIGHT = 0.02
-"""Share of Gaussians beyond what is possible, or not explained, from which on it is worth a remark."""
+"""Fraction of Gaussians above which a remark reports a problem."""
 
 RESIDUAL_LARGE = 0.25
-"""Unexplained share of a captured colour that counts for that."""
+"""Residual relative to the captured radiance above which a Gaussian counts as unexplained."""
 
 ENVIRONMENT_IMAGE_ROWS = 64
-"""Of the image of the sky that was found."""
+"""Rows of the image of the estimated environment."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -91,19 +91,19 @@ def delight(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Gaussians:
-    """A capture with materials: ``albedo`` without the light in which it was taken, ``roughness`` and ``normals``.
+    """Estimates ``albedo``, ``roughness`` and ``normals`` of a capture, with the light of the capture removed.
 
-    As `estimate_materials`, which also tells what light was found, and how sure that is.
+    `estimate_materials` does the same and also returns the estimated light and confidences.
 
     Args:
-        gaussians: A capture with display-referred colours; if it has an albedo, that is replaced.
+        gaussians: A capture with display-referred colours; an existing albedo is replaced.
         config: Settings; None: the defaults.
         device: As for `create_renderer`.
-        threads: Likewise.
+        threads: As for `create_renderer`.
         progress: Called with a label and the fraction done, 0..1.
 
     Returns:
-        The same Gaussians in the same order.
+        The same Gaussians in the same order, with materials.
 
     Raises:
         ConfigError: A setting is of the wrong kind.
@@ -121,21 +121,22 @@ def estimate_materials(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> MaterialEstimate:
-    """Materials of a capture and the light in which it was taken, found from the capture alone.
+    """Estimates the materials of a capture, and the light it was taken in, from the capture alone.
 
-    The light that reaches a Gaussian is largely seen in the capture itself: rays find it. What is not, the sky and
-    lamps that were too bright for a display, is such that Gaussians which may have one albedo have it. Where
-    colours change with the direction of view, highlights tell the roughness: of dielectrics, and not by lamps in
-    rooms. They stay in the albedo. Source: docs/method/delighting.md.
+    Most of the light that reaches a Gaussian is visible in the capture, where rays gather it. The rest comes from the
+    environment, and from emitters too bright for a display. Their radiances are fitted so that Gaussians of like
+    chromaticity get like albedos. Where colours change with the view direction, highlights determine the roughness of
+    dielectrics, unless the capture is a room with emitters: their highlights stay in the albedo. Source:
+    docs/method/delighting.md.
 
-    How bright the sky or lamps were and what albedos surfaces have is only known together: the lightest surfaces are
-    taken to reflect 0.8. Of a room, bounces between its walls tell them apart a little.
+    Only the product of light and albedo is visible, so the lightest surfaces are assumed to have an albedo of 0.8. In a
+    room, interreflections determine the scale a little.
 
     Args:
-        gaussians: A capture with display-referred colours; if it has an albedo, that is replaced.
+        gaussians: A capture with display-referred colours; an existing albedo is replaced.
         config: Settings; None: the defaults.
         device: As for `create_renderer`.
-        threads: Likewise.
+        threads: As for `create_renderer`.
         progress: Called with a label and the fraction done, 0..1.
 
     Raises:
@@ -149,28 +150,28 @@ def estimate_materials(
     visible = int(np.count_nonzero(gaussians.opacities >= OPACITY_SEEN))
     if visible < GAUSSIANS_LEAST:
         raise SceneError(
-            f"no surface whose material could be told: {visible} of {gaussians.count} Gaussians have an opacity of "
-            f"{OPACITY_SEEN} or more, expected {GAUSSIANS_LEAST} at least"
+            f"no surface to estimate materials of: {visible} of {gaussians.count} Gaussians have an opacity of at "
+            f"least {OPACITY_SEEN}, expected {GAUSSIANS_LEAST} or more"
         )
     if gaussians.albedo is not None:
-        _log.warning("the capture has an albedo already: it is replaced by one from its captured colours")
+        _log.warning("the albedo of the capture is replaced by one estimated from its captured colours")
     origin, gaussians = gaussians.origin, replace(gaussians, origin=(0.0, 0.0, 0.0))
     renderer = create_renderer(RenderConfig(pipeline=Pipeline.TRACE, lighting=False), device, threads=threads)
     if not np.ptp(gaussians.means, axis=0).any():
-        raise SceneError("no surface whose material could be told: all Gaussians are in one place")
+        raise SceneError("no surface to estimate materials of: all Gaussians are at one position")
     surface = measure_surface(gaussians, renderer, config.seed)
     if surface.has_no_surface:
         raise SceneError(
-            "no surface whose material could be told: light passes between round Gaussians, or is lost in them bit by "
-            "bit, as in fog (of a training that was stopped early, more steps make surfaces)"
+            "no surface to estimate materials of: Gaussians are isotropic and rays lose their transmittance gradually, "
+            "as in haze (after a training that was stopped early, more steps form surfaces)"
         )
     if surface.fault:
         _log.warning("%s", no_surface_message(surface.fault))
     report = progress or no_progress
     pace = StagedProgress(report, _LABEL)
     rays = IncidentRays(gaussians, renderer, config.seed, traced=pace.add)
-    # More threads of BLAS change the last bits. They save a fifth of the time on two free cores, but wait for each
-    # other on busy ones, up to nine times as long.
+    # More BLAS threads change the last bits. They save a fifth of the time on two idle cores, but on busy ones they
+    # wait for each other and take up to nine times as long.
     with threadpool_limits(1, user_api="blas"):
         found = _Delighter(gaussians, config, rays, pace).run()
     report(_LABEL, 1.0)
@@ -180,15 +181,16 @@ def estimate_materials(
 _LABEL = "delighting"
 _SIDES, _RAYS, _LIGHT, _HIGHLIGHTS = "finding sides", "tracing the light", "finding the light", "finding highlights"
 _BRIGHT = tuple(
-    (f"tracing the bright sky ({number} of {BRIGHT_REFINEMENTS})", f"{_LIGHT} ({number} of {BRIGHT_REFINEMENTS})")
+    (f"tracing bright cells ({number} of {BRIGHT_REFINEMENTS})", f"{_LIGHT} ({number} of {BRIGHT_REFINEMENTS})")
     for number in range(1, BRIGHT_REFINEMENTS + 1)
 )
 _FIT_COST, _HIGHLIGHT_COST = 5e6, 500.0
-"""What a fit of the light takes, and the highlights of a Gaussian, in rays that take as long (20,000 Gaussians)."""
+"""Expected cost of one light fit, and of the highlights of one Gaussian, in traced rays of equal time (20,000
+Gaussians)."""
 
 
 def _costs(count: int, config: DelightConfig, *, inside: bool, shines: bool) -> dict[str, float]:
-    """Returns the stages and what each is expected to take, in rays, for some number of Gaussians."""
+    """Returns the expected cost of each stage, in traced rays, for ``count`` Gaussians."""
     costs = {_SIDES: 1.0 * SIDE_DIRECTIONS * count, _RAYS: 1.0 * config.cells**2 * count, _LIGHT: _FIT_COST}
     for bright, light in () if inside else _BRIGHT:
         costs |= {bright: 1.0 * BRIGHT_CELLS * BRIGHT_PARTS**2 * count, light: 2.0 * _FIT_COST}
@@ -197,7 +199,7 @@ def _costs(count: int, config: DelightConfig, *, inside: bool, shines: bool) -> 
 
 @dataclass(frozen=True, slots=True)
 class _Delighter:
-    """Takes the light out of a capture."""
+    """Runs the stages of a material estimate."""
 
     gaussians: Gaussians
     config: DelightConfig
@@ -205,7 +207,7 @@ class _Delighter:
     pace: StagedProgress
 
     def run(self) -> MaterialEstimate:
-        """All steps."""
+        """Runs all stages and returns the estimate."""
         count, may_shine = self.gaussians.count, self.gaussians.sh_degree > 0 and not self.config.matt
         self.pace.plan(_costs(count, self.config, inside=bool(self.config.inside), shines=may_shine))
         self.pace.begin(_SIDES)
@@ -215,16 +217,16 @@ class _Delighter:
         normals, inside = self.rays.facing(axes, near, self.config.inside, has_normals=given is not None)
         white = is_white(self.gaussians, normals)
         outgoing = self._checked_outgoing(normals, white)
-        # What is white on an object reflects.
+        # White parts of an object are surfaces, not emitters.
         emitters = emitters_of(self.gaussians, white) if inside else np.full(self.gaussians.count, -1)
         smoother = Smoother.of(near, normals, emitters)
         cells = EnvironmentCells.even(self.config.cells)
-        # Where a lamp's light comes from is not kept apart: highlights of it are not known.
+        # Irradiance from emitters is not stored by direction, so that their highlights cannot be modelled.
         shines = may_shine and emitters.max(initial=-1) < 0
         self.pace.plan(_costs(count, self.config, inside=inside, shines=shines))
         self.pace.begin(_RAYS)
         incident = smoother.incident(self.rays.incident(normals, emitters, cells, stores_directions=shines))
-        if inside:  # what no wall stops in a room are gaps between Gaussians
+        if inside:  # rays that escape a room pass gaps between Gaussians
             cells, incident = cells.of(np.empty(0, int)), replace(incident, environment=incident.environment[:, :0])
         pairs = albedo_pairs(near, np.flatnonzero(~white), PAIRS, np.random.default_rng([self.config.seed, 5]))
         self.pace.begin(_LIGHT)
@@ -264,20 +266,20 @@ class _Delighter:
         )
 
     def _checked_outgoing(self, normals: Doubles, white: Flags) -> Doubles:
-        """Radiance of Gaussians, shape (N, 3).
+        """Returns the outgoing radiance of the Gaussians, shape (N, 3).
 
         Raises:
-            SceneError: It is that of display white or of black everywhere.
+            SceneError: All Gaussians are as bright as display white, or all are black.
         """
         if white.all():
-            raise SceneError("all Gaussians are as bright as display white: no material can be told of any")
+            raise SceneError("all Gaussians are clipped at display white: no material can be estimated")
         outgoing = median_outgoing(self.gaussians, normals)
         if outgoing.max() < RADIANCE_LEAST:
-            raise SceneError("all Gaussians are black: no light fell on them that could tell a material")
+            raise SceneError("all Gaussians are black: without light, no material can be estimated")
         return outgoing
 
     def _parts(self, roughness: FloatArray, lobes: Lobes) -> tuple[Doubles, Doubles]:
-        """Shares of light that Gaussians of albedo 1 scatter and mirror, as if it came evenly, shape (N, 1) both."""
+        """Returns diffuse and specular reflectance of Gaussians with albedo 1 in constant light, shape (N, 1) each."""
         if self.config.matt:
             return np.ones((len(roughness), 1)), np.zeros((len(roughness), 1))
         matt, mirrored = lobes.in_constant_environment(roughness)
@@ -286,7 +288,7 @@ class _Delighter:
     def _finer(
         self, normals: Doubles, smoother: Smoother, cells: EnvironmentCells, incident: Irradiance, light: Light
     ) -> tuple[EnvironmentCells, Irradiance, Light]:
-        """The cells of the sky that shine most in parts."""
+        """Divides the brightest environment cells and traces the rays of their parts."""
         power = light.environment.mean(axis=1) * cells.solid_angles
         bright = np.argsort(-power, kind="stable")[:BRIGHT_CELLS]
         others = np.setdiff1d(np.arange(len(cells)), bright)
@@ -303,7 +305,7 @@ class _Delighter:
         )
 
     def _with_materials(self, albedo: Doubles, normals: Doubles, roughness: FloatArray) -> Gaussians:
-        """The capture with what was found."""
+        """Returns the capture with the estimated materials."""
         return replace(
             self.gaussians,
             albedo=read_only_view(albedo_in_range(albedo).astype(np.float32)),
@@ -314,13 +316,16 @@ class _Delighter:
 
 
 def _agreeing_axes(gaussians: Gaussians) -> Doubles:
-    """Shortest axes, shape (N, 3), turned to one side: they stay so where no ray tells, as of a sheet on its own."""
+    """Returns the shortest axes, shape (N, 3), with signs that agree among neighbours.
+
+    Where no ray decides the visible side, such as on an isolated sheet, these signs stay.
+    """
     axes = shortest_axes(gaussians)
     return agreeing_signs(axes)[:, None] * axes
 
 
 def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
-    """Albedos; where hardly any light was found, those of neighbours, shape (N, 3)."""
+    """Returns albedos, shape (N, 3), replaced by the mean of the neighbours where hardly any light arrives."""
     light = irradiance.mean(axis=1)
     certainty = np.clip(light / (IRRADIANCE_KNOWN * float(np.median(light)) + 1e-12) - 1.0, 0.0, 1.0)
     weights = certainty[near.second] + 1e-6
@@ -331,18 +336,21 @@ def filled(albedo: Doubles, irradiance: Doubles, near: Pairs) -> Doubles:
 
 
 def _unexplained(outgoing: Doubles, explained: Doubles) -> FloatArray:
-    """By how much what is explained differs from radiances, as a share of these, shape (N,)."""
+    """Returns the difference between explained and captured radiance, relative to the captured radiance, shape (N,)."""
     difference = np.abs(explained - outgoing).mean(axis=1)
     return (difference / np.maximum(outgoing.mean(axis=1), RADIANCE_LEAST)).astype(np.float32)
 
 
 def is_white(gaussians: Gaussians, normals: Doubles) -> Flags:
-    """Which Gaussians are as bright as could be captured, seen from before them: they may have been brighter; (N,)."""
+    """Returns which Gaussians are clipped at display white when viewed from the front, shape (N,)."""
     return (colors_along(gaussians, -normals) >= CLIPPED).all(axis=1) & (gaussians.opacities > 0.0)
 
 
 def emitters_of(gaussians: Gaussians, white: Flags) -> Rows:
-    """The group of white Gaussians that each is in, largest first, shape (N,); -1: none, or beyond the last."""
+    """Returns the index of each white Gaussian's group, largest group first, shape (N,); -1 for no group.
+
+    Only the `EMITTERS_MAX` largest groups have an index.
+    """
     bright = np.flatnonzero(white)
     groups = np.full(gaussians.count, -1)
     if not bright.size:
@@ -359,42 +367,45 @@ def emitters_of(gaussians: Gaussians, white: Flags) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialEstimate:
-    """Materials of a capture of N Gaussians, and the light in which it was taken."""
+    """Estimated materials of a capture of N Gaussians, and the estimated light it was taken in."""
 
     gaussians: Gaussians
-    """The capture, Gaussian by Gaussian, with ``albedo`` (linear), ``roughness`` and ``normals``."""
+    """The capture with ``albedo`` (linear), ``roughness`` and ``normals`` for each Gaussian."""
     cells: EnvironmentCells
-    """Of the sky, K of them; none if the capture was taken from inside of it."""
+    """K cells of the environment; none if the capture was taken from inside of it."""
     sky: Doubles
-    """Radiance of each, linear, in units of display white, shape (K, 3)."""
+    """Radiance of each environment cell, linear, in units of display white, shape (K, 3)."""
     emitters: Doubles
-    """Radiances of groups of Gaussians that were as bright as could be captured, likewise, shape (L, 3)."""
+    """Radiance of each emitter, a group of Gaussians clipped at display white, linear, in the same units, shape (L,
+    3)."""
     emitter_of: Rows
-    """The group of each Gaussian, -1: none, shape (N,)."""
+    """Index of the emitter that each Gaussian belongs to, -1 for none, shape (N,)."""
     residual: FloatArray
-    """What materials and light leave unexplained of each Gaussian's captured radiance, as a share of it, 0.., (N,)."""
+    """Difference between each Gaussian's captured radiance and the model, relative to the captured radiance, >= 0,
+    shape (N,)."""
     confidence: FloatArray
-    """How much of the light at a Gaussian was seen in the capture rather than found, 0..1, shape (N,)."""
+    """Fraction of the irradiance at each Gaussian that is visible in the capture rather than estimated, 0..1, shape
+    (N,)."""
     sureness: FloatArray
-    """By how much highlights narrow down the roughness of each Gaussian, 0..1, shape (N,). At 0 it is 0.8, which is not
-    found but taken: nothing tells, as in a capture whose colours do not change with the direction of view."""
+    """Confidence of each Gaussian's roughness, 0..1, shape (N,): how much highlights narrow it down. At 0 the
+    roughness is an assumed 0.8, as in a capture whose colours do not change with the view direction."""
     is_inside: bool
-    """Whether the capture was taken from inside of it, as that of a room is."""
+    """True if the capture was taken from inside of it, such as one of a room."""
     out_of_range: Flags
-    """Gaussians whose albedo would be above 1 in a channel: more light reached them than was found. They are darkened
-    in all channels by one factor, to 1 in the lightest, so that they keep their hue; shape (N,)."""
+    """Gaussians whose albedo would exceed 1 in a channel, because they received more light than was estimated, shape
+    (N,). One factor scales all their channels so that the largest is 1 and the hue stays."""
     is_white: Flags
-    """Gaussians, but for lamps, that may have been brighter than could be captured: their albedo is a guess; (N,)."""
+    """Gaussians clipped at display white, except emitters, shape (N,); their albedo is a guess."""
     is_too_dark: Flags
-    """Gaussians that are darker in a channel than what a surface as they have mirrors: relit, they come out lighter
-    there, and saturated colours paler; shape (N,)."""
+    """Gaussians darker in a channel than the specular reflection of a dielectric, shape (N,). Relit, they become
+    lighter in that channel, and saturated colours paler."""
 
     def sky_image(self, rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> FloatArray:
-        """The sky as a latitude-longitude image for `LightEnvironment`, shape (H, 2 H, 3); black if there is none.
+        """Returns the environment as a latitude-longitude image, shape (H, 2 H, 3); black if there is none.
 
         Args:
-            rotation_wxyz: World from image, such as ``scene.upright_wxyz``; a `LightEnvironment` that is turned by it
-                shines as the sky did.
+            rotation_wxyz: Rotation from image to world, such as ``scene.upright_wxyz``. A `LightEnvironment` with the
+                image and this rotation gives the estimated light.
         """
         directions = (
             panorama_directions(ENVIRONMENT_IMAGE_ROWS, 2 * ENVIRONMENT_IMAGE_ROWS) @ rotation_matrix(rotation_wxyz).T
@@ -403,12 +414,12 @@ class MaterialEstimate:
             return np.zeros(directions.shape, np.float32)
         cosines = directions @ self.cells.directions.T
         within = np.cos(np.sqrt(self.cells.solid_angles / np.pi))
-        # The cell in whose disc a direction lies deepest; cells of all sizes count by their own.
+        # The cell whose disc holds the direction closest to its centre, relative to the radius of the disc.
         nearest = np.argmax((cosines - 1.0) / (1.0 - within), axis=-1)
         return self.sky[nearest].astype(np.float32)
 
     def save_sky(self, path: str | os.PathLike[str], rotation_wxyz: npt.ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
-        """Writes `sky_image` as an EXR.
+        """Writes `sky_image` as an EXR file.
 
         Args:
             path: File to write, .exr.
@@ -421,35 +432,35 @@ class MaterialEstimate:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What to know about the result, a sentence each."""
+        """Notes on the result, one sentence each."""
         observed = float(self.confidence.mean())
         lines = [
-            "a closed room, for much of it sees no sky (if not: --inside no, inside=False): light is what it shows"
+            "taken for a closed room, as few rays escape: all light is its own (otherwise: --inside no, inside=False)"
             if self.is_inside
-            else f"open: {1.0 - observed:.0%} of the light comes from where the capture shows nothing, and is found as "
-            "a sky, whose brightness is a guess (a closed room: --inside yes, inside=True)"
+            else f"taken for an open scene: {1.0 - observed:.0%} of the light comes from an estimated environment, "
+            "whose brightness is a guess (for a closed room: --inside yes, inside=True)"
         ]
         if len(self.emitters):
             brightness = ", ".join(f"{emitter.mean():.3g}" for emitter in self.emitters)
-            lines.append(f"lamps, times as bright as display white: {brightness}")
+            lines.append(f"radiances of emitters, relative to display white: {brightness}")
         if self.sureness.any():
             share = float((self.sureness > CONFIDENT).mean())
             lines.append(
-                f"views from all sides tell the roughness of {share:.0%} of the Gaussians; else it is nearer to 0.8"
+                f"highlights determine the roughness of {share:.0%} of the Gaussians; for others it tends to 0.8"
             )
         else:
-            lines.append("roughness is 0.8 everywhere: colours do not change with the view, or lamps are in it")
+            lines.append("roughness is 0.8 everywhere: colours do not depend on the view, or there are emitters")
         if (share := float(self.out_of_range.mean())) > TOO_LIGHT:
             lines.append(
-                f"{share:.1%} of the Gaussians would reflect more than all light: albedo ends at 1, in the same hue"
+                f"{share:.1%} of the Gaussians would have an albedo above 1: it is scaled to 1, in the same hue"
             )
         if (share := float(self.is_white.mean())) > TOO_LIGHT:
-            lines.append(f"{share:.1%} of the Gaussians are as bright as display white: their albedo is a guess")
+            lines.append(f"{share:.1%} of the Gaussians are clipped at display white: their albedo is a guess")
         if (share := float(self.is_too_dark.mean())) > TOO_LIGHT:
             lines.append(
-                f"{share:.1%} of the Gaussians are darker, in a channel at least, than what they would mirror, and "
-                "come out lighter and paler: --matt, or matt=True, is for what mirrors nothing"
+                f"{share:.1%} of the Gaussians are darker in a channel than their specular reflection, and will "
+                "appear lighter and paler: use --matt, or matt=True, for surfaces without reflections"
             )
         if (share := float((self.residual > RESIDUAL_LARGE).mean())) > TOO_LIGHT:
-            lines.append(f"the captured colour of {share:.1%} of the Gaussians is not explained")
+            lines.append(f"materials and light do not explain the captured colours of {share:.1%} of the Gaussians")
         return tuple(lines)

@@ -1,4 +1,4 @@
-"""Evaluates estimated materials and light against a known truth: ``lumisplat.inverse.evaluate_materials``."""
+"""Evaluates estimated materials and light against ground truth: ``lumisplat.inverse.evaluate_materials``."""
 
 from __future__ import annotations
 
@@ -36,40 +36,40 @@ from lumisplat.scene.materials import MaterialPbr
 from lumisplat.scene.scene import Scene, SplatInstance
 
 INSIDE = 0.5
-"""Share of a pixel that the object covers from which on it counts, as photographs' masks do."""
+"""Smallest coverage of a pixel by the object for the pixel to be compared, as for the masks of images."""
 
 LAYERS = {"albedo": "RGB", "normal": "XYZ", "roughness": "Y"}
-"""Channels of the layers."""
+"""EXR channels of each ground-truth layer."""
 LIGHTS = {".exr", ".toml"}
-"""Files of light: an environment, or the lamps of a scene file."""
-_MAKER = "tools/make_relightable_set.py makes sets that have all of it"
+"""Extensions of light files: an environment image, or a scene file with lights."""
+_MAKER = "tools/make_relightable_set.py makes complete data sets"
 
 
 @dataclass(frozen=True, slots=True)
 class RelightableSet:
-    """What the folder has; files are read when they are asked for, and each error names one."""
+    """Ground truth in a folder. Files are read on demand, and each error names its file."""
 
     folder: Path
     views: tuple[TrainingImage, ...]
-    """Photographs held out, over black."""
+    """Held-out images over black."""
     layers: tuple[str, ...]
-    """Those of `LAYERS` whose truth is there."""
+    """Names of `LAYERS` for which there is ground truth."""
     unseen: tuple[str, ...]
-    """Names of the light of ``relit``."""
+    """Names of the lights in ``relit``, under which no training image was made."""
     specular: float
-    """Strength of the highlights of the surfaces: 0 if they are Lambertian."""
+    """Strength of the surfaces' highlights; 0 if they are Lambertian."""
 
     @classmethod
     def open(cls, folder: PathLike) -> RelightableSet:
-        """Finds what is there.
+        """Finds the images, layers and lights of a folder.
 
         Raises:
-            FormatError: It lists no photographs held out, or has neither a layer nor relit pictures.
+            FormatError: The folder lists no held-out images, or has neither layers nor relit images.
             MissingFileError: There is no such folder.
         """
         root = Path(folder)
         if root.is_dir() and not (root / "transforms_test.json").is_file():
-            raise FormatError(root, f"has no transforms_test.json, of whose cameras the truth is; {_MAKER}")
+            raise FormatError(root, f"has no transforms_test.json with the cameras of the ground truth; {_MAKER}")
         views = load_training_images(root).held_out
         layers = tuple(name for name in LAYERS if (root / "truth" / name).is_dir())
         unseen = tuple(sorted({path.stem for path in (root / "relit").glob("*") if path.suffix in LIGHTS}))
@@ -80,24 +80,24 @@ class RelightableSet:
         return cls(root, views, layers, unseen, _specular(root / "set.json"))
 
     def region(self, view: TrainingImage) -> Flags:
-        """Where the object covers at least half of a pixel, shape (H, W); everywhere without transparency.
+        """Returns the pixels of which the object covers at least half, shape (H, W); all pixels without alpha.
 
         Raises:
-            FormatError: Nowhere.
+            FormatError: The object covers no pixel.
         """
         shares = [share for share in (view.alpha(), view.mask()) if share is not None]
         inside = np.ones((view.camera.height, view.camera.width), np.bool_)
         for share in shares:
             inside &= share >= INSIDE
         if not inside.any():
-            raise FormatError(view.path, "shows nothing: no pixel is covered by half or more")
+            raise FormatError(view.path, "shows no object: alpha is below 0.5 in every pixel")
         return inside
 
     def layer(self, name: str, view: TrainingImage) -> FloatArray:
-        """The truth of a view, shape (H, W, C).
+        """Reads a ground-truth layer of a view, shape (H, W, C).
 
         Raises:
-            FormatError: It is missing, damaged, of another size, or not finite.
+            FormatError: The file is missing, damaged, of another size, or not finite.
         """
         path = self.folder / "truth" / name / f"{view.name}.exr"
         stored, channels = read_exr(_existing(path)), LAYERS[name]
@@ -111,10 +111,10 @@ class RelightableSet:
         return values
 
     def relit(self, name: str, view: TrainingImage) -> FloatArray:
-        """What is seen in unseen light: display-referred, over black, shape (H, W, 3).
+        """Reads the ground-truth image of a view under an unseen light, display colours over black, shape (H, W, 3).
 
         Raises:
-            FormatError: It is missing, damaged, or of another size.
+            FormatError: The file is missing, damaged, or of another size.
         """
         path = self.folder / "relit" / name / f"{view.name}.png"
         image = read_display_image(_existing(path))
@@ -123,14 +123,14 @@ class RelightableSet:
 
     @property
     def has_lights(self) -> bool:
-        """Whether some of the unseen light is of lamps."""
+        """True if some of the unseen light comes from local lights rather than an environment."""
         return any((self.folder / "relit" / f"{name}.toml").is_file() for name in self.unseen)
 
     def lights(self, name: str) -> tuple[Light, ...]:
-        """Unseen light.
+        """Reads one of the unseen lights.
 
         Raises:
-            FormatError: Its file is missing or damaged, or has something else in it.
+            FormatError: The file is missing or damaged, or holds something other than lights.
         """
         file = self.folder / "relit" / f"{name}.toml"
         if not file.is_file():
@@ -138,10 +138,10 @@ class RelightableSet:
         return read_scene_file(file, _refuse).lights
 
     def environment(self) -> FloatArray | None:
-        """That of the photographs: linear radiance, shape (H, W, 3); None: lamps of a room made them.
+        """Reads the environment of the training images, linear, shape (H, W, 3); None if local lights lit them.
 
         Raises:
-            FormatError: It is missing or damaged.
+            FormatError: The file is missing or damaged.
         """
         path = self.folder / "environment.exr"
         if not path.exists() and (self.folder / "lamps.toml").exists():
@@ -150,13 +150,13 @@ class RelightableSet:
 
 
 def _refuse(path: PathLike) -> NoReturn:
-    """Refuses what a scene file of lamps names besides."""
-    raise FormatError(path, "is in the light of a set, expected [[lights]] and [environment] alone")
+    """Refuses files that a scene file of lights refers to."""
+    raise FormatError(path, "is named in a light file of a data set, expected only [[lights]] and [environment]")
 
 
 def _existing(path: Path) -> Path:
     if not path.is_file():
-        raise MissingFileError(path, "no such file: the set is incomplete")
+        raise MissingFileError(path, "no such file: the data set is incomplete")
     return path
 
 
@@ -168,7 +168,7 @@ def _check_size(path: Path, values: FloatArray, view: TrainingImage) -> None:
 
 
 def _specular(path: Path) -> float:
-    """What ``set.json`` says of highlights; 1 without it."""
+    """Reads the strength of highlights from ``set.json``; 1 without the file."""
     if not path.exists():
         return 1.0
     try:
@@ -182,7 +182,7 @@ def _specular(path: Path) -> float:
 
 
 RELIT_SAMPLES = 64
-"""Of each pixel of relit pictures, unless it is said: docs/guide/materials.md#grain has what is left."""
+"""Default samples per pixel of relit images; docs/guide/materials.md#grain has the remaining noise."""
 
 
 def evaluate_materials(
@@ -195,32 +195,32 @@ def evaluate_materials(
     device: str = "auto",
     progress: Progress | None = None,
 ) -> MaterialEvaluation:
-    """Compares a capture's materials, normals and looks in new light with the truth of a set, where the object is.
+    """Compares a capture's materials, normals and appearance under new light with ground truth, over the object.
 
-    The capture is seen by the cameras of the photographs held out. Its albedo gets one scale a channel, the median
-    ratio to the truth over all of them, and with that it is relit in light that photographs were not made in;
-    figures are defined in the guide (docs/guide/materials.md#figures).
+    The capture is rendered from the cameras of the held-out images. Its albedo is scaled by one factor per channel, the
+    median ratio to the ground truth over all views. The scaled albedo is relit under light in which no training image
+    was made. The metrics are defined in the guide (docs/guide/materials.md#figures).
 
     Args:
-        gaussians: The capture, with ``albedo``, ``normals`` and ``roughness`` as far as they were found. Without
-            albedo, its captured colours stand for it, decoded and without view dependence.
-        folder: A set as of tools/make_relightable_set.py or make_relightable_room.py.
-        environment: The light of the photographs that was found, linear radiance, shape (H, W, 3), with the axes of
-            `LightEnvironment`; None: none was.
-        config: How the capture is relit; None: ``Pipeline.HYBRID``, which has shadows and no bounces, and where lamps
-            light a room ``Pipeline.PATH``, which has both. Whatever it says, without a background, and with samples
-            through the centres of pixels: Gaussians were learnt as they are seen there, and spread samples would blur
-            them once more. Rays that find antialiased captures as narrow as they are have theirs spread.
-        samples: Of each pixel of relit pictures, in place of those of ``config``; None: those, and 64 if neither says
-            it, so that grain is a small part of the error (docs/guide/materials.md#grain).
+        gaussians: The capture, with those of ``albedo``, ``normals`` and ``roughness`` that were estimated. Without an
+            albedo, its captured colours are used, decoded and without view dependence.
+        folder: A data set made by tools/make_relightable_set.py or make_relightable_room.py.
+        environment: Estimated environment of the training images, linear radiance, shape (H, W, 3), with the axes of
+            `LightEnvironment`; None: it was not estimated.
+        config: Settings of the relit renders. None: ``Pipeline.HYBRID``, which has shadows and no bounces; if local
+            lights light a room, ``Pipeline.PATH``, which has both. In any case there is no background, and samples go
+            through the centres of pixels, because that is how Gaussians were trained and jitter would blur them again.
+            Rays that render antialiased captures as narrow as they are do use jitter.
+        samples: Samples per pixel of relit images. None: those of ``config``, or 64 if it has none, so that noise is a
+            small part of the error (docs/guide/materials.md#grain).
         device: ``"cpu"``, ``"cuda:0"``, ... or ``"auto"``.
-        progress: Called with what is being done and the fraction done, 0..1.
+        progress: Called with a label of the stage and the fraction done, 0..1.
 
     Raises:
-        ConfigError: ``config`` is something else.
+        ConfigError: ``config`` is of another type.
         DeviceError: There is no such device.
-        FormatError: The folder is no such set, or a file of it is missing or damaged; names it.
-        SceneError: ``gaussians`` or ``environment`` are something else.
+        FormatError: The folder is no such data set, or one of its files is missing or damaged; the message names it.
+        SceneError: ``gaussians`` or ``environment`` are of another type.
     """
     if config is not None:
         check_kind("config", config, RenderConfig)
@@ -262,18 +262,18 @@ def evaluate_materials(
 def _relighting(
     config: RenderConfig | None, samples: int | None, gaussians: Gaussians, *, has_lights: bool
 ) -> RenderConfig:
-    """How relit pictures are made."""
+    """Returns the settings of relit renders."""
     settings = config or RenderConfig(pipeline=Pipeline.PATH if has_lights else Pipeline.HYBRID)
     if samples is None and settings.time_limit is None and settings.noise is None:
         samples = settings.samples or RELIT_SAMPLES
-    # Splats show Gaussians through the centres of pixels as they were learnt, and so do rays that widen them.
+    # Rasterisation, and rays with an antialiasing footprint, render Gaussians as trained only at pixel centres.
     pipeline = settings.pipeline
     wide = not pipeline.is_sequence and (pipeline.rasterises or footprint_of(gaussians, settings) > 0.0)
     return replace(settings, background=None, samples=samples, jitter=settings.jitter and not wide)
 
 
 def _panorama(environment: npt.ArrayLike) -> FloatArray:
-    """The environment that was found, checked."""
+    """Checks the estimated environment and returns it as an array."""
     image = float_array("environment", environment)
     if image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
         raise SceneError(f"environment has shape {image.shape}, expected (H, W, 3)")
@@ -283,21 +283,19 @@ def _panorama(environment: npt.ArrayLike) -> FloatArray:
 
 
 def _environment_figure(found: FloatArray | None, truth: RelightableSet) -> tuple[float, list[str]]:
-    """How near the environment is that was found, dB, and why it was not compared."""
+    """Returns the PSNR of the estimated environment in dB, and a remark if it was not compared."""
     if found is None:
         return math.nan, []
     true = truth.environment()
     if true is None:
-        return math.nan, [
-            f"the environment that was found is not compared: lamps made the photographs of {truth.folder}"
-        ]
+        return math.nan, [f"the estimated environment is not compared: local lights lit the images of {truth.folder}"]
     return environment_psnr(found, true), []
 
 
 def _compared_views(
     truth: RelightableSet, gaussians: Gaussians, device: str, report: Progress
 ) -> Iterator[ComparedView]:
-    """The views with the layers that both have."""
+    """Yields the views with the layers that both capture and ground truth have."""
     layers = LayerRenderer.of(gaussians, device)
     for number, view in enumerate(truth.views):
         report("comparing layers", number / len(truth.views))
@@ -310,7 +308,7 @@ def _compared_views(
 def _relit(
     truth: RelightableSet, gaussians: Gaussians, scale: Channels, renderer: Renderer, report: Progress
 ) -> list[dict[str, Pair]]:
-    """What is seen of the capture and of the truth in all unseen light, view by view."""
+    """Renders the capture under each unseen light, and pairs each image with the ground truth, view by view."""
     pictures: list[dict[str, Pair]] = [{} for _ in truth.views]
     for number, name in enumerate(truth.unseen):
         scene = relit_scene(gaussians, truth.lights(name), scale, truth.specular)
@@ -323,50 +321,50 @@ def _relit(
 
 
 def _remarks(gaussians: Gaussians, truth: RelightableSet) -> Iterator[str]:
-    """What was not compared, and what stands for something else."""
+    """Yields remarks on layers that were not compared, or that were replaced."""
     for name in ("albedo", "normal", "roughness"):
         if name not in truth.layers:
-            yield f"no truth of {name}: {truth.folder / 'truth' / name} is not there"
+            yield f"no ground truth for {name}: {truth.folder / 'truth' / name} is missing"
     if not truth.unseen:
         yield f"nothing is relit: {truth.folder / 'relit'} has neither an .exr nor a .toml"
     if gaussians.albedo is None:
-        yield "the capture has no albedo: its captured colours, decoded, stand for it"
+        yield "the capture has no albedo: its decoded captured colours are used instead"
     if gaussians.normals is None:
-        yield "the capture has no normals of its own: those of its Gaussians' shapes are compared"
+        yield "the capture has no normals: the shortest axes of its Gaussians are compared"
     if gaussians.roughness is None and truth.specular > 0.0:
         yield "the capture has no roughness: it is relit with 0.5"
 
 
 def _mean(values: Sequence[float]) -> float:
-    """The mean of those that are there."""
+    """Returns the mean of the values that are not NaN."""
     existing = [value for value in values if not math.isnan(value)]
     return sum(existing) / len(existing) if existing else math.nan
 
 
 class RelitFigures(NamedTuple):
-    """How near relit pictures are to true ones, where the object is."""
+    """Image metrics of relit images against ground truth, over the object."""
 
     psnr: float
-    """Decibels."""
+    """Peak signal-to-noise ratio, dB."""
     ssim: float
-    """At most 1; NaN: pictures are too small, or scikit-image is not installed."""
+    """Structural similarity, at most 1; NaN if images are too small or scikit-image is not installed."""
     flip: float
-    """0..1, the lower the better; NaN: flip-evaluator is not installed."""
+    """LDR-FLIP, 0..1, the lower the better; NaN if flip-evaluator is not installed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialView:
-    """A view held out: figures and pictures of what was found. Figures are NaN where there is nothing to compare."""
+    """Metrics and images of one held-out view. Metrics are NaN where there is nothing to compare."""
 
     name: str
     coverage: float
-    """Share of its pixels that the object covers by half or more, 0..1: what is compared."""
+    """Fraction of the pixels that are compared because the object covers at least half of each, 0..1."""
     albedo_psnr: float
-    """Of sRGB-encoded albedo after one scale a channel, dB."""
+    """PSNR of the sRGB-encoded albedo after scaling by one factor per channel, dB."""
     albedo_psnr_unscaled: float
-    """The same without a scale, dB."""
+    """PSNR of the sRGB-encoded albedo without scaling, dB."""
     albedo_psnr_linear: float
-    """Of linear albedo after the scale, dB."""
+    """PSNR of the linear albedo after scaling, dB."""
     normal_mean: float
     """Mean angle between normals, degrees."""
     normal_median: float
@@ -374,30 +372,30 @@ class MaterialView:
     roughness_rmse: float
     """Root mean square error of perceptual roughness, 0..1."""
     relit: Mapping[str, RelitFigures]
-    """By the names of the light that photographs were not made in."""
+    """Image metrics by the name of the unseen light."""
     region: Flags
-    """What is compared, shape (H, W)."""
+    """Pixels that are compared, shape (H, W)."""
     pictures: Mapping[str, tuple[FloatArray, FloatArray]]
-    """What was found and the truth, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``, ``roughness`` and
-    the names of the light: ``relit/sunny``."""
+    """Estimated and ground-truth images, display colours, shape (H, W, 3) each, by ``albedo``, ``normal``,
+    ``roughness`` and ``relit/NAME`` for each unseen light."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialEvaluation:
-    """How near found materials and light are to the truth, as `evaluate_materials` measures it.
+    """Metrics of estimated materials and light against ground truth, as `evaluate_materials` computes them.
 
-    Figures are NaN where the set has no truth, or the capture nothing that was found; ``remarks`` say which. PSNR, SSIM
-    and FLIP are means over the views, the others are of all their pixels together.
+    Metrics are NaN where the data set has no ground truth, or the capture no estimate; ``remarks`` lists those. PSNR,
+    SSIM and FLIP are means over the views; other metrics are over the pixels of all views.
     """
 
     albedo_scale: tuple[float, float, float]
-    """The factor of each channel by which found albedo is as bright as the truth; 1 without a truth."""
+    """Factor of each channel by which the estimated albedo is scaled to the ground truth; 1 without ground truth."""
     albedo_psnr: float
-    """Of sRGB-encoded albedo after that scale, dB."""
+    """PSNR of the sRGB-encoded albedo after that scaling, dB."""
     albedo_psnr_unscaled: float
-    """The same without a scale, dB."""
+    """PSNR of the sRGB-encoded albedo without scaling, dB."""
     albedo_psnr_linear: float
-    """Of linear albedo after the scale, dB."""
+    """PSNR of the linear albedo after scaling, dB."""
     normal_mean: float
     """Mean angle between normals, degrees."""
     normal_median: float
@@ -405,13 +403,13 @@ class MaterialEvaluation:
     roughness_rmse: float
     """Root mean square error of perceptual roughness, 0..1."""
     environment_psnr: float
-    """Of the environment after one scale a channel, dB (see the guide)."""
+    """PSNR of the environment after scaling by one factor per channel, dB (see the guide)."""
     relit: Mapping[str, RelitFigures]
-    """By the names of the light that photographs were not made in; albedo is scaled as above."""
+    """Image metrics by the name of the unseen light, with scaled albedo."""
     views: tuple[MaterialView, ...]
-    """The views held out, by name."""
+    """Metrics of each held-out view, sorted by name."""
     remarks: tuple[str, ...]
-    """What was not compared, or stands for something that was not found, a line each."""
+    """Notes on layers that were not compared or were replaced, one sentence each."""
 
     def __repr__(self) -> str:
         relit = ", ".join(f"{name} {figures.psnr:.2f}" for name, figures in self.relit.items())
@@ -422,23 +420,23 @@ class MaterialEvaluation:
 
 
 Pair = tuple[FloatArray, FloatArray]
-"""What was found, and the truth."""
+"""Estimate and ground truth."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedView:
-    """A view's layers and pictures, found and true, shape (H, W, C)."""
+    """Layers and relit images of a view, estimated and true, shape (H, W, C)."""
 
     name: str
     region: Flags
-    """What counts, shape (H, W)."""
+    """Pixels that are compared, shape (H, W)."""
     layers: Mapping[str, Pair]
-    """Those that both have."""
+    """Layers that both capture and ground truth have."""
     relit: Mapping[str, Pair]
-    """By environment, display colours over black."""
+    """Display colours over black, by the name of the light."""
 
     def counted(self, layer: str) -> tuple[Doubles, Doubles]:
-        """A layer's pixels that count, shape (N, C) each; N is 0 if there is no such layer."""
+        """Returns the compared pixels of a layer, shape (N, C) each; N is 0 without that layer."""
         if layer not in self.layers:
             return np.zeros((0, 3)), np.zeros((0, 3))
         found, truth = self.layers[layer]
@@ -446,31 +444,31 @@ class ComparedView:
 
 
 def albedo_scale(views: Sequence[ComparedView]) -> Channels:
-    """The one scale a channel of all views; 1 if there is no albedo to compare."""
+    """Returns the factor per channel that scales the albedo of all views; 1 without an albedo to compare."""
     pairs = [view.counted("albedo") for view in views]
     found, truth = (np.concatenate([pair[side] for pair in pairs]) for side in (0, 1))
     return channel_scale(found, truth) if len(found) else (1.0, 1.0, 1.0)
 
 
 def normal_figures(views: Sequence[ComparedView]) -> tuple[float, float]:
-    """Mean and median angle between normals over all views' pixels, degrees."""
+    """Returns mean and median angle between normals over the pixels of all views, degrees."""
     errors = np.concatenate([normal_errors(*view.counted("normal")) for view in views])
     return (float(errors.mean()), float(np.median(errors))) if len(errors) else (math.nan, math.nan)
 
 
 def roughness_rmse(views: Sequence[ComparedView]) -> float:
-    """Root mean square error of roughness over all views' pixels."""
+    """Returns the root mean square error of roughness over the pixels of all views."""
     pairs = [view.counted("roughness") for view in views]
     errors = np.concatenate([(found - truth)[:, 0] for found, truth in pairs])
     return float(np.sqrt(np.mean(errors**2))) if len(errors) else math.nan
 
 
 def measured(view: ComparedView, scale: Channels) -> tuple[MaterialView, list[str]]:
-    """The figures and pictures of a view, and why figures are missing.
+    """Computes the metrics and images of a view, and remarks on missing metrics.
 
     Args:
-        view: The view; its relit pictures have the scaled albedo already.
-        scale: Of the albedo.
+        view: The view, with relit images of the scaled albedo.
+        scale: Scale of the albedo.
     """
     problems: list[str] = []
     mean, median = normal_figures([view])
@@ -519,7 +517,7 @@ def _relit_figures(pair: Pair, region: Flags, problems: list[str]) -> RelitFigur
 
 
 def _pictures(view: ComparedView, scale: Channels) -> dict[str, Pair]:
-    """Display pictures of layers and relit views, black where nothing counts."""
+    """Returns display images of layers and relit views, black outside the compared pixels."""
     shown: dict[str, Pair] = {}
     if "albedo" in view.layers:
         shown["albedo"] = _albedo_pictures(view, scale)
@@ -535,7 +533,7 @@ def _pictures(view: ComparedView, scale: Channels) -> dict[str, Pair]:
 
 
 def with_albedo(gaussians: Gaussians) -> Gaussians:
-    """The Gaussians with an albedo: theirs, else their captured colours without view dependence, decoded."""
+    """Returns the Gaussians with an albedo: their own, else their captured colours without view dependence, decoded."""
     if gaussians.albedo is not None:
         return gaussians
     captured = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0.0, 1.0)
@@ -544,7 +542,7 @@ def with_albedo(gaussians: Gaussians) -> Gaussians:
 
 @dataclass(frozen=True, slots=True)
 class LayerRenderer:
-    """Draws albedo, normals and roughness as relit frames have them."""
+    """Renders albedo, normals and roughness as relit frames use them."""
 
     renderer: Renderer
     unlit: Renderer
@@ -553,13 +551,13 @@ class LayerRenderer:
 
     @classmethod
     def of(cls, gaussians: Gaussians, device: str) -> LayerRenderer:
-        """Of Gaussians with an albedo."""
+        """Creates the renderers for Gaussians with an albedo."""
         lit_config = RenderConfig(
             background=None, lighting=True, shadows=Shadows.OFF, samples=1, aovs=("albedo",), pipeline=Pipeline.RASTER
         )
         with_base_colors = None
         if gaussians.roughness is not None:
-            # Roughness as a colour that is blended as it is.
+            # Roughness becomes a colour, so that it is blended without encoding.
             values = np.repeat((gaussians.roughness[:, None, None] - 0.5) / SH_C0, 3, axis=2)
             with_base_colors = Scene(splats=(SplatInstance(replace(gaussians, sh=values)),))
         return cls(
@@ -570,7 +568,10 @@ class LayerRenderer:
         )
 
     def draw(self, camera: Camera) -> dict[str, FloatArray]:
-        """Linear albedo (H, W, 3), unit normals (H, W, 3), zero where nothing is, and roughness (H, W, 1) if known."""
+        """Renders linear albedo (H, W, 3), unit normals (H, W, 3; 0 in the background) and roughness (H, W, 1).
+
+        The layer of roughness is missing if the Gaussians have none.
+        """
         frame = self.renderer.render(self.lit_scene, camera)
         assert frame.albedo is not None
         layers = {"albedo": unpremultiplied(frame.albedo, frame.alpha), "normal": frame.normal}
@@ -580,12 +581,12 @@ class LayerRenderer:
 
 
 def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[float, ...], specular: float) -> Scene:
-    """The capture in other light, its albedo scaled and clipped.
+    """Returns a scene of the capture under other light, with its albedo scaled and clipped.
 
     Args:
-        gaussians: With an albedo.
-        lights: All that there are.
-        scale: Of the albedo, a factor a channel.
+        gaussians: Gaussians with an albedo.
+        lights: All lights of the scene.
+        scale: Factor per channel of the albedo.
         specular: Strength of the highlights.
     """
     assert gaussians.albedo is not None
@@ -594,6 +595,6 @@ def relit_scene(gaussians: Gaussians, lights: tuple[Light, ...], scale: tuple[fl
 
 
 def over_black(renderer: Renderer, scene: Scene, camera: Camera) -> FloatArray:
-    """A frame without background as display colours over black, shape (H, W, 3), blended as photographs are."""
+    """Renders display colours over black, shape (H, W, 3), blended as in images."""
     pixels = renderer.render(scene, camera).pixels_srgb()
     return pixels[..., :3] * pixels[..., 3:]

@@ -1,6 +1,6 @@
-"""Finds the light that arrives at each Gaussian of a capture, at points where it is visible.
+"""Traces the light that arrives at each Gaussian of a capture, at points where the Gaussian is visible.
 
-Most of that light is shown by the capture itself; the rest is environment or a clipped light.
+Most of that light is visible in the capture itself; the rest comes from the environment or from clipped emitters.
 """
 
 from __future__ import annotations
@@ -27,23 +27,24 @@ from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, morton_order, pai
 from lumisplat.scene.scene import Scene
 
 NEIGHBOURS = 12
-"""Gaussians, about, over which the light at a Gaussian is averaged: it changes less than its noise."""
+"""Approximate number of Gaussians over which irradiance is averaged: it varies less between neighbours than its noise.
+"""
 
 NORMAL_SHARPNESS = 8
-"""Exponent of the cosine between normals of those."""
+"""Exponent of the cosine between normals in the weights of neighbours."""
 
 
 def neighbours_of(gaussians: Gaussians) -> Pairs:
-    """Pairs of Gaussians near each other, in both orders and with themselves, about `NEIGHBOURS` of each."""
+    """Returns pairs of neighbouring Gaussians, in both orders and with themselves, about `NEIGHBOURS` for each."""
     means = gaussians.means.astype(np.float64)
     return pairs_of_about(NEIGHBOURS, means, partial(cross_pairs, means, means))[0]
 
 
 def normal_variances(gaussians: Gaussians, normals: Doubles, near: Pairs) -> Doubles:
-    """By how much a surface turns within each Gaussian: variance of its normal along an axis, radians^2, shape (N,).
+    """Returns the variance of the normal within each Gaussian's extent along an axis, radians^2, shape (N,).
 
-    Normals of neighbours on the same side turn by so much a distance, in the mean of squares; a Gaussian covers its
-    two larger scales. Where nothing is near, it is 0.
+    It is the mean squared change of the normal per distance, over neighbours on the same side, times the squares of the
+    Gaussian's two larger scales. It is 0 for Gaussians without neighbours.
     """
     first, second = (rows[near.first != near.second] for rows in (near.first, near.second))
     apart = np.square(gaussians.means[first].astype(np.float64) - gaussians.means[second]).sum(axis=1)
@@ -59,21 +60,21 @@ Values = TypeVar("Values", FloatArray, Doubles)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Smoother:
-    """Means over neighbours that face the same way, lamps apart: light changes less among them than its noise."""
+    """Averages values over neighbours with similar normals, separately for emitters and other Gaussians."""
 
     near: Pairs
     weights: Doubles
-    """Of each pair; they add up to 1 for the first one."""
+    """Weight of each pair; the weights of each first Gaussian sum to 1."""
 
     @staticmethod
     def of(near: Pairs, normals: Doubles, emitters: Rows) -> Smoother:
-        """Of Gaussians with these normals, some of which are of lamps (-1: none)."""
+        """Builds the weights from the normals, and from the emitter index of each Gaussian (-1 for none)."""
         weights = np.maximum(np.einsum("ij,ij->i", normals[near.first], normals[near.second]), 0.0) ** NORMAL_SHARPNESS
         weights[(emitters[near.first] >= 0) != (emitters[near.second] >= 0)] = 0.0
         return Smoother(near, weights / np.bincount(near.first, weights, len(normals))[near.first])
 
     def mean(self, values: Values) -> Values:
-        """Of each column, shape (N, C)."""
+        """Averages each column of values, shape (N, C)."""
         smooth = np.empty_like(values)
         for column in range(values.shape[1]):
             weighted = self.weights * values[self.near.second, column]
@@ -81,55 +82,57 @@ class Smoother:
         return smooth
 
     def incident(self, incident: Irradiance) -> Irradiance:
-        """Smooth light; what comes from each direction stays as it is."""
+        """Averages the irradiance; the parts by direction stay as they are."""
         smooth = {name: self.mean(getattr(incident, name)) for name in ("observed", "environment", "emitters")}
         return replace(incident, **smooth)
 
 
 SIDE_DIRECTIONS = 26
-"""Directions over the sphere in which Gaussians look for the side from which they are seen."""
+"""Directions over the sphere in which rays search for the visible side of each Gaussian."""
 
 SIDE_ENCLOSED = 0.1
-"""Share of Gaussians that see no sky on either side, from which on a capture was taken from inside of it."""
+"""Fraction of Gaussians without open sides above which a capture was taken from inside of it."""
 
 OPENNESS_MIN = 0.1
-"""Share of the sky that a side sees at least, if it sees any: walls that were learnt from photographs let 2 to 6 %
-through. Of captured rooms, 36 to 63 % of the Gaussians see less on both sides, of captured objects at most 0.2 %."""
+"""Smallest fraction of rays that escape the capture from an open side. Trained walls let 2 to 6 % of the rays through.
+In captured rooms, 36 to 63 % of the Gaussians have less on both sides; in captured objects, at most 0.2 %."""
 
 OPENNESS_ENOUGH = 0.2
-"""Share of the sky from which on more of it does not make a side likelier to be the one that was seen."""
+"""Fraction of escaped rays above which more of them do not make a side more likely to be the visible one."""
 
 SIDE_FAR = 0.02
-"""Mean distance of what a side sees, in extents of the set, from which on it is open."""
+"""Mean hit distance of a side's rays, relative to the set's extent, above which the side faces free space."""
 
 CONTENT_SCALE = 0.003
-"""Difference between what two sides see of the set, as a mean distance in its extents, that makes half sure."""
+"""Difference of mean hit distances between two sides, relative to the set's extent, at which the vote for a side is
+0.5."""
 
 SIDE_STIFFNESS = 5.0
-"""How much neighbours that lie alike agree on their sides, beside how much Gaussians that are sure insist."""
+"""Weight of neighbours' agreement on their visible sides, relative to the Gaussians' own votes."""
 
 SIDE_SHARPNESS = 4
-"""Exponent of the cosine between the axes of neighbours that agree on their sides."""
+"""Exponent of the cosine between the axes of neighbours in the weight of their agreement."""
 
 SIDE_STEPS = 300
-"""Most steps of conjugate gradients by which they do."""
+"""Maximum number of conjugate gradient steps for the signs."""
 
 SIDE_ERROR = 1e-6
-"""Root mean square of the residual at which these end: signs are read off, which lie farther from 0."""
+"""Root mean square residual at which the steps end; only the signs of the solution are used, which lie farther from 0.
+"""
 
 SURFACE_SPREAD = 0.5
-"""Within how much of a Gaussian rays begin, standard deviations of its own: as they do where it is baked."""
+"""Standard deviation of the ray origins on a Gaussian, in standard deviations of the Gaussian, as in a bake."""
 
 EMITTER_POINTS = 24
-"""Places of a group whose light is traced."""
+"""Points sampled on each emitter, towards which shadow rays are traced."""
 
 
 class SurfacePoints:
-    """Random points on Gaussians, where rays that come along their normals see them.
+    """Samples points on Gaussians, at the peak of their response along the normal.
 
     Args:
         gaussians: The set.
-        seed: Of the points.
+        seed: Seed of the points.
     """
 
     def __init__(self, gaussians: Gaussians, seed: int) -> None:
@@ -138,7 +141,7 @@ class SurfacePoints:
         self._rng = np.random.default_rng([seed, 9])
 
     def at(self, rows: Rows, normals: Doubles) -> FloatArray:
-        """One point on each of some Gaussians: the peak of its response along a line, shape (R, 3)."""
+        """Samples one point on each of some Gaussians, shape (R, 3)."""
         point = SURFACE_SPREAD * self._rng.standard_normal((len(rows), 3))
         slope = np.einsum("ijk,ij->ik", self._axes[rows], normals) / self._scales[rows]
         along = np.einsum("ij,ij->i", point, slope) / np.einsum("ij,ij->i", slope, slope)
@@ -147,14 +150,14 @@ class SurfacePoints:
 
 
 def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
-    """Signs of axes: as Gaussians vote, and where they are unsure, as neighbours that lie alike do, shape (N,).
+    """Returns signs of axes, shape (N,): those of the Gaussians' votes, or of aligned neighbours where votes are weak.
 
-    The minimum of ``sum c_i (s_i - sign v_i)^2 + sum w_ij (s_i - sign(a_i a_j) s_j)^2 / 2``, where ``c_i = |v_i|``, by
-    conjugate gradients: votes spread along surfaces however far away the next sure one is.
+    They minimise ``sum c_i (s_i - sign v_i)^2 + sum w_ij (s_i - sign(a_i a_j) s_j)^2 / 2`` with ``c_i = |v_i|``, by
+    conjugate gradients. Votes thus spread along surfaces, however far the next strong vote is.
 
     Args:
-        axes: Unit, of either sign, shape (N, 3).
-        votes: Above 0: along the axis; farther from 0: surer; shape (N,).
+        axes: Unit axes of arbitrary sign, shape (N, 3).
+        votes: Votes, positive for the side along the axis; a larger magnitude counts more; shape (N,).
         near: Pairs of neighbours, in both orders.
     """
     count = len(axes)
@@ -169,13 +172,13 @@ def agreed_sides(axes: Doubles, votes: Doubles, near: Pairs) -> Doubles:
 
 
 class IncidentRays:
-    """Follows rays that leave the Gaussians of a capture through it, as paths of light do.
+    """Traces rays from the Gaussians of a capture into the capture, as light paths do.
 
     Args:
         capture: The set.
-        renderer: Traces unlit rays in order.
-        seed: Of where rays go.
-        traced: Called after each direction in which rays were followed, with the number of Gaussians.
+        renderer: Traces unlit rays with sorted hits.
+        seed: Seed of the rays' origins and directions.
+        traced: Called after each traced direction, with the number of Gaussians.
     """
 
     def __init__(
@@ -189,28 +192,30 @@ class IncidentRays:
         self._scene = Scene([capture])
         self._points = SurfacePoints(capture, seed)
         self._rng = np.random.default_rng([seed, 4])
-        self._order = morton_order(capture.means)  # rays that go side by side are followed together
+        self._order = morton_order(capture.means)  # neighbouring rays are traced together
         self._means = capture.means.astype(np.float64)
         self._offsets = SHADOW_OFFSET * capture.scales.max(axis=1)
         self._extent = float(np.linalg.norm(np.ptp(self._means, axis=0)))
 
     def facing(self, axes: Doubles, near: Pairs, inside: bool | None, *, has_normals: bool) -> tuple[Doubles, bool]:
-        """Normals along given axes that point to the side from which Gaussians are seen, and whether from inside.
+        """Returns normals towards the visible side of each Gaussian, and whether the capture was taken from inside.
 
-        Of an object, that is the side of which the sky is seen; if it is seen from both, as from a floor, the one with
-        more of the capture. Of a room it is that with more of it, as behind the walls is nothing.
+        For an object, the visible side is the one from which rays escape; if they escape from both, as from a floor,
+        the one that sees more of the capture. For a room, it is the side that sees more of the capture, because nothing
+        is behind the walls.
 
         Args:
-            axes: Unit, of either sign, shape (N, 3).
+            axes: Unit axes of arbitrary sign, shape (N, 3).
             near: Pairs of neighbours, in both orders.
-            inside: Whether the capture was taken from inside of it; None: if a good part of it sees no sky.
-            has_normals: Whether axes are normals that came with the capture, and stay.
+            inside: Whether the capture was taken from inside; None: decided by the fraction of Gaussians without open
+                sides.
+            has_normals: Whether the axes are normals that came with the capture; they are then returned unchanged.
         """
         openness, distance, weights = np.zeros((2, len(axes))), np.zeros((2, len(axes))), np.zeros((2, len(axes)))
         rows = self._order
         for direction in even_directions(SIDE_DIRECTIONS):
             cosines = axes[rows] @ direction
-            side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays miss what they should meet
+            side, cosines = (cosines < 0.0).astype(int), np.abs(cosines)  # grazing rays get small weights
             hits = self._trace(
                 rows, np.where(side == 0, 1.0, -1.0)[:, None] * axes[rows], np.tile(direction, (len(axes), 1))
             )
@@ -238,13 +243,13 @@ class IncidentRays:
     def incident(
         self, normals: Doubles, emitters: Rows, cells: EnvironmentCells, *, stores_directions: bool = False
     ) -> Irradiance:
-        """What shines on Gaussians that face along their normals.
+        """Returns the irradiance of Gaussians facing along their normals.
 
         Args:
-            normals: Unit, shape (N, 3).
-            emitters: The lamp that each is part of, shape (N,); -1: none.
-            cells: Of all directions.
-            stores_directions: Whether what the capture shows is also kept apart for each cell.
+            normals: Unit normals, shape (N, 3).
+            emitters: Index of the emitter each Gaussian belongs to, -1 for none, shape (N,).
+            cells: Environment cells over the sphere.
+            stores_directions: Whether to also store the visible light by cell.
         """
         by_direction = np.zeros((len(cells) if stores_directions else 0, len(normals), 3), np.float16)
         observed, environment = np.zeros((len(normals), 3)), np.zeros((len(normals), len(cells)), np.float32)
@@ -271,7 +276,7 @@ class IncidentRays:
         return Irradiance(observed, environment, shares.astype(np.float32), directions, by_direction)
 
     def from_environment(self, normals: Doubles, cells: EnvironmentCells) -> FloatArray:
-        """Of each cell of the sky, as ``Irradiance.sky``, shape (N, K)."""
+        """Returns the irradiance over pi from each environment cell with radiance 1, shape (N, K)."""
         environment = np.zeros((len(normals), len(cells)), np.float32)
         for cell in range(len(cells)):
             rows, directions, shares = self._sampled_directions(normals, cells, cell)
@@ -284,16 +289,21 @@ class IncidentRays:
     def _sampled_directions(
         self, normals: Doubles, cells: EnvironmentCells, cell: int
     ) -> tuple[Rows, Doubles, Doubles]:
-        """The Gaussians that a random direction of a cell shines on, the directions, and irradiances over pi."""
+        """Samples a direction of a cell for each Gaussian.
+
+        Returns:
+            Gaussians that the direction illuminates, their directions, and their irradiances over pi for radiance 1.
+        """
         directions = cells.directions_within(cell, len(normals), self._rng)
         cosines = np.einsum("ij,ij->i", normals, directions)
         rows = self._order[cosines[self._order] > 0.0]
         return rows, directions[rows], cosines[rows] * (cells.solid_angles[cell] / np.pi)
 
     def _from_emitter(self, normals: Doubles, members: Rows) -> Doubles:
-        """Irradiance over pi of a lamp of radiance 1, shape (N,), but for one factor.
+        """Returns the irradiance over pi from an emitter of radiance 1, up to one factor, shape (N,).
 
-        The area is that of its Gaussians, which overlap; how much too large that is, rays tell that meet the lamp.
+        The emitter's area is the sum over its overlapping Gaussians and thus too large. The caller corrects it by the
+        rays that hit the emitter.
         """
         scales = np.sort(self._capture.scales[members].astype(np.float64), axis=1)
         area = np.pi * (scales[:, 1] * scales[:, 2] * self._capture.opacities[members])
@@ -310,12 +320,12 @@ class IncidentRays:
         return found * (area.sum() / (np.pi * EMITTER_POINTS))
 
     def _trace(self, rows: Rows, normals: Doubles, directions: Doubles) -> RayHits:
-        """What rays see that leave Gaussians on a side."""
+        """Traces rays that leave Gaussians on the side of the normal, and returns their hits."""
         points = self._points.at(rows, normals)
         return self._renderer.leaving_hits(self._scene, points, directions.astype(np.float32), self._offsets[rows])
 
     def _transmittance(self, rows: Rows, normals: Doubles, directions: Doubles, distances: Doubles) -> FloatArray:
-        """How much light arrives at Gaussians from so far away."""
+        """Returns the transmittance of rays that leave Gaussians, up to these distances."""
         points = self._points.at(rows, normals)
         legs, lengths = directions.astype(np.float32), distances.astype(np.float32)
         return self._renderer.leaving_transmittance(self._scene, points, legs, lengths, self._offsets[rows])

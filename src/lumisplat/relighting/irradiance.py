@@ -1,6 +1,6 @@
-"""Irradiance and outgoing radiance of captured Gaussians, and the typical albedo that fixes their scale.
+"""Irradiance and outgoing radiance of captured Gaussians, and the scale that gives the lightest a typical albedo.
 
-Only the product of light and albedo is visible, so the lightest albedos are taken to be typical.
+Only the product of light and albedo is visible, so the lightest surfaces are assumed to have a typical albedo.
 """
 
 from __future__ import annotations
@@ -19,73 +19,76 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.colors import colors_along
 
 ALPHA_LEAST = 1e-6
-"""Share of a ray that is met, below which its colour is not told."""
+"""Lower bound of a ray's alpha when its colour is divided by it."""
 
 VIEW_DIRECTIONS = 16
-"""Directions in which the colour of a Gaussian is looked at."""
+"""Directions from which a Gaussian's colour is evaluated for the median."""
 
 VIEW_TILT = 0.5
-"""By how much these are bent towards normals: at grazing angles, colours say little."""
+"""Weight of the normal that is added to view directions, because colours at grazing angles are unreliable."""
 
 ALBEDO_HIGH = 0.8
-"""Albedo of the lightest surfaces in their lightest channel, that fixes the scale where light comes from the sky."""
+"""Assumed albedo of the lightest surfaces in their largest channel, which fixes the scale of estimated light."""
 
 UNIT_IRRADIANCE_MIN = 0.05
-"""Light of the sky and lamps at a Gaussian, in medians, from which on it tells how bright these may be."""
+"""Irradiance from environment and emitters, in medians, above which a Gaussian helps to determine their brightness."""
 
 UNSEEN_RADIANCE_MIN = 0.05
-"""Radiance of the sky and lamps that the fit begins with, at least."""
+"""Smallest initial radiance of environment and emitters."""
 
 LIGHTEST = 0.95
-"""Share of Gaussians that are darker than those."""
+"""Quantile of the Gaussians' albedos that is scaled to `ALBEDO_HIGH`."""
 
 SCALE_STEPS = 5
-"""Steps by which the scale is found: what Gaussians show each other stays as it was captured."""
+"""Fixed-point steps for the scale, because irradiance from the capture itself stays as captured."""
 
 OUTGOING_DIRECTIONS = 64
-"""Over the sphere, in which the captured colour of a Gaussian is looked at."""
+"""Directions over the sphere from which a Gaussian's colour is evaluated for the mean."""
 
 OUTGOING_COSINE = 0.3
-"""Of those with the normal, at least: flatter views are extrapolated."""
+"""Smallest cosine between normal and view direction; SH extrapolate at more grazing views."""
 
 HalfArray = npt.NDArray[np.float16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """Irradiance over pi of N Gaussians: what a white surface would show. Linear, in units of display white."""
+    """Irradiance over pi of N Gaussians by source, which is the radiance of a white diffuse surface.
+
+    Values are linear, in units of display white.
+    """
 
     observed: Doubles
-    """Of what the capture shows, without its lamps, shape (N, 3)."""
+    """Irradiance from the capture itself without its emitters, shape (N, 3)."""
     environment: FloatArray
-    """Of each of K cells of a sky of radiance 1, shape (N, K)."""
+    """Irradiance from each of K environment cells with radiance 1, shape (N, K)."""
     emitters: FloatArray
-    """Of each of L lamps of radiance 1, shape (N, L)."""
+    """Irradiance from each of L emitters with radiance 1, shape (N, L)."""
     directions: Doubles = field(default_factory=lambda: np.zeros((0, 3)))
-    """Directions in which what the capture shows was kept apart, unit, shape (W, 3); none if it was not."""
+    """Unit directions for which the observed irradiance is stored separately, shape (W, 3); empty if it is not."""
     by_direction: HalfArray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float16))
-    """The share of ``observed`` that comes from each, shape (W, N, 3)."""
+    """Part of ``observed`` from each direction, shape (W, N, 3)."""
 
     def total(self, environment: Doubles | FloatArray, emitters: Doubles) -> Doubles:
-        """That of a sky and lamps, shape (N, 3).
+        """Returns the total irradiance for given radiances, shape (N, 3).
 
         Args:
-            environment: Radiances, shape (K, 3); float32 are multiplied as such, in half the memory.
-            emitters: Likewise, shape (L, 3).
+            environment: Radiances of the cells, shape (K, 3); float32 needs half the memory.
+            emitters: Radiances of the emitters, shape (L, 3).
         """
         return self.observed + self.environment @ environment + self.emitters @ emitters
 
 
 BLOCK = 4096
-"""Gaussians whose colours from all sides are in memory at once."""
+"""Gaussians whose colours from all directions are in memory at once."""
 
 
 def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """What Gaussians send to most directions before them, shape (N, 3): highlights, which few see, are not in it.
+    """Returns the median radiance over view directions before each Gaussian, shape (N, 3), which excludes highlights.
 
     Args:
         gaussians: A capture.
-        normals: Unit, towards the side from which they are seen, shape (N, 3).
+        normals: Unit normals towards the visible side, shape (N, 3).
     """
     found = np.empty((gaussians.count, 3))
     for first in range(0, gaussians.count, BLOCK):
@@ -95,14 +98,16 @@ def median_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """The mean over views above each Gaussian, by their cosines, shape (N, 3): photographs then tell highlights.
+    """Returns the cosine-weighted mean radiance over view directions before each Gaussian, shape (N, 3).
+
+    It includes highlights, for fits in which images determine those.
 
     Args:
         gaussians: A capture.
-        normals: As of `median_outgoing`.
+        normals: As for `median_outgoing`.
     """
     views = even_directions(OUTGOING_DIRECTIONS)
-    basis = sh_basis(-views, gaussians.sh_degree)  # of where eyes look
+    basis = sh_basis(-views, gaussians.sh_degree)  # SH take the direction from the camera
     found = np.empty((gaussians.count, 3))
     for first in range(0, gaussians.count, BLOCK):
         rows = slice(first, first + BLOCK)
@@ -114,12 +119,12 @@ def mean_outgoing(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def hit_radiance(hits: RayHits, alpha: FloatArray | Doubles) -> FloatArray | Doubles:
-    """Radiance of what rays meet, without their share that passes it, shape (N, 3); ``alpha`` is the rest."""
+    """Returns the radiance of what rays hit, divided by their ``alpha``, shape (N, 3)."""
     return decode_srgb(np.clip(hits.radiance / np.maximum(alpha, ALPHA_LEAST)[:, None], 0.0, 1.0))
 
 
 def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
-    """Radiance into directions before Gaussians, which are bent towards their normals, shape (M, N, 3)."""
+    """Returns the radiance of Gaussians towards view directions bent to their normals, shape (M, N, 3)."""
     radiances: list[FloatArray] = []
     for direction in even_directions(VIEW_DIRECTIONS):
         view = np.where(normals @ direction > 0.0, 1.0, -1.0)[:, None] * direction + VIEW_TILT * normals
@@ -129,17 +134,17 @@ def _outgoing_colors(gaussians: Gaussians, normals: Doubles) -> Doubles:
 
 
 def unit_irradiance(incident: Irradiance) -> Doubles:
-    """Irradiance over pi of the sky and lamps, each of radiance 1, shape (N,)."""
+    """Returns the irradiance over pi from environment and emitters, all with radiance 1, shape (N,)."""
     return incident.environment.sum(axis=1, dtype=np.float64) + incident.emitters.sum(axis=1, dtype=np.float64)
 
 
 def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles) -> float:
-    """Of a sky and lamps that are grey and the same everywhere; 1 if hardly any of their light arrives anywhere.
+    """Estimates one grey radiance for environment and emitters; 1 if hardly any of their light arrives anywhere.
 
     Args:
-        outgoing: Radiance of Gaussians, shape (N, 3).
-        incident: What shines on them.
-        weights: How much they count, at least 0, shape (N,).
+        outgoing: Outgoing radiance of the Gaussians, shape (N, 3).
+        incident: Irradiance of the Gaussians.
+        weights: Weights of the Gaussians, at least 0, shape (N,).
     """
     added = unit_irradiance(incident)
     rows = (added > max(UNIT_IRRADIANCE_MIN * float(np.median(added)), 1e-9)) & (weights > 0.0)
@@ -150,10 +155,10 @@ def constant_radiance(outgoing: Doubles, incident: Irradiance, weights: Doubles)
 
 
 def chroma_similarity(differences: Doubles, width: float) -> Doubles:
-    """How likely pairs of surfaces have one albedo by their chromaticity, 0..1, shape (P, 1).
+    """Returns the likelihood, by chromaticity, that pairs of surfaces have one albedo, 0..1, shape (P, 1).
 
     Args:
-        differences: Of the logarithms of their albedos, shape (P, 3).
+        differences: Differences of the logarithms of their albedos, shape (P, 3).
         width: Standard deviation of the largest difference of chromaticity.
     """
     chroma = differences - differences.mean(axis=1, keepdims=True)
@@ -161,16 +166,17 @@ def chroma_similarity(differences: Doubles, width: float) -> Doubles:
 
 
 def typical_albedo_factor(outgoing: Doubles, observed: Doubles, added: Doubles, weights: Doubles) -> float:
-    """By what a light is too dark; what Gaussians show each other stays as it was captured.
+    """Returns the factor by which the light must be scaled for the lightest albedos to be typical.
 
-    In a few rounds, each of which comes nearer by the light's share: where Gaussians are lit mostly by each other, the
-    lightest albedos stay between what they were and what is usual.
+    Irradiance from the capture itself is not scaled, so the factor is found in fixed-point steps. Each step closes the
+    gap by the light's fraction of the irradiance. Where Gaussians are mainly lit by each other, the lightest albedos
+    end up between their first and the typical value.
 
     Args:
-        outgoing: Radiance of Gaussians, shape (N, 3).
-        observed: Irradiance over pi of what the capture shows, shape (N, 3).
-        added: Of the light, shape (N, 3).
-        weights: How much Gaussians count, at least 0, shape (N,).
+        outgoing: Outgoing radiance of the Gaussians, shape (N, 3).
+        observed: Irradiance over pi from the capture itself, shape (N, 3).
+        added: Irradiance over pi from the light, shape (N, 3).
+        weights: Weights of the Gaussians, at least 0, shape (N,).
     """
     factor = 1.0
     for _ in range(SCALE_STEPS):

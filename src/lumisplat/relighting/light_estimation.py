@@ -1,7 +1,7 @@
-"""Lights of a captured scene, found by photometric evidence and local contrast.
+"""Estimates the local lights of a captured scene from photometric evidence and local contrast.
 
-Mir et al. (2026, section 3.1) name the cues and give no formulas: docs/method/relighting.md#light-estimation has ours,
-docs/adr/0014-light-estimation.md says why.
+Mir et al. (2026, section 3.1) name the cues without formulas. Ours are in docs/method/relighting.md#light-estimation,
+and docs/adr/0014-light-estimation.md has the reasons.
 """
 
 from __future__ import annotations
@@ -27,96 +27,98 @@ from lumisplat.scene.lights import LightPoint
 from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.scene import Scene, SplatInstance
 
-# Light found in captures (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014)
+# Light estimation (Mir et al. 2026, section 3.1, gives no figures; docs/adr/0014)
 
 LIGHT_SEARCH_STRAYS = 0.02
-"""Share of the Gaussians, the farthest from the character, that do not count for the scene's size: captures have strays
-far outside."""
+"""Fraction of the Gaussians, those farthest from the character, that are ignored when the scene is measured. Captures
+have floaters far outside."""
 
 LIGHT_SEARCH_REACH = 1.5
-"""Radius of the region, in sizes of the scene: lamps hang at its rim, also among the Gaussians that do not count."""
+"""Radius of the search region, relative to the scene's size. Lights hang at its rim, also among the ignored Gaussians.
+"""
 
 LIGHT_SEARCH_VIEWPOINTS = 0.1
-"""Distance of the viewpoints from the character, in sizes of the scene: in a room of 3 m, a person's width."""
+"""Distance of the viewpoints from the character, relative to the scene's size: a person's width in a room of 3 m."""
 
 LIGHT_SEARCH_EMITTER = 1.0 / 12.0
-"""Size of a compact emitter, in sizes of the scene: in a room of 3 m, a lamp of 25 cm."""
+"""Size of a compact emitter, relative to the scene's size: a lamp of 25 cm in a room of 3 m."""
 
 LIGHT_SEARCH_SEPARATION = 3.0
-"""Distance of two lights, in sizes of an emitter: beyond the surroundings that a candidate is compared with."""
+"""Smallest distance between two lights, in emitter sizes: beyond the ring that a candidate is compared with."""
 
 LIGHT_SEARCH_CLIP = 0.99
-"""Quantile of luminance above which it counts by its logarithm: single Gaussians of captures are a hundred times too
+"""Quantile of luminance above which its logarithm is used. Single Gaussians of captures are a hundred times too
 bright."""
 
 LIGHT_SEARCH_PRIOR = 4.0
-"""Gaussians of median score that are added to each direction's surroundings: one outlier decides nothing."""
+"""Number of Gaussians of median score added to each octant of the ring, so that one outlier does not decide its mean.
+"""
 
 LIGHT_SEARCH_BROAD = 0.05
-"""Factor on the score of a light that does not stand out from its surroundings at all."""
+"""Smallest contrast factor of a light's score, for lights that do not stand out at all."""
 
 # Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
 
 TRACE_NEAREST = 2.0
-"""Surfaces nearer to a lamp than this, in sizes of an emitter, do not count: a bright patch is bright around itself. As
-far are the places with which a lamp's own is compared."""
+"""Distance from a light, in emitter sizes, within which surfaces are ignored, because a bright patch is bright around
+itself. Alternative positions for the light are tested at the same distance."""
 
 TRACE_CASING = 1.5
-"""What is nearer to a lamp than this, in sizes of an emitter, does not shadow it: it hangs in its own shade."""
+"""Distance from a light, in emitter sizes, within which voxels do not shadow the light, such as its own shade."""
 
 LIGHT_SIGNIFICANCE = 4.0
-"""Least ratio of a lamp's factor to its standard error: by chance, one of 64 candidates comes to it in one
-capture of 500."""
+"""Smallest ratio of a light's factor to its standard error. By chance, one of 64 candidates reaches it in one capture
+of 500."""
 
 LIGHT_DOUBT = 2.0
-"""Factor on the evidence that is asked of what is low, or broad."""
+"""Factor on the required evidence for candidates that are low or broad."""
 
 LIGHT_ELSEWHERE = 0.6
-"""Least share of what a lamp beside the candidate explains: the light of a lamp is brightest around itself."""
+"""Smallest evidence of a candidate relative to that of a light beside it. Light is brightest around its source."""
 
 LIGHT_CANDIDATES = 64
-"""Bright places that are tested as lamps, the best by `estimate_lights`' score."""
+"""Number of bright positions, those with the best scores, that are tested as lights."""
 
 _log = logging.getLogger("lumisplat")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LightEstimate:
-    """Lights that were found, the strongest first, and on what evidence."""
+    """Estimated lights, the strongest first, and the evidence for them."""
 
     lights: tuple[LightPoint, ...]
-    """Named ``estimated-1``, ...; together they give the character the irradiance that was asked for."""
+    """Lights named ``estimated-1``, ...; together they give the character the requested irradiance."""
     scores: FloatArray
-    """Base score of each times its contrast to its surroundings, shape (k,)."""
+    """Base score of each light times its contrast, shape (k,)."""
     peakness: FloatArray
-    """Base score over that of the surroundings, in the direction where these are brightest, shape (k,)."""
+    """Base score of each light over that of its surroundings, in their brightest direction, shape (k,)."""
     instances: Rows
-    """Splat instance of the scene that each was found in, shape (k,)."""
+    """Index of the splat instance each light was found in, shape (k,)."""
     indices: Rows
-    """Gaussian of that instance, shape (k,)."""
+    """Index of each light's Gaussian in its instance, shape (k,)."""
     evidence: FloatArray
-    """Share that each light explains of what nothing else explains about the luminance of surfaces around, shape (k,);
-    0 if ``config.evidence`` is 0."""
+    """Fraction of the unexplained variance of surface luminance that each light explains, shape (k,); 0 if
+    ``config.evidence`` is 0."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Sizes:
-    """Distances of the search, scene units: as set, or in proportion to the scene."""
+    """Distances of the search, scene units: as set, or proportional to the scene's size."""
 
     extent: float
-    """Of the scene, from the character's centre."""
+    """Size of the scene, from the character's centre."""
     radius: float
-    """Gaussians farther from the character's centre are ignored."""
+    """Radius of the search region around the character's centre."""
     viewpoints: float
     """Distance of the outer viewpoints from the centre."""
     emitter: float
     """Largest size of a compact emitter."""
     separation: float
-    """Least distance between two lights."""
+    """Smallest distance between two lights."""
 
     @classmethod
     def of(cls, settings: LightEstimationConfig, worlds: list[Doubles], center: Doubles) -> _Sizes:
-        """The sizes for Gaussians at ``worlds``, the means of each instance in the world."""
+        """Returns the sizes for instances with these world-space means."""
         extent = settings.radius or capture_extent(worlds, center)
         emitter = settings.emitter_size or LIGHT_SEARCH_EMITTER * extent
         return cls(
@@ -130,16 +132,16 @@ class _Sizes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Candidates:
-    """Gaussians that can be lights."""
+    """Gaussians that may be lights."""
 
     rows: Rows
     """Rows of the evidence, shape (R,)."""
     surrounding_scores: Doubles
-    """Score around each, shape (R,)."""
+    """Score of each candidate's surroundings, shape (R,)."""
     weights: Doubles
     """Score times contrast, shape (R,)."""
     is_compact: Flags
-    """Whether the contrast suffices, shape (R,)."""
+    """True where the contrast suffices, shape (R,)."""
 
 
 def estimate_lights(
@@ -149,32 +151,35 @@ def estimate_lights(
     *,
     config: LightEstimationConfig | None = None,
 ) -> LightEstimate:
-    """Finds the lights of a capture: what is bright, about equally so from everywhere, and small.
+    """Estimates the local lights of a capture: compact, bright from all viewpoints, and lighting surfaces around.
 
-    Each Gaussian around the character is evaluated from five viewpoints near it. Its base score is its opacity, times
-    the mean of mean and maximum luminance (linear; outliers by their logarithm), times how little that luminance
-    depends on the viewpoint, times the share that the constant harmonic has in its colour; its size does not count.
-    Bright Gaussians are weighted by their contrast to the brightest side of their surroundings. Of the best, one at a
-    place, those are lights that light their surroundings: a regression says whether surfaces that face a candidate,
-    unshadowed, are brighter than others, the nearer the more, and about it rather than about somewhere else. What is
-    low, on the ground outdoors, or does not stand out, needs twice the evidence. Flowers and white paper give none.
+    Each Gaussian around the character is viewed from five points near the character. Its base score is the product of
+    its opacity, the average of its mean and maximum luminance (linear; outliers by their logarithm), the constancy of
+    that luminance over the viewpoints, and the share of SH degree 0 in its colour. Its size does not count. Bright
+    Gaussians are weighted by their contrast to the brightest side of their surroundings, and non-maximum suppression
+    keeps the best.
 
-    A light's position is its Gaussian's mean, its colour that Gaussian's towards the character, linear, the brightest
-    channel 1. Intensities, candela, are proportional to the base scores and scaled together: the irradiances that the
-    lights give a surface at ``center`` which faces each of them sum to ``config.irradiance``. Occlusion is ignored.
+    A candidate is a light if it explains the shading around it. A regression tests whether surfaces that face the
+    candidate, unshadowed, are brighter than others with the inverse square of the distance, and more so than for
+    positions beside it. Candidates that are low, on the ground outdoors, or that do not stand out, need twice the
+    evidence. Flowers and white paper have none.
+
+    A light's position is its Gaussian's mean. Its colour is that of the Gaussian towards the character, linear,
+    brightest channel 1. Intensities in candela are proportional to the base scores, scaled so that the irradiances of a
+    surface at ``center`` that faces each light sum to ``config.irradiance``. Occlusion is ignored.
 
     Args:
         scene: The capture, by its captured colours whatever its material; meshes are ignored.
-        center: Of the character, world space, shape (3,): the centroid of its Gaussians, weighted by opacity.
-        count: Lights wanted, at least 1.
+        center: Centre of the character, world space, shape (3,): the centroid of its Gaussians, weighted by opacity.
+        count: Maximum number of lights, at least 1.
         config: Settings; None: the defaults.
 
     Returns:
-        At most ``count`` lights; a log line says if there are fewer.
+        At most ``count`` lights; a log line reports if there are fewer.
 
     Raises:
-        ConfigError: ``count`` or ``config`` is none.
-        SceneError: There are no Gaussians in the region, or none stands out; the message says what helps.
+        ConfigError: ``count`` or ``config`` is invalid.
+        SceneError: There are no Gaussians in the region, or no light was found; the message says what helps.
     """
     settings = LightEstimationConfig() if config is None else config
     check_kind("config", settings, LightEstimationConfig)
@@ -197,7 +202,7 @@ def estimate_lights(
         raise SceneError(_nothing_found_message(middle, sizes.radius, bool(candidates.is_compact.any())))
     if chosen.size < count:
         lights = "light" if chosen.size == 1 else "lights"
-        _log.warning("%d %s found of the %d asked for: nothing else stands out", chosen.size, lights, count)
+        _log.warning("found %d %s of the %d requested: nothing else stands out", chosen.size, lights, count)
     rows = candidates.rows[chosen]
     return LightEstimate(
         lights=_lights(evidence, rows, settings.irradiance),
@@ -219,8 +224,8 @@ def _point_lights(
     count: int,
     settings: LightEstimationConfig,
 ) -> tuple[Rows, Doubles]:
-    """Which candidates light their surroundings, the brightest first, and how much of the light there they explain."""
-    # Broad ones, too, such as a lamp close to a ceiling that it makes as bright as itself.
+    """Returns the candidates that light their surroundings, brightest first, and the variance that each explains."""
+    # Broad candidates count too, such as a lamp near a ceiling that is as bright as the lamp.
     everything = replace(candidates, is_compact=np.ones(candidates.rows.size, np.bool_))
     bright = _choose(evidence, everything, LIGHT_CANDIDATES, settings.weakest, sizes.emitter)
     lights = _lights_among(
@@ -242,12 +247,12 @@ def _nothing_found_message(center: Doubles, radius: float, stands_out: bool) -> 
     where = f"within {radius:.3g} of ({position})"
     if stands_out:
         return (
-            f"no lamp found {where}: bright things stand out, but none lights what is around it; give a sun or lights "
-            "yourself, or an evidence of 0 to take what is bright for a lamp"
+            f"no light found {where}: bright Gaussians stand out, but none lights its surroundings; give a sun or "
+            "lights yourself, or set evidence to 0 to accept any bright Gaussian"
         )
     return (
         f"no light found {where}: nothing bright stands out from its surroundings; give a sun or lights yourself, or "
-        "lower compactness to take bright walls and windows"
+        "lower compactness to accept bright walls and windows"
     )
 
 
@@ -257,7 +262,7 @@ def _check_count(count: object) -> None:
 
 
 def splats_of(scene: object) -> tuple[SplatInstance, ...]:
-    """The captured sets of a scene, or of what stands for one.
+    """Returns the captured sets of a scene, an instance or Gaussians.
 
     Raises:
         SceneError: There are none.
@@ -267,22 +272,23 @@ def splats_of(scene: object) -> tuple[SplatInstance, ...]:
     if isinstance(scene, SplatInstance):
         return (scene,)
     if not isinstance(scene, Scene):
-        raise SceneError(f"lights are looked for in a Scene or in Gaussians, got a {type(scene).__name__}")
+        raise SceneError(f"light estimation takes a Scene or Gaussians, got a {type(scene).__name__}")
     if not scene.splats:
-        raise SceneError("lights are looked for in Gaussians, and the scene has none")
+        raise SceneError("light estimation needs Gaussians, and the scene has none")
     return scene.splats
 
 
 def capture_extent(worlds: list[Doubles], center: Doubles) -> float:
-    """Distance from the centre within which most of the capture is."""
+    """Returns the distance from the centre within which most of the capture lies."""
     distances = np.concatenate([np.linalg.norm(world - center, axis=1) for world in worlds])
     return max(float(np.quantile(distances, 1.0 - LIGHT_SEARCH_STRAYS)), 1e-6)
 
 
 def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_size: float) -> _Candidates:
-    """Gaussians that are bright enough and not inside the character, with their contrast.
+    """Returns the bright Gaussians that are not inside the character, with their contrast.
 
-    By score, not by number: a bright wall of many Gaussians must not crowd out a lamp that is a little less bright.
+    They are chosen by score and not by number, so that a bright wall of many Gaussians does not exclude a slightly
+    darker light.
     """
     bright = (evidence.scores >= settings.weakest * evidence.scores.max()) & (evidence.scores > 0.0)
     rows = np.flatnonzero(bright & (evidence.distances > emitter_size))
@@ -294,13 +300,13 @@ def _candidates(evidence: Evidence, settings: LightEstimationConfig, emitter_siz
 
 
 def _choose(evidence: Evidence, candidates: _Candidates, count: int, weakest: float, separation: float) -> Rows:
-    """Greedy non-maximum suppression: the best candidate, then the best that is not near it, and so on."""
+    """Chooses candidates by greedy non-maximum suppression: the best, then the best that is not near it, and so on."""
     means = evidence.means[candidates.rows]
     left = np.where(candidates.is_compact, candidates.weights, 0.0)
     least = weakest * left.max(initial=0.0)
     chosen: list[int] = []
     while len(chosen) < count and left.size and left.max() > 0.0 and left.max() >= least:
-        # Of equals, the first in the scene.
+        # Among equals, the first in the scene wins.
         best = int(left.argmax())
         chosen.append(best)
         left[np.linalg.norm(means - means[best], axis=1) < separation] = 0.0
@@ -325,18 +331,18 @@ _TETRAHEDRON = np.array([(1.0, 1.0, 1.0), (1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """The Gaussians of the search region, of all instances together."""
+    """Scores of the Gaussians in the search region, of all instances together."""
 
     instances: Rows
-    """Splat instance of each, shape (N,)."""
+    """Index of each Gaussian's splat instance, shape (N,)."""
     indices: Rows
-    """Gaussian of that instance, shape (N,)."""
+    """Index of the Gaussian in its instance, shape (N,)."""
     means: Doubles
-    """World space, shape (N, 3)."""
+    """World-space means, shape (N, 3)."""
     distances: Doubles
-    """To the character's centre, shape (N,)."""
+    """Distances to the character's centre, shape (N,)."""
     colors: FloatArray
-    """Linear, towards the centre, shape (N, 3)."""
+    """Linear colours towards the centre, shape (N, 3)."""
     scores: FloatArray
     """Base scores, shape (N,)."""
 
@@ -347,7 +353,7 @@ class _Luminance(NamedTuple):
     mean: FloatArray
     maximum: FloatArray
     view_independence: FloatArray
-    """How little it depends on the viewpoint, 0..1."""
+    """Mean over the sum of mean and standard deviation, 0..1; 1 if the luminance is equal from all viewpoints."""
 
 
 def _gathered_evidence(
@@ -357,14 +363,14 @@ def _gathered_evidence(
     viewpoint_distance: float,
     radius: float,
 ) -> Evidence:
-    """Scores of all Gaussians around a character.
+    """Computes the scores of all Gaussians around a character.
 
     Args:
         splats: The capture.
-        worlds: Means of each instance in the world.
-        center: Of the character, shape (3,): one of the viewpoints.
-        viewpoint_distance: From the centre to the four others, scene units.
-        radius: Gaussians farther from the centre are ignored, scene units.
+        worlds: World-space means of each instance.
+        center: Centre of the character, shape (3,), which is one of the viewpoints.
+        viewpoint_distance: Distance from the centre to the four other viewpoints, scene units.
+        radius: Radius of the search region, scene units.
 
     Raises:
         SceneError: No Gaussian is within the radius.
@@ -399,7 +405,7 @@ def _gathered_evidence(
 def _colors_and_luminance(
     instance: SplatInstance, gaussians: Gaussians, viewpoints: Doubles
 ) -> tuple[FloatArray, _Luminance]:
-    """Linear colours towards the first viewpoint, shape (M, 3), and luminance over all."""
+    """Returns linear colours towards the first viewpoint, shape (M, 3), and luminance over all viewpoints."""
     first = _colors_from(viewpoints[0], instance, gaussians)
     others = (_colors_from(viewpoint, instance, gaussians) for viewpoint in viewpoints[1:])
     luminance = [colors @ np.array(LUMINANCE, dtype=np.float32) for colors in itertools.chain([first], others)]
@@ -409,7 +415,7 @@ def _colors_and_luminance(
 
 
 def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussians) -> FloatArray:
-    """Linear colours as seen from a place in the world, shape (M, 3)."""
+    """Returns linear colours viewed from a point in the world, shape (M, 3)."""
     object_from_world = np.linalg.inv(instance.transform)
     eye = (object_from_world[:3, :3] @ viewpoint + object_from_world[:3, 3]).astype(np.float32)
     directions = gaussians.means - eye
@@ -418,7 +424,7 @@ def _colors_from(viewpoint: Doubles, instance: SplatInstance, gaussians: Gaussia
 
 
 def _brightness(luminances: list[_Luminance]) -> FloatArray:
-    """Mean of mean and maximum luminance of the Gaussians of all instances, clipped softly."""
+    """Returns the average of mean and maximum luminance of the Gaussians of all instances, softly clipped."""
     mean = np.concatenate([luminance.mean for luminance in luminances])
     maximum = np.concatenate([luminance.maximum for luminance in luminances])
     level = float(np.quantile(mean, LIGHT_SEARCH_CLIP))
@@ -426,7 +432,7 @@ def _brightness(luminances: list[_Luminance]) -> FloatArray:
 
 
 def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
-    """Of a colour's mean square over all directions, the part of its mean colour (Parseval), 0..1, shape (M,)."""
+    """Returns the fraction of a colour's mean square over directions that SH degree 0 has (Parseval), shape (M,)."""
     constant = np.sum(np.maximum(SH_C0 * gaussians.sh[:, 0] + 0.5, 0.0) ** 2, axis=1)
     bands = gaussians.sh[:, 1 : (degree + 1) ** 2]
     varying = np.einsum("nkc,nkc->n", bands, bands) / (4.0 * np.pi)
@@ -434,7 +440,7 @@ def _constant_share(gaussians: Gaussians, degree: int) -> FloatArray:
 
 
 def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
-    """Values up to ``level``, beyond it their logarithm, with the same slope there."""
+    """Returns values up to ``level``, and their logarithm above it, with equal slopes at ``level``."""
     if level <= 0.0:
         return values
     return np.where(values <= level, values, level * (1.0 + np.log(np.maximum(values, level) / level)))
@@ -442,12 +448,12 @@ def _softly_clipped(values: FloatArray, level: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FoundLights:
-    """Bright things that light their surroundings, in the order in which they were found."""
+    """Candidates that light their surroundings, in the order in which they were found."""
 
     rows: Rows
-    """Which of the candidates, shape (k,)."""
+    """Indices of the candidates, shape (k,)."""
     shares: Doubles
-    """Share of what nothing else explains that each explains, shape (k,)."""
+    """Fraction of the unexplained variance that each explains, shape (k,)."""
 
 
 def _lights_among(
@@ -461,21 +467,21 @@ def _lights_among(
     count: int,
     evidence: float,
 ) -> FoundLights:
-    """The candidates whose light is seen on the surfaces around, found one after the other.
+    """Finds the candidates whose light is visible on the surfaces around, one after the other.
 
-    Each step takes the candidate that explains most of what is left. It must explain ``evidence`` of it, significantly,
-    and about as well as the places around it do; twice as much if it is level with the character or below, or if it
-    does not stand out.
+    Each step takes the candidate that explains most of the remaining variance. It must explain the fraction
+    ``evidence`` of it, significantly, and about as well as positions beside it do. A candidate that is level with or
+    below the character, or that does not stand out, must explain twice as much.
 
     Args:
-        positions: Of the candidates, world space, shape (R, 3).
-        is_compact: Whether each stands out from its surroundings, shape (R,).
-        surfaces: Of the capture.
-        center: Of the character, shape (3,).
-        emitter: Largest size of a lamp, scene units.
-        separation: Least distance between two lamps, scene units.
-        count: Lamps wanted.
-        evidence: Least share of what nothing else explains.
+        positions: Positions of the candidates, world space, shape (R, 3).
+        is_compact: Candidates that stand out from their surroundings, shape (R,).
+        surfaces: Surfaces of the capture.
+        center: Centre of the character, shape (3,).
+        emitter: Largest size of an emitter, scene units.
+        separation: Smallest distance between two lights, scene units.
+        count: Maximum number of lights.
+        evidence: Smallest fraction of the unexplained variance.
     """
     directions = even_directions(TRACE_DIRECTIONS)
     if not len(positions) or surfaces.luminance.size < TRACE_SURFACES_MIN:
@@ -506,14 +512,14 @@ def _is_light(trace: Trace, doubt: float, evidence: float) -> bool:
 
 
 def _is_localised(shading: Shading, position: Doubles, trace: Trace, emitter: float) -> bool:
-    """Whether a lamp at this place explains the light about as well as one a few sizes beside it."""
+    """Returns whether a light at this position explains the shading about as well as lights beside it."""
     steps = TRACE_NEAREST * emitter * np.concatenate([np.eye(3), -np.eye(3)])
     beside = [_trace(shading, *_cosines_to(shading.surfaces, position + step, emitter)).share for step in steps]
     return trace.share >= LIGHT_ELSEWHERE * max(beside)
 
 
 def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emitter: float) -> Flags:
-    """Which places are on the character's level or below, shape (R,); none where the ground is not known."""
+    """Returns which positions are level with or below the character, shape (R,); none if the ground is unknown."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     if length < TRACE_GROUND_MIN:
@@ -522,9 +528,9 @@ def _is_low(positions: Doubles, surfaces: CapturedSurfaces, center: Doubles, emi
 
 
 def _cosines_to(surfaces: CapturedSurfaces, position: Doubles, emitter: float) -> tuple[Doubles, Flags]:
-    """Irradiance of surfaces by a lamp of 1 at an emitter's distance, and which of them count, shape (M,) each.
+    """Returns surfaces' irradiance from a light of 1 at an emitter's distance, and which surfaces count, (M,) each.
 
-    What is near may be the lamp itself, and is bright where a bright patch is taken for a lamp.
+    Near surfaces do not count: they may be the light itself, or part of a bright patch that is no light.
     """
     away = position - surfaces.positions
     distances = np.linalg.norm(away, axis=1)
@@ -538,7 +544,7 @@ def _trace(shading: Shading, irradiance: Doubles, counted: Flags) -> Trace:
 
 
 _RING = [offset for offset in itertools.product(range(-2, 3), repeat=3) if max(map(abs, offset)) == 2]
-"""Offsets of the cells around the 3 x 3 x 3 that hold a candidate's own emitter."""
+"""Offsets of the cells around the 3 x 3 x 3 cells that hold a candidate's own emitter."""
 
 _CELL_BITS = 21
 
@@ -546,18 +552,18 @@ _CELL_BITS = 21
 def surrounding_scores(
     means: npt.NDArray[np.floating], scores: npt.NDArray[np.floating], rows: npt.NDArray[np.integer], size: float
 ) -> npt.NDArray[np.float64]:
-    """Root mean square score around some Gaussians, in the direction where it is highest.
+    """Returns the root mean square score around some Gaussians, in the octant where it is largest.
 
-    Space is cut into cubic cells of side ``size``. A Gaussian's own cell and its neighbours hold its emitter, if that
-    is no larger than ``size``; the ring of cells around these is its surroundings, divided into octants. The brightest
-    octant counts: even the corner of a bright wall has more of the wall in one of them. Squares let a wall count as
-    bright despite dark pictures on it.
+    Space is divided into cubic cells of side ``size``. A Gaussian's own cell and its neighbours hold its emitter, if
+    that is no larger than ``size``. The ring of cells around them is its surroundings, divided into octants, of which
+    the brightest counts: even beside the corner of a bright wall, one octant is mostly wall. Because scores are
+    squared, a wall counts as bright despite dark pictures on it.
 
     Args:
-        means: Shape (N, 3).
-        scores: Shape (N,).
-        rows: The Gaussians whose surroundings are returned, shape (R,).
-        size: Scene units, > 0.
+        means: Means of all Gaussians, shape (N, 3).
+        scores: Scores of all Gaussians, shape (N,).
+        rows: Gaussians whose surroundings are returned, shape (R,).
+        size: Side of a cell, scene units, > 0.
 
     Returns:
         Shape (R,), above 0 if any score is.

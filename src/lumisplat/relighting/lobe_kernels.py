@@ -1,6 +1,6 @@
-"""What rough dielectrics show of light from parts of the hemisphere (docs/method/delighting.md#highlights).
+"""Reflection lobes of rough dielectrics for light from parts of the hemisphere (docs/method/delighting.md#highlights).
 
-One item is a roughness, a view and a bin of directions; it reads the bin's samples, and writes its two numbers.
+One item is a roughness, a view and a bin of directions. It integrates over the bin's samples.
 """
 
 import warp as wp
@@ -21,16 +21,16 @@ def tabulate_lobes(
     matt_out: wp.array[float],
     highlight_out: wp.array[float],
 ):
-    """Radiance of each part of a surface of albedo 1 whose normal is z, by the irradiance over pi from a bin.
+    """Tabulates diffuse and specular radiance of a surface with albedo 1 and normal z, per irradiance / pi of a bin.
 
     Args:
         start: First item.
-        spread: Added to the squared alpha of highlights, as samples are apart.
-        roughness: Of the surfaces, (R,).
-        views: Unit, (M,).
+        spread: Added to the squared alpha of highlights, for the distance between samples.
+        roughness: Roughnesses of the surfaces, (R,).
+        views: Unit view directions, (M,).
         samples: Directions of each bin, (Q, S).
-        matt_out: (R * M * Q,).
-        highlight_out: Likewise.
+        matt_out: Diffuse radiance, (R * M * Q,).
+        highlight_out: Specular radiance, (R * M * Q,).
     """
     i = start + wp.tid()
     bins = samples.shape[0]

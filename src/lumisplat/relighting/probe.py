@@ -1,4 +1,4 @@
-"""The light that arrives at a position, in SH (docs/method/relighting.md#probes), and a cache of such probes."""
+"""Environment probes, the radiance at a position in SH, and their cache (docs/method/relighting.md#probes)."""
 
 from __future__ import annotations
 
@@ -35,33 +35,35 @@ from lumisplat.scene.checks import check_kind
 from lumisplat.scene.lights import LightEnvironment
 from lumisplat.scene.scene import Scene
 
-# Probes of environment light, and what is relit by them (docs/method/relighting.md#probes)
+# Environment probes (docs/method/relighting.md#probes)
 
 PROBE_DEGREE_MAX = 8
-"""Highest SH degree of a probe: 81 coefficients, lobes of some 20 degrees. Beyond, an image serves better."""
+"""Largest SH degree of a probe: 81 coefficients, lobes of about 20 degrees. Finer detail is better stored as an image.
+"""
 
 PROBE_RIDGE = 1e-9
-"""Ridge of the fit where weights sum to 4 pi: below float32's rounding, so that what harmonics can hold comes out
-exactly, and enough for a solution where directions are too few."""
+"""Ridge of the SH fit, whose weights sum to 4 pi. It is below the rounding of float32, so radiance that the SH can
+represent is exact, and large enough for a solution where directions are too few."""
 
 PROBE_IMAGE_ROWS = 64
-"""Rows of a probe's latitude-longitude image: several pixels to the narrowest wave of degree 8."""
+"""Rows of a probe's latitude-longitude image: several pixels per shortest wavelength of degree 8."""
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 _ROWS_AT_ONCE = 2**16
-"""Directions whose basis is in memory at once: 40 MB at degree 8."""
+"""Directions whose SH basis is in memory at once: 40 MB at degree 8."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnvironmentProbe:
-    """The light that arrives at one place, in spherical harmonics of degree d: K = (d + 1)^2 coefficients a channel.
+    """Radiance that arrives at one position, in SH of degree d: K = (d + 1)^2 coefficients per channel.
 
     Raises:
-        SceneError: The coefficients are no finite array of shape (K, 3) of a degree 0 to 8.
+        SceneError: The coefficients are no finite array of shape (K, 3) for a degree of 0 to 8.
     """
 
     coefficients: Doubles
-    """Of radiance, linear Rec.709, in the basis of captures (order, signs), read-only float64, shape (K, 3)."""
+    """SH coefficients of radiance, linear Rec.709, in the basis of captures (order, signs), read-only float64, shape
+    (K, 3)."""
 
     def __post_init__(self) -> None:
         float_array("coefficients", self.coefficients)
@@ -78,7 +80,7 @@ class EnvironmentProbe:
 
     @property
     def degree(self) -> int:
-        """Degree of the harmonics, 0 to 8."""
+        """SH degree, 0 to 8."""
         return math.isqrt(self.coefficients.shape[0]) - 1
 
     @classmethod
@@ -95,30 +97,31 @@ class EnvironmentProbe:
         device: str = "auto",
         renderer: Renderer | None = None,
     ) -> EnvironmentProbe:
-        """Renders a scene from a place to the six faces of a cube, and fits the harmonics to its pixels.
+        """Renders a cube map of a scene from a position, and fits the SH to its pixels.
 
         Captured colours are decoded to radiance, display white to 1; colours of a lit frame are radiance already.
         Uncovered directions have the background of the settings (black), or in a lit frame the scene's visible
         environment.
 
-        An avatar that stands at the place would hide everything else, so leave it out of the scene, or make ``near``
-        larger than it. If something else encloses the place, such as a lampshade, the probe is of its inside.
+        Leave an avatar at the position out of the scene, or make ``near`` larger than the avatar, because it would hide
+        everything else. A probe inside an object, such as a lampshade, captures the object's inside.
 
         Args:
             scene: The scene that gives the light.
-            position: The place, world space, shape (3,).
-            degree: Of the harmonics, 0 to 8: 3 (16 coefficients) suffices for matt surfaces, glossy ones need more.
-            face_px: Pixels along the edge of a face, 4 to 1024.
+            position: World position of the probe, shape (3,).
+            degree: SH degree, 0 to 8. Degree 3 (16 coefficients) suffices for diffuse surfaces; glossy ones need more.
+            face_px: Pixels along the edge of a cube face, 4 to 1024.
             ridge: As for `fit`.
-            near: Half the side of the cube around the place inside which nothing is seen, scene units.
-            config: How to render; None: the defaults, rasterised.
+            near: Half the side of a cube around the position that is clipped from the render, scene units.
+            config: Settings of the render; None: the defaults, rasterised.
             device: As for ``create_renderer``.
-            renderer: Renders instead of one made from ``config`` and ``device``: for several probes, or one a frame.
+            renderer: Renderer to use instead of creating one from ``config`` and ``device``, for example for a probe
+                per frame.
 
         Raises:
-            ConfigError: A setting is out of its range, or there are a renderer and settings for another.
+            ConfigError: A setting is out of its range, or both ``renderer`` and ``config`` are given.
             DeviceError: There is no such device, or it is out of memory.
-            SceneError: The scene is of another type, the place is not finite, or no pixel is.
+            SceneError: The scene is of another type, or the position or every pixel is not finite.
         """
         check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
         check_whole("face_px", face_px, 4, 1024)
@@ -131,7 +134,7 @@ class EnvironmentProbe:
         check_kind("scene", scene, Scene, "a Scene")
         bounces = bool(scene.splats) and renderer.config.pipeline.bounces_light
         if renderer.config.lighting is None and scene.is_lit_by_default and not scene.lights and not bounces:
-            # What lights meshes where there are no lights is at the viewer, or was captured by a probe.
+            # Without lights, meshes get a headlight or captured light: the probe must not hold either.
             renderer = create_renderer(replace(renderer.config, lighting=False), renderer.device)
         samples = render_cube(scene, center, renderer.render, int(face_px), float(near))
         return cls(_fit(samples.directions, samples.radiance, samples.weights, degree, ridge))
@@ -145,23 +148,23 @@ class EnvironmentProbe:
         degree: int = 3,
         ridge: float = PROBE_RIDGE,
     ) -> EnvironmentProbe:
-        """Fits the harmonics to samples of radiance: weighted ridge least squares.
+        """Fits the SH to samples of radiance by weighted ridge least squares.
 
-        Weights are scaled to sum 4 pi first, so that ``B^T W B`` is about the identity however many samples there are
-        and whatever the weights' unit: a ridge of 0.01 shrinks coefficients by about 1 %. Source:
+        Weights are first scaled to sum to 4 pi. ``B^T W B`` is then about the identity for any number of samples and
+        unit of the weights, and a ridge of 0.01 shrinks coefficients by about 1 %. Source:
         docs/method/relighting.md#probe-fit.
 
         Args:
-            directions: Of any length, shape (N, 3).
+            directions: Directions of any length, shape (N, 3).
             radiance: Linear Rec.709, shape (N, 3).
-            weights: Solid angles or numbers in proportion to them, at least 0, shape (N,); None: all equal.
-            degree: Of the harmonics, 0 to 8.
+            weights: Solid angles, or numbers proportional to them, at least 0, shape (N,); None: all equal.
+            degree: SH degree, 0 to 8.
             ridge: Weight of the squared coefficients, 0 to 1e6.
 
         Raises:
             ConfigError: ``degree`` or ``ridge`` is out of its range.
-            SceneError: A shape does not fit, a value is not finite, a direction has no length, a weight is negative or
-                all are 0; or the ridge is 0, and there are too few directions for the degree.
+            SceneError: A shape does not fit, a value is not finite, a direction has length 0, a weight is negative or
+                all are 0; or the ridge is 0 and there are too few directions for the degree.
         """
         check_whole("degree", degree, 0, PROBE_DEGREE_MAX)
         check_range("ridge", ridge, 0.0, 1e6)
@@ -176,11 +179,11 @@ class EnvironmentProbe:
 
     @classmethod
     def from_light(cls, light: LightEnvironment, degree: int = 3, ridge: float = PROBE_RIDGE) -> EnvironmentProbe:
-        """Projects an environment, such as one of an .hdr or .exr image, onto the harmonics.
+        """Projects an environment light, for example from an .hdr or .exr image, onto the SH.
 
         Args:
-            light: The environment, its intensity, colour and rotation included.
-            degree: Of the harmonics, 0 to 8.
+            light: The environment, with its intensity, colour and rotation.
+            degree: SH degree, 0 to 8.
             ridge: As for `fit`.
 
         Raises:
@@ -191,7 +194,7 @@ class EnvironmentProbe:
         check_range("ridge", ridge, 0.0, 1e6)
         check_instance(light, LightEnvironment, "expected a LightEnvironment")
         image = np.ones((1, 1, 3), np.float32) if light.image is None else light.image
-        # Renderers interpolate between pixels: small images are sampled on a finer grid, so that the probe does too.
+        # Renderers interpolate between pixels, so small images are sampled on a finer grid.
         rows = max(image.shape[0], PROBE_IMAGE_ROWS)
         columns = max(image.shape[1], 2 * rows)
         local = panorama_directions(rows, columns).reshape(-1, 3)
@@ -201,45 +204,45 @@ class EnvironmentProbe:
         return cls(_fit(local @ _matrix(light).T, radiance, weights, degree, ridge))
 
     def radiance(self, directions: npt.ArrayLike) -> FloatArray:
-        """Radiance that arrives from directions; ringing of strong contrasts can make it negative.
+        """Returns the radiance that arrives from directions; ringing at strong contrasts can make it negative.
 
         Args:
-            directions: World space, from the place towards the light, of any length, shape (..., 3).
+            directions: World-space directions from the position towards the light, of any length, shape (..., 3).
 
         Returns:
             Linear Rec.709, shape (..., 3).
 
         Raises:
-            SceneError: A direction is not finite or has no length.
+            SceneError: A direction is not finite or has length 0.
         """
         return self._evaluate(directions, np.ones(self.degree + 1))
 
     def irradiance(self, normals: npt.ArrayLike) -> FloatArray:
-        """Irradiance of surfaces: the integral of radiance times cosine over the hemisphere about each normal.
+        """Returns the irradiance of surfaces: radiance times cosine, integrated over the hemisphere about each normal.
 
-        The cosine multiplies each degree of the harmonics by a factor (Ramamoorthi and Hanrahan 2001): pi, 2 pi / 3,
-        pi / 4, 0, ... Source: docs/method/relighting.md#probe-irradiance.
+        The cosine multiplies each SH degree by a factor (Ramamoorthi and Hanrahan 2001): pi, 2 pi / 3, pi / 4, 0, ...
+        Source: docs/method/relighting.md#probe-irradiance.
 
         Args:
-            normals: World space, of any length, shape (..., 3).
+            normals: World-space normals of any length, shape (..., 3).
 
         Returns:
             Linear Rec.709, shape (..., 3): pi for radiance 1 from all directions.
 
         Raises:
-            SceneError: A normal is not finite or has no length.
+            SceneError: A normal is not finite or has length 0.
         """
         return self._evaluate(normals, np.array([_cosine_factor(level) for level in range(self.degree + 1)]))
 
     def image(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> FloatArray:
-        """Radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
+        """Returns the radiance as a latitude-longitude image, in the axes of `LightEnvironment`.
 
-        Negative radiance from ringing is set to 0 and the rest darkened, so that the total stays the probe's.
+        Negative radiance from ringing is set to 0 and the rest scaled down, so that the mean over the sphere stays.
 
         Args:
-            height: Rows, 1 to 8192; it is twice as wide.
-            rotation_wxyz: World from image, whose +y is the upper edge. Scenes with y down are upright with
-                (0, 1, 0, 0).
+            height: Rows, 1 to 8192; the image is twice as wide.
+            rotation_wxyz: Rotation from image to world; the image's +y is its upper edge. Scenes with y down are
+                upright with (0, 1, 0, 0).
 
         Returns:
             Linear Rec.709, shape (H, 2 H, 3).
@@ -254,11 +257,11 @@ class EnvironmentProbe:
         return read_only_view(_without_ringing(radiance))
 
     def light(self, height: int = PROBE_IMAGE_ROWS, rotation_wxyz: npt.ArrayLike = _UPRIGHT) -> LightEnvironment:
-        """An environment of this light for the renderers: it lights surfaces, and only mirrors show it.
+        """Returns an environment light with this radiance, which cameras see in reflections only.
 
         Args:
             height: Rows of its image, 1 to 8192.
-            rotation_wxyz: World from image, as for `image`; the light is the same for all rotations.
+            rotation_wxyz: Rotation from image to world, as for `image`; the light is the same for all rotations.
 
         Raises:
             ConfigError: ``height`` is out of its range.
@@ -273,23 +276,23 @@ class EnvironmentProbe:
         height: int = PROBE_IMAGE_ROWS,
         rotation_wxyz: npt.ArrayLike = _UPRIGHT,
     ) -> None:
-        """Writes `image` as a latitude-longitude EXR, linear, for any renderer.
+        """Writes `image` as a linear latitude-longitude EXR file, which any renderer can read.
 
         Args:
             path: File to write, .exr.
             height: Rows, 1 to 8192.
-            rotation_wxyz: World from image, as for `image`.
+            rotation_wxyz: Rotation from image to world, as for `image`.
 
         Raises:
             ConfigError: ``height`` is out of its range.
-            FormatError: The extension is another, or the file cannot be written.
+            FormatError: The extension is not .exr, or the file cannot be written.
         """
         if Path(path).suffix.lower() != ".exr":
             raise FormatError(path, f"unknown extension '{Path(path).suffix}' for a probe's image, expected .exr")
         write_radiance(path, self.image(height, rotation_wxyz))
 
     def _evaluate(self, directions: npt.ArrayLike, factors: Doubles) -> FloatArray:
-        """The harmonics, each degree times a factor, at directions of any length."""
+        """Evaluates the SH, each degree times a factor, in directions of any length."""
         checked = float_array("directions", directions)
         if checked.ndim == 0 or checked.shape[-1] != 3:
             raise SceneError(f"directions has shape {checked.shape}, expected (..., 3)")
@@ -299,7 +302,7 @@ class EnvironmentProbe:
 
 
 def _without_ringing(image: FloatArray) -> FloatArray:
-    """A latitude-longitude image without negative values, of the same mean over the sphere in each channel."""
+    """Returns a latitude-longitude image without negative values and with the same mean over the sphere."""
     shares = panorama_solid_angles(*image.shape[:2])[:, None, None]
     cut = np.maximum(image, np.float32(0.0))
     before, after = (np.sum(shares * values, axis=(0, 1)) for values in (image, cut))
@@ -308,12 +311,12 @@ def _without_ringing(image: FloatArray) -> FloatArray:
 
 
 def _matrix(light: LightEnvironment) -> Doubles:
-    """World from environment, shape (3, 3)."""
+    """Returns the rotation from environment to world, shape (3, 3)."""
     return matrices_from_quaternions(np.array([light.rotation_wxyz]))[0]
 
 
 def _cosine_factor(level: int) -> float:
-    """What convolution with the clamped cosine multiplies degree ``level`` by."""
+    """Returns the factor by which convolution with the clamped cosine multiplies SH degree ``level``."""
     if level == 1:
         return 2.0 * math.pi / 3.0
     if level % 2:
@@ -327,7 +330,7 @@ def _cosine_factor(level: int) -> float:
 def _fit(
     directions: Doubles, radiance: npt.NDArray[np.floating], weights: Doubles, degree: int, ridge: float
 ) -> Doubles:
-    """Coefficients that solve ``(B^T W B + lambda I) A = B^T W Y``, shape (K, 3)."""
+    """Solves ``(B^T W B + lambda I) A = B^T W Y`` for the coefficients, shape (K, 3)."""
     size = (degree + 1) ** 2
     gram, moments = np.zeros((size, size)), np.zeros((size, 3))
     scaled = weights * (4.0 * np.pi / weights.sum())
@@ -341,22 +344,22 @@ def _fit(
     rank = int(np.linalg.matrix_rank(gram))
     if rank < size:
         raise SceneError(
-            f"the directions determine only {rank} of the {size} harmonics of degree {degree}: lower the degree, or "
-            "give a ridge"
+            f"the directions determine only {rank} of the {size} SH coefficients of degree {degree}: lower the degree, "
+            "or give a ridge"
         )
     return np.asarray(np.linalg.solve(gram, moments), np.float64)
 
 
 _PROBES_CACHED = 64
-"""Probes that are kept, at most: more than there are actors."""
+"""Maximum number of cached probes: more than there are actors."""
 
 
 class ProbeCache:
-    """Captures probes of a scene, and keeps them for actors that stand still.
+    """Captures probes of a scene, and caches them by position for actors that do not move.
 
     Args:
-        scene: The scene, without actors.
-        background: Display-referred sRGB behind everything, 0..1 each.
+        scene: The scene without actors.
+        background: Background, display-referred sRGB, 0..1 each.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
     """
@@ -367,11 +370,11 @@ class ProbeCache:
         self._scene, self._config = scene, RenderConfig(background=background)
         self._device, self._progress = device, progress
         self._renderer: Renderer | None = None
-        """Made for the first probe: scenes that need none load no kernels."""
+        """Renderer, created for the first probe, so that scenes without probes load no kernels."""
         self._probes: dict[bytes, EnvironmentProbe] = {}
 
     def at(self, center: npt.NDArray[np.float64]) -> EnvironmentProbe:
-        """The probe of a place, world space, shape (3,)."""
+        """Returns the probe at a world position, shape (3,)."""
         key = center.tobytes()
         if key not in self._probes:
             if self._renderer is None:

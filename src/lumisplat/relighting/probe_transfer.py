@@ -1,4 +1,4 @@
-"""Transfers light to Gaussians: a probe's by a factor for each channel and normal, and a sun's that no probe holds.
+"""Relights Gaussians by an environment probe, with a factor per channel and normal, and by suns that the probe lacks.
 
 Sources: docs/method/relighting.md#transfer and #sun.
 """
@@ -32,23 +32,23 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SUN_RAYS = 256
-"""Rays from an actor to a sun that are followed, at most."""
+"""Maximum number of shadow rays from an actor towards a sun."""
 
 _NORMALS_AT_ONCE = 1024
 """Normals whose lobes are in memory at once: 2 MB with 16 rows, which fits the cache."""
 
 _NO_LIGHT = 1e-12
-"""Epsilon of docs/method/relighting.md#transfer-scale, sr, where the weights sum to 4 pi: no lobe that the grid
-resolves comes near it."""
+"""Epsilon of docs/method/relighting.md#transfer-scale, sr, where the weights sum to 4 pi; far below any lobe that the
+grid resolves."""
 
 
 class _Grid(NamedTuple):
-    """A latitude-longitude grid as a quadrature of the sphere."""
+    """Latitude-longitude grid as a quadrature of the sphere."""
 
     directions: Doubles
-    """Shape (M, 3)."""
+    """Unit directions, shape (M, 3)."""
     weights: Doubles
-    """In proportion to the sine of the polar angle, summing to 4 pi, shape (M,)."""
+    """Quadrature weights, proportional to the sine of the polar angle, summing to 4 pi, shape (M,)."""
 
 
 def relight(
@@ -57,23 +57,23 @@ def relight(
     config: RelightConfig | None = None,
     normals: npt.ArrayLike | None = None,
 ) -> Subject:
-    """Gaussians under the light of a probe: each colour times the radiance that a lobe about its normal gathers.
+    """Relights Gaussians by a probe: multiplies each colour by the probe's mean radiance over a lobe about the normal.
 
-    Light is linear, colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`, which
-    keeps view dependence in proportion. Surroundings of radiance 1 leave colours as they are, to the bit at gamma 1;
-    darker ones make them darker, as an object that was captured in daylight is darker in a room.
+    Light is linear and colours are display-referred: ``c' = encode(max(0, gamma s decode(c)))``, by `scale_light`,
+    which scales view dependence alike. A probe of constant radiance 1 leaves colours unchanged, to the bit at gamma 1.
+    A darker probe darkens them, as an object captured in daylight is darker in a room.
 
-    The light of the capture stays in its colours: those taken in even light relight best. Source:
+    The light of the capture stays in its colours, so captures taken in constant light relight best. Source:
     docs/method/relighting.md#transfer.
 
     Args:
-        subject: Gaussians in world space, or an instance, whose normals are turned with it.
-        probe: The light at their place.
+        subject: Gaussians in world space, or an instance, whose rotation turns the normals.
+        probe: Radiance at the position of the Gaussians.
         config: Settings; None: the defaults.
-        normals: Outward normals in the Gaussians' own space, of any length, shape (N, 3); None: as the settings say.
+        normals: Outward normals in object space, of any length, shape (N, 3); None: estimated as the settings say.
 
     Returns:
-        A subject of the same type, with other ``sh``; an instance keeps its place, name and material.
+        A subject of the same type with other ``sh``; an instance keeps its transform, name and material.
 
     Raises:
         ConfigError: ``config`` is no RelightConfig.
@@ -96,18 +96,18 @@ def relight(
 
 
 def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: RelightConfig | None = None) -> FloatArray:
-    """Radiance of a probe, averaged over a lobe ``max(0, w . n)^q`` about each normal.
+    """Averages the radiance of a probe over a lobe ``max(0, w . n)^q`` about each normal.
 
-    The probe's mean is taken out of the sum and added again, so that even light has no rounding. Source:
+    The probe's mean is subtracted from the sum and added again, so that constant light has no rounding error. Source:
     docs/method/relighting.md#transfer-scale.
 
     Args:
-        probe: The light.
-        normals: World space, of any length, shape (N, 3).
-        config: Settings, without their ``gamma``; None: the defaults.
+        probe: The probe.
+        normals: World-space normals of any length, shape (N, 3).
+        config: Settings, whose ``gamma`` is ignored; None: the defaults.
 
     Returns:
-        A factor for each channel, 0 to ``scale_max``, shape (N, 3).
+        A factor per channel, 0 to ``scale_max``, shape (N, 3).
 
     Raises:
         SceneError: The probe is of another type, or normals are not finite, of length 0 or not of that shape.
@@ -121,7 +121,7 @@ def light_scales(probe: EnvironmentProbe, normals: npt.ArrayLike, config: Religh
     basis = sh_basis(grid.directions, probe.degree)
     varying = basis[:, 1:] @ probe.coefficients[1:]
     mean = basis[0, 0] * probe.coefficients[0]
-    # Light and weight in one product: columns r, g, b, and the sum of the lobe itself.
+    # One matrix product gives the lobe's r, g and b, and its normalisation.
     table = (grid.weights[:, None] * np.column_stack([varying, np.ones(len(varying))])).astype(np.float32)
     directions = np.ascontiguousarray(grid.directions.T, np.float32)
     scales, space = np.empty_like(unit), np.empty((_NORMALS_AT_ONCE, len(varying)), np.float32)
@@ -149,14 +149,14 @@ def _grid(rows: int) -> _Grid:
 _log = logging.getLogger("lumisplat")
 
 _BLOCKED_BELOW = 1e-3
-"""A sun of which less than this reaches an actor is told about."""
+"""Visibility of a sun below which a warning reports that the scene blocks it."""
 
 
 class SunOnActors:
-    """The light of suns on actors.
+    """Computes the light of suns on actors that their probes do not hold.
 
     Args:
-        scene: The scene, without actors: it may be in the way.
+        scene: The scene without actors, which may block the suns.
         suns: The suns.
         device: As for `create_renderer`.
         progress: Called with a label and a fraction 0..1, while kernels compile.
@@ -166,16 +166,19 @@ class SunOnActors:
         self._scene, self._suns = scene, tuple(suns)
         self._device, self._progress = device, progress
         self._renderer: Renderer | None = None
-        """Follows the ways to the suns; made for the first actor."""
+        """Traces shadow rays to the suns; created for the first actor."""
         self._has_warned = False
 
     def scales(self, actor: SplatInstance, probe: EnvironmentProbe, normals: FloatArray) -> FloatArray:
-        """Light on an actor's Gaussians beyond that of the probe, in units of white surroundings, shape (N, 3).
+        """Returns the suns' light on an actor's Gaussians that the probe lacks, relative to constant radiance 1.
 
         Args:
             actor: The actor.
-            probe: Of its place.
+            probe: Probe at the actor's position.
             normals: Unit normals, world space, shape (N, 3).
+
+        Returns:
+            Shape (N, 3).
         """
         total = np.zeros(normals.shape, np.float32)
         for sun in self._suns:
@@ -187,31 +190,31 @@ class SunOnActors:
         return total
 
     def _visibility(self, actor: SplatInstance, sun: LightDirectional) -> float:
-        """Share of the ways from the actor to a sun that nothing of the scene blocks, 0..1."""
+        """Returns the mean transmittance of shadow rays from the actor to a sun, 0..1."""
         if self._renderer is None:
             self._renderer = create_renderer(
                 RenderConfig(pipeline=Pipeline.TRACE), self._device, progress=self._progress
             )
         means = actor.world_means
-        # Evenly over the set: the same ones for an actor that only moves.
+        # Evenly spaced indices: the same Gaussians in every frame.
         starts = means[np.linspace(0, len(means) - 1, min(SUN_RAYS, len(means))).astype(np.int64)]
         directions = np.broadcast_to(-np.array(sun.direction), starts.shape)
         return float(self._renderer.transmittance(self._scene, starts, directions, sun.shadow_distance).mean())
 
     def _warn_if_blocked(self, sun: LightDirectional, visibility: float) -> None:
-        """Warns, once, of a sun that the scene keeps from an actor: a captured sky would be in its way."""
+        """Warns once if the scene blocks a sun from an actor, as a captured sky would."""
         if visibility < _BLOCKED_BELOW and not self._has_warned:
             self._has_warned = True
             name = f"light '{sun.name}'" if sun.name else "the sun"
-            text = "%s does not reach an actor: the scene is in its way; if that is a captured sky, set shadow_distance"
+            text = "%s does not reach an actor: the scene blocks it; if a captured sky does, set shadow_distance"
             _log.warning(text, name)
 
 
 def sun_beyond(probe: EnvironmentProbe, sun: LightDirectional) -> Doubles:
-    """Irradiance of a surface that faces a sun, without what the probe holds of it, linear Rec.709, shape (3,).
+    """Returns the irradiance from a sun on a surface facing it, less its part in the probe, linear Rec.709, (3,).
 
-    The probe holds of it, at most, what it gives that surface more than even light of its mean radiance would: a
-    captured lamp, or a bright sky around the sun.
+    That part is at most the probe's irradiance on the surface beyond that of its mean radiance, which may also come
+    from a captured lamp or the bright sky around the sun.
     """
     towards = -np.array([sun.direction])
     weights = np.array(LUMINANCE)

@@ -1,6 +1,6 @@
-"""Fits roughness from highlights: which roughness explains the colours of a capture from all sides.
+"""Fits roughness to highlights: finds the roughness that best explains a capture's colours from all view directions.
 
-Reflection lobes are tabulated, the same for every Gaussian in its own frame.
+Reflection lobes are tabulated once, in the local frame of a normal along z.
 """
 
 from __future__ import annotations
@@ -26,81 +26,81 @@ from lumisplat.scene.ops.colors import colors_along
 from lumisplat.scene.ops.neighbours import Pairs
 
 ROUGHNESS_UNKNOWN = 0.8
-"""Roughness of Gaussians whose highlights say nothing."""
+"""Roughness of Gaussians whose highlights do not determine it."""
 
 ROUGHNESS_GRID = (0.15, 0.22, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
-"""Roughnesses that are tried: below the first one, harmonics of degree 3 show the same."""
+"""Trial values of roughness. Below the first one, SH of degree 3 look the same."""
 
 ROUGHNESS_ROWS = 2048
-"""Gaussians that are tried at once: some 100 MB."""
+"""Gaussians processed at once, about 100 MB."""
 
 LOBE_VIEWS = 96
-"""Views of the upper hemisphere in which colours are compared. With 24, what harmonics cannot keep of a sharp highlight
-turns up in what they do, and roughness 0.3 is found as 0.4; with 48, as 0.33."""
+"""Views of the upper hemisphere in which colours are compared. With too few, the part of a sharp highlight that SH
+cannot represent aliases: 24 views give roughness 0.3 as 0.4, 48 give 0.33."""
 
 VIEW_COSINE_LEAST = 0.2
-"""Cosine between normal and view, from which on they are: nobody sees Gaussians edge-on."""
+"""Smallest cosine between normal and view of the compared views, because captures lack grazing views of Gaussians."""
 
 BIN_RINGS = 8
-"""Rings of equal solid angle into which the light above a Gaussian is sorted."""
+"""Number of rings of equal solid angle into which incident light is binned."""
 
 BIN_SECTORS = 20
-"""Equal sectors of each: bins are 11 degrees wide."""
+"""Number of equal sectors in each ring; bins are 11 degrees wide."""
 
 BIN_SAMPLES = 4
-"""Times as many directions of each bin are integrated over."""
+"""Number of directions along each side of a bin over which the lobes are integrated."""
 
 ALBEDO_STEPS = 4
-"""Steps of Gauss-Newton to the albedo that goes with a roughness."""
+"""Gauss-Newton steps to the best albedo for a roughness."""
 
 HIGHLIGHT_NOISE = 0.008
-"""Error of captured colours, display-referred, that is expected at least: 2 of 255."""
+"""Smallest expected error of captured colours, display-referred: 2 of 255."""
 
 SAME_ALBEDO = 0.1
-"""Difference of albedo, natural logarithm, of neighbours that may be of one material."""
+"""Standard deviation of the albedo difference, natural logarithm, between neighbours of one material."""
 
 SAME_NORMALS = 4
-"""Exponent of the cosine between their normals."""
+"""Exponent of the cosine between the normals of neighbours in their weight."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roughness:
-    """What highlights tell of N Gaussians."""
+    """Estimated roughness of N Gaussians."""
 
     value: FloatArray
-    """0..1, shape (N,)."""
+    """Roughness, 0..1, shape (N,)."""
     confidence: FloatArray
-    """By how much highlights narrow down what it may be, 0..1: at 0, it is `ROUGHNESS_UNKNOWN`; shape (N,)."""
+    """How much highlights narrow down the roughness, 0..1, shape (N,); at 0, the value is `ROUGHNESS_UNKNOWN`."""
 
     @staticmethod
     def unknown(count: int) -> Roughness:
-        """Of Gaussians that look the same from everywhere."""
+        """Returns the result for Gaussians without view dependence."""
         value = read_only_view(np.full(count, ROUGHNESS_UNKNOWN, np.float32))
         return Roughness(value, read_only_view(np.zeros(count, np.float32)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoughnessFit:
-    """Of surfaces of ior 1.5 without metal, under light that is known.
+    """Fits the roughness of dielectrics with ior 1.5 under estimated light.
 
-    For each roughness of a grid, albedo is such that colours come as near to the captured ones as they can, display
-    values, clipped, and through harmonics of the capture's degree. What is left, of neighbours that are alike together,
-    is how unlikely the roughness is.
+    For each roughness of a grid, the albedo is chosen whose colours are nearest to the captured ones. Colours are
+    compared as clipped display values, projected onto SH of the capture's degree. The remaining errors, averaged over
+    similar neighbours, give the likelihood of the roughness.
     """
 
     gaussians: Gaussians
     normals: Doubles
-    """Unit, shape (N, 3)."""
+    """Unit normals, shape (N, 3)."""
     near: Pairs
-    """Neighbours, in both orders."""
+    """Pairs of neighbours, in both orders."""
     lobes: Lobes
 
     def fitted(self, arriving: FloatArray, tried: Callable[[int], object] = lambda count: None) -> Roughness:
-        """Roughness of each Gaussian.
+        """Fits the roughness of each Gaussian.
 
         Args:
             arriving: Irradiance over pi from each bin of its hemisphere, shape (N, Q, 3).
-            tried: Called after some Gaussians, with their number.
+            tried: Called after each batch with its number of Gaussians.
         """
         variances = normal_variances(self.gaussians, self.normals, self.near)
         parts: list[tuple[Doubles, Doubles]] = []
@@ -117,7 +117,7 @@ class RoughnessFit:
         return Roughness(read_only_view(value.astype(np.float32)), read_only_view(confidence.astype(np.float32)))
 
     def _misfits(self, rows: Rows, arriving: Doubles, wider: Doubles) -> tuple[Doubles, Doubles]:
-        """Of each roughness: mean squared error and albedo, shapes (n, R), (n, R, 3)."""
+        """Returns mean squared error and albedo for each roughness, shapes (n, R) and (n, R, 3)."""
         lobes, compared = self.lobes, self.lobes.compared
         captured = self._captured(rows)
         linear = decode_srgb(captured)
@@ -138,13 +138,13 @@ class RoughnessFit:
         return np.einsum("nrs,ns->nr", wider, np.stack(misfits, axis=1)), wider @ np.stack(albedos, axis=1)
 
     def _errors(self, linear: Doubles, captured: Doubles) -> tuple[Doubles, Doubles]:
-        """Of display values that harmonics keep, in the views that are compared; slopes of the encoding in all."""
+        """Returns errors of SH-projected display values in the compared views, and the encoding's slopes in all."""
         displayed, slope = _displayed(linear)
         projection = np.tensordot(self.lobes.projection, displayed - 0.5, (1, 0)) + 0.5
         return (projection - captured)[self.lobes.compared], slope
 
     def _captured(self, rows: Rows) -> Doubles:
-        """Colours in the views, display-referred, shape (M, n, 3)."""
+        """Returns display-referred colours in the views, shape (M, n, 3)."""
         some = self.gaussians.subset(rows)
         directions = np.einsum("nij,mj->mni", frames_of(self.normals[rows]), self.lobes.views)
         return np.array(
@@ -153,7 +153,7 @@ class RoughnessFit:
         )
 
     def _pooled(self, misfit: Doubles, albedo: Doubles) -> Doubles:
-        """Means over neighbours that face the same way and have about the same albedo, shape (N, R)."""
+        """Averages errors over neighbours with similar normals and albedo, shape (N, R)."""
         first, second = self.near.first, self.near.second
         logs = np.log(np.maximum(albedo, RADIANCE_LEAST))
         apart = np.abs(logs[first] - logs[second]).max(axis=1) / SAME_ALBEDO
@@ -164,7 +164,7 @@ class RoughnessFit:
         return np.stack(sums, axis=1) / total[:, None]
 
     def _probabilities(self, misfit: Doubles) -> Doubles:
-        """Probability of each roughness, shape (N, R): the error of the best one is noise, of what harmonics hold."""
+        """Returns the probability of each roughness, shape (N, R), taking the smallest error for the noise level."""
         least = misfit.min(axis=1, keepdims=True)
         coefficients = (self.gaussians.sh_degree + 1) ** 2 - 1
         probabilities = np.exp(-0.5 * coefficients * (misfit - least) / np.maximum(least, HIGHLIGHT_NOISE**2))
@@ -172,13 +172,13 @@ class RoughnessFit:
 
 
 def widened(variances: Doubles) -> Doubles:
-    """Shares of what each roughness of the grid shows where a surface turns, shape (N, R, R): that of rougher ones.
+    """Returns weights of the grid's roughnesses for surfaces whose normals vary, which look rougher, shape (N, R, R).
 
-    Slopes of microfacets have a variance of alpha^2 / 2 along an axis, and those of the surface add theirs (Toksvig
-    2005): alpha^2 + 2 variances. Between roughnesses of the grid, what they show is interpolated by cubics (Lagrange).
+    Slopes of microfacets have the variance alpha^2 / 2 along an axis, to which that of the surface is added (Toksvig
+    2005): alpha^2 + 2 variances. Cubics (Lagrange) interpolate between roughnesses of the grid.
 
     Args:
-        variances: Of normals within Gaussians, radians^2 along an axis, shape (N,).
+        variances: Variances of normals within Gaussians, radians^2 along an axis, shape (N,).
     """
     grid = np.array(ROUGHNESS_GRID)
     rougher = np.minimum((grid**4 + 2.0 * variances[:, None]) ** 0.25, grid[-1])
@@ -192,13 +192,13 @@ def widened(variances: Doubles) -> Doubles:
 
 
 def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradiance, light: Light) -> FloatArray:
-    """Irradiance over pi from each bin of the hemispheres of Gaussians, shape (N, Q, 3).
+    """Returns the irradiance over pi from each bin of the Gaussians' hemispheres, shape (N, Q, 3).
 
     Args:
-        normals: Unit, shape (N, 3).
-        cells: Of the sky.
-        incident: Light with what the capture shows in each direction.
-        light: That was found.
+        normals: Unit normals, shape (N, 3).
+        cells: Environment cells.
+        incident: Irradiance, with the capture's own part by direction.
+        light: Estimated radiances.
     """
     frames, rows = frames_of(normals), np.arange(len(normals))
     arriving = np.zeros((len(normals), BIN_RINGS * BIN_SECTORS, 3), np.float32)
@@ -214,30 +214,30 @@ def arriving_light(normals: Doubles, cells: EnvironmentCells, incident: Irradian
 
 
 def _displayed(linear: Doubles) -> tuple[Doubles, Doubles]:
-    """Display values, and their derivatives; what is above 1 is clipped."""
+    """Returns display values and their derivatives by linear light, with linear values above 1 clipped."""
     inside = np.clip(linear, RADIANCE_LEAST, 1.0)
     displayed = np.asarray(encode_srgb(inside), np.float64)
-    # Of the encoding's power: 1.055 / 2.4 x^(1 / 2.4 - 1) is (shown + 0.055) / (2.4 x).
+    # Derivative of the sRGB power law: 1.055 / 2.4 x^(1 / 2.4 - 1) = (displayed + 0.055) / (2.4 x).
     slope = np.where(inside <= 0.0031308, 12.92, (displayed + 0.055) / (2.4 * inside))
     return displayed, np.where(linear < 1.0, slope, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lobes:
-    """Tables for R roughnesses, M views and Q bins of directions, around a normal that is z."""
+    """Reflection tables for R roughnesses, M views and Q bins of incident directions, around a normal along z."""
 
     views: Doubles
-    """Unit, shape (M, 3)."""
+    """Unit view directions, shape (M, 3)."""
     matt: Doubles
-    """Radiance to a view of the matt part of a surface of albedo 1, by the irradiance over pi from a bin, (R, M, Q)."""
+    """Diffuse radiance towards a view for albedo 1, per irradiance over pi from a bin, shape (R, M, Q)."""
     highlight: Doubles
-    """That of the highlight, likewise."""
+    """Specular radiance towards a view, per irradiance over pi from a bin, shape (R, M, Q)."""
     projection: Doubles
-    """What harmonics of the capture's degree keep of colours, shape (M, M)."""
+    """Projection of colours in the views onto SH of the capture's degree, shape (M, M)."""
 
     @staticmethod
     def of(degree: int) -> Lobes:
-        """For captures of a degree. Tables are made on the CPU: they are small, and the same everywhere."""
+        """Computes the tables for an SH degree, on the CPU: they are small, and then equal on all devices."""
         launcher = Launcher("cpu")
         buffers, samples, views = Buffers("cpu"), bin_samples(), _views()
         shape = len(ROUGHNESS_GRID), len(views), len(samples)
@@ -257,17 +257,19 @@ class Lobes:
 
     @property
     def compared(self) -> Flags:
-        """Views whose colours are compared: not the grazing ones, shape (M,)."""
+        """True for views whose colours are compared: not the grazing ones, shape (M,)."""
         return self.views[:, 2] > VIEW_COSINE_LEAST
 
     def in_constant_environment(self, roughness: FloatArray) -> tuple[Doubles, Doubles]:
-        """What most views see in even light of radiance 1: of the matt part of a surface of albedo 1, and mirrored.
+        """Returns median diffuse and specular radiance over the views, in a constant environment of radiance 1.
+
+        The diffuse part is for albedo 1.
 
         Args:
-            roughness: 0..1, shape (N,).
+            roughness: Roughnesses, 0..1, shape (N,).
 
         Returns:
-            Radiances, shape (N,) both.
+            Radiances, shape (N,) each.
         """
         cosines = bin_samples()[..., 2].mean(axis=1)
         shares = cosines / cosines.sum()
@@ -278,7 +280,7 @@ class Lobes:
 
 
 def frames_of(normals: Doubles) -> Doubles:
-    """Rotations that take z to the normals, world from local, shape (N, 3, 3) (Duff et al. 2017)."""
+    """Returns rotations that take z to the normals, world from local, shape (N, 3, 3) (Duff et al. 2017)."""
     x, y, z = normals.T
     sign = np.where(z >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + z)
@@ -289,14 +291,14 @@ def frames_of(normals: Doubles) -> Doubles:
 
 
 def bins_of(directions: Doubles) -> Rows:
-    """The bin of each direction above the horizon, local, shape (N,): rings of equal height in equal sectors."""
+    """Returns the bin of each local direction above the horizon, shape (N,): equal sectors of equally high rings."""
     ring = np.clip(directions[:, 2] * BIN_RINGS, 0, BIN_RINGS - 1).astype(int)
     sector = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) / (2.0 * np.pi) * BIN_SECTORS).astype(int)
     return ring * BIN_SECTORS + sector % BIN_SECTORS
 
 
 def bin_samples() -> Doubles:
-    """Directions spread evenly over each bin, unit, shape (Q, S, 3)."""
+    """Returns unit directions evenly spread over each bin, shape (Q, S, 3)."""
     within = (np.arange(BIN_SAMPLES) + 0.5) / BIN_SAMPLES
     height = (np.arange(BIN_RINGS)[:, None] + within) / BIN_RINGS
     angle = 2.0 * np.pi * (np.arange(BIN_SECTORS)[:, None] + within) / BIN_SECTORS
@@ -307,7 +309,10 @@ def bin_samples() -> Doubles:
 
 
 def sh_projection(views: Doubles, degree: int) -> Doubles:
-    """From colours less 0.5 in views to those of the harmonics nearest to them, as `bake` fits them, (M, M)."""
+    """Returns the matrix that fits SH to colours in views, as `bake` does, and evaluates the SH again, shape (M, M).
+
+    Colours are those less 0.5.
+    """
     basis = sh_basis(views, degree)
     level = np.floor(np.sqrt(np.arange((degree + 1) ** 2) + 0.5))
     shares = 4.0 * np.pi / len(views) * basis.T
@@ -315,6 +320,6 @@ def sh_projection(views: Doubles, degree: int) -> Doubles:
 
 
 def _views() -> Doubles:
-    """Even views of the upper hemisphere."""
+    """Returns evenly spread views of the upper hemisphere."""
     around = even_directions(2 * LOBE_VIEWS)
     return around[around[:, 2] > 0.0]

@@ -1,4 +1,4 @@
-"""The sun of an outdoor capture, by what it lights and shadows (docs/method/relighting.md#traces-of-light)."""
+"""Estimates the sun of an outdoor capture from shading and shadows (docs/method/relighting.md#traces-of-light)."""
 
 from __future__ import annotations
 
@@ -21,67 +21,68 @@ from lumisplat.scene.scene import Scene, SplatInstance
 # Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SUN_DIRECTIONS = 320
-"""Directions in which a sun is searched first: 11 degrees apart."""
+"""Directions of the coarse search, 11 degrees apart."""
 
 SUN_REFINED = 24
-"""Directions around the best in each of two finer steps."""
+"""Directions around the best one in each of two refinements."""
 
 SUN_SHARE = 0.05
-"""Least share of what smooth surroundings do not explain that a sun does."""
+"""Smallest fraction of the variance that a smooth environment leaves and the sun must explain."""
 
 SUN_SIGNIFICANCE = 6.0
-"""Least ratio of a sun's factor to its standard error."""
+"""Smallest ratio of the sun's factor to its standard error."""
 
 SUN_SHARE_BEYOND = 0.025
-"""Least share that a sun explains of what a sky of degree 2 does not: one of degree 1 does not hold an overcast sky,
-which is brightest at its top."""
+"""Smallest fraction of the variance that an environment of SH degree 2 leaves and the sun must explain. Degree 1 does
+not represent an overcast sky, which is brightest at its top."""
 
 SUN_SIGNIFICANCE_BEYOND = 4.0
-"""Least ratio of a sun's factor to its standard error beside a sky of degree 2."""
+"""Smallest ratio of the sun's factor to its standard error beside an environment of SH degree 2."""
 
 SUN_LIFT = 6.0
-"""Distance from the ground, cells, of the place from which the sky is tested: objects stand beside and below it."""
+"""Height above the ground, voxels, of the point from which open directions are tested: objects stand beside and below
+it."""
 
 SUN_LIT_MIN = 0.05
-"""Least share of surfaces that a sun reaches: through a gap of a closed room shines none."""
+"""Smallest fraction of surfaces that a sun reaches; light through a gap of a closed room reaches fewer."""
 
 SUN_APART = 0.7
-"""Cosine of the angle beyond which a direction is another one."""
+"""Cosine of the angle beyond which a direction counts as a different one."""
 
 SUN_CONFIDENCE_MIN = 0.2
-"""Confidence below which no sun is given."""
+"""Confidence below which no sun is returned."""
 
 SUN_ANNOUNCED_S = 1.0
-"""Seconds after which a search for the sun shows its progress."""
+"""Seconds after which a search for the sun reports its progress."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SunEstimate:
-    """A sun that was found, and on what evidence."""
+    """An estimated sun and the evidence for it."""
 
     light: LightDirectional
-    """Named ``estimated-sun``, white, of 1 lux: its intensity is not estimated."""
+    """Light named ``estimated-sun``, white, of 1 lux: the intensity is not estimated."""
     confidence: float
-    """0..1: 1 if no direction 45 degrees away or more explains anything, 0 if one explains as much."""
+    """Confidence, 0..1: 1 if no direction at least 45 degrees away explains anything, 0 if one explains as much."""
     share: float
-    """Of the variance of luminance that smooth surroundings do not explain, 0..1."""
+    """Fraction that the sun explains of the luminance variance that a smooth environment leaves, 0..1."""
     significance: float
-    """Luminance in the sun over the standard error of that."""
+    """Luminance due to the sun over its standard error."""
 
 
 def estimate_sun(
     scene: Scene | SplatInstance | Gaussians, center: npt.ArrayLike | None = None, *, progress: Progress | None = None
 ) -> SunEstimate | None:
-    """Finds the sun of a capture: the direction from which surfaces that face it, unshadowed, are brighter.
+    """Estimates the sun of a capture: the direction from which surfaces that face it, unshadowed, are brighter.
 
-    The capture becomes cells, and for each of some hundred directions the cosines of its surfaces are computed, 0 where
-    cells are in the way. A regression says what such a sun explains of their luminance that a smooth sky does not. The
-    best direction is refined, and returned if it explains enough, significantly, and is alone. Directions from below
-    the ground are left out where the ground is known.
+    The capture is voxelised. For each of some hundred directions, the cosines of its surfaces are computed, 0 where
+    voxels shadow them. A regression tests how much of the luminance such a sun explains that a smooth environment does
+    not. The best direction is refined, and returned if it explains enough, significantly, and if no other direction
+    does. Directions from below the ground are excluded where the ground can be estimated.
 
     Args:
         scene: The capture, by its captured colours; meshes are ignored.
-        center: Where the capture is seen from, world space, shape (3,); None: the median of its means.
+        center: Viewpoint of the capture, world space, shape (3,); None: the median of its means.
         progress: Called with a label and a fraction 0..1 if the search takes more than a second.
 
     Returns:
@@ -113,7 +114,7 @@ def estimate_sun(
     confidence = 1.0 - max(float(others.max(initial=0.0)), 0.0) / max(trace.share, 1e-12)
     if trace.share < SUN_SHARE or trace.significance < SUN_SIGNIFICANCE or confidence < SUN_CONFIDENCE_MIN:
         return None
-    # An overcast sky is brightest at its top: a sun shows beside one of the next degree, too.
+    # An overcast sky is brightest at its top: a sun must also be evident beside an environment of degree 2.
     (beyond,) = Shading.of(surfaces, directions, cosines, 2).traces(surfaces.cosines(direction)[:, None])
     if beyond.share < SUN_SHARE_BEYOND or beyond.significance < SUN_SIGNIFICANCE_BEYOND:
         return None
@@ -122,7 +123,7 @@ def estimate_sun(
 
 
 def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, progress: Progress | None) -> Doubles:
-    """Cosines of all surfaces to each direction, shape (M, D): what takes the time of the search."""
+    """Returns unshadowed cosines of all surfaces to each direction, shape (M, D), with progress: the expensive part."""
     columns: list[Doubles] = []
     is_announced = False
     for done, direction in enumerate(directions):
@@ -136,7 +137,10 @@ def _cosines(surfaces: CapturedSurfaces, directions: Doubles, started: float, pr
 
 
 def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
-    """A place, or if it is within something, such as the ground, one above it: on the side where things stand."""
+    """Returns the position, or if it is inside something such as the ground, a point above it.
+
+    Above is the side on which objects stand on the ground.
+    """
     directions = even_directions(TRACE_DIRECTIONS)
     if surfaces.cells.is_free(np.broadcast_to(position, directions.shape), directions).mean() >= SUN_LIT_MIN:
         return position
@@ -147,14 +151,14 @@ def _open_position(surfaces: CapturedSurfaces, position: Doubles) -> Doubles:
 
 
 def _is_above_ground(directions: Doubles, surfaces: CapturedSurfaces, center: Doubles) -> Flags:
-    """Which directions do not come from below the ground, shape (D,); all if the ground is not known."""
+    """Returns which directions do not come from below the ground, shape (D,); all if the ground is unknown."""
     down = ground_direction(surfaces, center)
     length = float(np.linalg.norm(down))
     return directions @ down < 0.0 if length >= TRACE_GROUND_MIN else np.ones(len(directions), np.bool_)
 
 
 def _refined(shading: Shading, direction: Doubles, trace: Trace) -> tuple[Doubles, Trace]:
-    """The best direction near one, in two steps, each finer than the one before."""
+    """Returns the best direction near the given one and its evidence, in two refinements."""
     for width in (np.sqrt(4.0 * np.pi / SUN_DIRECTIONS), 0.3 * np.sqrt(4.0 * np.pi / SUN_DIRECTIONS)):
         around = direction + width * even_directions(SUN_REFINED)
         around /= np.linalg.norm(around, axis=1, keepdims=True)
