@@ -41,7 +41,7 @@ def test_a_capture_gets_materials(work):
     )
     assert (done.status, done.err) == (0, "")
     assert "700 Gaussians with albedo, roughness and normals" in done.out
-    assert "sky, whose brightness is a guess" in done.out
+    assert "environment, whose brightness is a guess" in done.out
     before, after = ls.load(work.path("ball.ply")), ls.load(work.path("out.ply"))
     assert isinstance(before, ls.Gaussians) and isinstance(after, ls.Gaussians)
     assert np.array_equal(before.means, after.means) and np.array_equal(before.sh, after.sh)

@@ -278,7 +278,7 @@ def test_small_pictures_have_fewer_scales():
         if scales:
             assert ls.metrics.ms_ssim(flat, flat, scales=scales) == pytest.approx(1.0)
         if 0 < scales < 5:
-            with pytest.raises(ls.SceneError, match=f"these are {size + 3} x {size}: scales={scales} suits them"):
+            with pytest.raises(ls.SceneError, match=f"these are {size + 3} x {size}: use scales={scales}"):
                 ls.metrics.ms_ssim(flat, flat, scales=scales + 1)
     with pytest.raises(ls.SceneError, match="ms_ssim compares windows of 11 x 11 pixels, the images are 12 x 10"):
         ls.metrics.ms_ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)), scales=1)

@@ -270,10 +270,10 @@ def test_mistakes_are_refused():
         ls.metrics.paa_y(avatar, far)
     gaussians = splats(np.full((40, 3), 0.5), None, 40)
     with pytest.raises(
-        ls.SceneError, match=r"within 0.001 of the avatar's centre \(.*, the nearest is .* unit a metre"
+        ls.SceneError, match=r"within 0.001 of the avatar's centre \(.*, the nearest is .* unit is metres"
     ):
         ls.metrics.LitPoints.of(gaussians, around=(100, 0, 0), radius=1e-3)
-    with pytest.raises(ls.SceneError, match="15 avatar points: irradiance of 16 coefficients needs as many at least"):
+    with pytest.raises(ls.SceneError, match="15 avatar points: fitting irradiance needs 16 or more"):
         ls.metrics.paa_y(points(np.full(15, 0.2), all_around(15)), avatar)
     with pytest.raises(ls.SceneError, match="all 4,000 avatar points are black"):
         ls.metrics.paa_y(points(np.zeros(4000)), avatar)

@@ -481,7 +481,7 @@ def test_what_is_closed_is_a_room_and_all_else_open(meshes: list[ls.Mesh], insid
     """A remark says which, and what is done about light from where the capture shows nothing."""
     found = ls.inverse.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
     assert found.is_inside is inside
-    assert found.remarks[0].startswith("a closed room" if inside else "open: ")
+    assert found.remarks[0].startswith("taken for a closed room" if inside else "taken for an open scene")
 
 
 def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]) -> None:

@@ -179,7 +179,7 @@ def test_captured_colours_stand_for_an_albedo(folder, ball):
     assert np.isnan(result.roughness_rmse)
     assert [line.split(":")[0] for line in result.remarks] == [
         "the capture has no albedo",
-        "the capture has no normals of its own",
+        "the capture has no normals",
         "the capture has no roughness",
     ]
     assert explicit.remarks == result.remarks[1:]

@@ -76,7 +76,7 @@ def test_a_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> No
         )
     assert len(found.lights) == 1
     assert_at(found.lights[0], PLACES[1])
-    assert "1 light found of the 3 asked for" in caplog.text
+    assert "found 1 light of the 3 requested" in caplog.text
 
 
 def test_broad_emitters_count_where_they_are_wanted() -> None:

@@ -18,11 +18,12 @@ from lumisplat.errors import MissingExtraError, SceneError
 from lumisplat.math.arrays import Flags, host_array
 
 FLIP_PIXELS_PER_DEGREE = 67.02064514160156
-"""FLIP's own default: a display 0.7 m wide, of 3840 pixels, seen from 0.7 m. Andersson et al. 2020."""
+"""FLIP's default resolution, pixels per degree: a display 0.7 m wide, of 3840 pixels, seen from 0.7 m (Andersson et
+al. 2020)."""
 
 
 def import_extra(module: str, metric: str) -> Any:
-    """Imports a module that a metric needs.
+    """Imports a module of the optional dependencies that a metric needs.
 
     Raises:
         MissingExtraError: The package is not installed.
@@ -34,46 +35,46 @@ def import_extra(module: str, metric: str) -> Any:
 
 
 def psnr(image: npt.ArrayLike, reference: npt.ArrayLike, *, region: npt.ArrayLike | None = None) -> float:
-    """Peak signal-to-noise ratio: ``10 log10(1 / MSE)`` over all pixels and channels.
+    """Returns the peak signal-to-noise ratio ``10 log10(1 / MSE)`` over all pixels and channels.
 
     Args:
         image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3).
-        reference: The reference, of the same shape.
+        reference: The reference image, of the same shape.
         region: The pixels to compare, booleans of shape (H, W); None: all.
 
     Returns:
         Decibels, at least 0, the higher the better; infinite if both are equal.
 
     Raises:
-        SceneError: These are not two pictures of one size in 0..1, or the region is empty.
+        SceneError: The images differ in size or leave 0..1, or the region is empty.
     """
-    tested, wanted, inside = picture_pair(image, reference, region)
+    tested, wanted, inside = image_pair(image, reference, region)
     error = float(np.mean((tested[inside] - wanted[inside]) ** 2))
     return float("inf") if error == 0.0 else -10.0 * np.log10(error).item()
 
 
 def ssim(image: npt.ArrayLike, reference: npt.ArrayLike, *, region: npt.ArrayLike | None = None) -> float:
-    """Structural similarity (Wang et al. 2004), the mean over pixels and channels.
+    """Returns the structural similarity (Wang et al. 2004), the mean over pixels and channels.
 
     Means, variances and covariance are weighted by a Gaussian of 1.5 pixels in windows of 11 x 11 pixels; K1 = 0.01 and
-    K2 = 0.03 as in the paper. Only windows that lie fully inside the picture count, so that the outermost 5 pixels have
-    no value of their own; implementations that pad the picture differ there. Computed by scikit-image.
+    K2 = 0.03 as in the paper. Only windows inside the image count, so the outermost 5 pixels have no value of their
+    own; implementations that pad the image differ there. Computed by scikit-image.
 
     Args:
         image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), at least 11 pixels in both directions.
-        reference: The reference, of the same shape.
-        region: The pixels to compare, booleans of shape (H, W); None: all. The mean is over windows whose middle is in
-            it, for which the image elsewhere is that of the reference.
+        reference: The reference image, of the same shape.
+        region: The pixels to compare, booleans of shape (H, W); None: all. The mean is over windows whose centre is in
+            the region, with the image set to its reference outside of the region.
 
     Returns:
         -1..1, the higher the better; 1 if both are equal.
 
     Raises:
-        SceneError: These are not two pictures of one size in 0..1, they are smaller than the window, or no window has
-            its middle in the region.
+        SceneError: The images differ in size, leave 0..1 or are smaller than the window, or no window has its centre in
+            the region.
         MissingExtraError: scikit-image is not installed.
     """
-    tested, wanted, inside = picture_pair(image, reference, region)
+    tested, wanted, inside = image_pair(image, reference, region)
     check_window("ssim", tested.shape[0], tested.shape[1])
     similarity = import_extra("skimage.metrics", "ssim").structural_similarity
     options = {"data_range": 1.0, "channel_axis": 2, "gaussian_weights": True, "sigma": SSIM_SIGMA_PX}
@@ -89,27 +90,26 @@ def flip(
     pixels_per_degree: float = FLIP_PIXELS_PER_DEGREE,
     region: npt.ArrayLike | None = None,
 ) -> float:
-    """LDR-FLIP (Andersson et al. 2020), the mean over pixels: the visible difference when flipping between both.
+    """Returns LDR-FLIP (Andersson et al. 2020), the mean visible difference when flipping between two images.
 
     Computed by NVIDIA's implementation.
 
     Args:
         image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3).
-        reference: The reference, of the same shape.
+        reference: The reference image, of the same shape.
         pixels_per_degree: Resolution of the display, pixels per degree of visual angle, 1 to 1000. FLIP's default is
             a 4K screen, 0.7 m wide, seen from 0.7 m.
-        region: The pixels to compare, booleans of shape (H, W); None: all. Elsewhere the image is taken to be its
-            reference.
+        region: The pixels to compare, booleans of shape (H, W); None: all. The image is set to its reference elsewhere.
 
     Returns:
         0..1, the lower the better; 0 if both are equal.
 
     Raises:
         ConfigError: ``pixels_per_degree`` is out of range.
-        SceneError: These are not two pictures of one size in 0..1, or the region is empty.
+        SceneError: The images differ in size or leave 0..1, or the region is empty.
         MissingExtraError: flip-evaluator is not installed.
     """
-    tested, wanted, inside = picture_pair(image, reference, region)
+    tested, wanted, inside = image_pair(image, reference, region)
     check_range("pixels_per_degree", pixels_per_degree, 1, 1000)
     values = import_extra("flip_evaluator", "flip").evaluate(
         np.ascontiguousarray(wanted, np.float32),
@@ -122,39 +122,39 @@ def flip(
 
 
 _WEIGHTS = np.array((0.0448, 0.2856, 0.3001, 0.2363, 0.1333))
-"""Exponents of the scales, the finest first: section 3.2 of the paper."""
+"""Exponents of the scales, finest first: section 3.2 of the paper."""
 _C1, _C2 = 0.01**2, 0.03**2
 
 
 def ms_ssim(
     image: npt.ArrayLike, reference: npt.ArrayLike, *, scales: int = len(_WEIGHTS), region: npt.ArrayLike | None = None
 ) -> float:
-    """Structural similarity over scales (Wang et al. 2003): the mean over channels of a product over scales.
+    """Returns the multi-scale structural similarity (Wang et al. 2003): a product over scales, averaged over channels.
 
-    Each scale has half the size of the one before, by means over 2 x 2 pixels; of an odd number of rows or columns, the
-    last is repeated. Its factor is the mean of contrast times structure, of the coarsest also times luminance, to the
-    power of its weight: 0.0448, 0.2856, 0.3001, 0.2363, 0.1333. A mean below 0 counts as 0. Windows are as in `ssim`.
+    Each scale has half the size of the previous one, by means over 2 x 2 pixels; an odd last row or column is repeated.
+    The factor of a scale is the mean of contrast times structure, at the coarsest scale also times luminance, to the
+    power of its weight: 0.0448, 0.2856, 0.3001, 0.2363, 0.1333. A negative mean counts as 0. Windows are as in `ssim`.
 
     Args:
-        image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), with 5 scales at least 161 pixels in both
-            directions, else ``10 * 2 ** (scales - 1) + 1``.
-        reference: The reference, of the same shape.
-        scales: How many there are, 1 to 5. With fewer than 5, the weights of those that are left are divided by their
-            sum: such values compare with others of as many scales only. One is `ssim` itself.
-        region: The pixels to compare, booleans of shape (H, W); None: all. Means are over windows whose middle is in
-            it, in coarser scales over those whose middle covers some of it, for which the image elsewhere is that of
-            the reference.
+        image: Display-referred sRGB, 0..1 or bytes, shape (H, W, 3), at least ``10 * 2 ** (scales - 1) + 1`` pixels in
+            both directions: 161 with 5 scales.
+        reference: The reference image, of the same shape.
+        scales: Number of scales, 1 to 5. With fewer than 5, the remaining weights are divided by their sum; such values
+            are only comparable to others with as many scales. One scale is `ssim` itself.
+        region: The pixels to compare, booleans of shape (H, W); None: all. Means are over windows whose centre is in
+            the region; at coarser scales, over those whose centre covers a part of it. The image is set to its
+            reference outside of the region.
 
     Returns:
         0..1, the higher the better; 1 if both are equal.
 
     Raises:
         ConfigError: ``scales`` is out of range.
-        SceneError: These are not two pictures of one size in 0..1, they are too small for so many scales, or no window
-            has its middle in the region.
+        SceneError: The images differ in size, leave 0..1 or are too small for so many scales, or no window has its
+            centre in the region.
     """
     check_whole("scales", scales, 1, len(_WEIGHTS))
-    tested, wanted, inside = picture_pair(image, reference, region)
+    tested, wanted, inside = image_pair(image, reference, region)
     height, width = inside.shape
     check_window("ms_ssim", height, width)
     possible = ms_ssim_scales(height, width)
@@ -162,7 +162,7 @@ def ms_ssim(
         needed = 10 * 2 ** (scales - 1) + 1
         raise SceneError(
             f"ms_ssim with {scales} scales compares images of {needed} x {needed} pixels or more, these are "
-            f"{width} x {height}: scales={possible} suits them"
+            f"{width} x {height}: use scales={possible}"
         )
     weights = _WEIGHTS if scales == len(_WEIGHTS) else _WEIGHTS[:scales] / _WEIGHTS[:scales].sum()
     edge = SSIM_WINDOW_PX // 2
@@ -177,12 +177,12 @@ def ms_ssim(
 
 
 def ms_ssim_scales(height: int, width: int) -> int:
-    """How many scales pictures of a size have in `ms_ssim`, 0 to 5."""
+    """Returns the largest number of scales of `ms_ssim` for images of a size, 0 to 5."""
     return sum(min(height, width) > 10 * 2**scale for scale in range(len(_WEIGHTS)))
 
 
 def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
-    """Luminance, and contrast times structure, of each window that lies inside; equations 1 to 6 of the paper."""
+    """Returns luminance, and contrast times structure, of each window inside: equations 1 to 6 of the paper."""
     mean_x, mean_y = _blurred(tested), _blurred(wanted)
     variance_x = _blurred(tested * tested) - mean_x * mean_x
     variance_y = _blurred(wanted * wanted) - mean_y * mean_y
@@ -192,7 +192,7 @@ def _similarity(tested: Image, wanted: Image) -> tuple[Image, Image]:
 
 
 def _blurred(image: Image) -> Image:
-    """Means over windows, weighted by a Gaussian; shorter by a window less a pixel in both directions."""
+    """Returns Gaussian-weighted means over windows; each side is shorter by the window's size less 1."""
     offsets = np.arange(SSIM_WINDOW_PX) - SSIM_WINDOW_PX // 2
     bell = np.exp(-0.5 * (offsets / SSIM_SIGMA_PX) ** 2)
     bell /= bell.sum()
@@ -202,7 +202,7 @@ def _blurred(image: Image) -> Image:
 
 
 def _halved(image: Image) -> Image:
-    """Means over 2 x 2 pixels; an odd last row or column is repeated."""
+    """Returns means over 2 x 2 pixels; an odd last row or column is repeated."""
     even = np.pad(image, [(0, size % 2) for size in image.shape[:2]] + [(0, 0)], mode="edge")
     return 0.25 * (even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2])
 
@@ -210,19 +210,19 @@ def _halved(image: Image) -> Image:
 Image = npt.NDArray[np.float64]
 
 
-def picture_pair(
+def image_pair(
     image: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None = None
 ) -> tuple[Image, Image, Flags]:
-    """Both pictures as float64, shape (H, W, 3), in 0..1, equal outside of a region, and the region.
+    """Returns both images as float64, shape (H, W, 3), equal outside of the region, and the region.
 
     Args:
         image: Display-referred values, 0..1, shape (H, W, 3); bytes are divided by 255.
-        reference: The reference picture, in the same form.
-        region: The pixels to compare, booleans of shape (H, W); None: all. Elsewhere the image becomes its reference.
+        reference: The reference image, in the same form.
+        region: The pixels to compare, booleans of shape (H, W); None: all. The image is set to its reference elsewhere.
 
     Raises:
-        SceneError: A shape is not that of a picture, shapes differ, values are not finite or outside 0..1, or the
-            region is empty.
+        SceneError: A shape is not (H, W, 3), shapes differ, values are not finite or outside 0..1, or the region is
+            empty.
     """
     tested, wanted = _unit_range("image", image), _unit_range("reference", reference)
     for name, pixels in (("image", tested), ("reference", wanted)):
@@ -238,15 +238,15 @@ def picture_pair(
 
 
 def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.ArrayLike | None) -> tuple[Image, Image]:
-    """Both images of shadow strength as float64, shape (H, W), NaN outside of ``region``.
+    """Returns both images of shadow strength as float64, shape (H, W), NaN outside of ``region``.
 
     Args:
-        shadow: 0 (lit) to 1 (black), shape (H, W); bytes are divided by 255.
-        reference: The reference, in the same form.
+        shadow: Shadow strength, 0 (lit) to 1 (black), shape (H, W); bytes are divided by 255.
+        reference: The reference image, in the same form.
         region: The pixels to compare, booleans of shape (H, W); None: all.
 
     Raises:
-        SceneError: A shape is not that of a mask, shapes differ, or values are not finite or outside 0..1.
+        SceneError: A shape is not (H, W), shapes differ, or values are not finite or outside 0..1.
     """
     pair = _unit_range("shadow", shadow), _unit_range("reference", reference)
     for name, pixels in zip(("shadow", "reference"), pair, strict=True):
@@ -260,10 +260,10 @@ def shadow_pair(shadow: npt.ArrayLike, reference: npt.ArrayLike, region: npt.Arr
 
 
 def check_window(metric: str, height: int, width: int) -> None:
-    """Refuses pictures that are smaller than the window of SSIM.
+    """Refuses images smaller than the window of SSIM.
 
     Raises:
-        SceneError: They are.
+        SceneError: The image is smaller.
     """
     if min(height, width) < SSIM_WINDOW_PX:
         window = f"{SSIM_WINDOW_PX} x {SSIM_WINDOW_PX}"
@@ -271,17 +271,17 @@ def check_window(metric: str, height: int, width: int) -> None:
 
 
 def region_means(values: Image, inside: Flags) -> Image:
-    """The mean, for each channel, of windows whose middle is in a region.
+    """Returns the mean of each channel over windows whose centre is in a region.
 
     Args:
-        values: Of windows, shape (H, W, 3).
+        values: One value for each window, shape (H, W, 3).
         inside: The region, shape (H, W).
 
     Returns:
         Shape (3,).
 
     Raises:
-        SceneError: There is none.
+        SceneError: The region has no such window.
     """
     if not inside.any():
         raise SceneError("region has no pixel whose window lies inside the images")
@@ -296,7 +296,7 @@ def _checked_region(region: npt.ArrayLike, shape: tuple[int, ...]) -> Flags:
 
 
 def _unit_range(name: str, values: npt.ArrayLike) -> Image:
-    """Values as float64, refused outside 0..1."""
+    """Returns values as float64; refuses values outside 0..1."""
     try:
         array = np.asarray(host_array(values))
     except ValueError:  # rows of different lengths

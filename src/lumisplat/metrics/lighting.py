@@ -1,4 +1,4 @@
-"""Agreement of the light on an avatar with that on its surroundings (docs/method/relighting.md#metrics).
+"""Metrics of how well the light on an avatar agrees with the light of the scene (docs/method/relighting.md#metrics).
 
 No ground truth is needed. Avatar and scene are `LitPoints`, or Gaussians from which points are made. Only the part of
 the scene within a radius of the mean of the avatar's points counts. docs/adr/0015-lighting-metrics.md lists the choices
@@ -27,44 +27,45 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import Scene, SplatInstance
 
 IRRADIANCE_SH_DEGREE = 3
-"""Order L of the irradiance that PAA-Y and APF-Y fit. Section 4.1."""
+"""SH degree L of the irradiance that PAA-Y and APF-Y fit. Section 4.1."""
 
 NEIGHBOURHOOD_RADIUS = 1.5
-"""Metres around an avatar's centre within which the scene is compared with it: the middle of section 4.1's 1 to 2."""
+"""Distance from an avatar's centre within which the scene is compared, metres: the middle of section 4.1's 1 to 2."""
 
 TRIMMED_SHARE = 0.05
-"""Share of the largest residuals that a fit leaves out. Section 4.1."""
+"""Fraction of the largest residuals that a fit leaves out. Section 4.1."""
 
 HUBER_WIDTH_MIN = 0.05
-"""Relative residual below which no point is an outlier, however well the others fit: 8-bit colours are no better."""
+"""Relative residual below which no point is an outlier, however well the others fit: 8-bit colours are no more exact.
+"""
 
 FIT_STEPS_MAX = 100
-"""Reweightings of a fit; it ends where the coefficients change by less than FIT_TOLERANCE. Some ten do."""
+"""Maximum number of reweighting steps of a fit; about ten suffice to reach FIT_TOLERANCE."""
 
 FIT_TOLERANCE = 1e-9
-"""Relative to the largest coefficient."""
+"""Change of the coefficients, relative to the largest one, at which a fit ends."""
 
 IRRADIANCE_SMOOTHNESS = 1e-3
-"""Weight of the penalty l (l + 1) c^2 on a band of irradiance, per sample: in directions without normals, irradiance is
-smooth. With normals in all directions, bands shrink by some 4 to 20 %, higher ones more. Less leaves noise: of a floor
-lit evenly, 3000 normals within 0.2 of upright, scales log-normal by 0.5, PAA-Y from constant light is 0.12 to 0.20 with
-this, and 0.3 to 0.45 with a tenth of it."""
+"""Weight per sample of the penalty l (l + 1) c^2 on an SH band of irradiance, which keeps irradiance smooth in
+directions without normals. With normals in all directions, it shrinks bands by about 4 to 20 %, higher ones more. A
+smaller weight leaves noise. For an evenly lit floor, with 3000 normals within 0.2 of upright and scales log-normal by
+0.5, PAA-Y from constant light is 0.12 to 0.20, and 0.3 to 0.45 with a tenth of the weight."""
 
 IRRADIANCE_FLOOR = 0.1
-"""Irradiance, relative to the mean luminance, below which residuals of a fit are no longer relative to it: darker
-values are mostly noise and the camera's black level."""
+"""Irradiance, relative to the mean luminance, below which residuals are no longer relative to it. Darker values are
+mostly noise and the camera's black level."""
 
 CHROMATICITY_SAMPLES_MAX = 2000
-"""Gaussians of each side in NCM-ab, drawn at random beyond: optimal transport between so many takes half a second,
-four times as many half a minute."""
+"""Maximum number of Gaussians on each side of NCM-ab; more are subsampled at random. Optimal transport between so many
+takes half a second, between four times as many half a minute."""
 
 Lit = Gaussians | SplatInstance | Scene
-"""What `LitPoints.of` takes."""
+"""Types that `LitPoints.of` accepts."""
 
 
 @frozen
 class LitPoints:
-    """N points of lit surfaces. Arrays become read-only float32; normals are normalised.
+    """N points on lit surfaces. Arrays become read-only float32; normals are normalised.
 
     Raises:
         SceneError: There is no point, shapes do not fit, values are not finite, or a colour is negative.
@@ -93,15 +94,15 @@ class LitPoints:
         the set, else `estimate_normals`.
 
         Args:
-            subject: Gaussians, an instance of them, or a scene, all splat instances of which count; meshes do not.
-            around: Use only Gaussians near this point in world space, shape (3,), and turn estimated normals towards
-                it, like the walls of a room around a person. None: use all, with outward normals.
+            subject: Gaussians, an instance, or a scene, whose splat instances all count; meshes do not.
+            around: World-space point, shape (3,). Only Gaussians near the point are used, and estimated normals are
+                flipped towards it, like the walls of a room around a person. None: all Gaussians, with outward normals.
             radius: Largest distance from ``around``, metres; required with it.
 
         Raises:
             ConfigError: ``radius`` is not above 0.
-            SceneError: There are no Gaussians, or none is near enough (the message says how far the nearest one is), or
-                ``around`` is not a point.
+            SceneError: There are no Gaussians, or none is near enough (the message gives the distance of the nearest
+                one), or ``around`` is not a point.
         """
         ball = None if around is None else _Ball.of(around, radius)
         parts = list(_instances(subject))
@@ -113,7 +114,7 @@ class LitPoints:
             listed = ", ".join(f"{value:.3g}" for value in ball.center.tolist())
             raise SceneError(
                 f"no Gaussian of the scene is within {ball.radius:g} of the avatar's centre ({listed}), the nearest is "
-                f"{nearest:.3g} away: is the avatar where it should be, and the unit a metre?"
+                f"{nearest:.3g} away: check the position of the avatar, and that the unit is metres"
             )
         made = [_points(part, rows, ball) for part, rows in zip(parts, selections, strict=True) if rows.any()]
         positions, normals, colors = (np.concatenate(arrays) for arrays in zip(*made, strict=True))
@@ -138,7 +139,7 @@ def check_radius(radius: object) -> float:
 
 
 class _Ball(NamedTuple):
-    """The part of space that counts."""
+    """Ball of the scene that is compared."""
 
     center: Doubles
     radius: float
@@ -151,11 +152,11 @@ class _Ball(NamedTuple):
         return cls(point, checked)
 
     def distances(self, instance: SplatInstance) -> Doubles:
-        """Distances of the means from the centre, shape (N,)."""
+        """Returns the distances of the means from the centre, shape (N,)."""
         return np.linalg.norm(instance.world_means - self.center, axis=1)
 
     def holds(self, instance: SplatInstance) -> npt.NDArray[np.bool_]:
-        """Which means are inside, shape (N,)."""
+        """Returns which means are inside, shape (N,)."""
         return self.distances(instance) <= self.radius
 
 
@@ -167,22 +168,22 @@ def _instances(subject: object) -> Iterator[SplatInstance]:
     elif isinstance(subject, Gaussians):
         yield SplatInstance(subject)
     else:
-        raise SceneError(f"metrics of lighting take Gaussians or LitPoints, got a {type(subject).__name__}")
+        raise SceneError(f"lighting metrics take Gaussians or LitPoints, got a {type(subject).__name__}")
 
 
 def _points(
     instance: SplatInstance, rows: npt.NDArray[np.bool_], ball: _Ball | None
 ) -> tuple[Doubles, npt.NDArray[np.floating], npt.NDArray[np.floating]]:
-    """Positions, normals and linear colours of the Gaussians of an instance that a mask selects."""
+    """Returns positions, normals and linear colours of the Gaussians of an instance that a mask selects."""
     selected = instance.gaussians if rows.all() else instance.gaussians.subset(rows)
     positions = instance.world_means[rows]
-    own_normals = selected.normals
-    if own_normals is None:
+    object_normals = selected.normals
+    if object_normals is None:
         from lumisplat.scene.ops.normals import estimate_normals
 
-        own_normals = estimate_normals(selected)
+        object_normals = estimate_normals(selected)
     # The similarity rotates normals; its scale is removed when they are normalised.
-    normals = own_normals @ instance.transform[:3, :3].T
+    normals = object_normals @ instance.transform[:3, :3].T
     if selected.normals is None and ball is not None:
         away = np.einsum("ij,ij->i", normals, ball.center - positions) < 0.0
         normals = np.where(away[:, None], -normals, normals)
@@ -194,51 +195,51 @@ Points = LitPoints | Lit
 
 
 def paa_y(avatar: Points, scene: Points, *, radius: float = NEIGHBOURHOOD_RADIUS) -> float:
-    """Probe-avatar agreement in luminance: L1 distance between the irradiance on the avatar and that on the scene.
+    """Returns the probe-avatar agreement in luminance: L1 distance between irradiance on the avatar and on the scene.
 
     ``PAA-Y = ||c_avatar - c_scene||_1``, where c are the 16 SH coefficients of irradiance (L = 3) that explain
     luminance by normals, ``Y_i = alpha_i E(n_i; c)``. Each c is scaled to ``||c||_1 = 1``, because only its product
-    with alpha is known. Huber's loss, 5 % trimmed. Source: Mir et al. 2026, section 4.1 (1).
+    with alpha is known. The fit uses Huber's loss and trims 5 %. Source: Mir et al. 2026, section 4.1 (1).
 
     Args:
         avatar: Its points or Gaussians, world space.
-        scene: Those of the scene.
-        radius: How far from the avatar's centre the scene counts, metres.
+        scene: Points or Gaussians of the scene.
+        radius: Distance from the avatar's centre within which the scene counts, metres.
 
     Returns:
-        0..2, without unit, the lower the better; 0: the same light up to its intensity.
+        0..2, without unit, the lower the better; 0 for equal light up to its intensity.
 
     Raises:
         ConfigError: ``radius`` is not above 0.
         SceneError: No part of the scene is near, or there are too few points, or only black ones.
     """
-    figure, surroundings = _sides(avatar, scene, radius)
-    own = fit_irradiance(figure.normals, figure.luminance, "avatar points")
-    wanted = fit_irradiance(surroundings.normals, surroundings.luminance, "scene points near the avatar")
-    return float(np.abs(own.coefficients - wanted.coefficients).sum())
+    figure, nearby = _sides(avatar, scene, radius)
+    found = fit_irradiance(figure.normals, figure.luminance, "avatar points")
+    wanted = fit_irradiance(nearby.normals, nearby.luminance, "scene points near the avatar")
+    return float(np.abs(found.coefficients - wanted.coefficients).sum())
 
 
 def apf_y(avatar: Points, scene: Points, *, radius: float = NEIGHBOURHOOD_RADIUS) -> float:
-    """Avatar photometric fit in luminance: error with which the scene's light predicts the avatar's shading.
+    """Returns the avatar photometric fit: the error of predicting the avatar's luminance from the scene's light.
 
     ``APF-Y = mean |Y_a - (s E(n_a; c_scene) + b)|`` over all points of the avatar, with c_scene as in `paa_y`, and s
     and b fitted to the avatar with the same robust loss. Source: Mir et al. 2026, section 4.1 (2).
 
     Args:
         avatar: Its points or Gaussians, world space.
-        scene: Those of the scene.
-        radius: How far from the avatar's centre the scene counts, metres.
+        scene: Points or Gaussians of the scene.
+        radius: Distance from the avatar's centre within which the scene counts, metres.
 
     Returns:
-        At least 0, in luminance (white is 1), the lower the better. It grows with the brightness and the contrast of
-        the avatar's own colours: compare values of one avatar only.
+        At least 0, in luminance (white is 1), the lower the better. The value grows with the brightness and the
+        contrast of the avatar's own colours, so compare values of one avatar only.
 
     Raises:
         ConfigError: ``radius`` is not above 0.
         SceneError: No part of the scene is near, or there are too few points, or only black ones.
     """
-    figure, surroundings = _sides(avatar, scene, radius)
-    light = fit_irradiance(surroundings.normals, surroundings.luminance, "scene points near the avatar")
+    figure, nearby = _sides(avatar, scene, radius)
+    light = fit_irradiance(nearby.normals, nearby.luminance, "scene points near the avatar")
     predictor = light.at(figure.normals)
     design = np.stack([predictor, np.ones_like(predictor)], axis=1)
     observed = figure.luminance
@@ -253,19 +254,20 @@ def ncm_ab(
     samples: int = CHROMATICITY_SAMPLES_MAX,
     seed: int = 0,
 ) -> float:
-    """Chromaticity neighbourhood match: the 1-Wasserstein (earth mover's) distance between colour casts.
+    """Returns the chromaticity neighbourhood match: the 1-Wasserstein (earth mover's) distance between colour casts.
 
-    The distance between the (a*, b*) of the avatar's points and those of the scene's points near it, in CIE L*a*b*
-    under D65. All points have the same weight; POT solves it exactly. Source: Mir et al. 2026, section 4.1 (3).
+    The distance is between the (a*, b*) of the avatar's points and those of the scene's points near it, in CIE L*a*b*
+    under D65. All points have the same weight; POT solves the transport exactly. Source: Mir et al. 2026, section 4.1
+    (3).
 
     Args:
         avatar: Its points or Gaussians, world space.
-        scene: Those of the scene.
-        radius: How far from the avatar's centre the scene counts, metres.
-        samples: Most points per side, 1 to 20,000; if there are more, this many are drawn at random, without
-            replacement. Two draws from the same colours are not at distance 0: draws of 2000, from colours with an RMS
-            distance of 10 Delta E from their mean, are about 0.75 apart.
-        seed: Seed of the draws, 0..2^32 - 1. Sides of the same length, such as an avatar before and after relighting,
+        scene: Points or Gaussians of the scene.
+        radius: Distance from the avatar's centre within which the scene counts, metres.
+        samples: Maximum number of points per side, 1 to 20,000; more are subsampled at random, without replacement. Two
+            samples of the same colours are not at distance 0: samples of 2000, from colours with an RMS distance of 10
+            Delta E from their mean, are about 0.75 apart.
+        seed: Seed of the samples, 0..2^32 - 1. Sides of the same length, such as an avatar before and after relighting,
             get the same points.
 
     Returns:
@@ -278,15 +280,15 @@ def ncm_ab(
     """
     check_whole("samples", samples, 1, 20_000)
     check_whole("seed", seed, 0, 2**32 - 1)
-    figure, surroundings = _sides(avatar, scene, radius)
-    own, wanted = (lab(_draw(side.rgb, samples, seed))[:, 1:] for side in (figure, surroundings))
-    distances = np.hypot(*np.moveaxis(own[:, None] - wanted[None], -1, 0))
+    figure, nearby = _sides(avatar, scene, radius)
+    found, wanted = (lab(_draw(side.rgb, samples, seed))[:, 1:] for side in (figure, nearby))
+    distances = np.hypot(*np.moveaxis(found[:, None] - wanted[None], -1, 0))
     # The network simplex needs far fewer pivots; the limit is for the worst case.
     return float(np.asarray(import_extra("ot", "ncm_ab").emd2([], [], distances, numItermax=100_000_000)))
 
 
 def _sides(avatar: Points, scene: Points, radius: float) -> tuple[LitPoints, LitPoints]:
-    """The avatar, and the scene within ``radius`` of the mean of its points."""
+    """Returns the avatar, and the scene within ``radius`` of the mean of its points."""
     check_radius(radius)
     figure = avatar if isinstance(avatar, LitPoints) else LitPoints.of(avatar)
     center = figure.positions.mean(axis=0, dtype=np.float64)
@@ -302,7 +304,7 @@ def _sides(avatar: Points, scene: Points, radius: float) -> tuple[LitPoints, Lit
 
 
 def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
-    """At most ``count`` rows, drawn at random without replacement."""
+    """Returns at most ``count`` rows, drawn at random without replacement."""
     if len(colors) <= count:
         return colors
     return colors[np.random.default_rng(seed).choice(len(colors), count, replace=False)]
@@ -310,32 +312,32 @@ def _draw(colors: FloatArray, count: int, seed: int) -> FloatArray:
 
 COEFFICIENTS = (IRRADIANCE_SH_DEGREE + 1) ** 2
 _BANDS = np.repeat(np.arange(IRRADIANCE_SH_DEGREE + 1), 2 * np.arange(IRRADIANCE_SH_DEGREE + 1) + 1)
-"""The band l of each coefficient."""
+"""Band l of each coefficient."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Irradiance:
-    """Irradiance as a function of the normal, and a scale for each point; the result of `fit_irradiance`."""
+    """Irradiance as a function of the normal, with a scale for each point; the result of `fit_irradiance`."""
 
     coefficients: Doubles
-    """c, real and orthonormal SH in the order of captures, shape (16,). The sum of their absolute values is 1."""
+    """SH coefficients c, real and orthonormal in the order of captures, shape (16,). Their absolute values sum to 1."""
     scales: Doubles
-    """alpha of each point, at least 0, shape (N,): luminance over irradiance."""
+    """Scale alpha of each point, luminance over irradiance, at least 0, shape (N,)."""
 
     def at(self, normals: npt.ArrayLike) -> Doubles:
-        """E at unit normals of shape (N, 3)."""
+        """Evaluates the irradiance E for unit normals, shape (N, 3)."""
         return _basis(normals) @ self.coefficients
 
 
 def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str = "points") -> Irradiance:
-    """Factorises ``Y_i = alpha_i E(n_i; c)``: c by a robust fit with all scales equal, then the scales.
+    """Factorises luminance into scales and irradiance, ``Y_i = alpha_i E(n_i; c)``.
 
-    With a free scale for each point there is no unique solution: any positive E fits exactly.
-    docs/adr/0015-lighting-metrics.md explains how c is chosen here, and why.
+    First c is fitted robustly with all scales equal, then the scales follow. With a free scale for each point, any
+    positive E would fit exactly; docs/adr/0015-lighting-metrics.md explains this choice of c.
 
     The fit minimises Huber's loss of the residuals ``alpha_i - 1``, without the 5 % of the points that fit worst. In
-    directions without normals, irradiance stays smooth. Scales that are independent of the normals change c by a
-    factor only, whatever their distribution.
+    directions without normals, irradiance stays smooth. Scales that are independent of the normals change c by a factor
+    only, whatever their distribution.
 
     Args:
         normals: Unit normals, shape (N, 3).
@@ -350,11 +352,11 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
     """
     values = np.asarray(host_array(luminance), np.float64)
     if values.size < COEFFICIENTS:
-        raise SceneError(f"{values.size} {name}: irradiance of {COEFFICIENTS} coefficients needs as many at least")
-    # The mean without the brightest points, as a few of those could dominate it.
+        raise SceneError(f"{values.size} {name}: fitting irradiance needs {COEFFICIENTS} or more")
+    # The mean leaves out the brightest points, because a few could dominate it.
     mean = float(np.sort(values)[: values.size - int(TRIMMED_SHARE * values.size)].mean())
     if not mean > 0.0:
-        raise SceneError(f"all {values.size:,} {name} are black: they show nothing of the light")
+        raise SceneError(f"all {values.size:,} {name} are black: they hold no light to fit")
     basis = _basis(normals)
     penalty = IRRADIANCE_SMOOTHNESS * _BANDS * (_BANDS + 1.0)
     fitted = robust_fit(basis, values / mean, penalty, relative_above=IRRADIANCE_FLOOR)
@@ -368,11 +370,11 @@ def fit_irradiance(normals: npt.ArrayLike, luminance: npt.ArrayLike, name: str =
 def robust_fit(
     design: Doubles, values: Doubles, penalty: Doubles | None = None, *, relative_above: float | None = None
 ) -> Doubles:
-    """Coefficients x for which ``design @ x`` is close to ``values``: Huber's loss, without the 5 % that fit worst.
+    """Finds coefficients x with ``design @ x`` close to ``values``, by Huber's loss without the worst 5 % of rows.
 
-    Rows are left out once, by their residuals from Huber's fit to all rows. If they were chosen anew in every step, the
-    remaining rows would be those that happen to agree with an early fit. Huber's width follows the median residual, so
-    that the fit scales with the values.
+    Rows are left out once, by their residuals from a Huber fit to all rows. If they were chosen again in every step,
+    the remaining rows would be those that happen to agree with an early fit. Huber's width follows the median residual,
+    so that the fit scales with the values.
 
     Args:
         design: Shape (N, K).
@@ -399,7 +401,7 @@ def robust_fit(
 def _huber_fit(
     design: Doubles, values: Doubles, ridge: Doubles, relative_above: float | None, start: Doubles
 ) -> Doubles:
-    """Iteratively reweighted least squares."""
+    """Runs iteratively reweighted least squares with Huber's weights."""
     found = start
     smallest = FIT_TOLERANCE * max(float(np.abs(values).max()), np.finfo(np.float64).tiny)
     if relative_above is not None:
@@ -417,7 +419,7 @@ def _huber_fit(
 def _residuals(
     design: Doubles, values: Doubles, found: Doubles, relative_above: float | None
 ) -> tuple[Doubles, Doubles | float]:
-    """Absolute residuals, and the unit in which each is measured."""
+    """Returns absolute residuals, and the unit in which each is measured."""
     fitted = design @ found
     unit = 1.0 if relative_above is None else np.maximum(fitted, relative_above)
     return np.abs(values - fitted) / unit, unit

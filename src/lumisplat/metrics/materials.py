@@ -1,4 +1,4 @@
-"""How near found albedo, normals and environments are to true ones (docs/guide/materials.md#figures)."""
+"""Errors of estimated albedo, normals and environments against ground truth (docs/guide/materials.md#figures)."""
 
 from __future__ import annotations
 
@@ -10,31 +10,30 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.math.directions import panorama_directions, panorama_lookup, panorama_solid_angles
 
 BLACK = 0.0015
-"""Linear values below this, 5 of 255 on a display, are black: their ratios to others tell nothing of a scale."""
+"""Linear value, 5 of 255 on a display, below which colours count as black and their ratios as meaningless."""
 
 LIT_SHARE = 0.02
-"""Share of what counts that is not black, below which a channel is black: a few stray pixels are no median of it."""
+"""Fraction of the weight that must not be black for a channel to have a scale; a few stray pixels give no median."""
 
 ENVIRONMENT_ROWS = 16
-"""Rows at which environments are compared: those of R3DG's, which are 16 x 32."""
+"""Rows at which environments are compared, as R3DG's, which are 16 x 32."""
 
 Channels = tuple[float, float, float]
 
 
 def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.ArrayLike | None = None) -> Channels:
-    """The factor of each channel by which found colours are as bright as true ones: the median of the ratios.
+    """Returns the factor of each channel that matches estimated colours to ground truth: the median of their ratios.
 
-    What light gives and what surfaces reflect are only known as products, so that one factor a channel is nobody's
-    fault. The median is that of TensoIR (Jin et al. 2023), GS-IR and R3DG, but for what is black in either, which does
-    not count here.
+    Only the product of light and albedo can be estimated, so a factor per channel is no error. The median is that of
+    TensoIR (Jin et al. 2023), GS-IR and R3DG, except that colours that are black in either are left out here.
 
     Args:
-        found: Linear colours, shape (N, 3).
-        truth: Linear colours, shape (N, 3).
-        weights: How much each of them counts, shape (N,); None: all the same.
+        found: Estimated linear colours, shape (N, 3).
+        truth: Ground-truth linear colours, shape (N, 3).
+        weights: Weight of each colour, shape (N,); None: equal weights.
 
     Returns:
-        1 for a channel that is black, but for less than a fiftieth of what counts.
+        Factors; 1 for a channel in which less than a fiftieth of the weight is not black.
     """
     given, wanted = np.asarray(host_array(found), np.float64), np.asarray(host_array(truth), np.float64)
     shares = np.ones(len(given)) if weights is None else np.asarray(host_array(weights), np.float64)
@@ -46,14 +45,14 @@ def channel_scale(found: npt.ArrayLike, truth: npt.ArrayLike, weights: npt.Array
 
 
 def normal_errors(found: npt.ArrayLike, truth: npt.ArrayLike) -> Doubles:
-    """Angles between normals, degrees, shape (N,); 90 where there is none.
+    """Returns angles between normals, degrees, shape (N,); 90 for missing normals.
 
     Args:
-        found: Shape (N, 3), of any length; zero: none was found.
+        found: Estimated normals of any length, shape (N, 3); zero where none was estimated.
         truth: Unit normals, shape (N, 3).
     """
     normals, wanted = np.asarray(host_array(found), np.float64), np.asarray(host_array(truth), np.float64)
-    # Of the half angle, as rounding makes arc cosines of nearly equal directions as large as 0.02 degrees.
+    # The half-angle formula is exact for small angles; rounding gives arc cosines errors of up to 0.02 degrees.
     lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
     unit = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
     apart, along = (np.linalg.norm(unit + sign * wanted, axis=-1) for sign in (-1.0, 1.0))
@@ -61,14 +60,14 @@ def normal_errors(found: npt.ArrayLike, truth: npt.ArrayLike) -> Doubles:
 
 
 def environment_psnr(found: npt.ArrayLike, truth: npt.ArrayLike) -> float:
-    """Peak signal-to-noise ratio of a panorama after one scale a channel, dB; directions count by solid angle.
+    """Returns the peak signal-to-noise ratio of a panorama after scaling each channel, dB, weighted by solid angle.
 
-    Both are reduced to 16 x 32 directions, the resolution of R3DG's, by means over solid angle; the scale is the
-    weighted median of ratios, as `channel_scale`; what is compared is display-referred, clipped at 1.
+    Both are reduced to 16 x 32 directions, the resolution of R3DG's, by means over solid angle. The scale is the
+    weighted median of ratios, as in `channel_scale`. Colours are compared display-referred, clipped at 1.
 
     Args:
         found: Linear radiance, shape (H, W, 3), with the axes of `LightEnvironment`.
-        truth: The same of any size, as exposed as photographs in its light.
+        truth: Ground truth of any size in the same form, with the exposure of images in its light.
     """
     weights = np.repeat(panorama_solid_angles(ENVIRONMENT_ROWS, 2 * ENVIRONMENT_ROWS), 2 * ENVIRONMENT_ROWS)
     tested, wanted = (_coarse(np.asarray(host_array(image), np.float64)).reshape(-1, 3) for image in (found, truth))
@@ -79,7 +78,7 @@ def environment_psnr(found: npt.ArrayLike, truth: npt.ArrayLike) -> float:
 
 
 def _weighted_median(values: Doubles, weights: Doubles) -> float:
-    """The value up to which half of the weight lies; the mean of two where exactly half of it does; 1 without any."""
+    """Returns the weighted median, a mean of two values where exactly half of the weight ends; 1 without weight."""
     if weights.sum() == 0.0:
         return 1.0
     order = np.argsort(values, kind="stable")
@@ -90,7 +89,7 @@ def _weighted_median(values: Doubles, weights: Doubles) -> float:
 
 
 def _coarse(image: Doubles) -> Doubles:
-    """Means over the directions of 16 x 32 pixels, by lookups on a grid that no pixel of the image slips through."""
+    """Returns means over the solid angles of 16 x 32 pixels, from lookups on a grid finer than the image."""
     height = ENVIRONMENT_ROWS
     fine = -(-max(image.shape[0], image.shape[1] // 2, 4 * height) // height)
     looked_up = panorama_lookup(image, panorama_directions(height * fine, 2 * height * fine))

@@ -1,4 +1,4 @@
-"""SAE, SM-IoU and BF of an image of shadow strength against its reference (docs/method/relighting.md#metrics).
+"""Shadow metrics SAE, SM-IoU and BF of shadow strength against a reference (docs/method/relighting.md#metrics).
 
 Shadow strength S is 0 where all light arrives and 1 where none does. A pixel is in shadow where S > tau.
 """
@@ -14,7 +14,7 @@ from lumisplat.config.checks import check_range
 from lumisplat.metrics.images import Image, shadow_pair
 
 SHADOW_MASK_THRESHOLD = 0.1
-"""tau: shadow strength above which a pixel is in shadow. Section 4.2."""
+"""Shadow strength tau above which a pixel is in shadow. Section 4.2."""
 
 BOUNDARY_TOLERANCE_PX = 2.0
 """Distance, pixels, within which boundaries of shadows agree. Section 4.2, table 3."""
@@ -29,9 +29,9 @@ def sae(
     threshold: float = SHADOW_MASK_THRESHOLD,
     region: npt.ArrayLike | None = None,
 ) -> float:
-    """Shadow attenuation error: the mean of ``|S - S_ref|`` over the pixels with ``S_ref > threshold``.
+    """Returns the shadow attenuation error: the mean of ``|S - S_ref|`` over the pixels with ``S_ref > threshold``.
 
-    Shadow outside of that of the reference does not count here, but in `sm_iou`. Source: Mir et al. 2026, section 4.2.
+    Shadow outside of the reference's shadow does not count here, but in `sm_iou`. Source: Mir et al. 2026, section 4.2.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
@@ -44,7 +44,7 @@ def sae(
 
     Raises:
         ConfigError: ``threshold`` is out of range.
-        SceneError: These are not two images of one size in 0..1.
+        SceneError: The images differ in size or leave 0..1.
     """
     tested, wanted = _checked(shadow, reference, threshold, region)
     inside = wanted > threshold
@@ -58,7 +58,7 @@ def sm_iou(
     threshold: float = SHADOW_MASK_THRESHOLD,
     region: npt.ArrayLike | None = None,
 ) -> float:
-    """Shadow matte intersection over union: pixels in shadow in both images, over those in shadow in at least one.
+    """Returns the shadow matte intersection over union: pixels in shadow in both images over those in either.
 
     Source: Mir et al. 2026, section 4.2.
 
@@ -73,7 +73,7 @@ def sm_iou(
 
     Raises:
         ConfigError: ``threshold`` is out of range.
-        SceneError: These are not two images of one size in 0..1.
+        SceneError: The images differ in size or leave 0..1.
     """
     tested, wanted = (image > threshold for image in _checked(shadow, reference, threshold, region))
     either = np.count_nonzero(tested | wanted)
@@ -88,13 +88,13 @@ def boundary_f(
     threshold: float = SHADOW_MASK_THRESHOLD,
     region: npt.ArrayLike | None = None,
 ) -> float:
-    """Boundary F-measure (BF): agreement of the outlines of two shadows.
+    """Returns the boundary F-measure (BF): the agreement of the outlines of two shadows.
 
     A pixel in shadow is on the boundary if one of its four neighbours is lit; the border of the image or of the region
-    is no boundary. With P the share of the boundary's pixels that have a pixel of the reference's boundary within
-    ``tolerance`` (between pixel centres), and R the share of the reference's that have one of the boundary's,
-    ``BF = 2 P R / (P + R)``. Source: Mir et al. 2026, section 4.2; the definition is that of Perazzi et al. (DAVIS,
-    2016), with a tolerance in pixels.
+    is no boundary. P is the fraction of boundary pixels with a pixel of the reference's boundary within ``tolerance``
+    (between pixel centres), R the fraction of the reference's boundary pixels with one of the boundary. ``BF = 2 P R /
+    (P + R)``. Source: Mir et al. 2026, section 4.2; the definition is that of Perazzi et al. (DAVIS, 2016), with a
+    tolerance in pixels.
 
     Args:
         shadow: Shadow strength S, 0..1 or bytes, shape (H, W).
@@ -108,7 +108,7 @@ def boundary_f(
 
     Raises:
         ConfigError: ``tolerance`` or ``threshold`` is out of range.
-        SceneError: These are not two images of one size in 0..1.
+        SceneError: The images differ in size or leave 0..1.
     """
     check_range("tolerance", tolerance, 0, 100)
     tested, wanted = (_boundary(image, threshold) for image in _checked(shadow, reference, threshold, region))
@@ -127,14 +127,14 @@ def _checked(
 
 
 def _boundary(image: Image, threshold: float) -> _Mask:
-    """Pixels in shadow with a lit neighbour; NaN is neither."""
+    """Returns the pixels in shadow with a lit neighbour; NaN is neither lit nor in shadow."""
     lit = np.pad(image <= threshold, 1)
     beside = lit[:-2, 1:-1] | lit[2:, 1:-1] | lit[1:-1, :-2] | lit[1:-1, 2:]
     return (image > threshold) & beside
 
 
 def _dilate(mask: _Mask, radius: float) -> _Mask:
-    """Pixels within ``radius`` of a pixel of ``mask``."""
+    """Returns the pixels within ``radius`` of a pixel of ``mask``."""
     reach = math.floor(radius)
     height, width = mask.shape
     padded = np.pad(mask, reach)

@@ -70,7 +70,7 @@ class Roughness:
     value: FloatArray
     """Roughness, 0..1, shape (N,)."""
     confidence: FloatArray
-    """How much highlights narrow down the roughness, 0..1, shape (N,); at 0, the value is `ROUGHNESS_UNKNOWN`."""
+    """Confidence, 0..1, shape (N,): how much highlights narrow down the roughness. At 0 it is `ROUGHNESS_UNKNOWN`."""
 
     @staticmethod
     def unknown(count: int) -> Roughness:

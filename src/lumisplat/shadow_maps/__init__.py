@@ -1,1 +1,1 @@
-"""Deep Gaussian shadow maps: how much of a light passes Gaussians, tabulated (docs/method/deep_shadow_maps.md)."""
+"""Deep Gaussian shadow maps: tabulated transmittance of a light through Gaussians (docs/method/deep_shadow_maps.md)."""

@@ -1,4 +1,4 @@
-"""The atlas of a light's deep shadow map: its fit to the casters, and the region that is tabulated.
+"""The texel layout of a light's deep shadow map, fitted to casters or receivers, and the region that is tabulated.
 
 Source: docs/method/deep_shadow_maps.md#region.
 """
@@ -37,34 +37,36 @@ from lumisplat.scene.local_frame import PlacedGaussians
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCKING_REACH = 6.0
-"""Standard deviations from a mean at which a Gaussian absorbs no more: erfc(6 / sqrt(2)) is 2e-9."""
+"""Standard deviations from a Gaussian's mean beyond which absorption is negligible: erfc(6 / sqrt(2)) is 2e-9."""
 
 Source = npt.NDArray[np.float64] | LightDirectional
-"""Where light comes from: a point, shape (3,), or a direction."""
+"""Position of a point light, shape (3,), or a directional light."""
 
 
 def source_of(light: object) -> Source:
-    """Where light comes from, of a light or of a point given in its place.
+    """Returns the position or direction of a light; a point may be given instead of a light.
 
     Raises:
-        SceneError: It is neither, or not finite.
+        SceneError: The argument is neither, or not finite.
     """
     if isinstance(light, LightDirectional):
         return light
     if isinstance(light, PlacedLight):
         return np.array(light.position, dtype=np.float64)
     if not isinstance(light, list | tuple | np.ndarray):
-        raise SceneError(f"light_position is a {type(light).__name__}, expected a point (3,), or a light at a place")
+        raise SceneError(
+            f"light_position is a {type(light).__name__}, expected a point (3,) or a placed or directional light"
+        )
     return three_numbers("light_position", cast("npt.ArrayLike", light))
 
 
 def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) -> Atlas:
-    """The atlas of a light.
+    """Fits the atlas of a light.
 
     Args:
-        source: Where light comes from.
-        around: What the bins reach to and the plane of parallel light covers: the receivers, or if there are none the
-            casters.
+        source: Position or direction of the light.
+        around: Gaussians that the bins and the plane of a directional light must cover: the receivers, or without
+            receivers the casters.
         config: Settings.
     """
     atlas = Atlas()
@@ -77,7 +79,7 @@ def atlas_of(source: Source, around: PlacedGaussians, config: DeepShadowConfig) 
 
 
 def shadow_bound(atlas: Atlas, footprints: npt.NDArray[np.void] | None) -> ShadowBound:
-    """A bound of the footprints of casters, rows of Footprint; None: of any casters."""
+    """Returns a bound of the shadows of casters, from rows of Footprint; None for a bound that holds any casters."""
     bound = ShadowBound()
     bound.extent = EVERYTHING
     if footprints is None or (footprints["extent"] == EVERYTHING).any():
@@ -93,7 +95,7 @@ def shadow_bound(atlas: Atlas, footprints: npt.NDArray[np.void] | None) -> Shado
 
 
 def _bound_by_cylinder(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None:
-    """A cylinder along parallel light, around the footprints' rectangles."""
+    """Sets a cylinder along a directional light around the footprints' rectangles."""
     first, second, low, high = (footprints[name].astype(np.float64) for name in ("first", "second", "low", "high"))
     middles = 0.5 * ((low + high)[:, :1] * first + (low + high)[:, 1:] * second)
     center = 0.5 * (middles.min(axis=0) + middles.max(axis=0))
@@ -103,7 +105,7 @@ def _bound_by_cylinder(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> 
 
 
 def _bound_by_cone(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None:
-    """A cone from a point light, around the footprints' cones; casters on all sides of the light stay unbounded."""
+    """Sets a cone from a point light around the footprints' cones; casters on all sides of the light stay unbounded."""
     directions = footprints["direction"].astype(np.float64)
     axis = directions.mean(axis=0)
     if np.linalg.norm(axis) <= SHADOW_BOUND_MARGIN:
@@ -116,7 +118,7 @@ def _bound_by_cone(bound: ShadowBound, footprints: npt.NDArray[np.void]) -> None
 
 
 def face_count(atlas: Atlas) -> int:
-    """Squares that the atlas has."""
+    """Returns the number of square faces of the atlas."""
     return 6 if atlas.layout == CUBEMAP else 1
 
 
@@ -133,7 +135,7 @@ def _fit_sphere(
 
 
 def _fit_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians, config: DeepShadowConfig) -> None:
-    """Lays a plane across the light, ahead of all that is around, and as large."""
+    """Places the texel plane of a directional light in front of the Gaussians, just large enough to cover them."""
     forward = np.array(source.direction)
     right = np.cross(forward, np.eye(3)[np.abs(forward).argmin()])
     right /= np.linalg.norm(right)
@@ -141,50 +143,50 @@ def _fit_plane(atlas: Atlas, source: LightDirectional, around: PlacedGaussians, 
     local, reach = around.means @ axes, _reach(around)[:, None]
     low = (local - reach).min(axis=0, initial=math.inf) if len(around.means) else np.zeros(3)
     high = (local + reach).max(axis=0, initial=-math.inf) if len(around.means) else np.ones(3)
-    # Receivers in one plane or point have no extent to divide by.
+    # Receivers in one plane or at one point have no extent to divide by.
     length = max(*(high - low), 1e-3)
-    # Lookups read half a texel beyond the edges: one more texel on each side.
+    # Lookups read half a texel beyond the edges, so there is one more texel on each side.
     texel = max(high[0] - low[0], high[1] - low[1], 1e-3 * length) / (config.resolution - 2)
     atlas.layout, atlas.size = PARALLEL, config.resolution
     atlas.axes = wp.mat33(*axes.ravel())
     atlas.texel_length = texel
-    # One bin ahead: before the first bin's centre all is lit, but casters may stand there.
+    # One extra bin in front, because casters may be before the centre of the first bin, where all is lit.
     depth = config.max_distance or max(float(high[2] - low[2]), texel)
     atlas.bin_length = depth / max(config.bins - 1, 1)
     atlas.origin = wp.vec3(*(axes @ (low - [texel, texel, atlas.bin_length])))
 
 
 def _reach(around: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """Radius of each Gaussian's footprint, shape (N,)."""
+    """Returns the radius of each Gaussian's footprint, shape (N,)."""
     return SHADOW_FOOTPRINT * around.scales.max(axis=1, initial=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Texels and bins that are tabulated; transmittance is 1 in others."""
+    """Texels and depth bins that are tabulated; transmittance is 1 elsewhere."""
 
     texels: IntArray
-    """Numbers of the texels that have a column, ascending, shape (P,)."""
+    """Indices of the texels with a column of bins, ascending, shape (P,)."""
     first: IntArray
-    """First bin of each, shape (P,)."""
+    """First bin of each column, shape (P,)."""
     count: IntArray
-    """Number of bins of each, shape (P,)."""
+    """Number of bins of each column, shape (P,)."""
 
     @property
     def voxel_count(self) -> int:
-        """Bins over all texels."""
+        """Number of bins over all columns."""
         return int(self.count.sum(dtype=np.int64))
 
     @property
     def tiles(self) -> IntArray:
-        """Numbers of the tiles that have such texels, ascending."""
+        """Indices of the tiles with columns, ascending."""
         return np.unique(self.texels // TILE_TEXELS)
 
     def columns(self, atlas: Atlas) -> tuple[IntArray, npt.NDArray[np.void]]:
-        """The slot of each tile, and rows of Column for the texels of each slot, as in `Table`.
+        """Returns the slot of each tile, and rows of Column for the texels of each slot, as in `Table`.
 
         Raises:
-            SceneError: There are more bins than can be numbered.
+            SceneError: There are 2^31 bins or more.
         """
         if self.voxel_count >= 2**31:
             raise SceneError(
@@ -194,30 +196,30 @@ class Region:
         slots = np.full(texel_count(atlas) // TILE_TEXELS, -1, np.int32)
         slots[tiles] = np.arange(len(tiles))
         rows = np.zeros(len(tiles) * TILE_TEXELS, dtype=table_dtype(Column))
-        places = slots[self.texels // TILE_TEXELS] * TILE_TEXELS + self.texels % TILE_TEXELS
-        rows["first"][places], rows["count"][places] = self.first, self.count
-        rows["offset"][places] = np.cumsum(self.count) - self.count
+        rows_of_texels = slots[self.texels // TILE_TEXELS] * TILE_TEXELS + self.texels % TILE_TEXELS
+        rows["first"][rows_of_texels], rows["count"][rows_of_texels] = self.first, self.count
+        rows["offset"][rows_of_texels] = np.cumsum(self.count) - self.count
         return slots, rows
 
 
 def texel_count(atlas: Atlas) -> int:
-    """Texels over all faces."""
+    """Returns the number of texels over all faces."""
     return face_count(atlas) * atlas.size**2
 
 
 def whole_region(atlas: Atlas) -> Region:
-    """All texels and bins."""
+    """Returns the region of all texels and bins."""
     count = texel_count(atlas)
     return Region(np.arange(count, dtype=np.int32), np.zeros(count, np.int32), np.full(count, atlas.bins, np.int32))
 
 
 def all_tiles(atlas: Atlas) -> IntArray:
-    """The numbers of all tiles."""
+    """Returns the indices of all tiles."""
     return np.arange(texel_count(atlas) // TILE_TEXELS, dtype=np.int32)
 
 
 def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -> Region:
-    """All that can be shadowed: the texels of ``tiles``, from the nearest of the casters to the farthest."""
+    """Returns the region that casters can shadow: the texels of ``tiles``, from the nearest to the farthest caster."""
     if atlas.layout == PARALLEL:
         first, last = 0, atlas.bins - 1
     else:
@@ -232,8 +234,8 @@ def region_of_casters(atlas: Atlas, casters: PlacedGaussians, tiles: IntArray) -
 def region_of_receivers(
     launcher: Launcher, atlas: Atlas, receivers: Receivers, rows: IntArray, sampling: FootprintSampling
 ) -> Region:
-    """What the lookups of some ``rows`` of receivers read, and no more."""
-    buffers = Buffers(launcher.device)  # of all texels, and not needed again
+    """Returns the region that the lookups of some ``rows`` of receivers read."""
+    buffers = Buffers(launcher.device)  # temporary arrays over all texels
     firsts = buffers.get("region.firsts", wp.int32, texel_count(atlas))
     lasts = buffers.get("region.lasts", wp.int32, texel_count(atlas))
     firsts.fill_(atlas.bins)

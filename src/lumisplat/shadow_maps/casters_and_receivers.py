@@ -1,4 +1,4 @@
-"""Converts casters and receivers to Gaussians in the world, and chooses where receivers sample the map."""
+"""Converts casters and receivers to Gaussians in world space, and sets up how receivers sample the map."""
 
 from __future__ import annotations
 
@@ -24,38 +24,38 @@ from lumisplat.scene.ops.mesh_sampling import sample_surface
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 Content = Gaussians | SplatInstance | Mesh | MeshInstance | Scene
-"""Gaussians, or what can be turned into them."""
+"""Gaussians, or objects that can be converted to Gaussians."""
 
 _EXPECTED = "Gaussians, a Mesh, an instance of one, a Scene, or a list of these"
 
 SURFACES_HELD = 64
-"""Meshes whose Gaussians are kept: those that were used last."""
+"""Maximum number of meshes whose Gaussians are cached; the least recently used one is dropped."""
 
 
 class MeshesAsGaussians:
-    """Turns meshes into Gaussians, each once: a mesh that returns after some frames casts the same shadow as before.
+    """Converts meshes to Gaussians, each once, so that a mesh that reappears casts the same shadow as before.
 
-    Meshes that share their ``indices``, as poses of a rig do, are one surface that deforms: its Gaussians follow it.
+    Meshes that share their ``indices``, such as poses of a rig, are one deforming surface, whose Gaussians follow it.
     """
 
     def __init__(self) -> None:
         self._surfaces: dict[int, _Surface] = {}
 
     def placed(self, name: str, content: Content | Iterable[Content], origin: Doubles = ZERO) -> PlacedGaussians:
-        """The Gaussians of all that is given, in the world; meshes come after the Gaussians of a scene.
+        """Returns the Gaussians of all content in world space; in a scene, those of meshes come last.
 
         Args:
-            name: The argument's name, for messages.
-            content: One thing or several.
-            origin: World position about which they are, shape (3,).
+            name: Name of the argument in messages.
+            content: One item or several.
+            origin: World position that the Gaussians are relative to, shape (3,).
 
         Raises:
-            SceneError: Something else is among them.
+            SceneError: An item is of another type.
         """
         return placed_gaussians(self.instances(name, content), origin)
 
     def instances(self, name: str, content: Content | Iterable[Content]) -> list[SplatInstance]:
-        """Returns all that is given as instances of Gaussians; arguments and errors as of `placed`."""
+        """Returns all content as splat instances; arguments and errors are those of `placed`."""
         items: list[SplatInstance] = []
         for one in [content] if isinstance(content, Content) else _several(name, content):
             if isinstance(one, Scene):
@@ -68,7 +68,7 @@ class MeshesAsGaussians:
 
     def _as_splats(self, instance: MeshInstance) -> SplatInstance:
         mesh, matrix = instance.mesh, instance.transform
-        # The least recently used one is dropped: meshes that are new in every frame must not pile up.
+        # The least recently used surface is dropped, so that new meshes in every frame do not accumulate.
         surface = self._surfaces.pop(id(mesh.indices), None) or _Surface.of(mesh)
         self._surfaces[id(mesh.indices)] = surface
         if len(self._surfaces) > SURFACES_HELD:
@@ -83,7 +83,7 @@ class MeshesAsGaussians:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surface:
-    """A mesh and Gaussians that cover it."""
+    """A mesh, the Gaussians that cover it, and their binding to its triangles."""
 
     mesh: Mesh
     gaussians: Gaussians
@@ -95,23 +95,23 @@ class _Surface:
         return cls(mesh, samples.gaussians, bind_surface(mesh, samples))
 
     def moved_to(self, positions: npt.NDArray[np.floating]) -> Gaussians:
-        """The Gaussians of the surface with its vertices at ``positions``."""
+        """Returns the Gaussians of the surface for other vertex positions."""
         changed, vanished = deform_gaussians(self.binding, self.gaussians.scales, positions, None)
         opacities = np.where(vanished, np.float32(0.0), self.gaussians.opacities)
         return replace(self.gaussians, opacities=opacities, **changed)
 
 
 def _is_similar(linear: npt.NDArray[np.float64]) -> bool:
-    """Whether a matrix, shape (3, 3), turns and scales uniformly."""
+    """Returns whether a matrix, shape (3, 3), is a rotation times a uniform scale."""
     gram = linear.T @ linear / np.cbrt(np.linalg.det(linear)) ** 2
     return bool(np.linalg.det(linear) > 0.0 and np.abs(gram - np.eye(3)).max() <= SIMILARITY_TOLERANCE)
 
 
 def as_iterable(name: str, content: object) -> Iterable[object]:
-    """The content as something to iterate over.
+    """Returns the content if it is iterable.
 
     Raises:
-        SceneError: It is a single thing; the message says what may be given.
+        SceneError: The content is a single item of another type; the message lists what may be given.
     """
     if not isinstance(content, Iterable):
         raise SceneError(f"{name} is a {type(content).__name__}, expected {_EXPECTED}")
@@ -128,7 +128,7 @@ def _several(name: str, content: object) -> list[Content]:
 
 
 Receiving = Content | Iterable[Content] | npt.ArrayLike
-"""What a map is sampled for: Gaussians, or what can be turned into them, or points."""
+"""Receivers of shadows: Gaussians, objects that can be converted to Gaussians, or points."""
 
 _PATTERN = {
     ReceiverSampling.CENTER: CENTER,
@@ -139,10 +139,10 @@ _STENCIL_POINTS = 7
 
 
 def placed_receivers(receivers: Receiving, origin: Doubles) -> PlacedGaussians:
-    """Receivers in the world about an origin, shape (3,), those that are points as Gaussians without extent.
+    """Returns receivers in world space relative to an origin, shape (3,); points become Gaussians of scale 0.
 
     Raises:
-        SceneError: Something is of another kind, or a value is not finite.
+        SceneError: An item is of another type, or a value is not finite.
     """
     if isinstance(receivers, Content):
         return MeshesAsGaussians().placed("receivers", receivers, origin)
@@ -155,7 +155,7 @@ def placed_receivers(receivers: Receiving, origin: Doubles) -> PlacedGaussians:
 
 
 def placed_points(values: npt.ArrayLike, origin: Doubles) -> PlacedGaussians:
-    """Points, shape (N, 3), as Gaussians without extent, about an origin.
+    """Returns points, shape (N, 3), as Gaussians of scale 0, relative to an origin.
 
     Raises:
         SceneError: The shape does not fit, or values are not finite.
@@ -180,7 +180,7 @@ def upload_receivers(buffers: Buffers, placed: PlacedGaussians) -> Receivers:
 
 
 def footprint_sampling(config: DeepShadowConfig, receivers: PlacedGaussians) -> FootprintSampling:
-    """The samples of each receiver as the settings say; of receivers without extent, their means."""
+    """Returns the sampling pattern of each receiver's footprint; receivers of scale 0 are sampled at their mean."""
     sampling = FootprintSampling()
     sampling.pattern, sampling.count = _PATTERN[config.sampling], config.samples
     sampling.seed = wp.uint32(config.seed)

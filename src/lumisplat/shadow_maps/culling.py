@@ -1,4 +1,4 @@
-"""Which casters the rays through a tile of an atlas can intersect (docs/method/deep_shadow_maps.md#culling)."""
+"""Culls casters that the rays through a tile of an atlas cannot intersect (docs/method/deep_shadow_maps.md#culling)."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ from lumisplat.runtime.launcher import Launcher
 from lumisplat.shadow_maps import deep_shadow_map_kernels as kernels
 
 SHADOW_BLOCK_TILES = 8
-"""Side of the blocks of tiles for which they are looked up first: 256 of them at 1024 texels."""
+"""Side, in tiles, of the blocks for which casters are culled first: 256 blocks at 1024 texels."""
 
 BANDS_PER_THREAD = 16
-"""Work is cut finely, because cells differ much in cost: some have many casters, others none."""
+"""Number of bands per CPU thread. Many small bands balance cells of different cost: some have many casters, others
+none."""
 
 PARALLEL_PARTS = 2**16
-"""On CUDA lists are gone through in parts, as many as keep a GPU busy: cells are few, and their lists are long."""
+"""Number of parts into which CUDA divides all parent lists, because cells are few and their lists are long."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CulledCasters:
-    """The casters that each list of texels has to consider."""
+    """Lists of the casters that texels have to consider."""
 
     lists: CasterLists
-    """On the device."""
+    """The lists, on the device."""
     counts: IntArray
-    """How many casters each list has, shape (L,)."""
+    """Number of casters in each list, shape (L,)."""
 
 
 class OneList:
-    """No culling: one list of all casters serves every texel.
+    """Disabled culling: one list of all casters for every texel.
 
     Args:
         buffers: Holds the arrays.
@@ -52,26 +53,26 @@ class OneList:
         return CulledCasters(list_of_all(self._buffers, footprints), np.array([footprints.shape[0]], np.int32))
 
     def list_numbers(self, texels: IntArray) -> IntArray:
-        """The number of each texel's list."""
+        """Returns the index of each texel's list."""
         return np.zeros(len(texels), np.int32)
 
 
 class TileLists:
-    """A list for each of some tiles, of the casters that its rays can intersect.
+    """Culls casters for tiles of an atlas: a list for each tile of the casters that its rays may intersect.
 
     Casters are culled for blocks of tiles first, then for the tiles of each block.
 
     Args:
         launcher: Runs the kernels.
         buffers: Holds the arrays.
-        atlas: What the tiles are of.
-        tiles: Their numbers, ascending, shape (T,).
+        atlas: The atlas.
+        tiles: Indices of the tiles, ascending, shape (T,).
     """
 
     def __init__(self, launcher: Launcher, buffers: Buffers, atlas: Atlas, tiles: IntArray) -> None:
         self._launcher, self._buffers, self._atlas = launcher, buffers, atlas
         self.tiles = tiles
-        """Numbers of the tiles, ascending, shape (T,)."""
+        """Indices of the tiles, ascending, shape (T,)."""
         across = atlas.size // SHADOW_TILE
         face, y, x = tiles // across**2, tiles // across % across, tiles % across
         blocks = np.stack([face, x // SHADOW_BLOCK_TILES, y // SHADOW_BLOCK_TILES], axis=1)
@@ -83,17 +84,17 @@ class TileLists:
         self._tiles = self._cells("tiles", corners, SHADOW_TILE, parents.ravel())
 
     def cull(self, footprints: DeviceArray) -> CulledCasters:
-        """Finds the casters of each tile by what they cover, rows of Footprint."""
+        """Finds the casters of each tile from rows of Footprint."""
         lists = list_of_all(self._buffers, footprints)
         of_blocks = self._narrow("blocks", self._blocks, footprints, lists)
         return self._narrow("tiles", self._tiles, footprints, of_blocks.lists)
 
     def list_numbers(self, texels: IntArray) -> IntArray:
-        """The number of each texel's list; the texels are of the tiles."""
+        """Returns the index of each texel's list; the texels must be in the tiles."""
         return np.searchsorted(self.tiles, texels // TILE_TEXELS).astype(np.int32)
 
     def _narrow(self, name: str, cells: DeviceArray, footprints: DeviceArray, lists: CasterLists) -> CulledCasters:
-        """Of the casters in each cell's parent list, those that may intersect the cell."""
+        """Returns the casters of each cell's parent list that may intersect the cell."""
         parts = max(PARALLEL_PARTS // max(cells.shape[0], 1), 1) if self._launcher.is_parallel else 1
         count, run = cells.shape[0] * parts, self._launcher.run_banded
         bands = BANDS_PER_THREAD * self._launcher.threads
@@ -115,7 +116,7 @@ class TileLists:
     def _cells(
         self, name: str, corners: npt.NDArray[np.integer], side: int, parents: npt.NDArray[np.integer]
     ) -> DeviceArray:
-        """Rows of Cell for squares of ``side`` texels, by face, x and y of their first texels, shape (C, 3)."""
+        """Creates rows of Cell for squares of ``side`` texels from face, x and y of their first texels, (C, 3)."""
         cells = self._buffers.get(f"{name}.cells", Cell, len(corners))
         uploaded = (
             self._buffers.upload(f"{name}.corners", wp.vec3i, corners.astype(np.int32)),
@@ -127,7 +128,7 @@ class TileLists:
 
 
 def list_of_all(buffers: Buffers, footprints: DeviceArray) -> CasterLists:
-    """One list of all casters."""
+    """Returns one list of all casters."""
     lists = CasterLists()
     lists.items = buffers.upload("culling.items", wp.int32, np.arange(footprints.shape[0], dtype=np.int32))
     lists.ends = buffers.upload("culling.all", wp.int32, np.array([footprints.shape[0]], np.int32))

@@ -64,40 +64,40 @@ class DeepShadowStats:
     """Sizes and times of the last build."""
 
     casters: int
-    """Gaussians that block light."""
+    """Number of Gaussians that block light."""
     texels: int
-    """Texels of the atlas that are tabulated."""
+    """Number of texels that are tabulated."""
     voxels: int
-    """Bins over all of them."""
+    """Number of bins over all tabulated texels."""
     pairs: int
-    """Pairs of a texel and a caster whose optical depth was added to it."""
+    """Number of pairs of a texel and a caster whose optical depth was added to the texel."""
     stage_ms: dict[str, float]
     """Wall time of each stage, milliseconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Layout:
-    """The columns of a region, on the device."""
+    """The columns of a region on the device."""
 
     region: Region
     texels: DeviceArray
-    """Numbers of the texels that have a column."""
+    """Indices of the texels with a column."""
     list_of_texel: DeviceArray
-    """The number of each one's caster list."""
+    """Index of each texel's caster list."""
     values: DeviceArray
-    """The values of ``table``."""
+    """Values of ``table``."""
     table: Table
 
 
 class DeepShadowMap:
-    """How much of a light passes casters: transmittance by direction and distance, in closed form.
+    """Deep shadow map of a light: its transmittance through casters by direction and distance, in closed form.
 
-    Gaussians absorb light all along its way, ``sigma(x) = sum beta exp(-1/2 d(x)^2)``, so that shadows have soft edges
-    and no tint, and darken each point behind or inside the casters by what lies before it. Made by `build`. Source:
-    docs/method/deep_shadow_maps.md.
+    Gaussians absorb light along the whole ray, ``sigma(x) = sum beta exp(-1/2 d(x)^2)``. Shadows therefore have soft
+    edges and no tint, and each point behind or inside the casters is darkened by what lies between it and the light.
+    Create one with `build`. Source: docs/method/deep_shadow_maps.md.
 
-    Transmittance is tabulated at the centres of texels and bins and interpolated; with ``receivers``, only where they
-    sample it. Elsewhere it is 1.
+    Transmittance is tabulated at the centres of texels and bins and interpolated. With ``receivers``, it is tabulated
+    only where they sample it, and 1 elsewhere.
     """
 
     def __init__(self, config: DeepShadowConfig, source: Source, launcher: Launcher) -> None:
@@ -105,19 +105,19 @@ class DeepShadowMap:
         """Settings."""
         self._source, self._launcher = source, launcher
         self._frame = LocalFrame(np.zeros(3))
-        """The frame in which all of the map is; that of its first casters."""
+        """Local frame of the map, that of its first casters."""
         self._buffers = Buffers(launcher.device)
         self._meshes = MeshesAsGaussians()
         self._atlas = Atlas()
         self._fixed_region: Region | None = None
-        """What is tabulated in all builds; None: what the casters of each build can darken."""
+        """Region that all builds tabulate; None: the region that the casters of each build can shadow."""
         self._fixed_tiles: TileLists | None = None
-        """The culling of that region, once it was needed."""
+        """Culling for the fixed region, created when first needed."""
         self._layout: _Layout | None = None
-        """Of the last build."""
+        """Columns of the last build."""
         self._bound = ShadowBound()
         self.stats = DeepShadowStats(0, 0, 0, 0, {})
-        """Of the last build."""
+        """Sizes and times of the last build."""
 
     @classmethod
     def build(
@@ -130,14 +130,14 @@ class DeepShadowMap:
         device: str = "auto",
         progress: Progress | None = None,
     ) -> DeepShadowMap:
-        """Tabulates how much of a light casters let through.
+        """Tabulates the transmittance of a light through casters.
 
         Args:
-            casters: Gaussians, meshes (which are turned into Gaussians), instances, a scene, or several of these.
-            light_position: Position of the light, world space, shape (3,), or a light. Lights with an extent shine
-                from their centre, the light of a `LightDirectional` is parallel.
-            receivers: What the map will be sampled for, in the same forms, or points, shape (N, 3). None: any point
-                behind the casters.
+            casters: Gaussians, meshes (which are converted to Gaussians), instances, a scene, or several of these.
+            light_position: Position of the light, world space, shape (3,), or a light. Lights with an extent are
+                treated as points at their centre; the light of a `LightDirectional` is parallel.
+            receivers: Receivers that the map will be sampled for, in the same forms, or points, shape (N, 3). None: any
+                point behind the casters.
             config: Settings; None: the defaults.
             device: As for `create_renderer`.
             progress: Called with a label and a fraction 0..1 while kernels compile.
@@ -145,7 +145,7 @@ class DeepShadowMap:
         Raises:
             ConfigError: ``config`` is no DeepShadowConfig.
             DeviceError: There is no such device, or it is out of memory.
-            SceneError: There are no casters, something is of another kind, or a value is not finite.
+            SceneError: There are no casters, an item is of another type, or a value is not finite.
         """
         config = DeepShadowConfig() if config is None else config
         check_kind("config", config, DeepShadowConfig)
@@ -163,7 +163,7 @@ class DeepShadowMap:
         return shadow
 
     def rebuild(self, casters: Content | Iterable[Content]) -> None:
-        """Tabulates other casters, for the same light and receivers; memory is kept, and grows only if they need more.
+        """Tabulates other casters for the same light and receivers; memory is reused and grows only if needed.
 
         Args:
             casters: As for `build`.
@@ -176,14 +176,14 @@ class DeepShadowMap:
         self._tabulate(self._placed_casters(casters))
 
     def transmittance(self, points: npt.ArrayLike) -> FloatArray:
-        """How much of the light reaches points.
+        """Returns the transmittance from the light to points.
 
         Args:
-            points: World space, shape (N, 3). Of a map that was built for receivers, only theirs are tabulated:
-                others may get 1.
+            points: World-space points, shape (N, 3). A map built for receivers tabulates only those: other points may
+                get 1.
 
         Returns:
-            0..1, shape (N,).
+            Transmittance, 0..1, shape (N,).
 
         Raises:
             SceneError: The shape does not fit, or values are not finite.
@@ -191,7 +191,7 @@ class DeepShadowMap:
         return self._sample(placed_points(points, self._frame.origin))
 
     def transmittance_of(self, receivers: Receiving) -> FloatArray:
-        """How much of the light reaches Gaussians, as ``config.sampling`` says.
+        """Returns the transmittance from the light to Gaussians, averaged over the samples of ``config.sampling``.
 
         Source: docs/method/deep_shadow_maps.md#lookup.
 
@@ -199,16 +199,16 @@ class DeepShadowMap:
             receivers: As for `build`: those that the map was built for, in the same order, or any others.
 
         Returns:
-            0..1, shape (N,), in order.
+            Transmittance, 0..1, shape (N,), in order.
 
         Raises:
-            SceneError: Something is of another kind, or a value is not finite.
+            SceneError: An item is of another type, or a value is not finite.
         """
         return self._sample(placed_receivers(receivers, self._frame.origin))
 
     @property
     def bytes(self) -> int:
-        """Memory that the map holds on its device, bytes."""
+        """Device memory of the map, bytes."""
         return self._buffers.bytes
 
     @property
@@ -231,7 +231,7 @@ class DeepShadowMap:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str], *, device: str = "auto") -> DeepShadowMap:
-        """Reads a map that `save` wrote; `rebuild` works as if it had been built here.
+        """Reads a map written by `save`; `rebuild` works as if the map had been built here.
 
         Args:
             path: The ``.npz`` file.
@@ -259,7 +259,7 @@ class DeepShadowMap:
         return placed
 
     def _fix_region(self, receivers: PlacedGaussians, casters: PlacedGaussians) -> None:
-        """Fits the atlas to receivers, and tabulates for all builds what their lookups read."""
+        """Fits the atlas to receivers, and fixes the region of all builds to what their lookups read."""
         rows = np.arange(len(receivers.means), dtype=np.int32)
         if self.config.region_radius is not None:
             rows = rows[distance_from_body(receivers.means, casters) <= self.config.region_radius]
@@ -271,7 +271,7 @@ class DeepShadowMap:
             self._fixed_region = whole_region(self._atlas)
             return
         with self._launcher.stage("region"):
-            # All are uploaded: the samples of a receiver depend on its number among all.
+            # All receivers are uploaded, because the samples of a receiver depend on its index.
             uploaded, sampling = (
                 upload_receivers(self._buffers, receivers),
                 footprint_sampling(self.config, receivers),
@@ -279,7 +279,7 @@ class DeepShadowMap:
             self._fixed_region = region_of_receivers(self._launcher, self._atlas, uploaded, rows, sampling)
 
     def _tabulate(self, casters: PlacedGaussians) -> None:
-        """Writes the table for casters, and without a fixed region fits atlas and region to them first."""
+        """Tabulates casters; without a fixed region, atlas and region are first fitted to them."""
         launcher = self._launcher
         if self._fixed_region is None:
             self._atlas = atlas_of(self._source, casters, self.config)
@@ -308,7 +308,7 @@ class DeepShadowMap:
         )
 
     def _occluders(self, placed: PlacedGaussians) -> tuple[DeviceArray, DeviceArray]:
-        """Casters as seen from the light, and what they cover: rows of Occluder and of Footprint."""
+        """Prepares casters relative to the light: rows of Occluder and of Footprint."""
         launcher, buffers, count = self._launcher, self._buffers, len(placed.means)
         casters = Casters()
         casters.means = buffers.upload("casters.means", wp.vec3, placed.means)
@@ -325,7 +325,7 @@ class DeepShadowMap:
         return occluders, footprints
 
     def _culling(self) -> TileLists | OneList:
-        """How the casters of each texel are found."""
+        """Returns the culling of casters that the settings ask for."""
         if not self.config.culling:
             return OneList(self._buffers)
         if self._fixed_region is None:
@@ -335,7 +335,7 @@ class DeepShadowMap:
         return self._fixed_tiles
 
     def _layout_for(self, region: Region, culling: TileLists | OneList) -> _Layout:
-        """The columns of a region on the device: those of the last build if the region is the same."""
+        """Returns the columns of a region on the device; those of the last build if the region is the same."""
         if self._layout is None or self._layout.region is not region:
             slots, columns = region.columns(self._atlas)
             values = self._buffers.get("table", wp.float32, region.voxel_count)
@@ -349,7 +349,7 @@ class DeepShadowMap:
         return self._layout
 
     def _sample(self, placed: PlacedGaussians) -> FloatArray:
-        """Transmittance of receivers."""
+        """Returns the transmittance of receivers."""
         assert self._layout is not None
         receivers, sampling = upload_receivers(self._buffers, placed), footprint_sampling(self.config, placed)
         transmittance = self._buffers.get("transmittance", wp.float32, len(placed.means))
@@ -358,4 +358,4 @@ class DeepShadowMap:
             *(len(placed.means), self._atlas, self._bound, self._layout.table, receivers, sampling, transmittance),
             bands=BANDS_PER_THREAD * self._launcher.threads,
         )
-        return transmittance.numpy().copy()  # on the CPU, the buffer itself
+        return transmittance.numpy().copy()  # on the CPU, numpy() is a view of the buffer

@@ -1,4 +1,4 @@
-"""Building and sampling deep shadow maps."""
+"""Kernels that build and sample deep shadow maps."""
 
 import warp as wp
 
@@ -36,7 +36,7 @@ from lumisplat.device.shadow_map.optical_depth import (
     occluder_of,
 )
 
-# Functions that are not inlined clear all their locals first: in the innermost loops, that is most of the time.
+# Functions that are not inlined clear all their locals first, which dominates the innermost loops.
 wp.set_module_options(
     {
         "enable_backward": False,
@@ -55,7 +55,7 @@ def prepare_occluders(
     occluders_out: wp.array[Occluder],
     footprints_out: wp.array[Footprint],
 ):
-    """Casters as seen from the light. One item is one caster."""
+    """Prepares casters relative to the light. One item is one caster."""
     i = start + wp.tid()
     occluder = occluder_of(atlas, casters, i, mapping, strength)
     occluders_out[i] = occluder
@@ -71,7 +71,10 @@ def bound_cells(
     parents: wp.array[int],
     cells_out: wp.array[Cell],
 ):
-    """Cells of squares of ``side`` texels by face, x and y of their first texels. One item is one cell."""
+    """Bounds the rays through squares of ``side`` texels. One item is one cell.
+
+    ``corners`` holds face, x and y of the first texel of each square.
+    """
     i = start + wp.tid()
     cells_out[i] = bounded_cell(atlas, corners[i], side, parents[i])
 
@@ -86,7 +89,7 @@ def count_intersections(
     parts: int,
     counts_out: wp.array[int],
 ):
-    """How many casters of its parent's list may intersect a cell. One item is one part of that list."""
+    """Counts the casters of a cell's parent list that may intersect the cell. One item is one part of that list."""
     i = start + wp.tid()
     cell = cells[i // parts]
     begin, end = part_of_list(lists, cell.parent, i % parts, parts)
@@ -108,17 +111,17 @@ def list_intersections(
     ends: wp.array[int],
     items_out: wp.array[int],
 ):
-    """Which casters these are, in order; those of an item end at its number in ``ends``."""
+    """Lists the casters that `count_intersections` counts, in order; an item's list ends at its entry in ``ends``."""
     i = start + wp.tid()
     cell = cells[i // parts]
     begin, end = part_of_list(lists, cell.parent, i % parts, parts)
-    place = int(0)
+    slot = int(0)
     if i > 0:
-        place = ends[i - 1]
+        slot = ends[i - 1]
     for k in range(begin, end):
         if may_intersect(atlas, footprints[lists.items[k]], cell):
-            items_out[place] = lists.items[k]
-            place += 1
+            items_out[slot] = lists.items[k]
+            slot += 1
 
 
 @wp.kernel
@@ -132,15 +135,15 @@ def tabulate(
     occluders: wp.array[Occluder],
     table: Table,
 ):
-    """Transmittances of a texel's column. One item is one of the ``texels`` that have one.
+    """Tabulates the transmittances of a texel's column. One item is one of the ``texels`` with a column.
 
-    The table first takes what each bin adds to the one before, then the sum over the bins up to each.
-    Source: docs/method/deep_shadow_maps.md#optical-depth.
+    The table first holds each bin's optical depth beyond the previous bin, then the transmittance of the sum up to each
+    bin. Source: docs/method/deep_shadow_maps.md#optical-depth.
     """
     i = start + wp.tid()
     column = table.columns[column_number(table, texels[i])]
-    place = texel_coordinates(atlas, texels[i])
-    ray = ray_through(atlas, place[0], float(place[1]), float(place[2]))
+    coordinates = texel_coordinates(atlas, texels[i])
+    ray = ray_through(atlas, coordinates[0], float(coordinates[1]), float(coordinates[2]))
     for k in range(column.count):
         table.values[column.offset + k] = 0.0
     for k in range(list_begin(lists, list_of_texel[i]), lists.ends[list_of_texel[i]]):
@@ -165,15 +168,15 @@ def mark_bins(
     firsts: wp.array[int],
     lasts: wp.array[int],
 ):
-    """Widens the columns of texels to the bins that lookups read. One item is one of ``rows``; not to be banded."""
+    """Extends the columns of texels to the bins that lookups read. One item is one of ``rows``; not to be banded."""
     i = rows[wp.tid()]
     for sample in range(sampling.count):
-        place = atlas_from_world(atlas, sample_point(receivers, sampling, i, sample))
-        number = int(wp.floor(bin_below(atlas, place.distance)))
+        lookup = atlas_from_world(atlas, sample_point(receivers, sampling, i, sample))
+        number = int(wp.floor(bin_below(atlas, lookup.distance)))
         for corner in range(4):
-            x = int(wp.floor(place.x)) + corner % 2
-            y = int(wp.floor(place.y)) + corner // 2
-            texel = texel_number(atlas, place.face, x, y)
+            x = int(wp.floor(lookup.x)) + corner % 2
+            y = int(wp.floor(lookup.y)) + corner // 2
+            texel = texel_number(atlas, lookup.face, x, y)
             if texel >= 0:
                 wp.atomic_min(firsts, texel, wp.max(number, 0))
                 wp.atomic_max(lasts, texel, wp.min(number + 1, atlas.bins - 1))
@@ -189,7 +192,7 @@ def average_transmittance(
     sampling: FootprintSampling,
     transmittance_out: wp.array[float],
 ):
-    """Share of the light that reaches a receiver, averaged over its samples. One item is one receiver."""
+    """Returns the mean transmittance over a receiver's samples. One item is one receiver."""
     i = start + wp.tid()
     transmittance_out[i] = 1.0
     if not may_be_shadowed(atlas, bound, receivers, i):

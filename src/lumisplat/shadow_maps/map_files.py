@@ -1,4 +1,4 @@
-"""Deep shadow maps in files: an ``.npz`` of the tabulated values, with the settings as JSON."""
+"""Reads and writes deep shadow maps: an ``.npz`` of the tabulated values, with the settings as JSON."""
 
 from __future__ import annotations
 
@@ -30,28 +30,28 @@ _FOREIGN_FILE_ERRORS = (
     *(ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError),
     LumisplatError,
 )
-"""Raised when a file that is foreign or damaged is read as a map."""
+"""Errors that reading a foreign or damaged file as a map may raise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredMap:
-    """What a file holds of a deep shadow map."""
+    """Content of a deep shadow map's file."""
 
     config: DeepShadowConfig
     source: Source
-    """Where light comes from, about the origin."""
+    """Position or direction of the light, relative to ``about``."""
     about: Doubles
-    """World position of the origin that all of the map is about, shape (3,)."""
+    """World position of the map's origin, shape (3,)."""
     atlas: Atlas
     region: Region
     values: FloatArray
     """Transmittance of each bin of the region, column by column, 0..1, shape (V,)."""
     follows_casters: bool
-    """Whether the region is that of the casters it was built for, so that a rebuild finds another one."""
+    """True if the region is that of the casters, so that a rebuild computes another one."""
 
 
 def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
-    """Writes a map; the file appears whole or not at all.
+    """Writes a map; the file appears complete or not at all.
 
     Raises:
         FormatError: The name does not end in ``.npz``, or the file cannot be written.
@@ -82,7 +82,7 @@ def write_map(path: str | os.PathLike[str], stored: StoredMap) -> None:
 
 
 def read_map(path: str | os.PathLike[str]) -> StoredMap:
-    """Reads what `write_map` wrote.
+    """Reads a map written by `write_map`.
 
     Raises:
         FormatError: The file is not a deep shadow map, or cannot be read.
@@ -110,7 +110,7 @@ def read_map(path: str | os.PathLike[str]) -> StoredMap:
     except _FOREIGN_FILE_ERRORS:
         raise FormatError(path, f"is damaged, or not {kind}") from None
     if not _is_consistent(stored):
-        raise FormatError(path, "is a damaged deep shadow map: what it tabulates does not fit its settings")
+        raise FormatError(path, "is a damaged deep shadow map: its values do not fit its settings")
     return stored
 
 
@@ -142,7 +142,7 @@ def _atlas(header: dict[str, Any]) -> Atlas:
 
 
 def _is_consistent(stored: StoredMap) -> bool:
-    """Whether the atlas is sound, columns are at texels and bins that it has, and there is a value for each bin."""
+    """Returns whether the atlas is valid, columns are at its texels and bins, and each bin has a value."""
     return _is_sound(stored.atlas) and _fits(stored.region, stored.atlas) and _are_values(stored.values, stored.region)
 
 
