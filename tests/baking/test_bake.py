@@ -1,4 +1,4 @@
-"""Scenes baked into captures: against light that is known, frames of paths, and what must not change."""
+"""Baked light against analytic results and path-traced frames, and properties that a bake must keep."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ PATH, TRACE = ls.RenderConfig(pipeline=ls.Pipeline.PATH), ls.RenderConfig(pipeli
 
 
 def splats_of(mesh: ls.Mesh, count: int) -> ls.SplatInstance:
-    """A mesh as Gaussians of its material."""
+    """Gaussians of a mesh with the mesh's material."""
     return ls.SplatInstance(ls.gaussians_from_mesh(mesh, count), material=mesh.material)
 
 
 def baked(scene: ls.Scene, config: ls.RenderConfig = PATH, **options: Any) -> ls.Scene:
-    """On the CPU."""
+    """Bakes on the CPU."""
     return ls.bake(scene, config, device="cpu", **options)
 
 
-def seen_from_outside(gaussians: ls.Gaussians) -> np.ndarray:
-    """Colours along the normals, shape (N, 3)."""
+def colors_along_normals(gaussians: ls.Gaussians) -> np.ndarray:
+    """Colours viewed along the normals, shape (N, 3)."""
     assert gaussians.normals is not None
     basis = sh_basis(-gaussians.normals.astype(np.float64), gaussians.sh_degree)
     return np.maximum(np.einsum("nk,nkc->nc", basis, gaussians.sh) + 0.5, 0.0)
 
 
 def floor(count: int = 200) -> ls.SplatInstance:
-    """A level square of Gaussians, albedo 0.6, that faces up."""
+    """A level square of Gaussians with albedo 0.6 that faces up."""
     return splats_of(ls.plane(2.0, 2.0, material=diffuse(0.6)), count)
 
 
-def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
-    """The furnace: whatever bounces, a white body is as bright as its surroundings."""
+def test_white_furnace_gives_the_environments_color() -> None:
+    """A white body in a constant environment is as bright as the environment, however often light bounces."""
     scene = ls.Scene([splats_of(ball(1.0, diffuse(1.0), rows=16), 150)], lights=[SKY])
     (shown,) = baked(scene).splats
     expected = encode_srgb(np.array(SKY.color))
-    colors = seen_from_outside(shown.gaussians)
+    colors = colors_along_normals(shown.gaussians)
     np.testing.assert_allclose(colors.mean(axis=0), expected, atol=0.004)
     assert np.abs(colors - expected).max() < 0.05
     for camera in views_of(scene):
@@ -58,8 +58,8 @@ def test_a_white_ball_in_an_even_sky_has_its_color() -> None:
         assert np.abs(frame.color / np.maximum(frame.alpha, 0.5)[..., None] - expected)[inside].max() < 0.03
 
 
-def test_a_plane_in_the_sun_is_lamberts() -> None:
-    """Albedo over pi times the irradiance and the cosine, from all directions above, at any exposure."""
+def test_plane_in_sunlight_follows_lamberts_law() -> None:
+    """Radiance is albedo / pi times irradiance times cosine, from all directions above, at any exposure."""
     scene = ls.Scene([floor()], lights=[SUN])
     travel = np.array(SUN.direction) / np.linalg.norm(SUN.direction)
     for exposure in (0.0, 1.0):
@@ -72,11 +72,11 @@ def test_a_plane_in_the_sun_is_lamberts() -> None:
             np.testing.assert_allclose(colors, np.broadcast_to(expected, colors.shape), atol=0.01)
 
 
-def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
-    """An integrating sphere around a small lamp: as bright as paths of the same discs, seen from the middle.
+def test_integrating_sphere_matches_path_tracing() -> None:
+    """An integrating sphere around a small light is as bright as path tracing shows it from the centre.
 
-    These are 2 % darker in display values than a sphere, E = E0 / (1 - albedo (1 - r^2 / R^2)): 3 % of each bounce
-    leaves at flat angles, where neighbours are too near to cast a shadow, and the lamp has facets.
+    The discs are 2 % darker in display values than a sphere, E = E0 / (1 - albedo (1 - r^2 / R^2)): 3 % of each bounce
+    escapes at grazing angles, where neighbours are too near to cast a shadow, and the light has facets.
     """
     radius, albedo, shines = 0.2, 0.5, 20.0
     lamp = ball(radius, diffuse(0.0, shines), rows=16)
@@ -91,19 +91,19 @@ def test_a_closed_ball_has_all_the_light_that_bounces() -> None:
     direct = np.pi * shines * radius**2
     light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
     np.testing.assert_allclose(encode_srgb(paths), encode_srgb(np.full(3, light)), rtol=0.03)
-    assert seen_from_outside(shown.gaussians).std() < 0.05  # of 256 paths a Gaussian
+    assert colors_along_normals(shown.gaussians).std() < 0.05  # of 256 paths a Gaussian
 
 
 def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
-    """Around the origin."""
+    """Cameras around the origin."""
     eyes = [(0.0, 0.3, -1.0), (0.9, 0.4, 0.2), (-0.5, -0.2, 0.9), (-0.9, 0.6, -0.4)]
     return [
         ls.Camera.look_at(away * np.array(eye), (0, 0, 0), (0, 1, 0), width=48, height=48, fov_y=0.6) for eye in eyes
     ]
 
 
-def test_a_placed_set_looks_as_one_that_is_not() -> None:
-    """Turned, scaled and moved with its light, a set is baked into the same harmonics, of its own space."""
+def test_baked_sh_do_not_depend_on_the_instance_transform() -> None:
+    """A set rotated, scaled and moved together with its light gets the same SH in object space."""
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)
     lamp = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
     # By a third of a turn around a diagonal: the scene's box, which says how far away eyes are, stays as it is.
@@ -116,8 +116,8 @@ def test_a_placed_set_looks_as_one_that_is_not() -> None:
     assert np.abs(here.gaussians.sh[:, 1:]).max() > 0.1
 
 
-def test_what_is_kept_stays_as_it_is() -> None:
-    """A set without a material is the same object; a lit one keeps its shapes and normals, and nothing to light."""
+def test_unlit_sets_and_shapes_are_unchanged() -> None:
+    """A set without a material stays the same object; a lit one keeps shapes and normals, and loses its materials."""
     kept = ls.SplatInstance(ls.gaussians_from_mesh(ball(0.5, diffuse(0.4)), 50), name="kept")
     lit = replace(floor(60), name="lit")
     result = baked(ls.Scene([kept, lit], lights=[SUN], up="y-up"), TRACE, directions=8)
@@ -131,8 +131,8 @@ def test_what_is_kept_stays_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.TRACE, ls.Pipeline.PATH])
-def test_a_shadow_falls_on_a_shadow_catcher(pipeline: ls.Pipeline) -> None:
-    """Where a mesh blocks the sun its colours are darker; where it does not, they are the same to the bit."""
+def test_shadow_catcher_is_darkened_only_in_the_shadow(pipeline: ls.Pipeline) -> None:
+    """Colours are darker where a mesh blocks the sun, and the same to the bit elsewhere."""
     capture = replace(floor(1200), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((0.8, 0.02, 0.8), material=diffuse(0.0)), position=(-0.5, 0.5, 0.0))
     down = ls.LightDirectional((0.0, -1.0, 0.0), intensity=2.0)
@@ -149,10 +149,10 @@ def test_a_shadow_falls_on_a_shadow_catcher(pipeline: ls.Pipeline) -> None:
         np.testing.assert_array_equal(after[apart], before[apart])
 
 
-def test_a_dim_sun_takes_no_more_than_it_gave_a_white_surface() -> None:
-    """A capture shows light of lamps that the scene does not have: in the shadow of a dim sun, E / pi of it is gone.
+def test_shadow_of_a_dim_sun_removes_at_most_its_irradiance() -> None:
+    """A capture holds light of lights that the scene lacks: the shadow of a dim sun removes E / pi.
 
-    Less of Gaussians that are seen from below, too, where the sun does not shine.
+    Gaussians seen from below, where the sun does not shine, lose less.
     """
     capture = replace(floor(), material=ls.MaterialSimple(ambient=0.0), shadow_catcher=True)
     roof = ls.MeshInstance(ls.box((9.0, 0.02, 9.0), material=diffuse(0.0)), position=(0.0, 0.5, 0.0))
@@ -164,8 +164,8 @@ def test_a_dim_sun_takes_no_more_than_it_gave_a_white_surface() -> None:
     assert np.median(taken) > 0.8
 
 
-def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However many views are on the device at once; another seed gives others."""
+def test_equal_seeds_give_equal_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result does not depend on the number of views on the device at once; another seed gives another result."""
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 60)], lights=[SKY, SUN])
     config = replace(PATH, samples=2)
 
@@ -178,8 +178,8 @@ def test_the_same_seed_gives_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> N
     assert not np.array_equal(found(replace(config, seed=1)), first)
 
 
-def test_what_nobody_sees_is_finite() -> None:
-    """Gaussians within a closed body have the little light that there is; nothing is NaN, or out of range."""
+def test_hidden_gaussians_are_finite_and_in_range() -> None:
+    """Gaussians inside a closed body have hardly any light, no NaN, and no value out of range."""
     hidden = replace(splats_of(ball(0.4, diffuse(0.5)), 40))
     scene = ls.Scene([splats_of(ball(1.0, diffuse(0.5), rows=16), 150), hidden], lights=[SKY])
     for instance in baked(scene, replace(PATH, samples=2), directions=8).splats:
@@ -187,8 +187,8 @@ def test_what_nobody_sees_is_finite() -> None:
         assert np.abs(instance.gaussians.sh).max() < 4.0
 
 
-def test_progress_goes_from_start_to_end() -> None:
-    """Fractions rise."""
+def test_progress_increases_from_0_to_1() -> None:
+    """Fractions never decrease."""
     told: list[float] = []
 
     def tell(label: str, fraction: float) -> None:
@@ -213,8 +213,10 @@ def test_progress_goes_from_start_to_end() -> None:
         (floor(20), {}, ls.SceneError, "expected a Scene"),
     ],
 )
-def test_mistakes_are_named(scene: Any, options: dict[str, Any], error: type[Exception], message: str) -> None:
-    """In one line, before anything slow."""
+def test_invalid_arguments_are_refused_with_their_names(
+    scene: Any, options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    """Each message is one line, and comes before anything slow."""
     with pytest.raises(error, match=message) as raised:
         ls.bake(scene, device="cpu", **options)
     assert "\n" not in str(raised.value)

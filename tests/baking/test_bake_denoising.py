@@ -1,4 +1,4 @@
-"""Light of rays that is shared among the Gaussians they see: against NumPy, noise that goes, and edges that stay."""
+"""Denoising of baked radiance over rays: matrix products, noise that vanishes and edges that stay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WEIGHTS = np.array([0.5, 0.3, 0.2])
 
 
 def neighbours(rng: np.random.Generator) -> RayWeights:
-    """Rays that see three Gaussians each, next to each other."""
+    """Weights of rays that each blend three adjacent Gaussians."""
     first = rng.integers(0, GAUSSIANS - 2, RAYS)
     return RayWeights(
         ray=np.repeat(np.arange(RAYS), 3),
@@ -22,7 +22,7 @@ def neighbours(rng: np.random.Generator) -> RayWeights:
     )
 
 
-def test_sums_are_those_of_a_matrix():
+def test_ray_weights_match_a_dense_matrix():
     """Blends are W a, and means W' r over W' 1."""
     rng = np.random.default_rng(0)
     seen = neighbours(rng)
@@ -35,7 +35,7 @@ def test_sums_are_those_of_a_matrix():
 
 
 def base_of(seen: RayWeights, colors: np.ndarray) -> np.ndarray:
-    """What rays show of even light."""
+    """Colours of the rays in a constant environment."""
     return seen.blended(colors) / seen.blended(np.ones((GAUSSIANS, 1)))
 
 
@@ -43,8 +43,8 @@ ALL = np.ones((2, RAYS, 1))
 """Every sample meets something."""
 
 
-def test_noise_of_even_light_goes_and_colours_stay():
-    """An even wall of coloured patches: its light is what it is to a tenth of the noise, patch by patch."""
+def test_constant_light_is_denoised_and_colors_stay():
+    """On an evenly lit wall of coloured patches, a tenth of the noise remains, and each patch keeps its colour."""
     rng = np.random.default_rng(1)
     seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
     truth = 0.7 * seen.blended(colors)
@@ -57,8 +57,8 @@ def test_noise_of_even_light_goes_and_colours_stay():
     )
 
 
-def test_dark_colours_keep_all_of_their_light():
-    """Of albedos far below those that tell of noise, too: a half and more would be lost by dividing by more."""
+def test_dark_albedos_lose_no_light():
+    """Albedos far below `SHARED_COLOR_MIN` would lose half of their light and more if it were a divisor."""
     rng = np.random.default_rng(5)
     seen = neighbours(rng)
     for color in (0.004, (0.6, 0.01, 0.004)):
@@ -70,8 +70,8 @@ def test_dark_colours_keep_all_of_their_light():
         assert np.abs(light - truth).mean() < 0.2 * np.abs(halves - truth).mean()
 
 
-def test_black_beside_white_stays_black():
-    """And white as bright as alone: rays that show nothing of even light tell nothing of it."""
+def test_black_surface_beside_white_stays_black():
+    """White stays as bright as alone, because rays that are black in constant light carry no information on it."""
     rng = np.random.default_rng(6)
     seen = neighbours(rng)
     white = np.arange(GAUSSIANS)[:, None] % 6 < 3
@@ -84,8 +84,8 @@ def test_black_beside_white_stays_black():
     np.testing.assert_allclose(light[:, bright].mean(), truth[bright].mean(), rtol=0.03)
 
 
-def test_edges_of_shadows_stay():
-    """Half of the rays of each Gaussian are in shadow, which noise does not explain: rays keep their own light."""
+def test_shadow_edges_are_kept():
+    """Half of the rays of each Gaussian are in shadow, more than noise explains, so rays keep their own light."""
     rng = np.random.default_rng(2)
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.5)
     lit = rng.random((RAYS, 1)) < 0.5
@@ -93,11 +93,10 @@ def test_edges_of_shadows_stay():
     np.testing.assert_allclose(denoised_by_rays(halves, ALL, base_of(seen, colors), seen, 2.0), halves, atol=1e-12)
 
 
-def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
-    """At an outline, half of what covers it: samples that meet it bring all of its light, the others none.
+def test_partial_coverage_does_not_bias_brightness():
+    """At an outline, half of the samples hit; radiance is that of the hits, without the noise of the hit count.
 
-    Light is that of what is met, without the noise of which samples do; divided by how many are expected to, it would
-    be off by half of itself and more.
+    Division by the expected number of hits would be wrong by half and more.
     """
     rng = np.random.default_rng(3)
     seen = neighbours(rng)
@@ -108,8 +107,8 @@ def test_what_is_met_by_chance_is_as_bright_as_what_is_met_always():
     np.testing.assert_allclose(light, np.broadcast_to(0.6 * np.array([0.5, 1.0, 2.0]), light.shape), rtol=1e-9)
 
 
-def test_noise_of_what_is_met_by_chance_goes():
-    """With one path a half that meets something or nothing: a half that met nothing tells nothing of the noise."""
+def test_noise_at_partial_coverage_is_removed():
+    """With one path per half, a half without a hit carries no information on the noise."""
     rng = np.random.default_rng(4)
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)
@@ -120,8 +119,8 @@ def test_noise_of_what_is_met_by_chance_goes():
     assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
 
 
-def test_what_no_ray_sees_is_no_trouble():
-    """Rays without sights are dark, and Gaussians without rays give nothing."""
+def test_rays_and_gaussians_without_contributions_give_zero():
+    """Nothing is divided by zero."""
     seen = RayWeights(np.array([0]), np.array([1]), np.array([1.0]), rays=2, gaussians=3)
     light = denoised_by_rays(np.full((2, 2, 3), 0.3), np.ones((2, 2, 1)), np.full((2, 3), 0.5), seen, 1.0)
     np.testing.assert_allclose(light[:, 0], 0.3)

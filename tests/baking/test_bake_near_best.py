@@ -1,4 +1,4 @@
-"""Baked harmonics beside the best that there are for the same Gaussians: the figure that bench/baked.py measures."""
+"""Baked SH compared with the best possible SH for the same Gaussians, as bench/baked.py measures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
 
 
 def glossy_ball(count: int = 300) -> ls.Scene:
-    """Between a red and a blue lamp."""
+    """A glossy ball between a red and a blue light."""
     lamps = [
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
@@ -34,12 +34,12 @@ def glossy_ball(count: int = 300) -> ls.Scene:
 
 
 def view_from(side: Any, pixels: int) -> ls.Camera:
-    """Of the ball."""
+    """A camera that looks at the ball."""
     return ls.Camera.look_at(3.5 * np.array(side), (0, 0, 0), (0, 1, 0), width=pixels, height=pixels, fov_y=0.6)
 
 
 def views_around(scene: ls.Scene, count: int = 120) -> list[bench.View]:
-    """In direct light, of pixels that Gaussians cover."""
+    """Frames in direct light, with the pixels that Gaussians cover."""
     renderer = ls.create_renderer(TRACE, "cpu")
 
     def light(rays: bench.Rays, _half: int) -> np.ndarray:
@@ -55,7 +55,7 @@ def views_around(scene: ls.Scene, count: int = 120) -> list[bench.View]:
 
 
 def decibels(shown: ls.Scene, scene: ls.Scene) -> float:
-    """PSNR of unlit frames of a capture beside lit ones of the scene, display-referred, where both are opaque."""
+    """PSNR of unlit frames of a capture against lit frames of the scene, display-referred, where both are opaque."""
     errors: list[np.ndarray] = []
     for side in ((0.0, 0.3, -1.0), (0.9, 0.4, 0.2), (-0.5, -0.2, 0.9), (-0.9, 0.6, -0.4)):
         camera = view_from(side, 48)
@@ -66,8 +66,8 @@ def decibels(shown: ls.Scene, scene: ls.Scene) -> float:
     return float(-10.0 * np.log10(np.square(np.concatenate(errors)).mean()))
 
 
-def test_harmonics_of_degree_three_follow_a_highlight() -> None:
-    """As it moves with the eye, they are 3 dB nearer to it than those of degree 0, which cannot."""
+def test_sh_degree_3_follows_a_highlight_better_than_degree_0() -> None:
+    """The error of degree 3 is 3 dB lower."""
     scene = glossy_ball(150)
     even, following = (decibels(ls.bake(scene, TRACE, degree=degree, device="cpu"), scene) for degree in (0, 3))
     print(f"degree 0: {even:.2f} dB, degree 3: {following:.2f} dB")
@@ -75,11 +75,8 @@ def test_harmonics_of_degree_three_follow_a_highlight() -> None:
 
 
 @pytest.mark.deep
-def test_a_highlight_is_within_a_decibel_of_the_best_harmonics() -> None:
-    """A highlight moves with the eye, and harmonics of degree 3 follow it as far as they can; those of degree 0 do not.
-
-    The best ones know 120 other views without noise. At degree 3 they are 0.6 dB below those that know 400.
-    """
+def test_baked_highlight_is_within_1_db_of_the_best_sh() -> None:
+    """The best SH are fitted to 120 other views without noise; at degree 3 they are 0.6 dB below a fit to 400."""
     scene = glossy_ball()
     learnt = views_around(scene)
     found: dict[int, float] = {}
@@ -94,11 +91,11 @@ def test_a_highlight_is_within_a_decibel_of_the_best_harmonics() -> None:
 
 
 @pytest.mark.deep
-def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A large capture cannot be changed as a whole: of 300 Gaussians, 100 at a time, most are at a border.
+def test_joint_fits_in_parts_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A large capture is fitted in parts: of 300 Gaussians, 100 at a time, most are at a border.
 
-    They come to 0.3 to 1.0 dB less with five seeds, in the mean of two 0.8; to twice as much less where later rays undo
-    what others have told.
+    The loss is 0.3 to 1.0 dB with five seeds, 0.8 in the mean of two, and twice as much if later rays override earlier
+    ones.
     """
     scene = glossy_ball()
 
@@ -120,10 +117,10 @@ def test_borders_of_what_is_changed_together_cost_little(monkeypatch: pytest.Mon
 
 
 @pytest.mark.deep
-def test_degree_three_comes_near_the_best_harmonics() -> None:
-    """A closed room of 1,300 Gaussians from 16 views, beside harmonics that know the bake and 40 other views of it.
+def test_baked_room_is_near_the_best_sh() -> None:
+    """A closed room of 1,300 Gaussians from 16 views, against SH that know the bake and 40 other views.
 
-    The target is 1 dB: 29.7 dB beside 30.6. In larger scenes it is missed (docs/benchmarks.md#baked-captures).
+    The target is 1 dB: 29.7 dB against 30.6. Larger scenes miss it (docs/benchmarks.md#baked-captures).
     """
     case = bench.cases(100)["room"]()
     rng = np.random.default_rng(0)

@@ -1,4 +1,4 @@
-"""What other viewers read of a bake: saved as PLY and SPZ and loaded again, it shows the colours that were baked."""
+"""Baked captures saved as PLY and SPZ and loaded again show the baked colours."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ COLORS = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
 
 @pytest.fixture(scope="module")
 def baked() -> ls.Gaussians:
-    """A glossy ball between two coloured lamps, in their direct light."""
+    """A bake of a glossy ball in the direct light of two coloured lights."""
     shiny = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
     lamps = [
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
@@ -32,7 +32,7 @@ def baked() -> ls.Gaussians:
 
 
 def loaded(baked: ls.Gaussians, path: Path) -> ls.Gaussians:
-    """Saved, and loaded again."""
+    """Saves the capture and loads it again."""
     ls.save(path, baked)
     gaussians = ls.load(path)
     assert isinstance(gaussians, ls.Gaussians)
@@ -40,25 +40,25 @@ def loaded(baked: ls.Gaussians, path: Path) -> ls.Gaussians:
 
 
 def frames(gaussians: ls.Gaussians) -> np.ndarray:
-    """As captured, from four sides, below each other."""
+    """Unlit frames from four sides, stacked vertically."""
     scene = ls.Scene([ls.SplatInstance(gaussians)])
     eyes = [(0.0, 0.3, -3.5), (3.2, 1.4, 0.7), (-1.8, -0.7, 3.1), (-3.1, 2.1, -1.4)]
     cameras = [ls.Camera.look_at(eye, (0, 0, 0), (0, 1, 0), width=64, height=64, fov_y=0.7) for eye in eyes]
     return np.concatenate([ls.render(scene, camera, COLORS, device="cpu").color for camera in cameras])
 
 
-def test_a_ply_is_the_bake(baked, tmp_path):
-    """Coefficients are the same to the bit, and frames to what float32 makes of shapes that are saved as logarithms."""
+def test_ply_keeps_baked_sh_to_the_bit(baked, tmp_path):
+    """Frames differ by the float32 rounding of scales that are saved as logarithms."""
     again = loaded(baked, tmp_path / "baked.ply")
     np.testing.assert_array_equal(again.sh, baked.sh)
     assert np.abs(baked.sh[:, 1:]).max() > 0.05  # there is something to be lost
     np.testing.assert_allclose(frames(again), frames(baked), atol=2e-5)
 
 
-def test_an_spz_is_the_bake_to_its_steps(baked, tmp_path):
-    """From each direction, a Gaussian's colour is off by at most half a step of each coefficient.
+def test_spz_keeps_baked_colors_to_its_quantisation(baked, tmp_path):
+    """From each direction, a colour is off by at most half a quantisation step of each coefficient.
 
-    Of sharp highlights, single coefficients are beyond -1..1, where SPZ ends: these are clipped, as saving says.
+    Coefficients of sharp highlights beyond -1..1, the range of SPZ, are clipped, as saving reports.
     """
     again = loaded(baked, tmp_path / "baked.spz")
     basis = sh_basis(even_directions(200), 3)
@@ -74,6 +74,6 @@ def test_an_spz_is_the_bake_to_its_steps(baked, tmp_path):
     assert np.abs(same_shapes - frames(replace(baked, sh=held))).max() <= bound.max() + 1e-6
 
 
-def test_frames_of_an_spz_are_near(baked, tmp_path):
-    """Positions, sizes, turns and opacities in their bits, too: 45 dB and more (docs/guide/bake.md)."""
+def test_frames_of_a_baked_spz_have_45_db(baked, tmp_path):
+    """Positions, scales, rotations and opacities are quantised too (docs/guide/bake.md)."""
     assert ls.metrics.psnr(frames(loaded(baked, tmp_path / "baked.spz")), frames(baked)) > 45.0

@@ -1,4 +1,4 @@
-"""Harmonics that are changed by what blends of Gaussians show: against NumPy, and harmonics that are known."""
+"""The joint SH fit of a bake: its matrices against NumPy, and SH that are known."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GAUSSIANS, RAYS, SIGHTS = 20, 3000, 3
 
 
 def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels:
-    """Rays that see three Gaussians each, from anywhere."""
+    """Rays from random directions that each blend three Gaussians."""
     directions = rng.standard_normal((RAYS * SIGHTS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return Pixels(
@@ -31,7 +31,7 @@ def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels
     )
 
 
-def test_blends_are_those_of_numpy_and_errors_go_back_by_their_transpose() -> None:
+def test_blend_matches_numpy_and_gather_is_its_transpose() -> None:
     """Each ray shows the weighted sum of its Gaussians' colours; <blend(a), e> = <a, gather(e)>."""
     rng = np.random.default_rng(0)
     some = pixels(rng)
@@ -44,8 +44,8 @@ def test_blends_are_those_of_numpy_and_errors_go_back_by_their_transpose() -> No
     np.testing.assert_allclose(forward, back, rtol=1e-4)
 
 
-def test_harmonics_that_are_known_are_found_again() -> None:
-    """From a start that is off by a tenth, by rays without noise: pixels are met, and errors fall by half and more."""
+def test_known_sh_are_recovered_from_noiseless_rays() -> None:
+    """From a start that is off by a tenth, pixels are matched, and errors fall by half and more."""
     rng = np.random.default_rng(1)
     some = pixels(rng)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
@@ -61,7 +61,7 @@ def test_harmonics_that_are_known_are_found_again() -> None:
 
 
 def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend, Pixels]:
-    """So many rays that see three Gaussians each, and noise of 0.1 on what they show, of which nobody knows."""
+    """Rays that each blend three Gaussians, with unreported noise of 0.1 on their colours."""
     some = pixels(rng)
     sights = SIGHTS * rays
     some = replace(
@@ -73,8 +73,8 @@ def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend
     return blend, replace(some, colors=blend.pixel_colors(truth) + rng.normal(0.0, 0.1, (rays, 3)))
 
 
-def test_a_few_rays_that_come_later_do_not_undo_what_many_have_shown() -> None:
-    """Gaussians at the border of what is changed together are seen by few rays of the next: these count as they are."""
+def test_few_later_rays_do_not_override_many_earlier_ones() -> None:
+    """Gaussians at the border of a part are on few rays of the next part, which count by their number."""
     rng = np.random.default_rng(3)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))
     many, few = noisy(rng, truth, RAYS), noisy(rng, truth, RAYS // 20)
@@ -96,10 +96,10 @@ LAMPS = [
 
 
 @pytest.mark.parametrize("lamp", LAMPS)
-def test_a_lamp_that_is_seen_is_not_baked_into_what_it_lights(
+def test_visible_light_behind_a_gaussian_is_not_baked_into_it(
     lamp: ls.LightSphere | ls.LightRect | ls.LightDisk,
 ) -> None:
-    """Rays past the edge of a Gaussian see the lamp behind it: a black body stays black."""
+    """Rays past the edge of a Gaussian hit the light behind it; a black body stays black."""
     black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=0)
     (shown,) = ls.bake(ls.Scene([black], lights=[lamp]), config, degree=0, device="cpu").splats
@@ -107,16 +107,16 @@ def test_a_lamp_that_is_seen_is_not_baked_into_what_it_lights(
 
 
 def veil() -> ls.SplatInstance:
-    """A capture of white glass that keeps its look, above."""
+    """An unlit capture of white glass, above."""
     white = ls.gaussians_from_mesh(ls.plane(4.0, 4.0, material=diffuse(1.0)), 60)
     return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
 
 
 @pytest.mark.parametrize("other", [veil(), ls.MeshInstance(ball(0.5, diffuse(0.0, 3.0), rows=8), position=(0, 2, 0))])
-def test_what_is_not_baked_is_not_baked_into_what_is_before_or_behind_it(
+def test_unbaked_objects_on_a_ray_are_not_baked_into_gaussians(
     other: ls.SplatInstance | ls.MeshInstance,
 ) -> None:
-    """Rays that see a bright capture or mesh on their way, or past the edge of a Gaussian: a black body stays black."""
+    """Rays hit a bright capture or mesh before or beside a Gaussian; a black body stays black."""
     black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
     splats, meshes = ([black, other], []) if isinstance(other, ls.SplatInstance) else ([black], [other])
     lamp = ls.LightDirectional((0.0, -1.0, 0.0))
@@ -125,8 +125,8 @@ def test_what_is_not_baked_is_not_baked_into_what_is_before_or_behind_it(
     np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
 
 
-def test_rays_meet_lights_where_frames_of_paths_show_them() -> None:
-    """Any rays, from above and below, from inside of the sphere as well; of lights that are off or unseen, none."""
+def test_hits_light_agrees_with_path_traced_frames() -> None:
+    """Rays come from above, below and inside of a sphere; disabled or invisible lights are never hit."""
     rng = np.random.default_rng(2)
     origins = (rng.uniform(-1.0, 1.0, (4000, 3)) * (0.6, 2.0, 0.6) + (0.0, 2.0, 0.0)).astype(np.float32)
     ways = rng.standard_normal((4000, 3))

@@ -1,4 +1,4 @@
-"""Rays of a bake as lit frames show them: sorted by peaks, cut at what is not baked, divided by what they reflect."""
+"""Sample rays of a bake against lit frames: sorting by peaks, segments, and division by reflected colours."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SKY = ls.LightEnvironment(color=(0.5, 0.5, 0.5), visible=False)
 
 
 def patched_ball(*, shines: bool) -> ls.SplatInstance:
-    """A small ball, half white and half dark, by its albedo, or by captured colours that shine beside an even one."""
+    """A small ball, half white and half dark, by albedo, or by captured emission beside a uniform albedo."""
     gaussians = ls.gaussians_from_mesh(ball(1.0, diffuse(1.0), rows=16), 100)
     colors = np.where(gaussians.means[:, 1:2] < -0.1, (0.4, 0.02, 0.01), (0.8, 0.8, 0.8)).astype(np.float32)
     if not shines:
@@ -33,7 +33,7 @@ def patched_ball(*, shines: bool) -> ls.SplatInstance:
 
 
 def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.MonkeyPatch) -> Pixels:
-    """What rays of a bake show."""
+    """Pixels of the sample rays of a bake."""
     found: list[Pixels] = []
     pixels = JointShFit.pixels
 
@@ -47,11 +47,11 @@ def pixels_of(scene: ls.Scene, config: ls.RenderConfig, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("shines", [False, True])
-def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Paths meet a white or a dark Gaussian by chance; what is shared is what sorted rays blend of both.
+def test_rays_across_color_edges_match_frames(shines: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Path tracing hits a white or a dark Gaussian at random; the averaged light is blended over sorted hits of both.
 
-    Sorted by means, as viewers of captures sort them, rays across edges would be too bright by some hundredths. With
-    the albedo of Gaussians that shine by what was captured, edges would keep their noise.
+    Sorted by means, as by viewers of captures, rays across edges would be some hundredths too bright. With the albedo
+    of Gaussians that emit captured colours, edges would keep their noise.
     """
     scene = ls.Scene([patched_ball(shines=shines)], lights=[SKY])
     shown = pixels_of(scene, DIRECT, monkeypatch)
@@ -70,8 +70,8 @@ def test_rays_across_edges_of_colour_show_what_frames_do(shines: bool, monkeypat
     assert np.sqrt(np.square(errors).mean()) < 0.046
 
 
-def test_parts_of_rays_end_half_way_to_what_is_not_wanted() -> None:
-    """Around the Gaussian that is seen most of; before meshes just behind the last one."""
+def test_clear_spans_end_half_way_to_unwanted_gaussians() -> None:
+    """The segment is around the Gaussian of largest weight, and ends before a mesh just behind the last Gaussian."""
     wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
     met = HitGaussians(
         ray=np.array([0, 0, 0, 0, 0, 1, 1, 2, 3]),
@@ -92,18 +92,18 @@ LAMP = ls.MeshInstance(ball(0.7, diffuse(0.0, 30.0), rows=8), position=(0.0, -1.
 
 
 def veil() -> ls.SplatInstance:
-    """A capture of white glass that keeps its look, above."""
+    """An unlit capture of white glass, above."""
     white = ls.gaussians_from_mesh(ls.plane(0.6, 0.6, material=diffuse(1.0)), 60)
     return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
 
 
 @pytest.mark.parametrize("other", [veil(), LAMP])
-def test_what_is_not_baked_is_not_on_rays(
+def test_unbaked_sets_and_meshes_do_not_bias_rays(
     other: ls.SplatInstance | ls.MeshInstance, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A sheet in the sun is Lambert's on all rays, also past a white veil, and before a bright lamp's mesh.
+    """A sheet in the sun follows Lambert's law on all rays, also past a white veil and before an emissive mesh.
 
-    Less than a hundredth of a ray shows these, and would bring as much light as the sheet and more.
+    These cover less than a hundredth of a ray, but would add as much light as the sheet and more.
     """
     sheet = ls.SplatInstance(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 150), material=diffuse(0.8))
     sheet = replace(sheet, gaussians=replace(sheet.gaussians, albedo=np.full((sheet.gaussians.count, 3), 0.8)))
@@ -116,8 +116,8 @@ def test_what_is_not_baked_is_not_on_rays(
     np.testing.assert_allclose(colors, encode_srgb(0.8 / np.pi * 0.5 * np.sqrt(0.5)), atol=2e-3)
 
 
-def test_colors_of_even_light_are_those_that_are_shaded() -> None:
-    """The albedo, unless a set shines by what was captured; and the white that dielectrics mirror."""
+def test_reflected_colors_are_the_shaded_ones() -> None:
+    """They are the albedo, or captured colours of an emissive set, plus the white specular part of dielectrics."""
     captured, albedo = np.array([0.2, 0.4, 0.6]), np.array([0.5, 0.3, 0.0])
     gaussians = ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 4)
     sh = np.broadcast_to((captured - 0.5) / SH_C0, (gaussians.count, 1, 3)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Rays to Gaussians that are baked: from where eyes are, and in no more memory than they need."""
+"""Sample rays towards baked Gaussians: distribution, independence, and bounded memory."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball, diffuse
 
 
-def ways_of(instance: ls.SplatInstance) -> SampleRays:
-    """Of Gaussians that are seen from everywhere, up to a distance of 3."""
+def rays_of(instance: ls.SplatInstance) -> SampleRays:
+    """Distributions of rays to Gaussians that are visible from everywhere up to a distance of 3."""
     total = instance.gaussians.count
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
     return SampleRays.of_views(instance, directions, np.ones((total, 8)), np.full((total, 8), 3.0), first=0)
 
 
-def lines_of(instance: ls.SplatInstance, count: int) -> DrawnRays:
-    """So many along these ways."""
-    return ways_of(instance).draw(0, count, seed=1)
+def drawn_rays(instance: ls.SplatInstance, count: int) -> DrawnRays:
+    """Draws ``count`` rays to each Gaussian."""
+    return rays_of(instance).draw(0, count, seed=1)
 
 
 def small() -> ls.SplatInstance:
@@ -34,17 +34,17 @@ def small() -> ls.SplatInstance:
     return ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.5), rows=16), 60), material=diffuse(0.5))
 
 
-def test_eyes_are_within_their_distance_and_the_more_the_farther_away() -> None:
-    """The square of the distance is even, of eyes that see their Gaussian from up to 3 away."""
+def test_camera_distances_have_linearly_growing_density() -> None:
+    """The squared distance is uniform, and at most that of the view."""
     instance = small()
-    lines = lines_of(instance, 30)
+    lines = drawn_rays(instance, 30)
     away = np.linalg.norm(lines.origins - instance.gaussians.means[:, None], axis=2)
     assert away.max() < 3.0 + 1e-4
     np.testing.assert_allclose(np.square(away / 3.0).mean(), 0.5, atol=0.02)
 
 
-def test_ways_are_taken_by_their_shares() -> None:
-    """Weights times distances, within a ray in 200: those that follow one another are spread evenly."""
+def test_directions_are_drawn_in_proportion_to_weight_times_distance() -> None:
+    """Shares are right to a ray in 200, because successive rays are stratified."""
     instance = small()
     total = instance.gaussians.count
     rng = np.random.default_rng(5)
@@ -62,9 +62,9 @@ def test_ways_are_taken_by_their_shares() -> None:
     np.testing.assert_allclose(taken, wanted / wanted.sum(axis=1, keepdims=True), atol=0.005)
 
 
-def test_each_ray_is_drawn_anew_and_whichever_are_drawn_with_it() -> None:
-    """Other draws for each Gaussian, seed and round, and the same for some of the Gaussians as for all."""
-    ways = ways_of(small())
+def test_draws_differ_by_gaussian_seed_and_iteration_only() -> None:
+    """A subset of the Gaussians gets the same rays as in a draw for all."""
+    ways = rays_of(small())
     ways = replace(ways, means=np.zeros_like(ways.means), axes=np.broadcast_to(np.eye(3, dtype=np.float32), (60, 3, 3)))
     lines = [ways.draw(*numbers) for numbers in ((0, 16, 1), (1, 16, 1), (0, 16, 2))]
     origins = np.concatenate([one.origins.reshape(-1, 3) for one in lines])
@@ -77,9 +77,9 @@ def test_each_ray_is_drawn_anew_and_whichever_are_drawn_with_it() -> None:
     np.testing.assert_array_equal(some.directions, lines[1].directions[rows])
 
 
-def test_ways_are_put_where_they_stay() -> None:
-    """Some at a time into room for all: nothing is held twice, and it is less than 16 rays along them."""
-    part = ways_of(small())
+def test_distributions_are_stored_once() -> None:
+    """They are written in parts into allocated arrays, and take less memory than 16 rays to each Gaussian."""
+    part = rays_of(small())
     count = len(part.gaussian)
     names = SampleRays.__slots__
     size = sum(getattr(part, name).nbytes for name in names)
@@ -90,14 +90,14 @@ def test_ways_are_put_where_they_stay() -> None:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1.1 * 20 * size
-    lines = lines_of(small(), 16)
+    lines = drawn_rays(small(), 16)
     assert size < lines.origins.nbytes + lines.directions.nbytes
     for name in names:
         np.testing.assert_array_equal(getattr(ways, name)[3 * count : 4 * count], getattr(part, name))
 
 
-def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Inside of a closed box, more than half of the lines to an edge come through a wall: others take their place."""
+def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a closed box, more than half of the rays to an edge come through a wall and are redrawn."""
     walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
     assert walls.normals is not None
     inside = ls.SplatInstance(replace(walls, normals=-walls.normals), material=diffuse(0.5))
@@ -123,8 +123,8 @@ def test_gaussians_in_corners_get_as_many_rays_as_others(monkeypatch: pytest.Mon
     assert len(np.unique(eyes, axis=0)) == len(eyes)  # others, not the same once more
 
 
-def test_the_more_rays_the_fewer_gaussians_are_changed_together(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory does not grow with the number of directions; nor does it with that of lines that are listed at once."""
+def test_memory_does_not_grow_with_the_number_of_directions(monkeypatch: pytest.MonkeyPatch) -> None:
+    """More rays per Gaussian mean fewer Gaussians in a part; the rays listed at once are bounded, too."""
     counts: list[int] = []
     pixels = JointShFit.pixels
 

@@ -1,4 +1,4 @@
-"""Harmonics of what is seen: exact where they can be, smooth where nobody looks, steady in noise."""
+"""SH fits of viewed colours: exact where they can be, smooth in unviewed directions, stable under noise."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ N, D = 50, 32
 
 
 def directions(count: int = D) -> np.ndarray:
-    """Of N Gaussians."""
+    """View directions of N Gaussians."""
     return rotated_directions(count, random_rotations(N, np.random.default_rng(0)))
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
-def test_harmonics_are_found_again(degree: int) -> None:
-    """Colours of some degree that are seen from everywhere without noise are fitted by it, but for a small penalty."""
+def test_sh_of_noiseless_colors_are_recovered(degree: int) -> None:
+    """Colours of a degree, viewed from all directions, are fitted except for a small ridge."""
     along = directions(64)
     truth = np.random.default_rng(1).normal(size=(N, (degree + 1) ** 2, 3))
     colors = 0.5 + sh_basis(along, degree) @ truth
@@ -30,8 +30,8 @@ def test_harmonics_are_found_again(degree: int) -> None:
     np.testing.assert_allclose(found[:, 0], truth[:, 0], atol=0.03)
 
 
-def test_what_nobody_sees_stays_in_range() -> None:
-    """One side is seen: its colours are met, and the other side's do not run away."""
+def test_unviewed_side_stays_in_range() -> None:
+    """One side is viewed and matched; colours of the other side do not overshoot."""
     along = directions()
     front = along[..., 2] < 0.0
     colors = np.where(front[..., None], 0.5 + 0.3 * along, 100.0)
@@ -42,7 +42,7 @@ def test_what_nobody_sees_stays_in_range() -> None:
 
 
 def test_noise_does_not_become_view_dependence() -> None:
-    """Of one colour and noise, what is left is the colour, with the noise of a mean over all directions."""
+    """The fit of one colour with noise is the colour, with the noise of a mean over all directions."""
     rng = np.random.default_rng(2)
     along = directions()
     noisy = 0.5 + 0.1 * rng.normal(size=(N, D, 3))
@@ -53,8 +53,8 @@ def test_noise_does_not_become_view_dependence() -> None:
     assert (trusted - 0.5).std() > 0.06
 
 
-def test_steady_light_is_even_and_unbiased() -> None:
-    """Noise on an even side is drawn to its mean; light that does change with the direction stays as it is."""
+def test_angular_denoising_is_unbiased_and_keeps_view_dependence() -> None:
+    """Noise on a diffuse side shrinks to the side's mean; view-dependent radiance stays."""
     rng = np.random.default_rng(3)
     front = directions()[..., 2] < 0.0
     weights = np.ones((N, D))
@@ -69,15 +69,15 @@ def test_steady_light_is_even_and_unbiased() -> None:
     np.testing.assert_allclose(b, bright, atol=1e-12)
 
 
-def test_directions_are_even() -> None:
-    """All of them sum to next to nothing, and harmonics up to degree 3 are orthonormal over them."""
+def test_even_directions_integrate_sh_up_to_degree_3() -> None:
+    """The directions sum to nearly 0, and SH are orthonormal over them."""
     for count in (32, 64):
         basis = sh_basis(even_directions(count), 3)
         np.testing.assert_allclose(4.0 * np.pi / count * basis.T @ basis, np.eye(16), atol=0.07)
 
 
-def test_the_side_counts_that_is_seen() -> None:
-    """In proportion to how far away eyes can be; not a dark side, unless both are; fronts of known normals more."""
+def test_view_weights_favor_visible_lit_and_front_sides() -> None:
+    """Weights grow with the viewing distance; a dark side has little, unless both are dark; known fronts have more."""
     front = np.tile([True, True, False, False], (3, 1))
     light = np.ones((3, 4, 3))
     light[1, 2:] = 0.0
@@ -94,8 +94,8 @@ def test_the_side_counts_that_is_seen() -> None:
     assert (dark > 0.0).all()
 
 
-def test_directions_go_where_anything_is_seen() -> None:
-    """Those on a side that counts for nothing are mirrored at the plane; where both sides count, they stay."""
+def test_views_of_an_invisible_side_are_mirrored() -> None:
+    """Directions on a side without weight are mirrored at the Gaussian's plane; with weight on both sides they stay."""
     along = directions()
     normals = np.tile([0.0, 0.0, 1.0], (N, 1))
     front = along[..., 2] < 0.0

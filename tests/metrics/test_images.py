@@ -1,4 +1,4 @@
-"""PSNR, SSIM and FLIP: values computed by hand, and changes that must not change them."""
+"""PSNR, SSIM and FLIP: hand-computed values, and changes that must not change the metrics."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ METRICS = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.flip)
 
 
 def picture(seed: int, shape: tuple[int, int] = (24, 32)) -> np.ndarray:
-    """A picture of noise, 0.1 to 0.9."""
+    """A noise image, 0.1 to 0.9."""
     return np.random.default_rng(seed).uniform(0.1, 0.9, (*shape, 3))
 
 
 def flat(color: tuple[float, float, float]) -> np.ndarray:
-    """A picture of one colour."""
+    """An image of one colour."""
     return np.broadcast_to(np.array(color), (32, 32, 3))
 
 
 def ssim_by_definition(image: np.ndarray, reference: np.ndarray) -> float:
-    """Wang et al. 2004, equations 13 to 17, window by window."""
+    """SSIM by Wang et al. 2004, equations 13 to 17, window by window."""
     offsets = np.arange(-5, 6)
     bell = np.exp(-(offsets**2) / (2.0 * 1.5**2))
     window = np.outer(bell, bell) / bell.sum() ** 2
@@ -45,7 +45,7 @@ def ssim_by_definition(image: np.ndarray, reference: np.ndarray) -> float:
 
 
 def flip_of_flat_colors(srgb: tuple[float, float, float], reference: tuple[float, float, float]) -> float:
-    """Andersson et al. 2020 for two pictures of one colour each: filters change nothing, and there are no features.
+    """FLIP by Andersson et al. 2020 of two flat images, for which filters and features do nothing.
 
     Section 4.1: Hunt-adjusted L*a*b*, the HyAB distance to the power of 0.7, divided by that of green and blue, and
     mapped by two lines that meet at (0.4, 0.95).
@@ -75,7 +75,7 @@ def flip_of_flat_colors(srgb: tuple[float, float, float], reference: tuple[float
     return share * 0.95 / 0.4 if share < 0.4 else 0.95 + (share - 0.4) / 0.6 * 0.05
 
 
-def test_psnr_by_hand():
+def test_psnr_matches_hand_computed_values():
     """All values off by 0.1: MSE 0.01, 20 dB. One channel of three: MSE 0.01 / 3, 24.771 dB."""
     grey = np.full((4, 5, 3), 0.5)
     assert ls.metrics.psnr(grey + 0.1, grey) == pytest.approx(20.0)
@@ -84,7 +84,7 @@ def test_psnr_by_hand():
     assert ls.metrics.psnr(np.zeros((4, 5, 3)), np.ones((4, 5, 3))) == 0.0
 
 
-def test_ssim_of_flat_pictures():
+def test_ssim_of_flat_images_is_the_luminance_term():
     """Without variance, SSIM is (2 m1 m2 + C1) / (m1^2 + m2^2 + C1): of 0.4 and 0.6, 0.4801 / 0.5201."""
     assert ls.metrics.ssim(np.full((16, 16, 3), 0.4), np.full((16, 16, 3), 0.6)) == pytest.approx(
         0.4801 / 0.5201, abs=1e-9
@@ -92,8 +92,8 @@ def test_ssim_of_flat_pictures():
     assert ls.metrics.ssim(np.zeros((16, 16, 3)), np.ones((16, 16, 3))) == pytest.approx(1e-4 / 1.0001, abs=1e-9)
 
 
-def test_ssim_is_that_of_the_paper():
-    """The mean of the definition's values, window by window."""
+def test_ssim_matches_the_definition_of_the_paper():
+    """The reference evaluates the definition window by window."""
     image, reference = picture(1), picture(2)
     mixed = 0.7 * reference + 0.3 * image
     assert ls.metrics.ssim(mixed, reference) == pytest.approx(ssim_by_definition(mixed, reference), abs=1e-6)
@@ -108,24 +108,24 @@ def test_ssim_is_that_of_the_paper():
         ((1.0, 0.0, 0.0), (0.2, 0.4, 0.6)),
     ],
 )
-def test_flip_of_flat_pictures(color, reference):
-    """The value of the paper's formulas without filtering; 1 for green on blue, the largest possible distance."""
+def test_flip_of_flat_images_matches_the_paper(color, reference):
+    """The paper's formulas without filtering; 1 for green on blue, the largest possible distance."""
     expected = flip_of_flat_colors(color, reference)
     assert ls.metrics.flip(flat(color), flat(reference)) == pytest.approx(expected, abs=2e-4)
     if color == (0.0, 1.0, 0.0):
         assert expected == 1.0
 
 
-def test_flip_grows_with_the_size_of_pixels():
-    """Noise is less visible on a finer display."""
+def test_flip_is_smaller_on_a_finer_display():
+    """Noise is less visible there."""
     image, reference = picture(1), picture(2)
     coarse, usual, fine = (ls.metrics.flip(image, reference, pixels_per_degree=density) for density in (10, 67, 300))
     assert coarse > usual > fine > 0.0
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_a_picture_is_its_own_best_reference(metric):
-    """Equal pictures have the best value, and more noise makes it worse."""
+def test_equal_images_have_the_best_value(metric):
+    """More noise makes the value worse."""
     reference = picture(3)
     noise = np.random.default_rng(4).normal(0.0, 1.0, reference.shape)
     values = [metric(np.clip(reference + size * noise, 0.0, 1.0), reference) for size in (0.0, 0.02, 0.1)]
@@ -135,22 +135,22 @@ def test_a_picture_is_its_own_best_reference(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_bytes_are_their_shares_of_255(metric):
-    """A PNG's bytes and the same values as floats are one picture."""
+def test_bytes_equal_floats_of_their_value_over_255(metric):
+    """A PNG's bytes and floats give the same values."""
     image, reference = ((255 * picture(seed)).round().astype(np.uint8) for seed in (5, 6))
     assert metric(image, reference) == pytest.approx(metric(image / 255.0, reference / 255.0), abs=1e-6)
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_turned_pictures_are_as_near(metric):
-    """Both pictures upside down, or mirrored, change nothing."""
+def test_flipping_both_images_changes_nothing(metric):
+    """Both images are turned upside down, or mirrored."""
     image, reference = picture(7), picture(8)
     for turn in (np.flipud, np.fliplr):
         assert metric(turn(image), turn(reference)) == pytest.approx(metric(image, reference), abs=1e-6)
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_what_is_no_pair_of_pictures_is_refused(metric):
+def test_invalid_image_pairs_are_refused(metric):
     """Different sizes, shapes, ranges and NaN each have their own message of one line."""
     image = picture(9)
     with pytest.raises(ls.SceneError, match="the image is 32 x 24, its reference 32 x 23"):
@@ -165,14 +165,14 @@ def test_what_is_no_pair_of_pictures_is_refused(metric):
         metric(broken, image)
 
 
-def test_small_pictures_have_no_ssim():
-    """A picture smaller than the window is refused."""
+def test_images_smaller_than_the_ssim_window_are_refused():
+    """The message names the metric."""
     with pytest.raises(ls.SceneError, match="ssim compares windows of 11 x 11 pixels, the images are 12 x 10"):
         ls.metrics.ssim(np.zeros((10, 12, 3)), np.zeros((10, 12, 3)))
 
 
-def test_flip_checks_its_display():
-    """A display without pixels is refused."""
+def test_flip_refuses_0_pixels_per_degree():
+    """The range is 1 to 1000."""
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is 0"):
         ls.metrics.flip(picture(1), picture(2), pixels_per_degree=0)
     with pytest.raises(ls.ConfigError, match="pixels_per_degree is '4K'"):
@@ -182,8 +182,8 @@ def test_flip_checks_its_display():
 @pytest.mark.parametrize(
     ("metric", "package"), [(ls.metrics.ssim, "skimage.metrics"), (ls.metrics.flip, "flip_evaluator")]
 )
-def test_missing_packages_are_named(metric, package, monkeypatch):
-    """Without its package, a metric says how to install it."""
+def test_missing_packages_are_reported_with_how_to_install_them(metric, package, monkeypatch):
+    """The error names the extra."""
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ls.errors.MissingExtraError, match=r"pip install 'lumisplat\[metrics\]'"):
         metric(picture(1), picture(2))
@@ -193,7 +193,7 @@ WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 
 
 def waves_image(seed: int, shape: tuple[int, int] = (176, 192)) -> np.ndarray:
-    """A picture of smooth shapes and noise, 0.05 to 0.95."""
+    """A smooth image with noise, 0.05 to 0.95."""
     rng = np.random.default_rng(seed)
     y, x = np.arange(shape[0])[:, None, None], np.arange(shape[1])[:, None]
     waves = np.sin(x * rng.uniform(0.02, 0.3, 3) + y * rng.uniform(0.02, 0.3, 3) + rng.uniform(0.0, 6.0, 3))
@@ -201,12 +201,12 @@ def waves_image(seed: int, shape: tuple[int, int] = (176, 192)) -> np.ndarray:
 
 
 def noisy(image: np.ndarray, size: float) -> np.ndarray:
-    """The picture with noise."""
+    """The image with more noise."""
     return np.clip(image + size * np.random.default_rng(99).normal(size=image.shape), 0.0, 1.0)
 
 
 def ms_ssim_by_convolution(image: np.ndarray, reference: np.ndarray, weights: tuple[float, ...] = WEIGHTS) -> float:
-    """Wang et al. 2003 by full two-dimensional windows, scale by scale; odd last rows and columns are repeated."""
+    """MS-SSIM by Wang et al. 2003 with full 2D windows; odd last rows and columns are repeated."""
     offsets = np.arange(-5.0, 6.0)
     window = np.exp(-(offsets[:, None] ** 2 + offsets**2) / 4.5)
     window /= window.sum()
@@ -228,8 +228,8 @@ def ms_ssim_by_convolution(image: np.ndarray, reference: np.ndarray, weights: tu
 
 
 @pytest.mark.parametrize("noise", [0.02, 0.1, 0.4])
-def test_ms_ssim_is_that_of_the_paper(noise):
-    """The product over five scales, each filtered by a second implementation, whose values are far from one another."""
+def test_ms_ssim_matches_a_second_implementation(noise):
+    """The factors of the five scales differ widely."""
     reference = waves_image(1)
     image = noisy(reference, noise)
     expected = ms_ssim_by_convolution(image, reference)
@@ -237,30 +237,30 @@ def test_ms_ssim_is_that_of_the_paper(noise):
     assert 0.3 < expected < 0.9999
 
 
-def test_ms_ssim_of_flat_pictures():
-    """Without contrast, all that counts is the luminance of the coarsest scale: (0.4801 / 0.5201) ** 0.1333."""
+def test_ms_ssim_of_flat_images_is_the_coarsest_luminance():
+    """Without contrast, the value is (0.4801 / 0.5201) ** 0.1333."""
     dark, light = np.full((161, 170, 3), 0.4), np.full((161, 170, 3), 0.6)
     assert ls.metrics.ms_ssim(dark, light) == pytest.approx((0.4801 / 0.5201) ** 0.1333, abs=1e-9)
     last = 0.2363 / (0.0448 + 0.2856 + 0.3001 + 0.2363)
     assert ls.metrics.ms_ssim(dark, light, scales=4) == pytest.approx((0.4801 / 0.5201) ** last, abs=1e-9)
 
 
-def test_one_scale_is_ssim():
-    """One scale has weight 1: SSIM, which scikit-image computes."""
+def test_ms_ssim_of_one_scale_is_ssim():
+    """The reference is scikit-image's SSIM."""
     reference = waves_image(2, (40, 33))
     image = noisy(reference, 0.1)
     assert ls.metrics.ms_ssim(image, reference, scales=1) == pytest.approx(ls.metrics.ssim(image, reference), abs=1e-9)
 
 
-def test_what_is_opposite_is_worth_nothing():
-    """A negative picture has a negative mean of structure, which counts as 0."""
+def test_inverted_image_has_ms_ssim_0():
+    """Its mean structure is negative, which counts as 0."""
     reference = waves_image(3)
     assert ls.metrics.ms_ssim(1.0 - reference, reference) == 0.0
     assert ls.metrics.ms_ssim(reference, reference) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_sizes_need_not_be_powers_of_two():
-    """Of an odd size, the last row and column are repeated; the weights of two scales sum to 1."""
+def test_ms_ssim_accepts_odd_sizes():
+    """The last row and column are repeated; the weights of two scales sum to 1."""
     reference = waves_image(4, (45, 47))
     image = noisy(reference, 0.1)
     weights = (0.0448 / (0.0448 + 0.2856), 0.2856 / (0.0448 + 0.2856))
@@ -268,8 +268,8 @@ def test_sizes_need_not_be_powers_of_two():
     assert ls.metrics.ms_ssim(image, reference, scales=2) == pytest.approx(expected, abs=1e-12)
 
 
-def test_small_pictures_have_fewer_scales():
-    """161 pixels are enough for five scales, 160 for four; what is too small is refused by name, never in silence."""
+def test_small_images_allow_fewer_scales():
+    """161 pixels suffice for five scales, 160 for four; smaller images are refused."""
     sizes = {161: 5, 160: 4, 81: 4, 80: 3, 21: 2, 20: 1, 11: 1, 10: 0}
     assert {size: ls.metrics.ms_ssim_scales(size, 500) for size in sizes} == sizes
     assert {size: ls.metrics.ms_ssim_scales(500, size) for size in sizes} == sizes
@@ -291,8 +291,8 @@ WITH_MS_SSIM = (ls.metrics.psnr, ls.metrics.ssim, ls.metrics.ms_ssim, ls.metrics
 
 
 @pytest.mark.parametrize("metric", WITH_MS_SSIM)
-def test_what_is_outside_of_a_region_does_not_count(metric):
-    """Whatever the image holds there; and within it, errors count."""
+def test_pixels_outside_a_region_do_not_count(metric):
+    """Errors inside the region do."""
     reference = waves_image(5)
     image = noisy(reference, 0.05)
     region = np.zeros(reference.shape[:2], bool)
@@ -308,8 +308,8 @@ def test_what_is_outside_of_a_region_does_not_count(metric):
     )
 
 
-def test_psnr_of_a_region_is_the_error_there():
-    """Off by 0.1 in a quarter of the picture: 20 dB in that quarter, 6.02 dB more all over."""
+def test_psnr_of_a_region_is_over_its_pixels():
+    """Off by 0.1 in a quarter of the image: 20 dB in that quarter, 6.02 dB more over all pixels."""
     grey = np.full((32, 32, 3), 0.5)
     region = np.zeros((32, 32), bool)
     region[:16, :16] = True
@@ -319,8 +319,8 @@ def test_psnr_of_a_region_is_the_error_there():
 
 
 @pytest.mark.parametrize("metric", WITH_MS_SSIM)
-def test_bad_regions_are_refused(metric):
-    """An empty one, one of another shape, and one of numbers."""
+def test_invalid_regions_are_refused(metric):
+    """A region is empty, has another shape, or holds numbers."""
     image = waves_image(6)
     with pytest.raises(ls.SceneError, match="region is empty"):
         metric(image, image, region=np.zeros(image.shape[:2], bool))
@@ -330,8 +330,8 @@ def test_bad_regions_are_refused(metric):
         metric(image, image, region=np.ones(image.shape[:2]))
 
 
-def test_a_region_at_the_edge_has_no_windows():
-    """Windows lie inside the picture: the outermost pixels are the middle of none."""
+def test_region_at_the_image_border_has_no_windows():
+    """Windows lie inside the image, so the outermost pixels are the centre of none."""
     image = waves_image(7)
     edge = np.zeros(image.shape[:2], bool)
     edge[:5] = True

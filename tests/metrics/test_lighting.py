@@ -1,4 +1,4 @@
-"""PAA-Y, APF-Y and NCM-ab (docs/method/relighting.md#metrics) on known light."""
+"""PAA-Y, APF-Y and NCM-ab (docs/method/relighting.md#metrics) under known light."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Y00, Y10 = math.sqrt(1.0 / (4.0 * math.pi)), math.sqrt(3.0 / (4.0 * math.pi))
 
 
 def all_around(count: int = 4000) -> np.ndarray:
-    """Unit vectors spread evenly over the sphere (a Fibonacci lattice)."""
+    """Unit vectors evenly spread over the sphere (a Fibonacci lattice)."""
     step = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * step / count, step * math.pi * (3.0 - math.sqrt(5.0))
     across = np.sqrt(1.0 - z * z)
@@ -30,7 +30,7 @@ def all_around(count: int = 4000) -> np.ndarray:
 
 
 def points(rgb, normals: np.ndarray | None = None) -> ls.metrics.LitPoints:
-    """Points within a ball of 0.5 m around the origin, in grey or colours."""
+    """Points within 0.5 m around the origin, in grey or colours."""
     normals = all_around() if normals is None else normals
     colors = np.asarray(rgb, np.float64)
     colors = np.repeat(colors[:, None], 3, axis=1) if colors.ndim == 1 and len(colors) == len(normals) else colors
@@ -43,12 +43,12 @@ def lit_from(direction, share: float, normals: np.ndarray | None = None) -> np.n
     return 0.2 * (1.0 + share * normals @ np.asarray(direction, np.float64))
 
 
-def test_paa_of_two_lights_by_hand():
-    """E = 1 + a n_z has c = (1 / Y00, a / Y10), here scaled so that the absolute values sum to 1.
+def test_paa_y_matches_hand_computed_values():
+    """E = 1 + a n_z has c = (1 / Y00, a / Y10), scaled so that the absolute values sum to 1.
 
     a = 0.5: 3.5449 and 0.5 / 0.48860 = 1.0233, so (0.776, 0.224). Constant light is (1, 0), and PAA-Y 0.224 + 0.224.
-    Light from below differs in the sign of c_10 only: 2 x 0.224, the same figure, as the norm is of L1; light from x in
-    where that coefficient stands: 2 x 0.224 again. The penalty moves all of this by a few hundredths at most.
+    Light from below only changes the sign of c_10: 2 x 0.224, the same value, because the norm is L1. Light from x has
+    another coefficient: 2 x 0.224 again. The penalty changes all of these by a few hundredths at most.
     """
     band = 0.5 / Y10
     expected = 2.0 * band / (1.0 / Y00 + band)
@@ -59,8 +59,8 @@ def test_paa_of_two_lights_by_hand():
     assert ls.metrics.paa_y(above, above) == 0.0
 
 
-def test_irradiance_of_all_bands_is_found(monkeypatch):
-    """A light of all 16 coefficients comes back without the penalty, and with it a little smoother."""
+def test_all_16_irradiance_coefficients_are_recovered(monkeypatch):
+    """They are exact without the penalty, and a little smoother with it."""
     rng = np.random.default_rng(1)
     true = np.concatenate([[4.0], rng.uniform(-0.3, 0.3, 15)])
     normals = all_around()
@@ -78,8 +78,8 @@ def test_irradiance_of_all_bands_is_found(monkeypatch):
     assert np.ptp(exact.scales) < 1e-6 * exact.scales.mean()
 
 
-def test_albedo_is_not_light():
-    """Scales that are independent of the normals change the fit by noise only, outliers and dark spots not at all."""
+def test_albedo_variation_does_not_change_the_irradiance_fit():
+    """Scales independent of the normals add noise only; outliers and dark spots change nothing."""
     rng = np.random.default_rng(2)
     clean = lit_from((0, 0, 1), 0.5)
     reference = points(clean)
@@ -99,7 +99,7 @@ def test_robust_fit_minimises_hubers_loss():
     values = design @ [0.7, 0.2] + 0.05 * rng.standard_t(2, 400)
 
     def fitted(kept: np.ndarray) -> np.ndarray:
-        """Least Huber loss, its width and the coefficients found in turns."""
+        """Minimises Huber's loss, alternating between its width and the coefficients."""
         best = np.array([1.0, 0.0])
         for _ in range(30):
             width = 1.345 * np.median(np.abs(values - design @ best)[kept]) / 0.6745
@@ -117,18 +117,18 @@ def test_robust_fit_minimises_hubers_loss():
     assert np.abs(robust_fit(design, values) - np.linalg.lstsq(design, values)[0]).max() > 1e-3
 
 
-def test_fits_follow_the_unit():
+def test_robust_fit_scales_with_the_values():
     """Values a thousand times as large have coefficients a thousand times as large."""
     rng = np.random.default_rng(4)
     design, values = rng.normal(size=(200, 3)), rng.standard_t(3, 200)
     np.testing.assert_allclose(robust_fit(design, 1000.0 * values), 1000.0 * robust_fit(design, values), rtol=1e-6)
 
 
-def test_apf_by_hand():
+def test_apf_y_matches_hand_computed_values():
     """Light with gain and offset is predicted; a constant predicts the mean, and leaves 0.2 x 0.5 x E|n_z| = 0.05.
 
-    The mean of |n_z| over the sphere is 1/2. With light from x, E(n; c_scene) is n_x, which tells nothing of n_z: the
-    same 0.05 is left.
+    The mean of |n_z| over the sphere is 1/2. With light from x, E(n; c_scene) is n_x, which is independent of n_z: the
+    same 0.05 remains.
     """
     avatar = points(lit_from((0, 0, 1), 0.5))
     assert ls.metrics.apf_y(avatar, points(3.0 * lit_from((0, 0, 1), 0.2))) == pytest.approx(0.0, abs=5e-3)
@@ -136,7 +136,7 @@ def test_apf_by_hand():
     assert ls.metrics.apf_y(avatar, points(lit_from((1, 0, 0), 0.5))) == pytest.approx(0.05, abs=1e-3)
 
 
-def test_luminance_and_lab():
+def test_luminance_and_lab_match_reference_values():
     """CIE Y by its weights; L*a*b* under D65 of red, green, blue (53.24, 80.09, 67.20 and so on) and greys."""
     assert luminance([0.5, 0.25, 1.0]) == pytest.approx(0.1063 + 0.1788 + 0.0722)
     expected = [[53.24, 80.09, 67.20], [87.73, -86.18, 83.18], [32.30, 79.19, -107.86], [100.0, 0.0, 0.0]]
@@ -145,8 +145,8 @@ def test_luminance_and_lab():
     np.testing.assert_allclose(lab([[0.18] * 3, [0.005] * 3]), [[49.496, 0, 0], [4.5165, 0, 0]], atol=1e-3)
 
 
-def test_ncm_by_hand():
-    """Grey against one colour is that colour's chroma; half of the points in it, half of that.
+def test_ncm_ab_matches_hand_computed_values():
+    """Grey against one colour is that colour's chroma; with half of the points in it, half of that.
 
     Linear (0.2, 0.1, 0.1): X/Xn = 0.1 + 0.1 x 0.4124 / 0.9505 = 0.14339, Y = 0.1 + 0.02126 = 0.12126,
     Z/Zn = 0.1 + 0.1 x 0.0193 / 1.0890 = 0.10177; cube roots 0.52340, 0.49496, 0.46689: a* = 500 x 0.02844 = 14.22,
@@ -160,8 +160,8 @@ def test_ncm_by_hand():
     assert ls.metrics.ncm_ab(mixed, mixed) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_ncm_is_the_cheapest_assignment():
-    """Between as many points each, the distance is the mean over the best pairing."""
+def test_ncm_ab_is_the_cheapest_assignment():
+    """Between equally many points, the distance is the mean over the best pairing."""
     rng = np.random.default_rng(5)
     normals = all_around(60)
     sides = [points(rng.uniform(0.05, 1.0, (60, 3)), normals) for _ in range(2)]
@@ -170,8 +170,8 @@ def test_ncm_is_the_cheapest_assignment():
     assert ls.metrics.ncm_ab(*sides) == pytest.approx(cost[linear_sum_assignment(cost)].mean(), rel=1e-9)
 
 
-def test_ncm_draws_the_same_points():
-    """With more points than samples, a seed gives one value, another seed another, both close to that of all points."""
+def test_ncm_ab_subsampling_depends_on_the_seed_only():
+    """With more points than samples, each seed gives one value, close to that of all points."""
     rng = np.random.default_rng(6)
     normals = all_around(1500)
     first, second = (points(rng.uniform(low, 1.0, (1500, 3)), normals) for low in (0.05, 0.4))
@@ -182,8 +182,8 @@ def test_ncm_draws_the_same_points():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_order_and_place_do_not_count(metric):
-    """Points in another order, and both sides moved, give the same figure; more light does not change PAA-Y."""
+def test_metrics_ignore_order_position_and_for_paa_y_intensity(metric):
+    """Points in another order, and both sides moved, give the same value; more light does not change PAA-Y."""
     rng = np.random.default_rng(7)
     normals = all_around(500)
     avatar = points(rng.uniform(0.1, 0.5, (500, 3)) * (1.0 + 0.5 * normals[:, :1]), normals)
@@ -201,8 +201,8 @@ def test_order_and_place_do_not_count(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_only_the_neighbourhood_counts(metric):
-    """Points farther from the avatar's centre than the radius change nothing; points within it do."""
+def test_points_beyond_the_radius_do_not_count(metric):
+    """Points within the radius do."""
     normals = all_around(400)
     avatar = points(lit_from((0, 0, 1), 0.5, normals), normals)
     near = points(lit_from((0.6, 0, 0.8), 0.8, normals), normals)
@@ -224,8 +224,8 @@ def splats(colors: np.ndarray, normals: np.ndarray | None, count: int) -> ls.Gau
     return replace(base, sh=sh.astype(np.float32), normals=normals, means=base.means - base.means.mean(axis=0))
 
 
-def test_points_of_gaussians():
-    """Positions and normals are in the world, colours are those of degree 0 in linear light."""
+def test_points_of_gaussians_are_in_world_space_and_linear():
+    """Colours are those of SH degree 0."""
     rng = np.random.default_rng(9)
     normals, colors = all_around(50), rng.uniform(0.05, 1.0, (50, 3))
     gaussians = splats(colors, normals, 50)
@@ -251,8 +251,8 @@ def test_estimated_normals_of_a_scene_face_the_avatar():
     np.testing.assert_allclose(got.normals, np.stack([0 * place[:, 1], -place[:, 1], 0 * place[:, 1]], 1), atol=1e-5)
 
 
-def test_gaussians_and_their_points_agree():
-    """A metric takes Gaussians, instances and scenes as it takes points."""
+def test_metrics_of_gaussians_equal_those_of_their_points():
+    """Gaussians, instances and scenes are accepted."""
     rng = np.random.default_rng(11)
     normals = all_around(300)
     avatar, room = (splats(rng.uniform(low, 1.0, (300, 3)), normals, 300) for low in (0.05, 0.3))
@@ -262,8 +262,8 @@ def test_gaussians_and_their_points_agree():
         assert metric(ls.SplatInstance(avatar), room, radius=2.0) == value
 
 
-def test_mistakes_are_refused():
-    """Nothing near, too few points, black points, invalid settings and invalid arrays: one line each."""
+def test_invalid_arguments_are_refused():
+    """Nothing near, too few points, black points, invalid settings and invalid arrays each give one line."""
     avatar = points(np.full(4000, 0.2))
     far = replace(avatar, positions=avatar.positions + np.array([9, 0, 0], np.float32))
     with pytest.raises(ls.SceneError, match=r"no point of the scene is within 1.5 of the avatar, the nearest is 8.5"):
@@ -295,8 +295,8 @@ def test_mistakes_are_refused():
         ls.metrics.LitPoints(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3)))
 
 
-def test_missing_pot_is_named(monkeypatch):
-    """Without POT, NCM-ab says how to install it."""
+def test_missing_pot_is_reported_with_how_to_install_it(monkeypatch):
+    """The error names the extra."""
     monkeypatch.setitem(sys.modules, "ot", None)
     with pytest.raises(ls.errors.MissingExtraError, match=r"ncm_ab needs .* pip install 'lumisplat\[metrics\]'"):
         ls.metrics.ncm_ab(points(np.full(4000, 0.2)), points(np.full(4000, 0.2)))

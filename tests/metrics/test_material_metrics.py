@@ -1,4 +1,4 @@
-"""Scales of albedo, angles between normals and PSNR of environments, worked out by hand."""
+"""Scale of albedo, angles between normals and PSNR of environments, computed by hand."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from lumisplat.metrics.materials import channel_scale, environment_psnr, normal_
 RANDOM = np.random.default_rng(0)
 
 
-def test_the_scale_is_the_median_ratio():
-    """Of each channel; a third of pixels that are far off do not move it."""
+def test_albedo_scale_is_the_median_ratio_per_channel():
+    """A third of the pixels that are far off do not change it."""
     found = RANDOM.uniform(0.1, 0.5, (99, 3))
     truth = found * (0.5, 1.0, 1.7)
     truth[:33] = 0.9
@@ -20,31 +20,31 @@ def test_the_scale_is_the_median_ratio():
     np.testing.assert_allclose(channel_scale([[0.2] * 3, [0.4] * 3], [[0.2] * 3, [0.8] * 3]), 1.5)
 
 
-def test_black_tells_nothing_of_a_scale():
-    """Neither found nor true; a channel that is black everywhere keeps what was found."""
+def test_black_pixels_do_not_count_for_the_scale():
+    """They may be black in either; the scale of a channel that is black everywhere is 1."""
     found = np.array([[0.2, 0.0, 0.0], [0.0, 0.3, 0.0], [0.2, 0.3, 0.0]])
     truth = np.array([[0.4, 0.0, 0.5], [0.9, 0.0, 0.5], [0.4, 0.1, 0.5]])
     np.testing.assert_allclose(channel_scale(found, truth), (2.0, 1.0 / 3.0, 1.0))
 
 
-def test_a_few_stray_pixels_are_no_scale():
-    """A channel that is black in all but a fiftieth keeps what was found; one that is not has the scale of the rest."""
+def test_channel_with_few_lit_pixels_has_scale_1():
+    """A channel that is black in all but a fiftieth has scale 1; with more lit pixels, it has their scale."""
     found, truth = np.full((100, 3), 0.001), np.zeros((100, 3))
     found[:2, 0], truth[:2, 0] = 0.002, 0.5
     found[:1, 1], truth[:1, 1] = 0.002, 0.5
     np.testing.assert_allclose(channel_scale(found, truth), (250.0, 1.0, 1.0))
 
 
-def test_weights_of_a_scale():
-    """A pixel that counts more than all others together decides."""
+def test_albedo_scale_respects_weights():
+    """A pixel with more weight than all others together decides."""
     found, truth = np.full((3, 3), 0.5), np.array([[0.1] * 3, [0.2] * 3, [0.4] * 3])
     np.testing.assert_allclose(channel_scale(found, truth, [1.0, 1.0, 3.0]), 0.8)
     np.testing.assert_allclose(channel_scale(found, truth, [1.0, 0.0, 0.5]), 0.2)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1e-4, 5.0, 90.0, 179.0, 180.0])
-def test_angles_between_normals(degrees):
-    """Exact also where they are small; length does not matter."""
+def test_normal_errors_are_exact_for_small_angles(degrees):
+    """The length of normals does not matter."""
     truth = RANDOM.normal(size=(50, 3))
     truth /= np.linalg.norm(truth, axis=1, keepdims=True)
     side = np.cross(truth, RANDOM.normal(size=3))
@@ -53,19 +53,19 @@ def test_angles_between_normals(degrees):
     np.testing.assert_allclose(normal_errors(0.3 * turned, truth), degrees, rtol=1e-9, atol=1e-6)
 
 
-def test_no_normal_is_as_wrong_as_a_right_angle():
-    """Where nothing was found."""
+def test_missing_normal_counts_as_90_degrees():
+    """A zero vector stands for a missing normal."""
     assert normal_errors([[0.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]) == pytest.approx(90.0)
 
 
 def world(height: int) -> np.ndarray:
-    """A panorama of any size of one world."""
+    """A panorama of any size of the same environment."""
     x, y, z = np.moveaxis(panorama_directions(height, 2 * height), -1, 0)
     return np.stack([0.3 + 0.2 * x, 0.3 + 0.2 * y, 0.3 + 0.1 * z * x], axis=-1)
 
 
-def test_environments_are_compared_at_any_size_and_scale():
-    """The same world, coarser and in another brightness of each channel, is the same; turned, it is not."""
+def test_environment_psnr_ignores_size_and_channel_scale():
+    """The same environment, coarser and with another brightness of each channel, is equal; rotated, it is not."""
     assert environment_psnr(world(64), world(64)) == np.inf
     assert environment_psnr(world(64) * (2.0, 0.5, 3.0), world(64)) > 120.0
     assert environment_psnr(world(16), world(64)) > 50.0
@@ -73,8 +73,8 @@ def test_environments_are_compared_at_any_size_and_scale():
     assert environment_psnr(np.roll(world(64), 16, axis=1), world(64)) < 30.0
 
 
-def test_environments_count_by_solid_angle():
-    """A wrong cap around a pole counts by its share of the sphere."""
+def test_environment_psnr_weights_by_solid_angle():
+    """A wrong cap around a pole counts by its fraction of the sphere."""
     truth = np.full((64, 128, 3), 0.5)
     found = truth.copy()
     found[:4] = 0.0  # one row of 16, found black where display value 0.735 is

@@ -1,4 +1,4 @@
-"""SAE, SM-IoU and BF (docs/method/relighting.md#metrics) on masks whose values are computed by hand."""
+"""SAE, SM-IoU and BF (docs/method/relighting.md#metrics) on masks with hand-computed values."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ def boundary_pixels(shadow: np.ndarray) -> list[tuple[int, int]]:
     return found
 
 
-def test_sae_by_hand():
+def test_sae_matches_hand_computed_values():
     """Over the reference's 16 pixels, 8 are 0.2 off and 8 are missed by 0.6: (1.6 + 4.8) / 16 = 0.4.
 
-    What lies outside of the reference does not count.
+    Shadow outside of the reference's does not count.
     """
     reference, shadow = square(4, 4, 4, 0.6), square(4, 4, 4, 0.8)
     shadow[6:8] = 0.0
@@ -44,13 +44,13 @@ def test_sae_by_hand():
     assert ls.metrics.sae(shadow, reference) == pytest.approx(0.4)
 
 
-def test_sm_iou_by_hand():
+def test_sm_iou_matches_hand_computed_values():
     """Two squares of 16 pixels, 2 pixels apart along x, share 8: 8 / (16 + 16 - 8) = 1/3."""
     assert ls.metrics.sm_iou(square(4, 4, 4), square(6, 4, 4)) == pytest.approx(1 / 3)
     assert ls.metrics.sm_iou(square(4, 4, 4), square(10, 4, 4)) == 0.0
 
 
-def test_boundary_f_by_hand():
+def test_boundary_f_matches_hand_computed_values():
     """A square of 6 has a boundary of 20 pixels, one of 12 around it, 3 pixels apart each way, of 44.
 
     Within 3 pixels all 20 have a neighbour, of the 44 those straight beside the inner ones: 4 x 6 = 24, the corners
@@ -63,8 +63,8 @@ def test_boundary_f_by_hand():
     assert ls.metrics.boundary_f(inner, outer) == 0.0
 
 
-def test_boundaries_two_pixels_off_agree():
-    """A shadow that is off by the tolerance has the full score, and by one pixel more it has not."""
+def test_boundaries_within_the_tolerance_agree():
+    """A shadow off by the tolerance has the full score; one pixel more, and it has not."""
     assert ls.metrics.boundary_f(square(6, 4, 5), square(4, 4, 5)) == 1.0
     assert 0.0 < ls.metrics.boundary_f(square(7, 4, 5), square(4, 4, 5)) < 1.0
 
@@ -72,8 +72,8 @@ def test_boundaries_two_pixels_off_agree():
 @given(
     seed=st.integers(0, 2**32 - 1), tolerance=st.floats(0.0, 4.0), share=st.floats(0.05, 0.95), size=st.integers(1, 9)
 )
-def test_boundary_f_is_that_of_all_pairs(seed, tolerance, share, size):
-    """Distances between all pixels of both boundaries give the same score."""
+def test_boundary_f_matches_brute_force_distances(seed, tolerance, share, size):
+    """The reference compares all pairs of boundary pixels."""
     noise = np.random.default_rng(seed).random((2, size, 9))
     shadow, reference = (np.where(noise < share, 1.0, 0.0)[index] for index in range(2))
     ours, theirs = (np.array(boundary_pixels(mask), np.float64).reshape(-1, 2) for mask in (shadow, reference))
@@ -86,14 +86,14 @@ def test_boundary_f_is_that_of_all_pairs(seed, tolerance, share, size):
     assert ls.metrics.boundary_f(shadow, reference, tolerance=tolerance) == pytest.approx(expected)
 
 
-def test_thresholds_are_left_open():
-    """Strength of exactly tau is lit: S > tau."""
+def test_shadow_strength_equal_to_the_threshold_is_lit():
+    """A pixel is in shadow where S > tau."""
     assert ls.metrics.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4)) == 0.0
     assert ls.metrics.sm_iou(square(4, 4, 4, 0.1), square(4, 4, 4), threshold=0.09) == 1.0
     assert math.isnan(ls.metrics.sae(square(4, 4, 4), square(4, 4, 4, 0.1)))
 
 
-def test_without_shadow():
+def test_metrics_without_shadows():
     """No shadow in both images is full agreement, in one of them none; an error over no pixels is NaN."""
     nothing, something = np.zeros((20, 20)), square(4, 4, 4)
     assert ls.metrics.sm_iou(nothing, nothing) == ls.metrics.boundary_f(nothing, nothing) == 1.0
@@ -103,8 +103,8 @@ def test_without_shadow():
     assert math.isnan(ls.metrics.sae(something, nothing))
 
 
-def test_the_border_of_an_image_is_no_boundary():
-    """A shadow that fills the image has no boundary, one that is cut by its border has one inside only."""
+def test_image_border_is_no_shadow_boundary():
+    """A shadow that fills the image has no boundary; one cut by the border has one inside only."""
     full = np.ones((8, 8))
     assert ls.metrics.boundary_f(full, full) == 1.0
     half = np.zeros((8, 8))
@@ -115,8 +115,8 @@ def test_the_border_of_an_image_is_no_boundary():
     assert ls.metrics.boundary_f(half, shifted) == 1.0
 
 
-def test_a_region_hides_the_rest():
-    """Pixels outside of the region never count, and its border is not a boundary."""
+def test_shadow_outside_the_region_does_not_count():
+    """The border of the region is no boundary."""
     shadow, reference = square(4, 4, 4), square(4, 4, 4)
     shadow[:, 12:] = 1.0
     region = np.zeros((20, 20), np.bool_)
@@ -132,8 +132,8 @@ def test_a_region_hides_the_rest():
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_symmetries(metric):
-    """Mirrored images give the same figure; so do bytes."""
+def test_mirrored_images_and_bytes_give_equal_values(metric):
+    """Both images are mirrored, or given as bytes."""
     random = np.random.default_rng(1)
     shadow, reference = random.integers(0, 256, (2, 12, 17)).astype(np.uint8)
     value = metric(shadow, reference)
@@ -144,8 +144,8 @@ def test_symmetries(metric):
 
 
 @pytest.mark.parametrize("metric", METRICS)
-def test_mistakes_are_refused(metric):
-    """Invalid shapes, ranges and settings each raise one line."""
+def test_invalid_arguments_are_refused(metric):
+    """Invalid shapes, ranges and settings each give one line."""
     shadow = square(4, 4, 4)
     with pytest.raises(ls.SceneError, match="the image is 20 x 20, its reference 20 x 19"):
         metric(shadow, shadow[1:])
@@ -163,8 +163,8 @@ def test_mistakes_are_refused(metric):
         metric([[0.0], [0.0, 1.0]], shadow)
 
 
-def test_tolerance_is_checked():
-    """A negative tolerance is refused."""
+def test_negative_tolerance_is_refused():
+    """The range is 0 to 100."""
     with pytest.raises(ls.ConfigError, match="tolerance is -1"):
         ls.metrics.boundary_f(square(1, 1, 2), square(1, 1, 2), tolerance=-1.0)
     with pytest.raises(ls.ConfigError, match="tolerance is None"):

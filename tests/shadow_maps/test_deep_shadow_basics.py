@@ -1,4 +1,4 @@
-"""Deep shadow maps at the door: what may be given, what is refused, what is kept, and files."""
+"""Deep shadow maps: accepted and refused arguments, memory between frames, and files."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def ball(**changes: Any) -> ls.Gaussians:
 
 
 def behind(casters: Any, light: Any = LIGHT, config: ls.config.DeepShadowConfig = SMALL, **options: Any) -> np.ndarray:
-    """What reaches `BEHIND`."""
+    """Transmittance to the point `BEHIND`."""
     return ls.DeepShadowMap.build(casters, light, BEHIND, config, device="cpu", **options).transmittance(BEHIND)
 
 
-def test_shadow_falls_behind_and_not_beside() -> None:
-    """In the middle of a ball's shadow the light is what the closed form leaves; beside it there is all of it."""
+def test_shadow_is_behind_the_caster_and_not_beside_it() -> None:
+    """In the middle of a ball's shadow, transmittance is that of the closed form; beside the ball it is 1."""
     seen = behind(ball())
     # avg: beta integrated along a line through the middle of a round Gaussian is tau itself.
     assert seen[0] == pytest.approx(0.05, abs=2e-3)
@@ -55,13 +55,13 @@ def test_shadow_falls_behind_and_not_beside() -> None:
     ],
     ids=lambda light: type(light).__name__,
 )
-def test_lights_at_a_place_shine_from_it(light: Any) -> None:
-    """Points and lights of any kind cast the same shadow from the same place."""
+def test_points_and_lights_at_one_position_cast_equal_shadows(light: Any) -> None:
+    """Lights of any kind are treated as points."""
     np.testing.assert_array_equal(behind(ball(), light), behind(ball()))
 
 
-def test_casters_may_come_in_any_form() -> None:
-    """Bare, placed, in a scene, in a list: the same Gaussians cast the same shadow."""
+def test_casters_may_be_sets_instances_scenes_or_lists() -> None:
+    """The same Gaussians cast the same shadow."""
     moved = replace(ball(), means=ball().means + np.array([1.0, 2.0, 3.0], np.float32))
     back = similarity((0.3, -0.2, 1.0), 0.7)
     back[:3, 3] = -back[:3, :3] @ [1.0, 2.0, 3.0]
@@ -72,13 +72,13 @@ def test_casters_may_come_in_any_form() -> None:
 
 
 def test_scaled_instances_cast_shadows_of_their_size() -> None:
-    """A set of half the size, scaled by two, is the set itself."""
+    """A set of half the size, scaled by two, casts the shadow of the set itself."""
     half = replace(ball(), scales=ball().scales * np.float32(0.5))
     np.testing.assert_allclose(behind(ls.SplatInstance(half, np.diag([2.0, 2.0, 2.0, 1.0]))), behind(ball()), atol=1e-6)
 
 
-def test_two_casters_multiply() -> None:
-    """Optical depths add: a second caster takes its share of what the first one leaves."""
+def test_transmittances_of_two_casters_multiply() -> None:
+    """Optical depths add."""
     other = one_gaussian((0.1, 0.0, 1.0), scale=0.4, opacity=0.5)
     np.testing.assert_allclose(behind([ball(), other]), behind(ball()) * behind(other), rtol=1e-4)
     np.testing.assert_array_equal(behind([ball(), other]), behind(joined(ball(), other)))
@@ -86,7 +86,7 @@ def test_two_casters_multiply() -> None:
 
 @pytest.fixture
 def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
-    """The meshes that Gaussians are made of, as they are: of fewer than usual, which is as good and quicker."""
+    """Counts meshes converted to Gaussians, with fewer Gaussians than usual to save time."""
     calls: list[ls.Mesh] = []
     monkeypatch.setattr(
         casters_and_receivers, "sample_surface", lambda mesh: calls.append(mesh) or sample_surface(mesh, 4000)
@@ -94,7 +94,7 @@ def sampled(monkeypatch: pytest.MonkeyPatch) -> list[ls.Mesh]:
     return calls
 
 
-def test_meshes_cast_as_gaussians(sampled: list[ls.Mesh], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_meshes_are_opaque_casters(sampled: list[ls.Mesh], monkeypatch: pytest.MonkeyPatch) -> None:
     """A mesh is opaque in its middle, also one that an instance stretches or mirrors."""
     sphere = icosphere(radius=0.5)
     with monkeypatch.context() as plain:
@@ -108,16 +108,16 @@ def test_meshes_cast_as_gaussians(sampled: list[ls.Mesh], monkeypatch: pytest.Mo
     assert behind(ls.MeshInstance(sphere))[1] == 1.0
 
 
-def test_mesh_is_turned_into_gaussians_once(sampled: list[ls.Mesh]) -> None:
-    """A mesh that moves keeps its Gaussians from frame to frame."""
+def test_moving_mesh_is_converted_to_gaussians_once(sampled: list[ls.Mesh]) -> None:
+    """It keeps its Gaussians from frame to frame."""
     sphere = icosphere(radius=0.5)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
     shadow.rebuild(ls.MeshInstance(sphere, similarity((1.0, 0.0, 0.0), 0.5, 1.0, (0.0, 0.1, 0.0))))
     assert sampled == [sphere]
 
 
-def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
-    """Poses of the same triangles are one surface: its Gaussians follow, and their shadow is that of the pose."""
+def test_deforming_mesh_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
+    """Poses of the same triangles are one surface, whose Gaussians follow the pose."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([8.0, 1.0, 1.0], np.float32), normals=None)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
@@ -129,8 +129,8 @@ def test_mesh_that_deforms_keeps_its_gaussians(sampled: list[ls.Mesh]) -> None:
     np.testing.assert_array_equal(shadow.transmittance(BEHIND), behind(sphere))
 
 
-def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
-    """What an animation showed before does not change a frame."""
+def test_reappearing_mesh_casts_the_same_shadow(sampled: list[ls.Mesh]) -> None:
+    """Earlier frames of an animation do not change a frame."""
     sphere = icosphere(radius=0.5)
     moved = replace(sphere, positions=sphere.positions * np.array([3.0, 1.0, 1.0], np.float32), normals=None)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
@@ -142,8 +142,8 @@ def test_mesh_that_was_away_casts_the_same_shadow(sampled: list[ls.Mesh]) -> Non
     assert sampled == [sphere]
 
 
-def test_meshes_that_are_new_each_time_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only so many are remembered, those that came last."""
+def test_cached_meshes_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The most recently used ones are cached."""
     assert casters_and_receivers.SURFACES_HELD < 1000
     monkeypatch.setattr(casters_and_receivers, "SURFACES_HELD", 3)
     monkeypatch.setattr(casters_and_receivers, "sample_surface", partial(sample_surface, count=10))
@@ -155,16 +155,16 @@ def test_meshes_that_are_new_each_time_do_not_pile_up(monkeypatch: pytest.Monkey
     assert list(turned._surfaces) == [id(mesh.indices) for mesh in shown[-3:]]
 
 
-def test_light_inside_a_caster_shines_through_half_of_it() -> None:
-    """From the middle of a ball, light passes half of its depth, in any direction."""
+def test_light_at_a_casters_centre_passes_half_its_depth() -> None:
+    """The direction does not matter."""
     points = np.array([[3.0, 0.0, 0.0], [0.0, -3.0, 0.0], [-1.0, 2.0, 1.5]], np.float32)
     config = replace(SMALL, bins=256)
     seen = ls.DeepShadowMap.build(ball(), (0.0, 0.0, 0.0), points, config, device="cpu").transmittance(points)
     np.testing.assert_allclose(seen, np.sqrt(0.05), rtol=1e-3)
 
 
-def test_parallel_light_has_no_beginning() -> None:
-    """What stands far towards the sun casts a shadow; what stands behind the receivers casts none."""
+def test_directional_light_is_blocked_from_any_distance() -> None:
+    """A caster far towards the sun casts a shadow; one behind the receivers casts none."""
     sun = ls.LightDirectional((0.0, 0.0, 1.0))
     for z, expected in ((-50.0, 0.05), (0.0, 0.05), (60.0, 1.0)):
         caster = replace(ball(), means=np.array([[0.0, 0.0, z]], np.float32))
@@ -173,8 +173,8 @@ def test_parallel_light_has_no_beginning() -> None:
 
 
 @pytest.mark.parametrize("receivers", [np.empty((0, 3)), []], ids=["array", "list"])
-def test_no_receivers_are_told_and_all_is_lit(receivers: Any, caplog: pytest.LogCaptureFixture) -> None:
-    """A map without receivers is made, with a warning, and shadows nothing."""
+def test_map_without_receivers_near_warns_and_is_lit(receivers: Any, caplog: pytest.LogCaptureFixture) -> None:
+    """All transmittances are 1."""
     with caplog.at_level(logging.WARNING, "lumisplat"):
         shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, SMALL, device="cpu")
     assert "no receivers" in caplog.text
@@ -184,7 +184,7 @@ def test_no_receivers_are_told_and_all_is_lit(receivers: Any, caplog: pytest.Log
 
 
 def test_region_radius_leaves_far_receivers_lit(caplog: pytest.LogCaptureFixture) -> None:
-    """Receivers beyond the region stay lit; a log line says if there is none within it."""
+    """A log line reports if no receiver is within the radius."""
     points = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 4.0]], np.float32)
     config = replace(SMALL, region_radius=2.0)
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, points, config, device="cpu")
@@ -207,7 +207,7 @@ def test_region_radius_keeps_the_ground_under_tall_casters() -> None:
 
 
 def test_region_radius_changes_nothing_for_near_receivers() -> None:
-    """Near receivers look where they do without one, wherever they stand among those that are left out."""
+    """Near receivers sample the same points as without a radius, whatever their index."""
     receivers, casters = random_gaussians(4, 400, extent=(6.0, 6.0, 1.0)), random_gaussians(5, 40)
     whole, part = (
         ls.DeepShadowMap.build(casters, LIGHT, receivers, config, device="cpu").transmittance_of(receivers)
@@ -219,8 +219,8 @@ def test_region_radius_changes_nothing_for_near_receivers() -> None:
     np.testing.assert_allclose(part[near], whole[near], atol=1e-6)
 
 
-def test_without_receivers_any_point_behind_may_ask() -> None:
-    """A map for nobody in particular knows what is behind the casters as well as one for receivers does."""
+def test_map_without_receivers_covers_all_points_behind_casters() -> None:
+    """It is as exact as a map for receivers."""
     casters = random_gaussians(3, 40)
     points = np.random.default_rng(0).uniform(-3.0, 9.0, (500, 3)).astype(np.float32)
     light, config = (-5.0, -4.0, -3.0), replace(SMALL, max_distance=25.0)
@@ -230,8 +230,8 @@ def test_without_receivers_any_point_behind_may_ask() -> None:
     np.testing.assert_allclose(anyone.transmittance(points), own.transmittance(points), atol=2e-6)
 
 
-def test_looking_is_repeatable() -> None:
-    """The points at which a receiver looks are its own: nothing flickers; another seed looks elsewhere."""
+def test_receiver_samples_are_repeatable() -> None:
+    """A receiver has its own sample points, so that nothing flickers; another seed gives others."""
     casters, receivers = random_gaussians(3, 40), random_gaussians(4, 200)
     config = replace(SMALL, max_distance=20.0, region=False)
     shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, config, device="cpu")
@@ -242,8 +242,8 @@ def test_looking_is_repeatable() -> None:
     assert (shadow.transmittance_of(receivers) != first).any()
 
 
-def test_rebuild_allocates_nothing_for_the_same_size() -> None:
-    """From frame to frame memory stays as it is."""
+def test_rebuild_of_the_same_size_allocates_nothing() -> None:
+    """Device memory stays the same from frame to frame."""
     casters, receivers = random_gaussians(3, 60), random_gaussians(4, 300)
     shadow = ls.DeepShadowMap.build(casters, (-4.0, -4.0, -4.0), receivers, SMALL, device="cpu")
     shadow.rebuild(casters)
@@ -255,8 +255,8 @@ def test_rebuild_allocates_nothing_for_the_same_size() -> None:
 
 
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.1, 0.0, 1.0))], ids=["point", "parallel"])
-def test_saved_maps_come_back_whole(light: Any, tmp_path: Path) -> None:
-    """A map from a file answers as the one it was, and is rebuilt as it."""
+def test_saved_map_equals_the_original_and_can_be_rebuilt(light: Any, tmp_path: Path) -> None:
+    """Transmittances of the loaded map are the same."""
     config = replace(
         SMALL, absorption=ls.config.Absorption.MASS, strength=0.01, sampling=ls.config.ReceiverSampling.STENCIL
     )
@@ -272,8 +272,8 @@ def test_saved_maps_come_back_whole(light: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("culling", [True, False])
-def test_maps_for_nobody_follow_casters_also_from_files(culling: bool, tmp_path: Path) -> None:
-    """A map without receivers is rebuilt for casters elsewhere, and so is what was saved of it."""
+def test_loaded_map_without_receivers_follows_its_casters(culling: bool, tmp_path: Path) -> None:
+    """A rebuild for casters elsewhere computes another region."""
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, None, replace(SMALL, culling=culling), device="cpu")
     shadow.save(tmp_path / "map.npz")
     again = ls.DeepShadowMap.load(tmp_path / "map.npz", device="cpu")
@@ -285,8 +285,8 @@ def test_maps_for_nobody_follow_casters_also_from_files(culling: bool, tmp_path:
         assert one.transmittance(aside) < 0.1
 
 
-def test_bad_files_are_refused(tmp_path: Path) -> None:
-    """Missing, foreign, truncated and tampered files each give one line that names the file."""
+def test_missing_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
+    """Each gives one line that names the file."""
     good = tmp_path / "good.npz"
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu")
     shadow.save(good)
@@ -330,8 +330,8 @@ def _tampered(header: dict[str, Any], **changes: Any) -> np.ndarray:
     return np.frombuffer(json.dumps(header | changes).encode(), np.uint8)
 
 
-def test_flipped_bits_are_refused(tmp_path: Path) -> None:
-    """A map in which any byte is another is refused in our words, or read."""
+def test_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
+    """No foreign exception escapes."""
     path, rng = tmp_path / "map.npz", np.random.default_rng(0)
     ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
     good = np.frombuffer(path.read_bytes(), np.uint8)
@@ -364,8 +364,8 @@ def test_flipped_bits_are_refused(tmp_path: Path) -> None:
         ({"receivers": "floor"}, "points"),
     ],
 )
-def test_mistakes_are_named(given: dict[str, Any], problem: str) -> None:
-    """What cannot be used is refused in one line."""
+def test_invalid_arguments_are_refused(given: dict[str, Any], problem: str) -> None:
+    """Each message is one line."""
     settings = {"casters": ball(), "light_position": LIGHT, "receivers": BEHIND} | given
     with pytest.raises(ls.SceneError, match=problem) as error:
         ls.DeepShadowMap.build(**settings, device="cpu")
@@ -384,15 +384,15 @@ def test_mistakes_are_named(given: dict[str, Any], problem: str) -> None:
         {"absorption": "average"},
     ],
 )
-def test_bad_settings_are_named(changes: dict[str, Any]) -> None:
-    """A setting out of range says which, and what was expected."""
+def test_invalid_settings_are_refused_with_their_names(changes: dict[str, Any]) -> None:
+    """The message gives the expected range."""
     with pytest.raises(ls.ConfigError, match=next(iter(changes))):
         ls.config.DeepShadowConfig(**changes)
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_what_nothing_shadows_is_lit_to_the_bit(sampling: ls.config.ReceiverSampling) -> None:
-    """Receivers with nothing in the way get exactly 1: captures that are lit must keep their colours."""
+def test_unshadowed_receivers_get_exactly_1(sampling: ls.config.ReceiverSampling) -> None:
+    """Lit captures must keep their colours to the bit."""
     receivers = random_gaussians(6, 500, center=(40.0, 0.0, 4.0))
     config = replace(SMALL, sampling=sampling)
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, config, device="cpu")

@@ -1,4 +1,4 @@
-"""Deep shadow maps against their float64 twin: the closed form, its table, and what must change nothing."""
+"""Deep shadow maps against their float64 twin: closed form, table, and changes that must change nothing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WHOLE = ls.config.DeepShadowConfig(resolution=128, bins=64, max_distance=T_MAX, 
 def build(
     casters: Any = AROUND, light: Any = LIGHT, config: ls.config.DeepShadowConfig = WHOLE, receivers: Any = None
 ) -> Any:
-    """A map on the CPU."""
+    """Builds a map on the CPU."""
     return ls.DeepShadowMap.build(casters, light, receivers, config, device="cpu")
 
 
@@ -39,12 +39,12 @@ def scattered(count: int, seed: int = 0, radius: float = 3.0) -> np.ndarray:
 
 
 def exact(points: np.ndarray, casters: Any = AROUND, light: np.ndarray = LIGHT, **options: Any) -> np.ndarray:
-    """What reaches points by the closed form."""
+    """Transmittance to points by the closed form."""
     return oracle.transmittance(oracle.absorbers(casters, **options), light, points)
 
 
 def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarray:
-    """Of all texels, shape (N, 3)."""
+    """Directions of all texels, shape (N, 3)."""
     if layout is ls.config.AtlasLayout.OCTAHEDRAL:
         return oracle.decode_octahedral(oracle.texel_centers(resolution)).reshape(-1, 3)
     size = round(resolution / np.sqrt(6.0) / 8) * 8
@@ -57,8 +57,8 @@ def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarr
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 @pytest.mark.parametrize("absorption", list(ls.config.Absorption))
-def test_bins_hold_the_closed_form(layout: ls.config.AtlasLayout, absorption: ls.config.Absorption) -> None:
-    """T within 1e-3 of the closed form at bins' centres along texels' rays, whatever the mapping and the layout."""
+def test_bins_match_the_closed_form(layout: ls.config.AtlasLayout, absorption: ls.config.Absorption) -> None:
+    """T is within 1e-3 at the centres of bins along texels' rays, for any absorption and layout."""
     config = replace(WHOLE, layout=layout, absorption=absorption, strength=0.7)
     rng = np.random.default_rng(0)
     directions = texel_directions(layout, config.resolution)
@@ -76,8 +76,8 @@ def test_bins_hold_the_closed_form(layout: ls.config.AtlasLayout, absorption: ls
     [((0.4, 0.4, 1e-3), 3.0), ((1e-3, 0.4, 0.4), 3.0), ((0.02, 0.02, 0.8), 3.0), ((2.0, 1.0, 0.01), 80.0)],
     ids=["disc", "disc on edge", "needle", "far"],
 )
-def test_thin_and_far_casters_keep_the_closed_form(scale: tuple[float, float, float], distance: float) -> None:
-    """Where float32 would cancel, T is still within 1e-3: before, within and behind the caster."""
+def test_thin_and_far_casters_match_the_closed_form(scale: tuple[float, float, float], distance: float) -> None:
+    """Where float32 could cancel, T is still within 1e-3: before, within and behind the caster."""
     caster = one_gaussian((0.0, 0.0, distance), scale, 0.9, rotation=(0.999, 0.03, -0.02, 0.01))
     reach = 2.0 * distance
     config = replace(WHOLE, resolution=512, bins=32, max_distance=reach)
@@ -89,8 +89,8 @@ def test_thin_and_far_casters_keep_the_closed_form(scale: tuple[float, float, fl
     assert seen.min() < 0.7
 
 
-def test_lookups_are_the_twins() -> None:
-    """Trilinear on a coarse table: over the fold and the square's corners, before the first bin and past the last."""
+def test_lookups_match_the_float64_twin() -> None:
+    """Trilinear lookups: over the fold and the square's corners, before the first bin and past the last."""
     config = replace(WHOLE, resolution=16, bins=8, max_distance=3.0)
     points = scattered(3000, radius=4.0)
     points[:50] = LIGHT + (points[:50] - LIGHT) * 0.05
@@ -99,8 +99,8 @@ def test_lookups_are_the_twins() -> None:
 
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
-def test_maps_converge(layout: ls.config.AtlasLayout) -> None:
-    """Four times the texels and bins: errors fall to less than a sixth, though the light is in a Gaussian."""
+def test_error_decreases_with_resolution(layout: ls.config.AtlasLayout) -> None:
+    """Four times the texels and bins reduce errors to less than a sixth, even with the light inside a Gaussian."""
     points = scattered(1000)
     expected = exact(points)
     errors = []
@@ -113,8 +113,8 @@ def test_maps_converge(layout: ls.config.AtlasLayout) -> None:
 
 
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
-def test_no_line_is_seen_at_seams(layout: ls.config.AtlasLayout) -> None:
-    """Along circles over the square's rim, or the cube's edges, errors are as small there as elsewhere."""
+def test_errors_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> None:
+    """Along circles over the square's rim, or the cube's edges, errors are as small as elsewhere."""
     turn = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
     circles = [
         np.stack([np.cos(turn), np.sin(turn), np.full_like(turn, -0.6)], axis=1),  # Over all four folded edges.
@@ -137,8 +137,8 @@ def test_no_line_is_seen_at_seams(layout: ls.config.AtlasLayout) -> None:
 @pytest.mark.parametrize("resolution", [8, 16, 40, 128])
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 @pytest.mark.parametrize("light", [LIGHT, ls.LightDirectional((0.2, -0.1, 1.0))], ids=["point", "directional"])
-def test_culled_is_unculled(resolution: int, layout: ls.config.AtlasLayout, light: Any) -> None:
-    """Looking casters up by tiles, or asking all of them, gives the same to float precision, however wide tiles are."""
+def test_culling_does_not_change_transmittance(resolution: int, layout: ls.config.AtlasLayout, light: Any) -> None:
+    """Culled by tiles of any size or not at all, the result is the same to float precision."""
     casters = joined(AROUND, random_gaussians(2, 200, center=(0.0, 0.0, 2.0), scale_range=(0.003, 0.3)))
     points = scattered(2000)
     config = replace(WHOLE, layout=layout, resolution=resolution, bins=16, max_distance=None)
@@ -147,8 +147,8 @@ def test_culled_is_unculled(resolution: int, layout: ls.config.AtlasLayout, ligh
     np.testing.assert_allclose(culled.transmittance(points), every.transmittance(points), atol=3e-5)
 
 
-def test_lists_in_parts_are_the_lists(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On CUDA many items go through the casters of a cell, a part each: to the same map, in the same order."""
+def test_caster_lists_in_parts_equal_whole_lists(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On CUDA several items share the casters of a cell, in the same order."""
     config = replace(WHOLE, bins=16, max_distance=None)
     whole = build(config=config)
     launcher = deep_shadow_map.Launcher
@@ -170,8 +170,8 @@ def test_lists_in_parts_are_the_lists(monkeypatch: pytest.MonkeyPatch) -> None:
         pytest.param(ls.LightDirectional((0.0, 0.0, 1.0)), id="sun", marks=pytest.mark.deep),
     ],
 )
-def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
-    """Receivers whose farthest looks only meet the shadow are not passed over when casters are looked up by tiles."""
+def test_culling_keeps_receivers_whose_outer_samples_are_shadowed(light: Any) -> None:
+    """Only the outermost samples of a wide receiver reach the shadow of a small caster."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
     rng = np.random.default_rng(0)
     turn, away = rng.uniform(0.0, 2.0 * np.pi, 40_000), rng.uniform(0.8, 1.4, 40_000)
@@ -190,8 +190,8 @@ def test_wide_receivers_of_a_small_caster_are_the_same(light: Any) -> None:
 
 
 @pytest.mark.parametrize("sampling", list(ls.config.ReceiverSampling))
-def test_region_of_interest_is_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
-    """Receivers see what they see in a map of everything, to rounding: bins are summed from where columns begin."""
+def test_region_of_receivers_equals_the_whole_map(sampling: ls.config.ReceiverSampling) -> None:
+    """Results agree to rounding, because bins are summed from where columns begin."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0), scale_range=(0.01, 0.2))
     part, whole = (
         build(config=replace(WHOLE, region=region, sampling=sampling), receivers=receivers) for region in (True, False)
@@ -200,8 +200,8 @@ def test_region_of_interest_is_the_whole_map(sampling: ls.config.ReceiverSamplin
     np.testing.assert_allclose(part.transmittance_of(receivers), whole.transmittance_of(receivers), atol=5e-7)
 
 
-def test_rebuilt_is_built() -> None:
-    """Other casters, then the first ones again: the same bits as new maps, in the same memory."""
+def test_rebuild_equals_a_new_map() -> None:
+    """Other casters, then the first ones again, give the bits of new maps in the same memory."""
     receivers = random_gaussians(4, 500, center=(0.0, 0.5, 1.0), extent=(2.0, 0.2, 2.0))
     moved = ls.SplatInstance(AROUND, similarity((0.0, 1.0, 0.0), 0.2, 1.0, (0.1, 0.0, 0.1)))
     shadow = build(receivers=receivers)
@@ -218,8 +218,8 @@ def test_rebuilt_is_built() -> None:
     assert shadow.bytes == held
 
 
-def test_size_does_not_matter() -> None:
-    """All of it ten times as large: `avg` sees the same shadows."""
+def test_average_absorption_is_scale_invariant() -> None:
+    """Everything ten times as large has the same `avg` shadows."""
     points = scattered(500)
     ten = np.diag([10.0, 10.0, 10.0, 1.0])
     config = replace(WHOLE, max_distance=10.0 * T_MAX)
@@ -227,15 +227,15 @@ def test_size_does_not_matter() -> None:
     np.testing.assert_allclose(large, build().transmittance(points), atol=1e-4)
 
 
-def test_order_does_not_matter() -> None:
-    """Casters in another order cast the same shadow: optical depth is a sum."""
+def test_caster_order_does_not_matter() -> None:
+    """Optical depth is a sum."""
     points = scattered(500)
     turned = AROUND.subset(np.arange(len(AROUND))[::-1])
     np.testing.assert_allclose(build(turned).transmittance(points), build().transmittance(points), atol=1e-5)
 
 
-def test_what_is_behind_the_light_or_the_receivers_casts_nothing() -> None:
-    """Casters that no ray meets before it ends change no bit."""
+def test_casters_behind_light_or_receivers_change_no_bit() -> None:
+    """No ray reaches them before it ends."""
     points = LIGHT + np.random.default_rng(0).uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 2.0], (500, 3))
     expected = build(receivers=points).transmittance(points)
     for place in ((0.3, -0.4, -1.2), (0.3, -0.4, 4.5)):
@@ -246,8 +246,8 @@ def test_what_is_behind_the_light_or_the_receivers_casts_nothing() -> None:
 # --- Parallel light ---
 
 
-def test_parallel_light_is_a_lamp_far_away() -> None:
-    """It converges to the closed form of lamps from so far off, each in the same direction, that nothing is behind."""
+def test_directional_light_is_the_limit_of_far_point_lights() -> None:
+    """It converges to the closed form of lights so far away that nothing is behind them."""
     sun = ls.LightDirectional((0.3, -0.5, 1.0))
     points = np.random.default_rng(3).uniform(-2.5, 2.5, (1000, 3)).astype(np.float32)
     direction = np.array(sun.direction) / np.linalg.norm(sun.direction)
@@ -265,19 +265,19 @@ def test_parallel_light_is_a_lamp_far_away() -> None:
 
 
 def receivers_of(count: int = 40) -> ls.Gaussians:
-    """Turned, anisotropic receivers."""
+    """Rotated, anisotropic receivers."""
     return random_gaussians(7, count, center=(0.5, 0.5, 1.0), extent=(1.5, 1.5, 1.5), scale_range=(0.05, 0.6))
 
 
-def test_the_center_is_the_mean() -> None:
-    """`center` looks where the Gaussian is."""
+def test_center_sampling_reads_the_mean() -> None:
+    """The sample is at the Gaussian's mean."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.CENTER))
     receivers = receivers_of()
     np.testing.assert_array_equal(shadow.transmittance_of(receivers), shadow.transmittance(receivers.means))
 
 
-def test_the_stencil_weighs_seven_points() -> None:
-    """`stencil` is the weighted mean of what the map holds at the twin's seven points."""
+def test_stencil_sampling_averages_seven_points() -> None:
+    """The weighted mean of the map at the twin's seven points."""
     shadow = build(config=replace(WHOLE, sampling=ls.config.ReceiverSampling.STENCIL))
     receivers = receivers_of()
     points = oracle.footprint_points(receivers, oracle.STENCIL)
@@ -285,8 +285,8 @@ def test_the_stencil_weighs_seven_points() -> None:
     np.testing.assert_allclose(shadow.transmittance_of(receivers), expected, atol=1e-4)
 
 
-def test_monte_carlo_finds_the_mean_over_the_footprint() -> None:
-    """1024 points: within four standard errors of the mean over the Gaussian; different seeds, different points."""
+def test_monte_carlo_sampling_converges_to_the_footprint_mean() -> None:
+    """1024 points are within four standard errors; different seeds give different points."""
     receivers = receivers_of()
     shadow = build(config=replace(WHOLE, samples=1024))
     rng = np.random.default_rng(11)
@@ -300,8 +300,8 @@ def test_monte_carlo_finds_the_mean_over_the_footprint() -> None:
     np.testing.assert_allclose(few.mean(), others.mean(), atol=0.02)
 
 
-def test_footprints_turn_with_their_receivers() -> None:
-    """A flat receiver at the edge of a shadow: its length along it does not matter, across it does."""
+def test_footprints_rotate_with_their_receivers() -> None:
+    """For a flat receiver at the edge of a shadow, its extent along the edge does not matter; across it does."""
     wall = one_gaussian((-2.0, 0.0, 2.0), (0.5, 3.0, 0.01), 0.99)
     shadow = build(wall, np.zeros(3), replace(WHOLE, resolution=256, samples=256))
     spot = (-1.0, 0.0, 3.0)
