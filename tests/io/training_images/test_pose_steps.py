@@ -33,7 +33,7 @@ def write_images(folder: Path, count: int, sizes: tuple[int, ...] = (8,)) -> Pat
 
 def test_images_of_one_size_share_one_lens(colmap: ColmapStub, tmp_path: Path) -> None:
     """Features are extracted in several calls; images of two sizes get a lens each."""
-    colmap.pieces = [range(9)]
+    colmap.models = [range(9)]
     ls.io.find_poses(write_images(tmp_path / "one", 9))
     assert colmap.lenses == [(LENS_MODEL, "single", k > 0) for k in range(3)]
     colmap.lenses.clear()
@@ -44,11 +44,11 @@ def test_images_of_one_size_share_one_lens(colmap: ColmapStub, tmp_path: Path) -
 def test_interrupted_run_keeps_its_results(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """At every step, the next call continues, logs this, and removes the work folder at the end."""
     write_images(tmp_path, 9)
-    colmap.pieces = [range(9)]
+    colmap.models = [range(9)]
     for step, summary in (
         ("extract", "features of 4 of 9 images, 0 matched pairs"),
         ("match", "features of 9 of 9 images, 32 matched pairs"),
-        ("place", "features of 9 of 9 images, 36 matched pairs"),
+        ("estimate_poses", "features of 9 of 9 images, 36 matched pairs"),
     ):
         colmap.interrupt_in = step
         with pytest.raises(KeyboardInterrupt, match=f"poses.unfinished holds {summary}; the same command continues"):
@@ -85,7 +85,7 @@ def test_changed_images_restart_the_run(colmap: ColmapStub, tmp_path: Path, capl
 
 def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """The log counts images without a pose by their original names."""
-    colmap.pieces = [(0, 1, 2), (3, 4, 5, 6, 7)]
+    colmap.models = [(0, 1, 2), (3, 4, 5, 6, 7)]
     reported: list[tuple[str, float]] = []
     model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: reported.append((what, share)))
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
@@ -98,14 +98,14 @@ def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, ca
 
 def test_models_without_further_images_are_not_logged(colmap: ColmapStub, tmp_path: Path, caplog: Any) -> None:
     """COLMAP also returns models of pairs, and models whose images the largest one has, too."""
-    colmap.pieces = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
+    colmap.models = [(0, 1), (1, 2, 3), (0, 1, 2, 3, 4, 5, 6, 7, 8)]
     ls.io.find_poses(write_images(tmp_path, 9))
     assert caplog.text == ""
 
 
 def test_progress_reports_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) -> None:
     """The last adjustment of many images takes long, and the progress bar at 99 % says why."""
-    colmap.pieces = [range(5)]
+    colmap.models = [range(5)]
     reported: list[tuple[str, float]] = []
     ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: reported.append((what, share)))
     assert reported[-2:] == [("finding poses, bundle adjustment", 0.99), ("finding poses", 1.0)]
@@ -123,7 +123,7 @@ def test_error_explains_why_no_poses_were_found(
     features: int, verified: int, reason: str, colmap: ColmapStub, tmp_path: Path
 ) -> None:
     """The error is one line, and the work folder is removed."""
-    colmap.pieces, colmap.features, colmap.verified = (), features, verified
+    colmap.models, colmap.features, colmap.verified = (), features, verified
     with pytest.raises(ls.FormatError, match=f"no poses were found for its 9 images: {reason}"):
         ls.io.find_poses(write_images(tmp_path, 9))
     assert {path.name for path in tmp_path.iterdir()} == {"images"}

@@ -1,4 +1,4 @@
-"""A stand-in for pycolmap, which finds what it is told to: for what is done around COLMAP, where it is missing."""
+"""Replaces pycolmap in tests by a stub with prescribed results."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from typing import Any
 
 @dataclass
 class ColmapStub:
-    """Has the names of pycolmap that are used; its database is a file of what has been done."""
+    """Provides the names of pycolmap that Lumisplat uses; its database is a JSON file of the recorded calls."""
 
-    pieces: Sequence[Sequence[int]] = ((0, 1, 2),)
-    """Indices of the photographs of each model; none: no poses are found."""
+    models: Sequence[Sequence[int]] = ((0, 1, 2),)
+    """Indices of the images of each model; empty if no poses are found."""
     interrupt_in: str = ""
-    """The step in which Ctrl C is pressed."""
+    """Name of the step that raises KeyboardInterrupt."""
     features: int = 500
-    """Of each photograph."""
+    """Number of features per image."""
     verified: int = 100
-    """Pairs, of 100, that show the same."""
+    """Number of verified pairs among 100."""
     lenses: list[tuple[str, str, bool]] = field(default_factory=list)
-    """For each call that found features: model, mode, and whether it was the lens that is there."""
+    """Camera model, camera mode, and whether an existing camera was used, for each call that extracts features."""
     compared: list[tuple[str, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -38,7 +38,7 @@ class ColmapStub:
         self.Database = SimpleNamespace(open=self._open)
 
     def extract_features(self, database: Path, images: Path, **options: Any) -> None:
-        """Notes for which photographs."""
+        """Records the image names."""
         reader = options["reader_options"]
         self.lenses.append((reader.camera_model, options["camera_mode"], reader.existing_camera_id == 1))
         assert all((images / name).is_file() for name in options["image_names"])
@@ -46,7 +46,7 @@ class ColmapStub:
         self._interrupt("extract")
 
     def match_image_pairs(self, database: Path, **options: Any) -> None:
-        """Notes which pairs."""
+        """Records the pairs."""
         pairs = options["pairing_options"].match_list_path.read_text().split()
         self.compared += [(a, b) for a, b in zip(pairs[::2], pairs[1::2], strict=True)]
         self._add(database, "pairs", [" ".join(pair) for pair in self.compared])
@@ -62,14 +62,14 @@ class ColmapStub:
         next_image_callback: Callable[[], None],
         **_: Any,
     ) -> dict[int, _Model]:
-        """Gives the models."""
-        self._interrupt("place")
+        """Returns the prescribed models."""
+        self._interrupt("estimate_poses")
         names = self._read(database)["images"]
-        for piece in self.pieces:
+        for model in self.models:
             initial_image_pair_callback()
-            for _k in piece[2:]:
+            for _k in model[2:]:
                 next_image_callback()
-        return {k: _Model([names[index] for index in piece]) for k, piece in enumerate(self.pieces)}
+        return {k: _Model([names[index] for index in model]) for k, model in enumerate(self.models)}
 
     def _interrupt(self, step: str) -> None:
         if self.interrupt_in == step:
@@ -96,7 +96,7 @@ class ColmapStub:
 
 
 class _Model:
-    """A model of photographs of 640 x 480 pixels."""
+    """A model of images of 640 x 480 pixels."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self.images = {k: SimpleNamespace(name=name) for k, name in enumerate(names)}
@@ -109,5 +109,5 @@ class _Model:
         self.compute_mean_reprojection_error = lambda: 0.5
 
     def write(self, folder: Path) -> None:
-        """Writes which photographs it has, and not what COLMAP writes."""
+        """Writes only the names of the images, not COLMAP's files."""
         (folder / "names.txt").write_text("\n".join(image.name for image in self.images.values()))

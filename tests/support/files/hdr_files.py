@@ -1,4 +1,4 @@
-"""Radiance HDR and OpenEXR files written by hand, for the tests of their readers."""
+"""Writes Radiance HDR and OpenEXR files independently of the package, for tests of its readers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ HEADER = b"#?RADIANCE\n# made by hand\nFORMAT=32-bit_rle_rgbe\n"
 
 
 def hdr_bytes(rgbe: np.ndarray, encoding: str = "flat", header: bytes = HEADER, resolution: bytes = b"") -> bytes:
-    """A Radiance picture of RGBE bytes, shape (H, W, 4), in one of the encodings ``flat``, ``old`` and ``new``."""
+    """Encodes RGBE bytes, shape (H, W, 4), as a Radiance HDR in the encoding ``flat``, ``old`` or ``new``."""
     height, width, _ = rgbe.shape
     encode = {"flat": lambda row: row.tobytes(), "old": _old_row, "new": _new_row}[encoding]
     resolution = resolution or b"-Y %d +X %d" % (height, width)
@@ -19,13 +19,13 @@ def hdr_bytes(rgbe: np.ndarray, encoding: str = "flat", header: bytes = HEADER, 
 
 
 def radiance(rgbe: np.ndarray) -> np.ndarray:
-    """What RGBE bytes mean, shape (H, W, 3): 0 where the exponent is."""
+    """Converts RGBE bytes to radiance, shape (H, W, 3); it is 0 where the exponent is 0."""
     scale = np.where(rgbe[..., 3:] > 0, 2.0 ** (rgbe[..., 3:].astype(np.float64) - 136.0), 0.0)
     return (rgbe[..., :3] * scale).astype(np.float32)
 
 
 def write_hdr(path: Path, linear: np.ndarray) -> Path:
-    """Writes an image of radiance, shape (H, W, 3), at the eight bits that RGBE has; returns the path."""
+    """Writes radiance, shape (H, W, 3), with the 8-bit mantissas of RGBE. Returns the path."""
     exponent = np.ceil(np.log2(np.maximum(linear.max(axis=2), 1e-30)) + 1e-9)
     mantissa = np.clip(np.round(linear * 2.0 ** (8.0 - exponent[..., None])), 0, 255)
     rgbe = np.concatenate([mantissa, exponent[..., None] + 128.0], axis=2).astype(np.uint8)
@@ -34,7 +34,7 @@ def write_hdr(path: Path, linear: np.ndarray) -> Path:
 
 
 def write_exr(path: Path, **channels: np.ndarray) -> Path:
-    """Writes named channels, each (H, W), half or float as they are; returns the path."""
+    """Writes named channels, each half or float of shape (H, W). Returns the path."""
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
@@ -45,31 +45,31 @@ def write_exr(path: Path, **channels: np.ndarray) -> Path:
 
 
 def _new_row(row: np.ndarray) -> bytes:
-    """Channel by channel; runs of at least three become a run, the rest stretches of at most 128 bytes."""
+    """Encodes channel by channel: three or more equal bytes as a run, others as literals of at most 128 bytes."""
     data = bytes([2, 2, len(row) >> 8, len(row) & 255])
     for channel in row.T:
-        stretch = b""
+        literal = b""
         for value, group in itertools.groupby(channel.tolist()):
             count = len(list(group))
             if count < 3:
-                stretch += bytes([value]) * count
+                literal += bytes([value]) * count
                 continue
-            data += _stretches(stretch)
-            stretch = b""
+            data += _literals(literal)
+            literal = b""
             while count:
                 data += bytes([128 + min(count, 127), value])
                 count -= min(count, 127)
-        data += _stretches(stretch)
+        data += _literals(literal)
     return data
 
 
-def _stretches(values: bytes) -> bytes:
+def _literals(values: bytes) -> bytes:
     chunks = [values[k : k + 128] for k in range(0, len(values), 128)]
     return b"".join(bytes([len(chunk)]) + chunk for chunk in chunks)
 
 
 def _old_row(row: np.ndarray) -> bytes:
-    """Pixels that repeat become (1, 1, 1, n), n in as many bytes as it takes, the low ones first."""
+    """Encodes repeated pixels as (1, 1, 1, n), with n in as many such pixels as needed, low byte first."""
     data = b""
     for pixel, group in itertools.groupby(map(bytes, row)):
         data += pixel

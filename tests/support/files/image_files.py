@@ -1,4 +1,4 @@
-"""Reading back the image files that the writers write."""
+"""Reads back the image files that the package writes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lumisplat.io.images.texture import read_texture
 
 
 def read_image(path: Path) -> dict[str, np.ndarray]:
-    """PNG: ``{"srgb": (H, W, 3 or 4) uint8}``. EXR: the channels by their full names. NPZ: the arrays by name."""
+    """Reads a PNG as ``{"srgb": (H, W, 3 or 4) uint8}``, an EXR as channels by name, an NPZ as arrays by name."""
     if path.suffix == ".png":
         return {"srgb": read_texture(path)}
     if path.suffix == ".exr":

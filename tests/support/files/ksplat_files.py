@@ -1,4 +1,4 @@
-"""Files of GaussianSplats3D (.ksplat), written number by number."""
+"""Encodes files of GaussianSplats3D (.ksplat), number by number."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def ksplat(
     steps: int = 32767,
     limits: tuple[float, float] = (-1.5, 1.5),
 ) -> bytes:
-    """A file with a section for each capture, of at most degree 2; the order of Gaussians is that of `in_buckets`.
+    """Encodes a file with one section per capture, SH degree at most 2; `in_buckets` defines the order of Gaussians.
 
     Args:
         sections: Captures.
-        level: Level of compression.
-        block: Side of a bucket's cube.
-        bucket: Gaussians in a full one.
-        steps: Steps from the centre of a bucket to its side.
-        limits: Least and largest coefficient of level 2.
+        level: Compression level.
+        block: Edge length of a bucket's cube.
+        bucket: Number of Gaussians in a full bucket.
+        steps: Quantisation steps from the centre of a bucket to its side.
+        limits: Smallest and largest SH coefficient of level 2.
     """
     heads, bodies = bytearray(), bytearray()
     for one in sections:
@@ -62,7 +62,7 @@ def ksplat(
 
 
 def in_buckets(one: ls.Gaussians, block: float, bucket: int) -> list[tuple[tuple[float, ...], list[int]]]:
-    """Cubes of space with at most so many Gaussians each, and their centres; the full ones first."""
+    """Groups Gaussians into cubes of at most ``bucket`` Gaussians. Returns centres and members, full cubes first."""
     low = one.means.min(axis=0)
     full: list[tuple[tuple[float, ...], list[int]]] = []
     filling: dict[tuple[int, ...], list[int]] = {}
@@ -75,7 +75,7 @@ def in_buckets(one: ls.Gaussians, block: float, bucket: int) -> list[tuple[tuple
 
 
 def order_of(one: ls.Gaussians, level: int, block: float = 0.5, bucket: int = 4) -> list[int]:
-    """The Gaussians in the order of the file."""
+    """Returns the indices of the Gaussians in the order of the file."""
     return [i for _, members in in_buckets(one, block, bucket) for i in members] if level else list(range(one.count))
 
 
@@ -100,8 +100,8 @@ def _row(
         offsets = [round((float(v) - c) * factor) + steps for v, c in zip(one.means[i], center, strict=True)]
         row = struct.pack("<3H", *(min(max(offset, 0), 2 * steps + 1) for offset in offsets))
     row += struct.pack(f"<7{number}", *one.scales[i], *one.rotations_wxyz[i])
-    shown = [255.0 * (0.5 + SH_C0 * float(v)) for v in one.sh[i, 0]] + [255.0 * float(one.opacities[i])]
-    row += bytes(min(255, max(0, round(v))) for v in shown)
+    colors = [255.0 * (0.5 + SH_C0 * float(v)) for v in one.sh[i, 0]] + [255.0 * float(one.opacities[i])]
+    row += bytes(min(255, max(0, round(v))) for v in colors)
     for ell in range(1, degree + 1):
         for channel in range(3):
             for k in range(ell * ell, (ell + 1) ** 2):

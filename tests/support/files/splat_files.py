@@ -1,4 +1,4 @@
-"""Builds tiny splat files of every format, by means other than the package's own writers where it has none."""
+"""Builds tiny splat files of every format, independently of the package's writers where it has none for a format."""
 
 from __future__ import annotations
 
@@ -31,16 +31,18 @@ FORMATS = (
     "linear.sog",
 )
 FUZZED = (*FORMATS, "written.sog", "old.splat", "level_0.ksplat", "level_1.ksplat", "level_2.ksplat")
-"""Also what changes the order, and what says nothing of its size: cut between two Gaussians, it is whole."""
+"""Formats for damage tests; includes those that reorder Gaussians, and .splat, which has no header.
+
+A .splat that is cut between two Gaussians is a valid file."""
 
 
 def load_gaussians(path: Path, *, drop_invalid: bool = False) -> Gaussians:
-    """The capture of a file, which must hold one."""
+    """Loads a file that must hold a capture."""
     return expect_kind(Gaussians, ls.load(path, drop_invalid=drop_invalid))
 
 
 def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -> Gaussians:
-    """Gaussians with every property varied and SH within -1..1, the range of SPZ; ``extra`` are fields to replace."""
+    """Returns Gaussians with varied properties and SH within -1..1, the range of SPZ; ``extra`` replaces fields."""
     rng = np.random.default_rng(seed)
     sh = rng.uniform(-0.95, 0.95, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-1.6, 1.6, (count, 3))
@@ -55,7 +57,7 @@ def capture(count: int = 300, degree: int = 1, seed: int = 7, **extra: object) -
 
 
 def write_format(folder: Path, name: str, gaussians: Gaussians | None = None) -> Path:
-    """Writes one of `FORMATS` and returns its path."""
+    """Writes a capture in one of `FORMATS`. Returns its path."""
     gaussians = gaussians or capture(40)
     path = folder / name
     if name in (*SAVED, "written.sog"):
@@ -89,24 +91,24 @@ FLAT_NAMES = [
     "rot_2",
     "rot_3",
 ]
-"""Properties of 2D Gaussians, degree 0."""
+"""PLY properties of 2D Gaussians of SH degree 0."""
 
 
 def ply_header(count: int, names: list[str], encoding: str = "binary_little_endian", kind: str = "float") -> bytes:
-    """Header of a vertex-only PLY."""
+    """Returns the header of a PLY with only vertices."""
     lines = ["ply", f"format {encoding} 1.0", f"element vertex {count}"]
     return "\n".join([*lines, *(f"property {kind} {name}" for name in names), "end_header", ""]).encode()
 
 
 def parse_ply(data: bytes) -> tuple[list[str], np.ndarray]:
-    """Property names and values of a little-endian float PLY."""
+    """Returns property names and values of a little-endian float PLY."""
     header, body = data.split(b"end_header\n", 1)
     names = [line.split()[-1] for line in header.decode().splitlines() if line.startswith("property")]
     return names, np.frombuffer(body, "<f4").reshape(-1, len(names))
 
 
 def reencoded(data: bytes, ascii: bool) -> bytes:
-    """A little-endian float PLY as ASCII, or as big-endian doubles."""
+    """Converts a little-endian float PLY to ASCII, or to big-endian doubles."""
     names, values = parse_ply(data)
     if ascii:
         text = "\n".join(" ".join(f"{value:.9g}" for value in row) for row in values)
@@ -115,7 +117,7 @@ def reencoded(data: bytes, ascii: bool) -> bytes:
 
 
 def splat_rows(gaussians: Gaussians) -> bytes:
-    """A .splat, written Gaussian by Gaussian."""
+    """Encodes a .splat, Gaussian by Gaussian."""
     rows = bytearray()
     for i in range(gaussians.count):
         rows += struct.pack("<6f", *gaussians.means[i], *gaussians.scales[i])
@@ -127,7 +129,7 @@ def splat_rows(gaussians: Gaussians) -> bytes:
 
 
 def legacy_spz(gaussians: Gaussians, version: int, flags: int = 0, extensions: bytes = b"") -> bytes:
-    """An SPZ file of version 1 to 3, in RUB axes, written Gaussian by Gaussian."""
+    """Encodes an SPZ file of version 1 to 3 in RUB axes, Gaussian by Gaussian."""
     odd = ["", "y", "z", "x", "xy", "yz", "", "xz", "", "y", "xyz", "y", "z", "x", "z", "x"]
     flips = [(-1) ** sum(axis in "yz" for axis in axes) for axes in odd]
     sections: list[bytearray] = [bytearray() for _ in range(6)]
@@ -159,7 +161,7 @@ def _spz_rotation(xyzw: np.ndarray, version: int) -> bytes:
 
 
 def sog_files(gaussians: Gaussians, linear: bool) -> dict[str, bytes]:
-    """The files of a SOG capture: version 1 (``linear``) or 2. SH has a palette entry for each Gaussian."""
+    """Encodes the files of a SOG capture, version 1 (``linear``) or 2. Each Gaussian has its own SH palette entry."""
     count = gaussians.count
     width = 64
     height = -(-count // width)
@@ -208,14 +210,14 @@ def sog_files(gaussians: Gaussians, linear: bool) -> dict[str, bytes]:
 def _quantised(
     values: np.ndarray, levels: int, *, per_channel: bool
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-    """Whole numbers from 0 to ``levels``, and the values that the first and the last stand for."""
+    """Quantises values to integers 0..``levels``. Also returns the values of the first and the last level."""
     axis = 0 if per_channel else None
     low, high = values.min(axis=axis), values.max(axis=axis)
     return np.round((values - low) / (high - low) * levels).astype(int), (low, high)
 
 
 def _meta_entry(bounds: tuple[np.ndarray, np.ndarray], *, linear: bool, **others: object) -> dict[str, object]:
-    """An entry of meta.json: the range of the values (``linear``), or a codebook of 256 of them."""
+    """Returns an entry of meta.json with the range of the values (``linear``) or a codebook of 256 values."""
     low, high = (bound.tolist() for bound in bounds)
     scale = {"mins": low, "maxs": high} if linear else {"codebook": np.linspace(low, high, 256).tolist()}
     return scale | others
@@ -225,13 +227,13 @@ def _sog_rotations(wxyz: np.ndarray) -> np.ndarray:
     pixels = np.empty((len(wxyz), 4))
     for i, quaternion in enumerate(wxyz):
         largest = int(np.abs(quaternion).argmax())
-        kept = np.delete(quaternion * np.sign(quaternion[largest]), largest)
-        pixels[i] = (*np.round((kept / np.sqrt(2) + 0.5) * 255), 252 + largest)
+        smallest = np.delete(quaternion * np.sign(quaternion[largest]), largest)
+        pixels[i] = (*np.round((smallest / np.sqrt(2) + 0.5) * 255), 252 + largest)
     return pixels
 
 
 def zipped(files: dict[str, bytes]) -> bytes:
-    """A zip archive of files."""
+    """Packs files into a zip archive."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as bundle:
         for name, data in files.items():
@@ -240,7 +242,7 @@ def zipped(files: dict[str, bytes]) -> bytes:
 
 
 def unpacked(folder: Path, files: dict[str, bytes]) -> Path:
-    """Files written into a folder."""
+    """Writes files into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         (folder / name).write_bytes(data)
@@ -248,12 +250,12 @@ def unpacked(folder: Path, files: dict[str, bytes]) -> Path:
 
 
 def rows_of_level(file: int, offset: int, count: int) -> dict[str, int]:
-    """A level in a leaf of a streamed SOG."""
+    """Returns the entry of a level in a leaf of a streamed SOG."""
     return {"file": file, "offset": offset, "count": count}
 
 
 def streamed(folder: Path, **changed: Any) -> Path:
-    """A streamed SOG: two leaves with three levels, of which the second lacks level 1; degrees are 1, 1 and 0."""
+    """Writes a streamed SOG with two leaves and three levels of SH degree 1, 1 and 0; the second leaf lacks level 1."""
     for name, (count, degree) in {"0_0": (50, 1), "1_0": (20, 1), "2_0": (8, 0)}.items():
         unpacked(folder / name, sog_files(capture(count, degree, seed=count), linear=False))
     first = {"0": rows_of_level(0, 0, 30), "1": rows_of_level(1, 0, 20), "2": rows_of_level(2, 0, 5)}

@@ -60,7 +60,7 @@ def transforms_images(path: Path, *, may_lack_all: bool = False) -> list[ListedI
 
     Args:
         path: The ``transforms.json``.
-        may_lack_all: Return an empty list, without a log line, if every image of the file is missing.
+        may_lack_all: Whether to return an empty list, without a log line, if every image of the file is missing.
 
     Raises:
         FormatError: The file is malformed, a frame has no valid pose or intrinsics, or all images are missing and

@@ -51,7 +51,9 @@ SAME_POSITION = 1e-3
 """Two cameras closer than this fraction of the camera extent count as one position: their parallax is negligible."""
 
 SAME_ROTATION = 1e-3
-"""Two cameras whose rotations differ by less than this angle, radians, count as equally rotated: a pixel or two."""
+"""Two cameras whose rotations differ by less than this angle, radians, count as equally rotated.
+
+Such a rotation moves the image by a pixel or two."""
 
 _log = logging.getLogger("lumisplat")
 
@@ -267,8 +269,8 @@ def load_training_images(
     Args:
         folder: The folder.
         scale: Factor on the image size, above 0, at most 1.
-        hold_out: Hold out the first image in the order of names and every ``hold_out``-th after it, at least 2; 0 holds
-            out none, also none of a test file.
+        hold_out: Hold out the first image in the order of names and every ``hold_out``-th after it, at least 2. 0 holds
+            out none, and ignores a test file.
         background: Colour behind transparent pixels, as in `RenderConfig`: three numbers in 0..1, a name or
             ``"#rrggbb"``. None or ``"transparent"`` leaves colours premultiplied by alpha.
         straighten: Whether to resample distorted and fisheye lenses to pinholes. If False, cameras keep their lens,
@@ -435,7 +437,8 @@ def _scaled(camera: Camera, scale: float) -> Camera:
 Plane = npt.NDArray[np.uint8]
 
 _COVERAGE_MIN = 1e-3
-"""Unmasked fraction of a pixel's area below which the rest is rounding error."""
+"""Unmasked fraction of a pixel's area below which the pixel counts as fully masked: such fractions are rounding
+errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

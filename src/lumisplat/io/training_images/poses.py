@@ -343,15 +343,15 @@ class PoseReport:
     with_pose: Sequence[str]
     """Names of the images with a pose."""
     model_sizes: Sequence[int]
-    """Number of images of the chosen model, then of images that only another model has, for each other model of three
-    or more."""
+    """Number of images of the chosen model; then, for each other model, of images that only it has, if three or more.
+    """
     points: int
     points_per_image: float
     """Mean number of points that an image observes."""
     error: float
     """Mean reprojection error, pixels at the size used for matching."""
     fov_degrees: float
-    """Least usual field of view of all cameras along the longer image side, degrees."""
+    """Field of view along the longer image side, degrees; of several cameras, the least usual one."""
 
     @classmethod
     def of(cls, names: Sequence[str], models: Sequence[Any]) -> PoseReport:
