@@ -1,1 +1,1 @@
-"""Files of Gaussians: PLY, compressed PLY, SPZ, SOG, and folders of frames."""
+"""Reads and writes captures: Gaussian PLY, compressed PLY, SPZ, SOG, ``.splat``, ``.ksplat``, and folders of frames."""
