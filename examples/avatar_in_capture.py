@@ -1,4 +1,4 @@
-"""Walks a figure through a captured room: it takes on the room's light, and its shadow falls on the capture.
+"""Walks a figure through a captured room, lit by the room and casting a shadow on the capture.
 
 python examples/avatar_in_capture.py walk.glb
 """
@@ -18,7 +18,7 @@ PAWN = ((0.001, 0.0), (0.13, 0.0), (0.14, 0.03), (0.07, 0.08), (0.05, 0.25), (0.
 
 
 def lathed(outline: tuple[tuple[float, float], ...], sides: int = 48) -> ls.Mesh:
-    """A body of revolution about y, its outline rounded."""
+    """Returns a body of revolution about y with a rounded outline."""
     points = np.array(outline)
     for _ in range(3):  # Corners are cut at a quarter of their edges (Chaikin 1974).
         ends, starts = points[:-1], points[1:]
@@ -35,7 +35,7 @@ def lathed(outline: tuple[tuple[float, float], ...], sides: int = 48) -> ls.Mesh
 
 
 def figure() -> ls.Gaussians | ls.RiggedGaussians:
-    """The avatar: of a rigged glTF, if one is given, else a pawn."""
+    """Returns the avatar of a rigged glTF, if one is given, otherwise a pawn."""
     if len(sys.argv) > 1:
         # Characters often keep masks in their vertex colours; see the guide's page on animation.
         return ls.bind_gaussians(ls.avatars.load_rig(sys.argv[1], vertex_colors=False), 20_000)
@@ -43,7 +43,7 @@ def figure() -> ls.Gaussians | ls.RiggedGaussians:
 
 
 def on_the_floor(subject: ls.Gaussians | ls.RiggedGaussians) -> np.ndarray:
-    """Where the figure is placed: its lowest point, as it stands at first, at height 0."""
+    """Returns the transform that puts the lowest point of the first pose at height 0."""
     first = subject.at(0.0) if isinstance(subject, ls.RiggedGaussians) else subject
     world_from_figure = np.eye(4)
     world_from_figure[1, 3] = -first.means[:, 1].min()
@@ -51,11 +51,11 @@ def on_the_floor(subject: ls.Gaussians | ls.RiggedGaussians) -> np.ndarray:
 
 
 def main(width: int = 240, fps: int = 1) -> None:
-    """Writes out/avatar_in_capture: walk.gif, and the first frame without light and shadow and with them."""
+    """Writes out/avatar_in_capture: walk.gif, and the first frame without and with light and shadow."""
     demo = ls.demo_scene()
-    # All of the demo is the capture here: its meshes have the daylight of the room in their colours, too.
-    things = [ls.gaussians_from_mesh(one.mesh, 10_000) for one in demo.meshes]
-    room = ls.Scene(splats=[*demo.splats, *things])
+    # The meshes of the demo become part of the capture: their colours contain the room's daylight, too.
+    objects = [ls.gaussians_from_mesh(one.mesh, 10_000) for one in demo.meshes]
+    room = ls.Scene(splats=[*demo.splats, *objects])
 
     path = ls.Keyframes(
         times=[0.0, 3.0], positions=[(-0.42, 0.0, 1.12), (0.62, 0.0, 0.95)], rotations_wxyz=[(1, 0, 0, 0), (0, 0, 1, 0)]
@@ -64,8 +64,8 @@ def main(width: int = 240, fps: int = 1) -> None:
     actor = ls.Actor(subject, path, on_the_floor(subject), name="figure")
     animation = ls.Animation(room, [actor], fps=fps, frame_count=3 * fps + 1)
 
-    # Where the capture's own light comes from: through the window on the left. Without `lights`, small bright spots of
-    # the capture would be looked for. The garden behind the window is a picture, not to stand in its way.
+    # The captured light comes through the window on the left. Without `lights`, the lighter would search the capture
+    # for small bright areas. `shadow_distance` ends shadow rays before the garden, which is only a picture.
     direction, color = (1.0, -0.52, -0.36), (1.0, 0.93, 0.82)
     sun = ls.LightDirectional(direction, color, intensity=4.0, shadow_distance=2.5, name="sun")
     lighting = ls.config.AvatarLightingConfig(direct=0.75, transfer=ls.config.RelightConfig(gamma=1.5))

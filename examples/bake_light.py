@@ -1,4 +1,4 @@
-"""Bakes a lit scene into a capture that any viewer shows, and puts frames of both side by side."""
+"""Bakes a lit scene into a capture for any viewer, and renders both."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def main(width: int = 200, count: int = 3000, samples: int = 4) -> None:
     floor, wall = ls.plane(2.4 * size, 2.4 * size, material=FLOOR), ls.plane(2.4 * size, 1.2 * size, material=WALL)
     at_floor, at_wall = (middle[0], low[1], middle[2]), (middle[0], low[1] + 0.6 * size, middle[2] - 1.2 * size)
 
-    # What is to be in the capture is Gaussians; their albedo and roughness say how they reflect.
-    things = [
+    # The capture consists of Gaussians, which reflect by their albedo and roughness.
+    objects = [
         ls.SplatInstance(ls.gaussians_from_mesh(replace(knot, colors=None, material=GLAZE), count), material=GLAZE),
         ls.SplatInstance(ls.gaussians_from_mesh(floor, 2 * count), position=at_floor, material=FLOOR),
         ls.SplatInstance(
@@ -37,7 +37,7 @@ def main(width: int = 200, count: int = 3000, samples: int = 4) -> None:
         middle + size * np.array((1.1, 1.6, 0.9)), (1.0, 0.9, 0.75), intensity=9.0 * size**2, radius=0.1 * size
     )
     sky = ls.LightEnvironment(color=(0.25, 0.35, 0.5), intensity=0.5, visible=False)
-    scene = ls.Scene(splats=things, lights=[lamp, sky])
+    scene = ls.Scene(splats=objects, lights=[lamp, sky])
 
     paths = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples)
     baked = ls.bake(scene, paths)

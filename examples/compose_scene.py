@@ -1,4 +1,4 @@
-"""Places one capture twice and a mesh between them: all are sorted and hidden by one another in the same frame."""
+"""Places one capture twice with a mesh between them; all occlude one another in the same frame."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import lumisplat as ls
 
 
 def placed(x: float, y: float, z: float, turn: float = 0.0, scale: float = 1.0) -> np.ndarray:
-    """A turn about the vertical axis, a uniform scale, then a shift: shape (4, 4)."""
+    """Returns a rotation about the vertical axis with a uniform scale and a translation, shape (4, 4)."""
     c, s = scale * np.cos(turn), scale * np.sin(turn)
     return np.array([[c, 0.0, s, x], [0.0, scale, 0.0, y], [-s, 0.0, c, z], [0.0, 0.0, 0.0, 1.0]])
 
 
 def floor(y: float, half: float) -> ls.Mesh:
-    """A square that faces up in a y-down world."""
+    """Returns a square that faces up in a y-down world."""
     corners = [(-half, y, -half), (half, y, -half), (half, y, half), (-half, y, half)]
     return ls.Mesh(corners, [(0, 2, 1), (0, 3, 2)], material=ls.MaterialPbr(base_color=(0.10, 0.12, 0.15)))
 
 
 def main(path: str) -> None:
-    """Writes out/composed.png, over a transparent background."""
+    """Writes out/composed.png with a transparent background."""
     capture = ls.load(path)
     if not isinstance(capture, ls.Gaussians):
         sys.exit(f"{path} is not a capture")

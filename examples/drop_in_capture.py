@@ -1,4 +1,4 @@
-"""Drops objects into a capture, which lights them by itself, without any lamp, and takes their contact shadows."""
+"""Drops objects into a capture, which lights them without any light source and receives their contact shadows."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ GLASS = ls.MaterialPbr(base_color=(1.0, 1.0, 1.0), roughness=0.0, transmission=1
 
 
 def ball(material: ls.MaterialPbr, x: float, z: float, radius: float) -> ls.MeshInstance:
-    """A ball that stands on the floor, y = 0."""
-    place = np.eye(4)
-    place[:3, 3] = x, radius, z
-    return ls.MeshInstance(replace(ls.sphere(radius), material=material), place)
+    """Returns a ball that stands on the floor, y = 0."""
+    transform = np.eye(4)
+    transform[:3, 3] = x, radius, z
+    return ls.MeshInstance(replace(ls.sphere(radius), material=material), transform)
 
 
 def main(width: int = 320, samples: int = 16) -> None:
     """Writes out/drop_in_capture/dropped.png."""
-    # The room keeps its look. What is added is lit by what was captured, and changes the light on the room.
+    # The room stays as captured. Its radiance lights the objects, which shadow it and reflect light onto it.
     room = ls.SplatInstance(ls.demo_scene().splats[0].gaussians, shadow_catcher=True)
     balls = [ball(PAINT, -0.4, 0.25, 0.26), ball(COPPER, -0.7, 0.95, 0.19), ball(GLASS, -0.05, 0.85, 0.17)]
     camera = ls.Camera.look_at(

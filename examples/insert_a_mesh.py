@@ -1,4 +1,4 @@
-"""Puts a mesh from elsewhere into a capture: it has y up and millimetres, where the capture has y down and metres."""
+"""Puts a mesh with y up, in millimetres, into a capture with y down, in metres."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ CAPTURE_FROM_DEMO = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def capture() -> ls.Scene:
-    """The demo room as most captures are: with y down, and no word about that."""
+    """Returns the demo room like most captures: y down, without a stated up direction."""
     room = ls.demo_scene().splats[0].gaussians
     return ls.Scene(splats=[replace(ls.transform(room, CAPTURE_FROM_DEMO), up=None)])
 
 
 def statue() -> ls.Mesh:
-    """A matt knot as a file of another program has it: y is up, its unit is a millimetre."""
+    """Returns a matt knot like a file of another program: y up, in millimetres."""
     knot = next(one.mesh for one in ls.demo_scene().meshes if one.name == "brass")
     clay = ls.MaterialPbr(base_color=(0.75, 0.3, 0.2), roughness=0.8)
     return replace(knot, positions=1000.0 * knot.positions, material=clay, colors=None, name="knot")
 
 
 def main(width: int = 480) -> None:
-    """Writes out/insert_a_mesh: the room, and the room with the mesh."""
+    """Writes out/insert_a_mesh: before.png without the mesh, and after.png with it."""
     room, mesh = capture(), statue()
-    scene = ls.insert(room, mesh, scale=0.001)  # without a scale, it would be a quarter of the room
+    scene = ls.insert(room, mesh, scale=0.001)  # without a scale, the mesh would get a quarter of the room's size
     camera = ls.Camera.look_at(
         (0.35, -1.15, -2.9), (-0.1, -0.55, 0.6), (0, -1, 0), width=width, height=5 * width // 8, fov_y=0.7
     )

@@ -1,4 +1,4 @@
-"""Puts an object and a lamp into a capture, which keeps its look and takes the object's shadow, or is lit anew."""
+"""Puts an object and lights into a capture, which stays as captured and receives shadows, or is relit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import lumisplat as ls
 
 
 def added(mesh: ls.Mesh, position: tuple[float, float, float], scale: float) -> ls.MeshInstance:
-    """The mesh, polished, and the middle of it moved to ``position``."""
+    """Returns the polished mesh with its middle at ``position``."""
     gold = ls.MaterialPbr(base_color=(0.95, 0.72, 0.42), metallic=1.0, roughness=0.0)
     moved = np.diag([scale, scale, scale, 1.0])
     moved[:3, 3] = position - scale * mesh.positions.mean(axis=0)
@@ -29,13 +29,13 @@ def main(width: int = 320, samples: int = 4) -> None:
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=samples)
     renderer = ls.create_renderer(config)
 
-    # Kept: the capture holds all its light already. It only takes shadows, as deep as if that light had been the
-    # lamp's and the sky's, and as much besides as ``ambient`` says.
+    # As captured: the capture contains its light already and only receives shadows. They are as deep as if that light
+    # came from the lamp, the sky, and ``ambient``.
     kept = ls.SplatInstance(capture, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)), shadow_catcher=True)
     scene = ls.Scene(splats=[kept], meshes=[knot], lights=[lamp, sky])
     renderer.render(scene, camera).save("out/light_a_capture/kept.png")
 
-    # Relit: a material makes it reflect. This capture knows its albedo; of others the colour is taken for it.
+    # Relit: a material makes the capture reflect. This capture stores its albedo; without one, its colour is used.
     relit = ls.SplatInstance(capture, material=ls.MaterialPbr())
     scene = ls.Scene(splats=[relit], meshes=[knot], lights=[lamp, sky])
     renderer.render(scene, camera).save("out/light_a_capture/relit.png")

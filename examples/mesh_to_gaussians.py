@@ -1,4 +1,4 @@
-"""The same object as a mesh and as Gaussians, both rendered: a mesh file, or a ring where none is given.
+"""Converts a mesh file, or a ring, to Gaussians, and renders both.
 
 python examples/mesh_to_gaussians.py duck.glb
 """
@@ -13,7 +13,7 @@ import lumisplat as ls
 
 
 def ring(columns: int = 96, rows: int = 48) -> ls.Mesh:
-    """A torus whose vertex colours run around it."""
+    """Returns a torus whose vertex colours vary around it."""
     around, tube = np.meshgrid(*(2.0 * np.pi * np.arange(n) / n for n in (columns, rows)))
     reach = 1.0 + 0.4 * np.cos(tube)
     positions = np.stack([reach * np.cos(around), 0.4 * np.sin(tube), reach * np.sin(around)], axis=-1)
@@ -27,7 +27,7 @@ def ring(columns: int = 96, rows: int = 48) -> ls.Mesh:
 
 
 def main(path: str | None) -> None:
-    """Writes out/mesh.png and out/gaussians.png, and out/gaussians.ply where one mesh became one capture."""
+    """Writes out/mesh.png and out/gaussians.png, and out/gaussians.ply for a single mesh."""
     loaded = ls.load(path) if path else ring()
     if isinstance(loaded, ls.Gaussians):
         sys.exit(f"{path} is a capture already")

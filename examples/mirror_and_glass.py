@@ -1,4 +1,4 @@
-"""The demo room with a ball of glass, a knot of polished brass and a jewel, seen by rays through a lens."""
+"""Ray traces the demo room with a glass ball, a polished brass knot and a jewel through a lens."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SMOOTH = {
 
 
 def smooth(instance: ls.MeshInstance) -> ls.MeshInstance:
-    """The same object, polished: its colours were painted with daylight, which it now reflects itself."""
+    """Returns the object polished, without the baked daylight of its vertex colours."""
     mesh = instance.mesh
     if instance.name not in SMOOTH:
         return instance
@@ -35,7 +35,7 @@ def main(width: int = 320, samples: int = 4) -> None:
         aperture=0.012,
         focus_distance=1.9,
     )
-    # Where the room is open, mirrors show the background.
+    # Mirrors show the background where the room is open.
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=samples, max_bounces=8, background=(0.78, 0.82, 0.84))
     ls.render(scene, camera, config).save("out/mirror_and_glass.png")
 

@@ -10,10 +10,10 @@ import lumisplat as ls
 
 
 def surface_points(frame: ls.Frame) -> np.ndarray:
-    """World points of the pixels that show a surface, shape (N, 3)."""
+    """Returns world points of the pixels that show a surface, shape (N, 3)."""
     camera = frame.camera
     rows, columns = np.nonzero(np.isfinite(frame.depth))
-    # Through the pixel's centre; depth is measured along the ray, so the direction is made unit length.
+    # Depth is measured along the ray through the pixel centre, so directions have unit length.
     x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
     directions = np.stack([x, y, np.ones_like(x)], axis=1)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

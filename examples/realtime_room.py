@@ -1,4 +1,4 @@
-"""A lamp swings over a figure that walks through a room: light that bounces while everything moves.
+"""Renders a swinging light and a walking figure in real time, with indirect light.
 
 python examples/realtime_room.py
 """
@@ -21,18 +21,18 @@ LIMBS = {
     "left arm": ((0.09, 0.62, 0.10), SKIN, (-0.20, 1.28, 0.0), -1.0),
     "right arm": ((0.09, 0.62, 0.10), SKIN, (0.20, 1.28, 0.0), 1.0),
 }
-"""Size, material, where it is (of limbs the joint), metres, and which way it swings."""
+"""Size, material, position (of limbs that of the joint), metres, and direction of the swing."""
 
 
 def limb(size: tuple[float, float, float], material: ls.MaterialPbr, *, hangs: bool) -> ls.Gaussians:
-    """A rounded body of Gaussians about the origin, or hanging down from it."""
+    """Returns a rounded body of Gaussians around the origin, or hanging down from it."""
     round_one = ls.sphere(0.5, rows=24)
     points = np.asarray(round_one.positions) * size - (0.0, 0.5 * size[1] * hangs, 0.0)
     return ls.gaussians_from_mesh(ls.Mesh(points, round_one.indices, material=material), 2_000)
 
 
 def room() -> list[ls.MeshInstance]:
-    """Walls, of which two have a colour, open to the camera; a pillar and a ball."""
+    """Returns a room open to the camera, with two coloured walls, a pillar and a ball."""
     slabs = {
         "floor": ((4.2, 0.1, 4.2), (0.0, -0.05, 0.0), WHITE),
         "ceiling": ((4.2, 0.1, 4.2), (0.0, 2.65, 0.0), WHITE),
@@ -49,23 +49,23 @@ def room() -> list[ls.MeshInstance]:
 
 
 def walker(limbs: dict[str, ls.Gaussians], time: float) -> list[ls.SplatInstance]:
-    """The figure after ``time`` seconds: it walks from left to right, its limbs swinging."""
-    place = np.eye(4)
-    place[:3, 3] = -1.2 + 1.1 * time, 0.0, 0.1
-    heading = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # it looks along its z axis
+    """Returns the figure after ``time`` seconds, walking from left to right with swinging limbs."""
+    transform = np.eye(4)
+    transform[:3, 3] = -1.2 + 1.1 * time, 0.0, 0.1
+    heading = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])  # the figure faces along its z axis
     figure = []
     for name, (_, _, joint, swing) in LIMBS.items():
         angle = 0.55 * swing * np.sin(2.0 * np.pi * 1.1 * time)
-        pose = place.copy()
-        turn = [[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]]
-        pose[:3, :3] = heading @ turn
+        pose = transform.copy()
+        swing_rotation = [[1.0, 0.0, 0.0], [0.0, np.cos(angle), -np.sin(angle)], [0.0, np.sin(angle), np.cos(angle)]]
+        pose[:3, :3] = heading @ swing_rotation
         pose[:3, 3] += heading @ joint
         figure.append(ls.SplatInstance(limbs[name], pose, material=ls.MaterialPbr(), name=name))
     return figure
 
 
 def lamp(time: float) -> tuple[ls.LightSpot, ls.MeshInstance]:
-    """A lamp that swings on its cord: a light below a shade."""
+    """Returns a light swinging on its cord, and the sphere above it."""
     angle = 0.6 * np.sin(2.0 * np.pi * 0.5 * time)
     down = np.array([np.sin(angle), -np.cos(angle), 0.0])
     end = np.array([0.0, 2.6, 0.0]) + 0.7 * down
@@ -76,17 +76,17 @@ def lamp(time: float) -> tuple[ls.LightSpot, ls.MeshInstance]:
 
 
 def main(width: int = 320, frames: int = 48, warm_up: int = 24, video: str = "walk.gif") -> None:
-    """Writes out/realtime_room: the video, and its middle frame; walk.mp4 takes pip install 'lumisplat[video]'."""
+    """Writes out/realtime_room: the video and its middle frame; walk.mp4 needs pip install 'lumisplat[video]'."""
     fps = 24.0
     limbs = {name: limb(size, material, hangs=swing != 0.0) for name, (size, material, _, swing) in LIMBS.items()}
     walls = room()
     camera = ls.Camera.look_at((0.0, 1.35, 5.2), (0.0, 1.2, 0.0), width=width, height=9 * width // 16, fov_y=0.62)
     config = ls.RenderConfig(pipeline=ls.Pipeline.REALTIME, tone_map=ls.ToneMap.NEUTRAL)
-    renderer = ls.create_renderer(config)  # one for all frames: it keeps what they have found of the light
+    renderer = ls.create_renderer(config)  # one renderer for all frames, because frames reuse its history
 
     pictures = []
     for number in range(-warm_up, frames):
-        time = max(number, 0) / fps  # before the first frame all stands still, until light has found its way
+        time = max(number, 0) / fps  # everything stands still until the light has converged
         light, shade = lamp(time)
         scene = ls.Scene(splats=walker(limbs, time), meshes=[*walls, shade], lights=[light])
         frame = renderer.render(scene, camera)

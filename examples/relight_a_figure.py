@@ -1,4 +1,4 @@
-"""Lights a figure of Gaussians by the room that it stands in, and saves it as a capture in that light."""
+"""Lights a figure of Gaussians by its room, and saves the relit figure as a capture."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ WALLS = {
     "floor": ((0, -1, 0), (0.30, 0.20, 0.12)),
     "lamp": ((0, 1, 0), (1.0, 0.95, 0.85)),
 }
-"""Where each wall is as seen from the middle, and its colour, linear: unlit meshes show it as it is."""
+"""Direction of each wall from the middle, and its linear colour, which unlit meshes show."""
 
 
 def wall(side: tuple[int, int, int], color: tuple[float, float, float]) -> ls.Mesh:
-    """A square of side 2 at distance 1."""
+    """Returns a square of side 2 at distance 1."""
     normal = np.array(side, float)
     u = np.roll(normal, 1)
     v = np.cross(normal, u)
@@ -37,8 +37,8 @@ def main(width: int = 320, count: int = 20_000) -> None:
     placed = np.diag([scale, scale, scale, 1.0])
     placed[:3, 3] = (0.0, -0.1, 0.0) - scale * knot.positions.mean(axis=0)
 
-    # Light at the place, without the figure itself: what six views of the room hold, in 16 harmonics. The room is open
-    # towards the camera: there, light comes from the background.
+    # The probe projects six views of the room, without the figure, to 16 SH coefficients. Where the room is open,
+    # towards the camera, the background lights the figure.
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.6, 0.6, 0.6)))
     probe = ls.avatars.EnvironmentProbe.capture(room, (0.0, -0.1, 0.0), renderer=renderer)
     probe.save("out/relight_a_figure/probe.exr")

@@ -10,7 +10,7 @@ SH_C0 = 0.28209479177387814  # the constant basis function: colour = 0.5 + SH_C0
 
 
 def spiral(count: int = 2000) -> ls.Gaussians:
-    """A helix of flat, coloured discs that climbs along y."""
+    """Returns a helix of flat, coloured discs that climbs along y."""
     turn = np.linspace(0.0, 8.0 * np.pi, count)
     height = np.linspace(-1.0, 1.0, count)
     means = np.stack([np.cos(turn), height, np.sin(turn)], axis=1)

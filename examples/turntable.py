@@ -1,4 +1,4 @@
-"""Walks around a capture: one renderer keeps assets, buffers and kernels warm from frame to frame."""
+"""Renders a turntable of a capture; one renderer reuses assets, buffers and kernels between frames."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import lumisplat as ls
 
 
 def orbit(capture: ls.Gaussians, count: int, width: int, height: int) -> list[ls.Camera]:
-    """Cameras on a circle around the bulk of a capture (y down)."""
+    """Returns cameras on a circle around the bulk of a capture (y down)."""
     low, high = np.percentile(capture.means, (2, 98), axis=0)
     middle, radius = 0.5 * (low + high), 1.5 * float(np.linalg.norm(high - low))
     return [

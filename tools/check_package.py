@@ -1,11 +1,10 @@
-"""Builds the sdist and the wheel, and tries the wheel in a fresh environment of each Python that is given.
+"""Builds the sdist and the wheel, and tests the wheel in a fresh environment of each given Python.
 
     python tools/check_package.py python3.11 python3.12 python3.13 python3.14
     python tools/check_package.py python3.12 --extras view,video
 
-Needs the package registry. For each interpreter it prints one line; the exit status is 1 if one fails. What is tried:
-the environment is told to be well by ``lumisplat doctor``, the demo is rendered as captured, its capture goes through
-each compressed format, and all modules can be imported.
+Needs the package registry. Prints one line per interpreter; the exit status is 1 if one fails. The test runs
+``lumisplat doctor``, renders the unlit demo, converts its capture to each compressed format, and imports all modules.
 """
 
 from __future__ import annotations
@@ -34,31 +33,31 @@ _FORMATS = ("spz", "sog", "compressed.ply")
 
 
 def main() -> int:
-    """Builds, and tries each interpreter."""
+    """Builds the wheel, and tests it with each interpreter."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pythons", nargs="*", default=[sys.executable], help="interpreters; default: this one")
     parser.add_argument("--extras", default="", help="extras to install, such as view,video")
     args = parser.parse_args()
     failed = 0
     with tempfile.TemporaryDirectory() as folder:
-        wheel = built(Path(folder))
+        wheel = build_wheel(Path(folder))
         for number, python in enumerate(args.pythons):
             started = time.monotonic()
             try:
-                version = tried(python, wheel, args.extras, Path(folder) / f"try-{number}")
-                print(f"{python}: {version}, all works, {time.monotonic() - started:.0f} s", flush=True)
+                version = try_wheel(python, wheel, args.extras, Path(folder) / f"try-{number}")
+                print(f"{python}: {version}, passed, {time.monotonic() - started:.0f} s", flush=True)
             except FileNotFoundError as error:
                 failed += 1
                 print(f"{python}: no such interpreter: {error.filename}", flush=True)
             except subprocess.CalledProcessError as error:
                 failed += 1
-                last = (error.stderr or error.stdout or "no word").strip().splitlines()[-1]
+                last = (error.stderr or error.stdout or "no output").strip().splitlines()[-1]
                 print(f"{python}: `{' '.join(map(str, error.cmd[:6]))}` failed: {last}", flush=True)
     return min(failed, 1)
 
 
-def built(folder: Path) -> Path:
-    """Builds both, and a second wheel from the sdist, which must hold the same; the first wheel."""
+def build_wheel(folder: Path) -> Path:
+    """Builds sdist and wheel, checks that the sdist builds the same wheel, and returns the wheel."""
     run(sys.executable, "-m", "venv", folder / "build")
     python = interpreter(folder / "build")
     run(python, "-m", "pip", "install", "--quiet", "hatchling")
@@ -76,8 +75,8 @@ def built(folder: Path) -> Path:
     return wheel
 
 
-def tried(python: str, wheel: Path, extras: str, folder: Path) -> str:
-    """Installs the wheel in an environment of its own, and uses it; the version of Python."""
+def try_wheel(python: str, wheel: Path, extras: str, folder: Path) -> str:
+    """Installs and uses the wheel in a new environment; returns the version of Python."""
     run(python, "-m", "venv", folder / "venv")
     inside = interpreter(folder / "venv")
     run(inside, "-m", "pip", "install", "--quiet", f"{wheel}[{extras}]" if extras else wheel)
@@ -102,18 +101,18 @@ def tried(python: str, wheel: Path, extras: str, folder: Path) -> str:
 
 
 def interpreter(environment: Path) -> Path:
-    """The Python of a virtual environment."""
+    """Returns the Python of a virtual environment."""
     return environment / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
 
 
 def names_in(wheel: Path) -> set[str]:
-    """Files of a wheel."""
+    """Returns the names of the files in a wheel."""
     with zipfile.ZipFile(wheel) as archive:
         return set(archive.namelist())
 
 
 def run(*command: object, cwd: Path | None = None) -> str:
-    """Runs a command; what it prints."""
+    """Runs a command and returns its output."""
     return subprocess.run(list(map(str, command)), cwd=cwd, check=True, capture_output=True, text=True).stdout
 
 

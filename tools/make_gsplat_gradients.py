@@ -1,21 +1,20 @@
-"""Writes tests/reference/gsplat_gradients.npz: derivatives of frames by Gaussians, a reference that we did not compute.
+"""Writes tests/reference/gsplat_gradients.npz: gradients of frames by Gaussians, as an independent reference.
 
-Projection, opacity compensation and spherical harmonics are gsplat's own PyTorch functions
-(``gsplat/cuda/_torch_impl.py``), blending is written in PyTorch below, and PyTorch differentiates all of it, in double
-precision. The scene is chosen so that nothing depends on rules in which gsplat and Lumisplat differ:
+Projection, opacity compensation and SH are gsplat's own PyTorch functions (``gsplat/cuda/_torch_impl.py``), blending is
+written in PyTorch below, and PyTorch differentiates everything, in double precision. The scene avoids all rules in
+which gsplat and Lumisplat differ:
 
-- gsplat 1.5.3 limits alpha at 0.999, we at 0.99: no opacity is above 0.9.
-- Its CUDA kernels cut splats at 3.33 standard deviations. Alpha below 1/255 counts in neither, and at 3.33 standard
-  deviations an opaque splat falls below it.
-- Compensations below 0.005 are constant in our derivative, as in gsplat's since 1.5.3: none is so small.
-- It has the eye from the inverse of the pose's matrix, we from its transpose: the same for what is a pose, but not
-  element by element. ``blend`` takes the transpose.
+- gsplat 1.5.3 limits alpha to 0.999, we to 0.99: no opacity is above 0.9.
+- Its CUDA kernels cut splats at 3.33 standard deviations. Both skip alpha below 1/255, and an opaque splat is below
+  that at 3.33 standard deviations.
+- Compensations below 0.005 are constant in our gradient, as in gsplat's since 1.5.3: none is that small.
+- gsplat takes the eye from the inverse of the pose matrix, we from its transpose. They agree for rigid poses, but have
+  different derivatives by single elements. ``blend`` uses the transpose.
 
-Of what both do, the scene has cases: means beyond 1.3 times the field of view, where the Jacobian is clamped, and
-channels of colour that are cut off at 0. No alpha is so close to 1/255 that float32 could decide otherwise, and no
-pixel stops.
+The scene covers rules that both share: means beyond 1.3 times the field of view, where the Jacobian is clamped, and
+colour channels clamped at 0. No alpha is so close to 1/255 that float32 could decide otherwise, and no pixel stops.
 
-Needs an environment of its own::
+Needs its own environment::
 
     python3 -m venv reference && reference/bin/pip install torch==2.13.0 -e .
     reference/bin/pip install --no-deps gsplat==1.5.3
@@ -45,7 +44,7 @@ PARAMETERS = ("means", "rotations_wxyz", "scales", "opacities", "sh", "camera_fr
 
 
 def scene(rng: np.random.Generator) -> tuple[Gaussians, Camera]:
-    """Gaussians of all shapes, of which the last six lie beside the image and reach into it."""
+    """Returns Gaussians of all shapes, the last six beside the image and reaching into it, and a camera."""
     means = rng.uniform(-1.0, 1.0, (COUNT, 3)) * (1.2, 0.9, 0.7)
     scales = np.exp(rng.uniform(-3.0, -1.2, (COUNT, 3)))
     means[-6:, 0] = np.where(np.arange(6) % 2, 2.4, -2.4)
@@ -62,7 +61,7 @@ def scene(rng: np.random.Generator) -> tuple[Gaussians, Camera]:
 
 
 def blend(values: dict[str, torch.Tensor], camera: Camera, *, antialiased: bool) -> tuple[torch.Tensor, torch.Tensor]:
-    """The colour over the background, (H, W, 3), and alpha, (H, W)."""
+    """Returns the colour over the background, (H, W, 3), and alpha, (H, W)."""
     view = values["camera_from_world"]
     intrinsics = view.new_tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
     covariances, _ = _quat_scale_to_covar_preci(values["rotations_wxyz"], values["scales"], compute_preci=False)

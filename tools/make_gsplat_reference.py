@@ -1,12 +1,12 @@
-"""Writes tests/reference/gsplat_*.npz: what gsplat shows of a capture, as a reference that we did not compute.
+"""Writes tests/reference/gsplat_*.npz: frames of gsplat, as an independent reference.
 
-Projection, spherical harmonics and opacity compensation run in gsplat itself, in the float32 PyTorch functions that its
-authors test their CUDA kernels against (``gsplat/cuda/_torch_impl.py``). Its blending exists as a CUDA kernel only; so
-that no GPU is needed, ``blend`` below restates it in NumPy from the constants and rules of version 1.5.3: the extent of
-3.33 standard deviations or the opacity's own, whole tiles of 16 pixels, alpha at most 0.999 and at least 1/255, and the
+Projection, SH and opacity compensation run in gsplat itself, in the float32 PyTorch functions that its authors test
+their CUDA kernels against (``gsplat/cuda/_torch_impl.py``). Its blending exists only as a CUDA kernel. So that no GPU
+is needed, ``blend`` below restates it in NumPy from the constants and rules of version 1.5.3: an extent of 3.33
+standard deviations or the opacity's own, whole tiles of 16 pixels, alpha of at least 1/255 and at most 0.999, and a
 stop at a transmittance of 1e-4. It shares no code with Lumisplat or its float64 twin.
 
-Needs an environment of its own::
+Needs its own environment::
 
     python3 -m venv reference && reference/bin/pip install torch==2.13.0 -e .
     reference/bin/pip install --no-deps gsplat==1.5.3
@@ -41,11 +41,11 @@ from support.scenes import raster_scenes as scenes  # noqa: E402
 NEAR, EPS2D, TILE = 0.01, 0.3, 16
 ALPHA_THRESHOLD, ALPHA_LIMIT, TRANSMITTANCE_STOP, EXTENT_LIMIT = 1.0 / 255.0, 0.999, 1e-4, 3.33
 STEPS = 4096
-"""Stored values are multiples of 1/4096: far finer than the comparison, and small once compressed."""
+"""Quantisation: stored values are multiples of 1/4096, far finer than the comparison, and compress well."""
 
 
 class Projected(NamedTuple):
-    """Gaussians on the image plane, float32."""
+    """Gaussians projected to the image plane, float32."""
 
     means2d: np.ndarray
     conics: np.ndarray
@@ -55,7 +55,7 @@ class Projected(NamedTuple):
 
 
 def project(gaussians: Gaussians, camera: Camera) -> Projected:
-    """Every Gaussian as gsplat's own functions project and colour it."""
+    """Projects and shades every Gaussian by gsplat's own functions."""
     means, quats, scales, opacities, sh = (
         torch.tensor(values)
         for values in (gaussians.means, gaussians.rotations_wxyz, gaussians.scales, gaussians.opacities, gaussians.sh)
@@ -75,7 +75,7 @@ def project(gaussians: Gaussians, camera: Camera) -> Projected:
 
 
 def blend(projected: Projected, camera: Camera) -> np.ndarray:
-    """The image of gsplat's rasterize_to_pixels over black: red, green, blue, alpha, shape (H, W, 4)."""
+    """Returns the image of gsplat's rasterize_to_pixels over black: red, green, blue, alpha, shape (H, W, 4)."""
     means2d, conics, colors, opacities, depths = projected
     determinant = conics[:, 0] * conics[:, 2] - conics[:, 1] ** 2
     visible = (depths >= NEAR) & (opacities >= ALPHA_THRESHOLD) & (determinant > 0.0)
@@ -107,7 +107,7 @@ def blend(projected: Projected, camera: Camera) -> np.ndarray:
 
 
 def write(name: str, gaussians: Gaussians, camera: Camera) -> None:
-    """Renders one reference and stores it with its camera and the versions that made it."""
+    """Renders one reference, and stores it with its camera and the versions that made it."""
     image = blend(project(gaussians, camera), camera)
     path = REPOSITORY / "tests" / "reference" / f"gsplat_{name}.npz"
     np.savez_compressed(
@@ -122,7 +122,7 @@ def write(name: str, gaussians: Gaussians, camera: Camera) -> None:
 
 
 def main() -> None:
-    """Writes every reference; those of the capture only where it is."""
+    """Writes every reference; those of the capture only if its file exists."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=REPOSITORY.parent / "shared" / "data", help="folder with splats/")
     capture = parser.parse_args().data / "splats" / "biker.compressed.ply"
@@ -130,7 +130,7 @@ def main() -> None:
     for name, (gaussians, camera) in scenes.gsplat_frames().items():
         write(name, gaussians, camera)
     if not capture.exists():
-        print(f"{capture} is absent: its references are left as they are")
+        print(f"{capture} does not exist: its references are unchanged")
         return
     biker = load(capture)
     assert isinstance(biker, Gaussians)

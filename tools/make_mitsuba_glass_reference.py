@@ -1,4 +1,4 @@
-"""Stores what Mitsuba's rough dielectric says of pairs of directions, for tests/device/test_device_rough_glass.py.
+"""Stores values of Mitsuba's rough dielectric BSDF for tests/device/test_device_rough_glass.py.
 
 Needs the extra [bench]: python tools/make_mitsuba_glass_reference.py
 """
@@ -15,7 +15,7 @@ ALPHAS, IOR, COUNT = (0.1, 0.3, 0.7), 1.5, 120
 
 
 def directions(rng: np.random.Generator, lowest: float) -> np.ndarray:
-    """Unit vectors, shape (COUNT, 3), none of them along the surface."""
+    """Returns unit vectors that avoid the tangent plane, shape (COUNT, 3)."""
     z = rng.uniform(lowest, 1.0, COUNT)
     z = np.where(np.abs(z) < 0.1, 0.1, z)
     turn = rng.uniform(0.0, 2.0 * np.pi, COUNT)
@@ -24,7 +24,7 @@ def directions(rng: np.random.Generator, lowest: float) -> np.ndarray:
 
 
 def values(alpha: float, views: np.ndarray, lights: np.ndarray, *, inside: bool) -> np.ndarray:
-    """BSDF times cosine of the light, shape (COUNT,); from inside, both directions are mirrored across the surface."""
+    """Returns BSDF times cosine, shape (COUNT,); from inside, both directions are mirrored across the surface."""
     import mitsuba  # pyright: ignore[reportMissingImports]
 
     mi: Any = mitsuba

@@ -1,10 +1,10 @@
-"""Writes tests/reference/mitsuba_light_*.npz: lit meshes as Mitsuba's path tracer shows them.
+"""Writes tests/reference/mitsuba_light_*.npz: lit meshes by Mitsuba's path tracer.
 
-Only light that comes to a surface straight from a light: its integrator ``path`` of depth 2, on the scenes of
-tests/support/scenes/light_scenes.py. Its own materials carry rays over mirrors and through glass, every way that there
-is. Its shadow rays end at glass, where ours go on: pixels that this bears on are marked as not compared.
+The references have direct light only: Mitsuba's integrator ``path`` of depth 2, on the scenes of
+tests/support/scenes/light_scenes.py. Mirrors and glass are followed here with its materials, along every specular path.
+Mitsuba's shadow rays end at glass, where ours go on; pixels that this affects are marked as not compared.
 
-Rays go through the centres of pixels where nothing is random; elsewhere pixels are means over their area. Needs the
+Scenes without random light have rays through the pixel centres; in others, pixels are means over their area. Needs the
 extra ``bench`` and no LLVM; a quarter of an hour on two cores::
 
     pip install -e '.[bench]' && python tools/make_mitsuba_light_reference.py [NAME...]
@@ -27,15 +27,15 @@ from support.oracles.raster_oracle import rotation_from_quaternion  # noqa: E402
 from support.scenes.light_scenes import SUN, LightScene, directions_of, light_scenes, sky  # noqa: E402
 
 SAMPLES = 16384
-"""Of what is random; stratified, they leave about 0.2 % of noise."""
+"""Stratified samples of random light, which leave about 0.2 % of noise."""
 DEPTH = 12
-"""Mirrors and glass on the way of a ray."""
+"""Largest number of specular bounces of a ray."""
 SKY_SIZE = (1024, 2048)
-"""Texels of the environment, so many that how they are interpolated does not show."""
+"""Texels of the environment, enough that their interpolation does not matter."""
 
 
 def main(names: list[str]) -> None:
-    """Renders and stores the scenes of those names, or all."""
+    """Renders and stores the named scenes, or all."""
     import mitsuba as mi  # pyright: ignore[reportMissingImports]
 
     mi.set_variant("scalar_rgb")
@@ -57,7 +57,7 @@ def main(names: list[str]) -> None:
 
 
 def describe(mi: Any, one: LightScene) -> dict:
-    """Mitsuba's scene dictionary."""
+    """Returns Mitsuba's scene dictionary."""
     parts: dict = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2},
@@ -68,7 +68,7 @@ def describe(mi: Any, one: LightScene) -> dict:
 
 
 def sensor_of(mi: Any, camera: ls.Camera, samples: int) -> dict:
-    """A camera; those of Mitsuba look along +z with x to the left."""
+    """Returns Mitsuba's sensor for a camera; its cameras look along +z with x to the left."""
     to_world = camera.world_from_camera.copy()
     to_world[:, :2] *= -1.0
     film = {"type": "hdrfilm", "width": camera.width, "height": camera.height, "rfilter": {"type": "box"}}
@@ -83,7 +83,7 @@ def sensor_of(mi: Any, camera: ls.Camera, samples: int) -> dict:
 
 
 def mesh_of(mi: Any, mesh: ls.Mesh) -> Any:
-    """A mesh with its material, and what it shines; world space is its own space."""
+    """Returns Mitsuba's mesh in world space with its material and emission."""
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(material_of(mesh.material))
     if any(mesh.material.emissive):
@@ -101,7 +101,7 @@ def mesh_of(mi: Any, mesh: ls.Mesh) -> Any:
 
 
 def material_of(material: Any) -> dict:
-    """The same in Mitsuba's words; only what means the same there."""
+    """Returns Mitsuba's BSDF for a material; only materials that Mitsuba has are allowed."""
     if material.metallic == 1.0 and material.base_color == (1.0, 1.0, 1.0):
         kind = {"type": "conductor"}
         if material.roughness > 0.0:
@@ -117,7 +117,7 @@ def material_of(material: Any) -> dict:
 
 
 def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray] = sky) -> dict:
-    """The same light; it shines on the same side, and as far; an image is that of ``radiance_of``."""
+    """Returns Mitsuba's emitter for a light; the image of an environment is that of ``radiance_of``."""
     power = {"type": "rgb", "value": [light.intensity * c for c in light.color]}
     if isinstance(light, ls.LightPoint):
         made = {"type": "point", "position": list(light.position), "intensity": power}
@@ -158,12 +158,12 @@ def light_of(mi: Any, light: Any, radiance_of: Callable[[np.ndarray], np.ndarray
 
 
 def world_from_sky(light: ls.LightEnvironment) -> np.ndarray:
-    """Rotation, shape (3, 3)."""
+    """Returns the rotation of an environment, shape (3, 3)."""
     return rotation_from_quaternion(np.array([light.rotation_wxyz]))[0]
 
 
 def check_sky(mi: Any, scene: Any, one: LightScene) -> None:
-    """Raises an AssertionError unless the environment is, all around, the sky that was meant."""
+    """Raises an AssertionError unless Mitsuba's environment has the intended radiance in all directions."""
     light = one.scene.lights[0]
     if not isinstance(light, ls.LightEnvironment) or light.image is None:
         return
@@ -179,14 +179,14 @@ def check_sky(mi: Any, scene: Any, one: LightScene) -> None:
 
 
 def rays_of(mi: Any, camera: ls.Camera) -> list[list[Any]]:
-    """Rays through the centres of the pixels, row by row."""
+    """Returns rays through the pixel centres, row by row."""
     directions = camera.ray_directions() @ camera.world_from_camera[:3, :3].T
     origin = mi.Point3f(*camera.eye)
     return [[mi.Ray3f(origin, mi.Vector3f(*direction)) for direction in row] for row in directions]
 
 
 def interior(mi: Any, scene: Any, camera: ls.Camera) -> np.ndarray:
-    """Pixels that see one smooth piece of a surface, as all their neighbours do, shape (H, W)."""
+    """Returns a mask of pixels that see one smooth surface, as all their neighbours do, shape (H, W)."""
     hits = [[scene.ray_intersect(ray) for ray in row] for row in rays_of(mi, camera)]
     normals = np.array([[np.array(hit.sh_frame.n) if hit.is_valid() else np.zeros(3) for hit in row] for row in hits])
     shapes = np.array([[hash(hit.shape) if hit.is_valid() else 0 for hit in row] for row in hits])
@@ -200,32 +200,32 @@ def interior(mi: Any, scene: Any, camera: ls.Camera) -> np.ndarray:
 
 
 def central(mi: Any, scene: Any, one: LightScene) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance on the rays through the pixels' centres, shape (H, W, 3), and where we must agree with it, (H, W)."""
+    """Returns the radiance along rays through the pixel centres, (H, W, 3), and a mask of comparable pixels, (H, W)."""
     walk = Walk(mi, scene, one)
     pixels = [[walk.radiance(ray) for ray in row] for row in rays_of(mi, one.camera)]
     return np.array([[p[0] for p in row] for row in pixels]), np.array([[p[1] for p in row] for row in pixels])
 
 
 class Walk:
-    """Rays over mirrors and through glass, split wherever they may go two ways; no light is random."""
+    """Follows rays over mirrors and through glass, split at each surface; no light is random."""
 
     def __init__(self, mi: Any, scene: Any, one: LightScene) -> None:
         self.mi, self.scene, self.light = mi, scene, one.scene.lights[0]
         self.sampler = mi.load_dict({"type": "independent"})
-        self.ways = []
+        self.lobes = []
         for flag in (mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission):
             context = mi.BSDFContext()
             context.type_mask = int(flag)
-            self.ways.append(context)
+            self.lobes.append(context)
 
     def radiance(self, ray: Any, weight: float = 1.0, depth: int = 0) -> tuple[np.ndarray, bool]:
-        """Of a ray, shape (3,), and whether shadow rays and falloffs that we define otherwise leave it alone."""
+        """Returns the radiance of a ray, shape (3,), and whether our shadow rays and falloffs agree with it."""
         hit = self.scene.ray_intersect(ray)
         if not hit.is_valid() or self.mi.has_flag(hit.bsdf().flags(), self.mi.BSDFFlags.Smooth):
             color = self.scene.integrator().sample(self.scene, self.sampler, self.mi.RayDifferential3f(ray))[0]
             return np.array(color), not hit.is_valid() or weight < 1e-3 or self.certain(hit)
         total, certain = np.zeros(3), True
-        for context in self.ways if depth < DEPTH else ():
+        for context in self.lobes if depth < DEPTH else ():
             sample, share = hit.bsdf().sample(context, hit, 0.5, self.mi.Point2f(0.5, 0.5))
             share = np.array(share)
             if weight * share.max() > 1e-4:
@@ -235,7 +235,7 @@ class Walk:
         return total, certain
 
     def certain(self, hit: Any) -> bool:
-        """Whether a point is not behind glass as seen from the light, nor where a spot fades out."""
+        """Returns whether a point is neither behind glass as seen from the light, nor in the falloff of a spot."""
         if isinstance(self.light, ls.LightDirectional):
             return True
         assert not isinstance(self.light, ls.LightEnvironment)

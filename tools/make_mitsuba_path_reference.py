@@ -1,8 +1,8 @@
-"""Writes tests/reference/mitsuba_path_*.npz: rooms of meshes as Mitsuba's path tracer shows them.
+"""Writes tests/reference/mitsuba_path_*.npz: rooms of meshes by Mitsuba's path tracer.
 
-The scenes are those of tests/support/scenes/path_rooms.py and the Cornell box that Mitsuba has, all with its integrator
-``path`` of as many bounces as ours has. Stored are the means of blocks of pixels and their standard errors, by the
-spread between frames of different seeds.
+The scenes are those of tests/support/scenes/path_rooms.py and Mitsuba's Cornell box, all by its integrator ``path``
+with as many bounces as ours. The files have means of pixel tiles and their standard errors, estimated from frames of
+different seeds.
 
 Needs the extra ``bench`` and a libLLVM that Mitsuba accepts (Debian's ``libllvm19``); minutes on two cores::
 
@@ -28,11 +28,11 @@ from support.scenes.path_rooms import BLOCK, BOUNCES, PathRoom, mild_sky, path_r
 
 FRAMES = 16
 SAMPLES = 256
-"""Of each frame: 4,096 of all."""
+"""Samples per frame: 4,096 in total."""
 
 
 def main(names: list[str]) -> None:
-    """Renders and stores the rooms of those names, or all."""
+    """Renders and stores the named rooms, or all."""
     mi = load_mitsuba()
     for name, room in path_rooms().items():
         if names and name not in names:
@@ -47,7 +47,7 @@ def main(names: list[str]) -> None:
 
 
 def describe(mi: Any, name: str, room: PathRoom, samples: int = SAMPLES) -> dict:
-    """Mitsuba's scene dictionary."""
+    """Returns Mitsuba's scene dictionary."""
     seen = {
         "integrator": {"type": "path", "max_depth": BOUNCES + 2},
         "sensor": sensor_of(mi, room.camera, samples),

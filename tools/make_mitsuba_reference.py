@@ -1,7 +1,7 @@
-"""Writes tests/reference/mitsuba_*.npz: what Mitsuba shows along rays, as references that we did not compute.
+"""Writes tests/reference/mitsuba_*.npz: Gaussians ray traced by Mitsuba, as an independent reference.
 
-Its integrator ``volprim_rf_basic`` orders Gaussians by where rays enter them, lets them end at alpha 0.01, and stops at
-a transmittance of 0.01. Needs the extra ``bench`` and, on Debian, ``libllvm19``::
+Its integrator ``volprim_rf_basic`` sorts Gaussians by their entry points, cuts them off at alpha 0.01, and stops at a
+transmittance of 0.01. Needs the extra ``bench`` and, on Debian, ``libllvm19``::
 
     pip install -e '.[bench]' && python tools/make_mitsuba_reference.py
 """
@@ -22,7 +22,7 @@ from support.scenes.raster_scenes import mitsuba_frames  # noqa: E402
 
 SAMPLES = 1024
 STEPS = 4096
-"""Stored values are multiples of 1/4096: far finer than the comparison, and small once compressed."""
+"""Quantisation: stored values are multiples of 1/4096, far finer than the comparison, and compress well."""
 
 
 def main() -> None:

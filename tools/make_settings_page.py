@@ -1,4 +1,4 @@
-"""Writes docs/settings.md: every setting with its values, unit, default and help, as the classes declare them.
+"""Writes docs/settings.md: every setting with its values, unit, default and help, from the declarations.
 
 ``python tools/make_settings_page.py``; a test compares the page with the declarations.
 """
@@ -23,14 +23,14 @@ TABLES: tuple[tuple[str, type], ...] = (
     ("Materials found from images: `MaterialsConfig`", config.MaterialsConfig),
     ("Materials and light of a capture alone: `DelightConfig`", config.DelightConfig),
 )
-"""Titles and classes."""
+"""Titles of the tables and their classes."""
 HEAD = """# Settings
 
 <!-- Written by tools/make_settings_page.py from the declarations in src/lumisplat/config. -->
 
-Every setting by the name that it has in Python, in the tables of a scene file and behind `--set`. Where `auto` is a
-value, it is `None` in Python.
-Programs find the same in `lumisplat.config.setting`: `all_settings(RenderConfig)["trace.hits_per_pass"]`.
+Every setting by its name in Python, in the tables of a scene file and after `--set`. The value `auto` is `None` in
+Python. Programs read the same declarations by `lumisplat.config.setting`, as in
+`all_settings(RenderConfig)["trace.hits_per_pass"]`.
 """
 
 
@@ -51,7 +51,7 @@ def _table(title: str, kind: type) -> Iterator[str]:
 
 
 def _values(one: Setting) -> str:
-    """Returns what a setting takes."""
+    """Returns the allowed values of a setting."""
     texts = {
         "color": "a colour",
         "names": "names",

@@ -1,8 +1,8 @@
-"""Makes photographs with poses and a known truth: a mesh under an environment, by Mitsuba's path tracer.
+"""Renders training images with known poses: a mesh under an environment, by Mitsuba's path tracer.
 
     pip install -e '.[bench]' && python tools/make_training_set.py statue.glb envmap3.exr OUT
 
-OUT is a folder as of NeRF's synthetic scenes: 72 views to learn from and 16 between them to be held out, RGBA, with
+OUT has the layout of NeRF's synthetic scenes: 72 training views and 16 held-out views between them, RGBA, with
 ``transforms_train.json`` and ``transforms_test.json``. Minutes on two cores. Needs a libLLVM that Mitsuba accepts
 (Debian's ``libllvm19``).
 """
@@ -29,10 +29,10 @@ from lumisplat.math.color import encode_srgb  # noqa: E402
 
 VIEWS, HELD_OUT = 72, 16
 FOV = 0.6
-"""Angle across a picture, radians."""
+"""Horizontal field of view, radians."""
 GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 LOWEST, HIGHEST = -0.15, 0.85
-"""Sines of the elevations of cameras."""
+"""Sines of the smallest and largest elevation of cameras."""
 CAMERA_TO_GL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -41,9 +41,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("mesh", type=Path, help="a GLB")
     parser.add_argument("environment", type=Path, help="a panorama")
-    parser.add_argument("out", type=Path, help="the folder that is made")
-    parser.add_argument("--size", type=int, default=256, help="of pictures, pixels")
-    parser.add_argument("--samples", type=int, default=256, help="of each pixel")
+    parser.add_argument("out", type=Path, help="output folder")
+    parser.add_argument("--size", type=int, default=256, help="size of images, pixels")
+    parser.add_argument("--samples", type=int, default=256, help="samples per pixel")
     given = parser.parse_args()
     mi = load_mitsuba()
     scene = ls.load(given.mesh)
@@ -60,13 +60,15 @@ def main() -> None:
     print(f"{given.out}: {VIEWS} views, {HELD_OUT} held out")
 
 
-def views_around(scene: ls.Scene, size: int, learnt: int, held_out: int, digits: int = 3) -> dict[str, ls.Camera]:
-    """Cameras around it by name, split."""
-    return split(around(scene, size, learnt + held_out), held_out, digits)
+def views_around(
+    scene: ls.Scene, size: int, training_views: int, held_out: int, digits: int = 3
+) -> dict[str, ls.Camera]:
+    """Returns cameras around a scene by name, split into training and held-out views."""
+    return split(around(scene, size, training_views + held_out), held_out, digits)
 
 
 def split(cameras: list[ls.Camera], held_out: int, digits: int = 3) -> dict[str, ls.Camera]:
-    """Cameras by name, ``train/r_000`` and ``test/r_000``: those held out lie evenly between the others."""
+    """Returns cameras by name, ``train/r_000`` and ``test/r_000``; held-out cameras lie evenly between the others."""
     every, number = len(cameras) // held_out, {"train": 0, "test": 0}
     views: dict[str, ls.Camera] = {}
     for i, camera in enumerate(cameras):
@@ -77,7 +79,7 @@ def split(cameras: list[ls.Camera], held_out: int, digits: int = 3) -> dict[str,
 
 
 def write_transforms(out: Path, views: dict[str, ls.Camera], fov_x: float = FOV, masks: str | None = None) -> None:
-    """Writes transforms_train.json and transforms_test.json; ``masks`` has masks of the views held out."""
+    """Writes transforms_train.json and transforms_test.json; ``masks`` is the folder of masks of held-out views."""
     for part in ("train", "test"):
         rows: list[dict[str, Any]] = []
         for name, camera in views.items():
@@ -91,46 +93,48 @@ def write_transforms(out: Path, views: dict[str, ls.Camera], fov_x: float = FOV,
 
 
 def around(scene: ls.Scene, size: int, count: int) -> list[ls.Camera]:
-    """Views from evenly spread directions, as far away as shows all of it."""
+    """Returns cameras in evenly spread directions, at the distance that shows the whole scene."""
     low, high = bounds(scene)
     center, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
     sines = LOWEST + (HIGHEST - LOWEST) * (np.arange(count) + 0.5) / count
-    turns = GOLDEN * np.arange(count)
+    rotations = GOLDEN * np.arange(count)
     across = np.sqrt(1.0 - sines**2)
-    ways = np.stack([across * np.cos(turns), sines, across * np.sin(turns)], axis=1)
-    eyes = center + ways * radius / np.sin(0.5 * FOV)
+    directions = np.stack([across * np.cos(rotations), sines, across * np.sin(rotations)], axis=1)
+    eyes = center + directions * radius / np.sin(0.5 * FOV)
     return [ls.Camera.look_at(eye, center, (0.0, 1.0, 0.0), width=size, height=size, fov_y=FOV) for eye in eyes]
 
 
 def bounds(scene: ls.Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the box around its meshes, world space."""
+    """Returns the corners of the scene's bounding box, world space."""
     points = np.concatenate([placed(instance)[0] for instance in scene.meshes])
     return points.min(axis=0), points.max(axis=0)
 
 
 def placed(instance: ls.MeshInstance) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and normals of an instance in the world."""
+    """Returns positions and normals of an instance in world space."""
     matrix, mesh = np.asarray(instance.world_from_object, np.float64), instance.mesh
     assert mesh.normals is not None
     normals = mesh.normals @ np.linalg.inv(matrix[:3, :3])
     return mesh.positions @ matrix[:3, :3].T + matrix[:3, 3], normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
-def describe(shapes: list[Any], sky: dict) -> dict:
-    """Mitsuba's scene dictionary without a sensor; the environment lights, and is not seen behind."""
+def describe(shapes: list[Any], environment: dict) -> dict:
+    """Returns Mitsuba's scene dictionary without a sensor; the environment lights, and is not visible."""
     integrator = {"type": "path", "max_depth": 6, "hide_emitters": True}
-    return {"type": "scene", "integrator": integrator, "sky": sky} | {f"mesh{i}": one for i, one in enumerate(shapes)}
+    return {"type": "scene", "integrator": integrator, "sky": environment} | {
+        f"mesh{i}": one for i, one in enumerate(shapes)
+    }
 
 
 def principled(mi: Any, material: Any) -> dict:
-    """A textured material; bumps that only its normal map has are left out."""
+    """Returns Mitsuba's BSDF of a textured material, without its normal map."""
     assert material.base_color_texture is not None
     color = {"type": "bitmap", "bitmap": mi.Bitmap(np.array(material.base_color_texture))}
     return {"type": "principled", "base_color": color, "roughness": material.roughness, "metallic": material.metallic}
 
 
 def mesh_of(mi: Any, instance: ls.MeshInstance, bsdf: dict) -> Any:
-    """A mesh where it stands, of a material."""
+    """Returns Mitsuba's mesh in world space with a BSDF."""
     mesh = instance.mesh
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": bsdf})
@@ -149,12 +153,12 @@ def mesh_of(mi: Any, instance: ls.MeshInstance, bsdf: dict) -> Any:
 
 
 def with_alpha(sensor: dict) -> dict:
-    """The same camera, whose pictures are transparent where nothing is seen."""
+    """Returns the sensor with a film that stores alpha."""
     return sensor | {"film": sensor["film"] | {"pixel_format": "rgba"}}
 
 
 def write(path: Path, image: np.ndarray) -> None:
-    """A linear image with premultiplied alpha as PNG, whose colours are not multiplied."""
+    """Writes a linear premultiplied image as PNG with straight alpha."""
     alpha = np.clip(image[..., 3:], 0.0, 1.0)
     color = encode_srgb(np.clip(image[..., :3] / np.maximum(alpha, 1e-6), 0.0, 1.0))
     pixels = np.round(255.0 * np.concatenate([color, alpha], axis=-1)).astype(np.uint8)

@@ -1,7 +1,7 @@
-"""Computes what the float64 twins say in all tests, and stores it for them: python tools/make_twins.py.
+"""Computes the results of the float64 twins in all tests, and stores them: python tools/make_twins.py.
 
-Needed after a change of an oracle or of the scenes that it is asked about; takes a few minutes. The tests that ask run
-meanwhile: what is stored is what they have been compared with.
+Needed after a change of an oracle or of its scenes; takes a few minutes. The tests run meanwhile, so the stored results
+are those that the tests were compared with.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ sys.path.insert(0, str(TESTS))
 
 
 def main() -> int:
-    """Runs the tests that read stored twins, deep ones too, and stores what was computed if they pass."""
+    """Runs the tests that read stored twins, including deep ones, and stores the results if they pass."""
     from support.twins import FOLDER, TWINS, store
 
     asking = [str(path) for path in sorted(TESTS.rglob("test_*.py")) if "TWINS.result(" in path.read_text()]
@@ -24,7 +24,7 @@ def main() -> int:
     failed = pytest.main(["-q", "-m", "", "--recompute-twins", *asking])
     if failed:
         print(
-            f"a test fails, so nothing is stored: `git checkout {FOLDER.relative_to(TESTS.parent)}` brings back the old"
+            f"a test fails, so nothing is stored: `git checkout {FOLDER.relative_to(TESTS.parent)}` restores the files"
         )
         return int(failed)
     size = store(TWINS.computed)

@@ -1,4 +1,4 @@
-"""Makes the pictures of the viewer's guide: the demo room on a page in Chromium, and a film of a lamp that is dragged.
+"""Makes the images of the viewer's guide: the demo room in Chromium, and a video of a light that is dragged.
 
     python tools/make_viewer_pictures.py
 
@@ -23,18 +23,18 @@ import lumisplat as ls
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 FLAGS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 SIZE: Any = {"width": 1280, "height": 800}
-FILM_FRAMES, FILM_SIZE = 24, (640, 400)
-LAMP = (0.9, 1.5, 0.9)
+VIDEO_FRAMES, VIDEO_SIZE = 24, (640, 400)
+LIGHT = (0.9, 1.5, 0.9)
 
 
 def room() -> ls.Scene:
-    """The demo room, relit by a lamp, and by a weak one that casts no shadows."""
+    """Returns the demo room, relit by a point light and by a weak one without shadows."""
     demo = ls.demo_scene()
     capture = ls.SplatInstance(demo.splats[0].gaussians, material=ls.MaterialPbr(), name="room")
     meshes = [replace(one, mesh=replace(one.mesh, colors=None)) for one in demo.meshes]
-    lamp = ls.LightPoint(LAMP, color=(1.0, 0.8, 0.55), intensity=9.0, radius=0.08, name="lamp")
+    light = ls.LightPoint(LIGHT, color=(1.0, 0.8, 0.55), intensity=9.0, radius=0.08, name="lamp")
     fill = ls.LightPoint((-0.5, 2.2, 2.5), color=(0.7, 0.85, 1.0), intensity=3.0, casts_shadow=False, name="fill")
-    return ls.Scene([capture], meshes, [lamp, fill], up="y-up")
+    return ls.Scene([capture], meshes, [light, fill], up="y-up")
 
 
 def main() -> None:
@@ -46,7 +46,7 @@ def main() -> None:
         sys.exit("no Chromium is installed")
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, samples=4)
     viewer = ls.view(room(), config=config, height=SIZE["height"])
-    viewer._status._stages.visible = viewer._status._plot.visible = False  # times are those of this machine
+    viewer._status._stages.visible = viewer._status._plot.visible = False  # hides times of this machine
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
         page = browser.new_page(viewport=SIZE)
@@ -57,14 +57,16 @@ def main() -> None:
         look_from_the_hero(viewer)
         select(viewer, "brass")
         save(viewer, page, "viewer.jpg")
-        lamp = select(viewer, "lamp")
+        light = select(viewer, "lamp")
         page.get_by_role("tab", name="View").click()
         page.locator("label:has-text('compare')").first.click()
-        viewer._session.apply(lambda document: document.changed(lamp, position=[-1.0, 1.3, 0.6], color=[0.5, 0.7, 1.0]))
+        viewer._session.apply(
+            lambda document: document.changed(light, position=[-1.0, 1.3, 0.6], color=[0.5, 0.7, 1.0])
+        )
         save(viewer, page, "viewer_compare.jpg")
         page.locator("label:has-text('compare')").first.click()
         page.get_by_role("tab", name="Scene").click()
-        film(viewer, page, lamp)
+        video(viewer, page, light)
         browser.close()
     viewer.close()
 
@@ -76,11 +78,11 @@ def wait_for(viewer: ls.Viewer, page: Any) -> None:
         pages, revision = list(viewer._pages.values()), viewer._session.revision
         return bool(pages) and all(p.is_at_rest and p.key == (revision, p.pose_number) for p in pages)
 
-    for _ in range(3):  # a message that is on its way may end the rest once more
+    for _ in range(3):  # a late message may restart rendering
         page.wait_for_timeout(300)
         while not rests():
             page.wait_for_timeout(100)
-    page.wait_for_timeout(1000)  # it is decoded and drawn
+    page.wait_for_timeout(1000)  # time to decode and draw
 
 
 def look_from_the_hero(viewer: ls.Viewer) -> None:
@@ -96,26 +98,28 @@ def select(viewer: ls.Viewer, name: str) -> int:
 
 
 def shot(page: Any) -> Image.Image:
-    """What the page shows."""
+    """Returns a screenshot of the page."""
     return Image.open(io.BytesIO(page.screenshot())).convert("RGB")
 
 
 def save(viewer: ls.Viewer, page: Any, name: str) -> None:
-    """Writes what the page shows once it is at rest."""
+    """Writes a screenshot of the page at rest."""
     wait_for(viewer, page)
     shot(page).save(IMAGES / name, quality=88)
     print(IMAGES / name, flush=True)
 
 
-def film(viewer: ls.Viewer, page: Any, lamp: int) -> None:
-    """The lamp goes round over the table."""
+def video(viewer: ls.Viewer, page: Any, light: int) -> None:
+    """Writes a video of the light circling over the table."""
     pictures: list[np.ndarray] = []
-    for number in range(FILM_FRAMES):
-        angle = 2.0 * np.pi * number / FILM_FRAMES
-        place = [float(1.1 * np.sin(angle)), 1.4, float(0.5 + 0.5 * np.cos(angle))]
-        viewer._session.apply(lambda document, place=place: document.changed(lamp, position=place), merge="film")
+    for number in range(VIDEO_FRAMES):
+        angle = 2.0 * np.pi * number / VIDEO_FRAMES
+        position = [float(1.1 * np.sin(angle)), 1.4, float(0.5 + 0.5 * np.cos(angle))]
+        viewer._session.apply(
+            lambda document, position=position: document.changed(light, position=position), merge="film"
+        )
         wait_for(viewer, page)
-        pictures.append(np.asarray(shot(page).resize(FILM_SIZE, Image.Resampling.LANCZOS), np.float32) / 255.0)
+        pictures.append(np.asarray(shot(page).resize(VIDEO_SIZE, Image.Resampling.LANCZOS), np.float32) / 255.0)
     ls.save_animation(IMAGES / "viewer.webp", pictures, fps=12.0)
     print(IMAGES / "viewer.webp", flush=True)
 

@@ -1,8 +1,8 @@
 """Mitsuba's plugin ``gltf_dielectric``: the dielectric of glTF 2.0's metallic-roughness material, without metal.
 
-What is not mirrored is diffuse: base / pi (1 - F) + F D G / (4 cos cos), of GGX with alpha = roughness ** 2, Smith's
-separable masking, and Schlick's F from 0.04 to 1 (glTF 2.0 specification, appendix B.2.2). Mitsuba's ``principled``
-is Disney's, whose diffuse part gives back more light, most of all at grazing angles.
+The BSDF is base / pi (1 - F) + F D G / (4 cos cos), with GGX of alpha = roughness ** 2, Smith's separable masking, and
+Schlick's F from 0.04 to 1 (glTF 2.0 specification, appendix B.2.2). Mitsuba's ``principled`` is Disney's, whose diffuse
+part reflects more light, mostly at grazing angles.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any
 
 F0 = 0.04
 MIRRORED = 0.5
-"""The share of samples that follow the highlight."""
+"""Fraction of samples that follow the highlight."""
 
 
 def register(mi: Any) -> None:
-    """Makes the plugin known, with textures ``base_color`` and ``roughness``; a variant of Mitsuba must be set."""
+    """Registers the plugin, with textures ``base_color`` and ``roughness``; a variant of Mitsuba must be set."""
     mi.register_bsdf("gltf_dielectric", _plugin(mi))
 
 

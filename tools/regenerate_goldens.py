@@ -1,7 +1,7 @@
-"""Renders the golden frames anew: ``python tools/regenerate_goldens.py``.
+"""Renders the golden frames again: ``python tools/regenerate_goldens.py``.
 
-Writes tests/golden/*.npz, and out/goldens.png with old, new and ten times their difference side by side. Look at it
-before committing: from then on the new pictures are what is right.
+Writes tests/golden/*.npz, and out/goldens.png with old frame, new frame and ten times their difference side by side.
+Look at it before committing, because the new frames become the reference.
 """
 
 from __future__ import annotations

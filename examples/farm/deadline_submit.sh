@@ -1,10 +1,10 @@
 #!/bin/sh
-# Frames as a job of Deadline: each task makes a chunk of frames, all in one folder.
+# Renders frames as a Deadline job: each task makes a chunk of frames in one folder.
 #
 #   deadline_submit.sh 240 10 animate scene.toml -o /share/frames            240 frames, 10 a task
 #
-# Paths are as the workers see them. Deadline tries a task again that ends with another status than 0; frames that are
-# there stay. The film at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
+# Paths are those of the workers. Deadline repeats a task with an exit status other than 0; finished frames are
+# kept. The video at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
 set -eu
 
 count=$1

@@ -1,9 +1,9 @@
-"""Frames as a job of OpenCue (pip install opencue-pyoutline): each task makes a chunk of frames, all in one folder.
+"""Renders frames as an OpenCue job (pip install opencue-pyoutline): each task makes a chunk in one folder.
 
 python opencue_submit.py 240 10 animate scene.toml -o /share/frames          240 frames, 10 a task
 
-Paths are as the hosts see them. OpenCue tries a task again that ends with another status than 0; frames that are there
-stay. The film at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
+Paths are those of the hosts. OpenCue repeats a task with an exit status other than 0; finished frames are kept.
+The video at the end: lumisplat animate scene.toml -o /share/frames --video film.mp4
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ def main(count: int, chunk: int, arguments: list[str]) -> None:
 
     Args:
         count: Number of frames.
-        chunk: Frames of a task.
-        arguments: What follows ``lumisplat``.
+        chunk: Frames per task.
+        arguments: Arguments after ``lumisplat``.
     """
     outline, cuerun, shell = map(import_module, ("outline", "outline.cuerun", "outline.modules.shell"))
 
-    # Not #FRAME_START# and #FRAME_END#: of a last chunk that is shorter, the latter lies beyond the end.
+    # Not #FRAME_START# and #FRAME_END#: the latter is too large for a shorter last chunk.
     command = ["lumisplat", *arguments, "--frames", "#FRAMESPEC#"]
     job = outline.Outline("lumisplat", shot="film", show="show")
     job.add_layer(shell.Shell("frames", command=command, range=f"0-{count - 1}", chunk=chunk))

@@ -24,7 +24,7 @@ LONG = {
     "drop_in_capture": {"width": 48, "samples": 1},
     "insert_a_mesh": {"width": 48},
     "mirror_and_glass": {"width": 48, "samples": 1},
-    "lights_of_a_photograph": {"width": 48, "samples": 2, "size": 32},
+    "lights_from_an_image": {"width": 48, "samples": 2, "size": 32},
     "relight_a_figure": {"width": 48, "count": 2000},
 }
 """Slow examples, with arguments that make their frames small."""

@@ -80,10 +80,10 @@ def test_eyes_of_views_are_inside_the_room(tool: ModuleType) -> None:
 
 def test_lights_of_the_room_round_trip_through_scenes(tool: ModuleType, tmp_path: Path) -> None:
     """Both kinds of light are read back."""
-    lamps = (*tool.old_lamps(), tool.ball())
-    tool.save_lamps(tmp_path / "lamps.toml", lamps)
+    lights = (*tool.capture_lights(), tool.ball())
+    tool.save_lights(tmp_path / "lamps.toml", lights)
     scene: Any = ls.load(tmp_path / "lamps.toml")
-    for stored, lamp in zip(scene.lights, lamps, strict=True):
+    for stored, lamp in zip(scene.lights, lights, strict=True):
         assert asdict(stored) == asdict(lamp)
 
 

@@ -126,15 +126,15 @@ def test_images_match_the_path_tracer(tool, made, balls, environment: str) -> No
     """More than 38 dB, which checks light axes, exposure, bounces and encoding; less than 30 dB rotated or mirrored."""
     folder = made(balls)
     insides = [layer(folder, "albedo", index, "RGB")[1] for index in range(2)]
-    photographs = [ls.load_image(folder / LIT_IN[environment] / f"r_{index:03}.png") for index in range(2)]
+    images = [ls.load_image(folder / LIT_IN[environment] / f"r_{index:03}.png") for index in range(2)]
     frames = seen(tool, folder, balls, environment)
-    for frame, photograph, inside in zip(frames, photographs, insides, strict=True):
-        assert ls.metrics.psnr(frame.pixels_srgb()[..., :3], photograph, region=inside) > 38.0
+    for frame, rendered_image, inside in zip(frames, images, insides, strict=True):
+        assert ls.metrics.psnr(frame.pixels_srgb()[..., :3], rendered_image, region=inside) > 38.0
     image = ls.io.load_radiance(folder / f"{environment}.exr")
     for wrong in (image[:, ::-1], np.roll(image, image.shape[1] // 2, axis=1), 1.15 * image):
         write_exr(folder / "wrong.exr", {name: wrong[..., i] for i, name in enumerate("RGB")})
         picture = seen(tool, folder, balls, "wrong")[1].pixels_srgb()[..., :3]
-        assert ls.metrics.psnr(picture, photographs[1], region=insides[1]) < 32.0
+        assert ls.metrics.psnr(picture, images[1], region=insides[1]) < 32.0
 
 
 @pytest.mark.deep
@@ -223,5 +223,5 @@ def test_textures_have_the_same_orientation_as_ours(tool, made, data_dir: Path) 
         albedo, inside = layer(folder, "albedo", index, "RGB")
         assert frame.albedo is not None
         assert ls.metrics.psnr(np.clip(frame.albedo, 0.0, 1.0), albedo, region=inside) > 45.0
-        photograph = ls.load_image(folder / "test" / f"r_{index:03}.png")
-        assert ls.metrics.psnr(frame.pixels_srgb()[..., :3], photograph, region=inside) > 38.0
+        rendered_image = ls.load_image(folder / "test" / f"r_{index:03}.png")
+        assert ls.metrics.psnr(frame.pixels_srgb()[..., :3], rendered_image, region=inside) > 38.0

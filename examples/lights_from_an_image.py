@@ -1,4 +1,4 @@
-"""Finds the light of a photograph of a known room, and puts an object into it."""
+"""Finds the lights of a known room from an image, and puts an object into it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import lumisplat as ls
 
 
 def matt(*color: float) -> ls.MaterialPbr:
-    """A matt material."""
+    """Returns a matt material."""
     return ls.MaterialPbr(base_color=color, roughness=0.9)
 
 
 def room() -> list[ls.MeshInstance]:
-    """A floor, three walls and a ceiling, open to the front, with a ball and a box."""
+    """Returns a room that is open to the front, with a ball and a box."""
     white, red, green = matt(0.75, 0.73, 0.7), matt(0.6, 0.14, 0.1), matt(0.15, 0.5, 0.2)
     floor, side = ls.plane(4.0, 4.0, material=matt(0.6, 0.5, 0.4)), ls.plane(2.6, 4.0, material=white)
     return [
@@ -31,14 +31,14 @@ def room() -> list[ls.MeshInstance]:
     ]
 
 
-def taken(scene: ls.Scene, camera: ls.Camera, samples: int) -> np.ndarray:
-    """A picture of light that bounces, as bytes."""
+def rendered(scene: ls.Scene, camera: ls.Camera, samples: int) -> np.ndarray:
+    """Returns a path-traced image as bytes."""
     frame = ls.render(scene, camera, ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples))
     return np.asarray(frame, np.uint8)
 
 
 def main(width: int = 240, samples: int = 64, size: int = 64) -> None:
-    """Writes out/lights_of_a_photograph.png: photograph, scene as it was thought to be, as fitted, with an object."""
+    """Writes out/lights_from_an_image.png: image, initial scene, fitted scene, and fitted scene with an object."""
     lamps = [
         ls.LightPoint((-1.3, 2.2, 0.6), (1.0, 0.62, 0.3), 2.6, radius=0.06, name="warm"),
         ls.LightPoint((1.4, 1.2, 0.9), (0.35, 0.55, 1.0), 1.1, radius=0.06, name="cool"),
@@ -46,23 +46,23 @@ def main(width: int = 240, samples: int = 64, size: int = 64) -> None:
     sky = ls.LightEnvironment(color=(0.5, 0.6, 0.8), intensity=0.25, visible=False)
     truth = ls.Scene(meshes=room(), lights=[*lamps, sky])
     camera = ls.Camera.look_at((0.2, 1.5, 4.6), (0, 1.15, 0), width=width, height=round(0.7 * width), fov_y=0.72)
-    grain = np.random.default_rng(0).normal(0.0, 2.0, (camera.height, camera.width, 3))
-    photograph = np.clip(taken(truth, camera, samples) + grain, 0, 255).astype(np.uint8)
+    noise = np.random.default_rng(0).normal(0.0, 2.0, (camera.height, camera.width, 3))
+    image = np.clip(rendered(truth, camera, samples) + noise, 0, 255).astype(np.uint8)
 
-    # Where the lamps stand is known. How bright they are, and that there is a sky, is not.
-    thought = replace(truth, lights=[replace(lamp, color=(1, 1, 1), intensity=1.0) for lamp in lamps])
+    # The positions of the lights are known; their brightness and the environment are not.
+    initial = replace(truth, lights=[replace(lamp, color=(1, 1, 1), intensity=1.0) for lamp in lamps])
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples)
-    fit = ls.fit_lights(thought, camera, photograph, environment_degree=1, size=size, config=config)
+    fit = ls.fit_lights(initial, camera, image, environment_degree=1, size=size, config=config)
     for light, error in zip(fit.lights, fit.standard_errors, strict=True):
         print(light.name, np.round(np.multiply(light.color, light.intensity), 3), "+-", np.round(error, 3))
     print(*fit.remarks, sep="\n")
 
     ball = ls.MeshInstance(ls.sphere(0.35, material=matt(0.85, 0.85, 0.85)), position=(0.1, 0.35, 0.5))
-    scenes = (thought, fit.scene, replace(fit.scene, meshes=(*fit.scene.meshes, ball)))
-    pictures = [photograph, *(taken(scene, camera, samples) for scene in scenes)]
+    scenes = (initial, fit.scene, replace(fit.scene, meshes=(*fit.scene.meshes, ball)))
+    pictures = [image, *(rendered(scene, camera, samples) for scene in scenes)]
     sheet = np.vstack([np.hstack(pictures[:2]), np.hstack(pictures[2:])])
     Path("out").mkdir(exist_ok=True)
-    Image.fromarray(sheet).save("out/lights_of_a_photograph.png")
+    Image.fromarray(sheet).save("out/lights_from_an_image.png")
 
 
 if __name__ == "__main__":
