@@ -228,8 +228,8 @@ class Film:
         size, light_count = self._size, self._light_count
         for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
             if name in self._plan.aovs:
-                shown = "emission_shown" if name == "emission" and self._adds_captured else name
-                images[name] = copies.lazy(partial(self._layer, size, copies, shown))
+                source = "emission_shown" if name == "emission" and self._adds_captured else name
+                images[name] = copies.lazy(partial(self._layer, size, copies, source))
         for name in ("hits", "history"):
             if name in self._plan.aovs:
                 images[name] = copies.lazy(partial(self._channel, size, copies, name))

@@ -100,8 +100,8 @@ def _read(values: Any) -> FloatArray:
         BufferError, RuntimeError, TypeError, ValueError: The array's package refuses, or the value is no array.
     """
     if _is_on_gpu(values):
-        there = cast(Any, wp).from_dlpack(values)
-        values = there.numpy()
+        array = cast(Any, wp).from_dlpack(values)
+        values = array.numpy()
     return np.ascontiguousarray(host_array(values), dtype=np.float32)
 
 

@@ -241,8 +241,8 @@ class DifferentiableRenderer(Renderer):
         start, along = checked_rays(origins, directions)
         given = UpstreamGradient.of(len(start), dL_dradiance, dL_dtransmittance)
         check_traced(scene)
-        shown = self.trace_rays(scene, start, along)
-        return self._ray_backward.of_rays(self._scene, self._tracer, (self._local(start), along), shown, given)
+        hits = self.trace_rays(scene, start, along)
+        return self._ray_backward.of_rays(self._scene, self._tracer, (self._local(start), along), hits, given)
 
     def _find_hits(self, plan: FramePlan, listed: ListedRays | None) -> PrimaryHits:
         """Finds the hits of the frame's only sample, and keeps them for the backward pass."""
@@ -268,14 +268,14 @@ class DifferentiableRenderer(Renderer):
         gradient.alpha = self._buffers.upload("gradient.alpha", wp.float32, by_alpha.reshape(-1))
         return by_color, gradient
 
-    def _last_frame(self, asked: str) -> tuple[Scene, Camera, DrawnSplats]:
+    def _last_frame(self, caller: str) -> tuple[Scene, Camera, DrawnSplats]:
         """Returns the scene, the camera and the splats of the last rasterised frame.
 
         Raises:
             ConfigError: No frame was rendered yet.
         """
         if self._last_drawn is None:
-            raise ConfigError(f"{asked}: render a frame first")
+            raise ConfigError(f"{caller}: render a frame first")
         return self._last_drawn
 
     def _by_features(

@@ -73,7 +73,7 @@ def take_three(start: int, values: wp.array2d[float], first: int, three_out: wp.
 @wp.kernel
 def add_gradients(
     start: int,
-    shown: wp.array[SplatGradient],
+    gradients: wp.array[SplatGradient],
     first: int,
     splats_inout: wp.array[SplatGradient],
     features_out: wp.array2d[float],
@@ -83,12 +83,12 @@ def add_gradients(
     The pass's blending weights and absolute centre gradients are dropped: they count for the colour alone.
     """
     i = start + wp.tid()
-    part = shown[i]
+    gradient = gradients[i]
     total = splats_inout[i]
-    total.log_opacity += part.log_opacity
-    total.center += part.center
-    total.along += part.along
-    total.shear += part.shear
-    total.across += part.across
+    total.log_opacity += gradient.log_opacity
+    total.center += gradient.center
+    total.along += gradient.along
+    total.shear += gradient.shear
+    total.across += gradient.across
     splats_inout[i] = total
-    store_three(features_out, i, first, part.color)
+    store_three(features_out, i, first, gradient.color)

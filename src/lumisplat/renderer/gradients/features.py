@@ -73,21 +73,21 @@ class FeatureChannels:
             features: Features of all Gaussians of the scene, shape (N, C).
         """
         pixels, columns = math.prod(scene.image_size), features.shape[1]
-        shown = RenderedFeatures(
+        rendered = RenderedFeatures(
             self._upload("features.splats", features),
             self._buffers.get("features.pixels", wp.float32, (pixels, columns)),
         )
         sums = self._buffers.struct("features.sums", GaussianHits, ray_count(*scene.image_size), EXTRA_FIELDS)
         for first in range(0, columns, 6):
-            self._raster.sum_splats(scene, self._with_features(drawn, shown, first), sums)
-            self._launcher.run_banded(kernels.store_sums, pixels, scene.camera, sums, first, shown.of_pixels)
-        return shown
+            self._raster.sum_splats(scene, self._with_features(drawn, rendered, first), sums)
+            self._launcher.run_banded(kernels.store_sums, pixels, scene.camera, sums, first, rendered.of_pixels)
+        return rendered
 
     def backward(
         self,
         scene: DeviceScene,
         drawn: DrawnSplats,
-        shown: RenderedFeatures,
+        rendered: RenderedFeatures,
         by_pixels: FloatArray | DeviceArray,
         by_splat: DeviceArray,
     ) -> DeviceArray:
@@ -96,7 +96,7 @@ class FeatureChannels:
         Args:
             scene: As of ``render``.
             drawn: As of ``render``.
-            shown: The rendered features.
+            rendered: The rendered features.
             by_pixels: Gradients of the loss with respect to the blended sums of the pixels, shape (H * W, C).
             by_splat: Receives the gradients with respect to the shapes of the splats.
         """
@@ -106,19 +106,19 @@ class FeatureChannels:
         pixels.color, gradient.color = (get(f"features.{name}", wp.vec3, count) for name in ("shown", "by_shown"))
         pixels.alpha = gradient.alpha = get("features.no_alpha", wp.float32, count)
         pixels.alpha.fill_(0.0)
-        by_features = get("features.by_splats", wp.float32, shown.of_splats.shape)
-        for first in range(0, shown.count, 3):
-            run(kernels.take_three, count, shown.of_pixels, first, pixels.color)
+        by_features = get("features.by_splats", wp.float32, rendered.of_splats.shape)
+        for first in range(0, rendered.count, 3):
+            run(kernels.take_three, count, rendered.of_pixels, first, pixels.color)
             run(kernels.take_three, count, given, first, gradient.color)
-            showing = self._with_features(drawn, shown, first)
+            showing = self._with_features(drawn, rendered, first)
             part = self._backward.splats(scene, showing, pixels, gradient, name="features.gradients")
             run(kernels.add_gradients, drawn.splats.count, part, first, by_splat, by_features)
         return by_features[: drawn.splats.count]
 
-    def _with_features(self, drawn: DrawnSplats, shown: RenderedFeatures, first: int) -> DrawnSplats:
+    def _with_features(self, drawn: DrawnSplats, rendered: RenderedFeatures, first: int) -> DrawnSplats:
         """Returns the drawn splats with six features, from column ``first`` on, as colours and normals."""
         splats = self._buffers.get("features.shown_splats", Splat, drawn.splats.count)
-        inputs = (shown.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
+        inputs = (rendered.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
         self._launcher.run_banded(kernels.replace_colors, drawn.splats.count, *inputs)
         return replace(drawn, splats=replace(drawn.splats, data=splats), tiles=replace(drawn.tiles, splats=splats))
 

@@ -165,7 +165,7 @@ class RayBackward:
         scene: DeviceScene,
         tracer: RayTracer,
         rays: tuple[FloatArray, FloatArray],
-        shown: RayHits,
+        results: RayHits,
         given: UpstreamGradient,
     ) -> RayGradients:
         """Returns the gradients with respect to the Gaussians that given rays hit.
@@ -174,10 +174,10 @@ class RayBackward:
             scene: The scene on the device, as it was traced.
             tracer: Finds the hits of the rays once more.
             rays: Origins and unit directions, world space, shape (N, 3) each.
-            shown: Radiance and transmittance of the rays.
+            results: Radiance and transmittance of the rays.
             given: Gradients with respect to that radiance and transmittance.
         """
-        behind = (given.radiance * shown.radiance).sum(axis=1) + given.transmittance * shown.transmittance
+        behind = (given.radiance * results.radiance).sum(axis=1) + given.transmittance * results.transmittance
         sums = self.begin(scene)
         scene.begin_sample(0)
         for first, batch in batches(*rays, np.full(len(behind), np.inf, np.float32)):
@@ -279,12 +279,12 @@ class RayBackward:
             run(kernels.find_runs, found, found, keys, begins, ends)
         with stage("backward: Gaussians"):
             for asset, out in zip(scene.assets, sums.gaussians, strict=True):
-                placed = (self._settings, scene.splat_instances, asset.instance_ids, asset.data)
+                shared_inputs = (self._settings, scene.splat_instances, asset.instance_ids, asset.data)
                 run(
                     kernels.gather_gaussians,
                     asset.gaussians.count,
                     *(
-                        *placed,
+                        *shared_inputs,
                         part.rays,
                         part.gradient,
                         rows,

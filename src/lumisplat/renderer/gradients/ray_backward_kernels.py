@@ -73,18 +73,18 @@ def replay_rays(
     for row in range(profiles.first[i], profiles.first[i] + counts[i]):
         index = profiles.gaussian[row]
         instance = scene.instances[instance_of(scene.instances, index)]
-        seen = ray_in_object(instance, ray)
+        local_ray = ray_in_object(instance, ray)
         gaussians = scene.assets[instance.asset].gaussians
-        eye = seen.origin - seen.path_length * seen.direction
-        shown = wp.dot(by_color, hit_color(view, instance, gaussians, index - instance.first, eye))
+        eye = local_ray.origin - local_ray.path_length * local_ray.direction
+        loss_term = wp.dot(by_color, hit_color(view, instance, gaussians, index - instance.first, eye))
         alpha = profiles.alpha[row]
         weight = before * alpha
         hits_out.ray[row] = i
-        hits_out.log_alpha[row] = log_alpha_gradient(alpha, before, shown, behind)
+        hits_out.log_alpha[row] = log_alpha_gradient(alpha, before, loss_term, behind)
         hits_out.weight[row] = weight
         keys_out[row] = index
         order_out[row] = row
-        behind -= weight * shown
+        behind -= weight * loss_term
         before = profiles.transmittance[row]
 
 

@@ -154,11 +154,11 @@ def backward_ray_gaussians(
             continue
         sums = gradients[index]
         time = exposure_time(view, raster.field, instance, gaussians.means[i])
-        seen = widened_gaussian(view, raster.dilation, instance, gaussians, i, time)
+        gaussian = widened_gaussian(view, raster.dilation, instance, gaussians, i, time)
         widening = wp.where(instance.antialiased == 0, raster.dilation, 0.0)
-        by_point = mean_gradient(view, widening, seen, time, sums)
+        by_point = mean_gradient(view, widening, gaussian, time, sums)
         by_instance_mean = instance.scale * (wp.transpose(instance.world_from_object) * by_point)
-        by_instance_rotation = turn_gradient(seen, sums)
+        by_instance_rotation = turn_gradient(gaussian, sums)
         by_mean += by_instance_mean
         by_rotation_vector += by_instance_rotation
         # Moving the rays is the same as moving the Gaussian back.
@@ -167,7 +167,7 @@ def backward_ray_gaussians(
             gaussians.means[i], by_instance_mean
         )
         world_scale = instance.scale * gaussians.scales[i]
-        by_scale += instance.scale * wp.cw_mul(scale_gradient(seen, sums), world_scale)
+        by_scale += instance.scale * wp.cw_mul(scale_gradient(gaussian, sums), world_scale)
         by_opacity += sums.log_opacity / gaussians.opacities[i]
         if instance.shows_albedo == 0:
             stored = int(wp.sqrt(float(gaussians.sh_count))) - 1

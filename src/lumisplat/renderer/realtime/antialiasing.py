@@ -39,7 +39,7 @@ class Antialiasing:
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance
-        shown = self._buffers.struct("antialiasing.shown", TemporalPixels, width * height)
+        pixels = self._buffers.struct("antialiasing.shown", TemporalPixels, width * height)
         shares = self._buffers.get("antialiasing.shares", wp.vec3, wave.count)
         before, now = (self._history(scene, number) for number in (frame - 1, frame))
         if not self._has_history:
@@ -47,16 +47,16 @@ class Antialiasing:
         self._has_history = True
         motion = scene.motion
         inputs = scene.camera, motion.camera, scene.shading, scene.gaussians, motion.splats, motion.meshes
-        self._run(kernels.store_pixels, wave.count, *inputs, wave.data, shown, shares)
+        self._run(kernels.store_pixels, wave.count, *inputs, wave.data, pixels, shares)
         self._run(
-            kernels.weight_history, width * height, size, motion.history_weight, motion.moved_to, before, shown, now
+            kernels.weight_history, width * height, size, motion.history_weight, motion.moved_to, before, pixels, now
         )
         images = {"captured": radiance.captured, "light": radiance.light, "shares": shares}
         images |= {name: image for name, image in layers.items() if name in plan.aovs}
         images |= {"capture_factor": radiance.capture_factor} if plan.has_shadow_catchers else {}
         for name, image in images.items():
             means = [self._mean(scene, name, number) for number in (frame - 1, frame)]
-            inputs = size, scene.camera, shown, means[0], image, means[1]
+            inputs = size, scene.camera, pixels, means[0], image, means[1]
             self._run(kernels.blend, wave.count, *inputs)
         self._run(kernels.store_shares, wave.count, scene.camera, shares, wave.data)
 

@@ -57,7 +57,7 @@ def store_pixels(
     splat_motions: wp.array[InstanceMotion],
     mesh_motions: wp.array[InstanceMotion],
     wave: wp.array[WaveData],
-    shown_out: TemporalPixels,
+    pixels_out: TemporalPixels,
     shares_out: wp.array[wp.vec3],
 ):
     """Per ray: writes colour, surface and motion of its pixel, and captured weight and alpha to ``shares_out``.
@@ -73,7 +73,7 @@ def store_pixels(
     captured = captured_color(wave[0].radiance.captured[i], share)
     if wave[0].radiance.capture_factor:
         captured = wp.cw_mul(captured, straight_factor(wave[0].radiance.capture_factor[i], share))
-    shown_out.color[pixel] = captured + wave[0].radiance.light[i]
+    pixels_out.color[pixel] = captured + wave[0].radiance.light[i]
     direction = wave[0].rays.direction[i]
     position = camera[0].eye + FAR * direction
     previous = camera_before[0].eye + FAR * direction
@@ -99,8 +99,8 @@ def store_pixels(
                     mesh_motions,
                 )
     moved = motion_of(position, previous, camera, camera_before)
-    shown_out.motion[pixel] = wp.vec3(moved[0], moved[1], depth)
-    shown_out.instance[pixel] = instance
+    pixels_out.motion[pixel] = wp.vec3(moved[0], moved[1], depth)
+    pixels_out.instance[pixel] = instance
 
 
 @wp.func
@@ -210,7 +210,7 @@ def weight_history(
     history_weight: float,
     moved_to: wp.array[int],
     history: TemporalHistory,
-    shown_inout: TemporalPixels,
+    pixels_inout: TemporalPixels,
     history_out: TemporalHistory,
 ):
     """Per pixel: computes its position in the previous frame and the weight of the new sample against its history.
@@ -221,18 +221,18 @@ def weight_history(
         history_weight: Factor on the length of every history; 1 unless lights or objects have changed.
         moved_to: Current numbers of the previous frame's instances, as of ``has_left``.
         history: History of the previous frame.
-        shown_inout: The pixels; receive position and weight.
+        pixels_inout: The pixels; receive position and weight.
         history_out: History of this frame.
     """
     pixel = start + wp.tid()
     x = pixel % size[0]
     y = pixel // size[0]
-    color = shown_inout.color[pixel]
-    motions = shown_inout.motion
-    colors = shown_inout.color
+    color = pixels_inout.color[pixel]
+    motions = pixels_inout.motion
+    colors = pixels_inout.color
     nearest = nearest_around(x, y, size, motions)  # edges move with the nearer surface
     motion = motions[nearest]
-    instance = shown_inout.instance[nearest]
+    instance = pixels_inout.instance[nearest]
     frames = float(0.0)
     mean = color
     change = float(0.0)
@@ -269,8 +269,8 @@ def weight_history(
         position = wp.vec2(float(x), float(y))
         mean = color
     weight = 1.0 / (frames + 1.0)
-    shown_inout.previous_pixel[pixel] = position
-    shown_inout.weight[pixel] = weight
+    pixels_inout.previous_pixel[pixel] = position
+    pixels_inout.weight[pixel] = weight
     history_out.frames[pixel] = wp.min(frames + 1.0, FRAMES)
     history_out.color[pixel] = mean + weight * (color - mean)
     history_out.sample[pixel] = bright
@@ -283,7 +283,7 @@ def blend(
     start: int,
     size: wp.vec2i,
     camera: wp.array[CameraData],
-    shown: TemporalPixels,
+    pixels: TemporalPixels,
     before: wp.array[wp.vec3],
     image_inout: wp.array[wp.vec3],
     after_out: wp.array[wp.vec3],
@@ -294,9 +294,9 @@ def blend(
     if pixel < 0:
         return
     value = image_inout[i]
-    weight = shown.weight[pixel]
+    weight = pixels.weight[pixel]
     if weight < 1.0:
-        mean = image_at(before, size, shown.previous_pixel[pixel])
+        mean = image_at(before, size, pixels.previous_pixel[pixel])
         value = mean + weight * (value - mean)
     image_inout[i] = value
     after_out[pixel] = value

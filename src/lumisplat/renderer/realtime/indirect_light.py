@@ -107,8 +107,8 @@ class IndirectLight:
             frame: Number of the frame.
         """
         with self._launcher.stage("probes"):
-            shown = self._larger(surfaces)
-            self.probes.place(shown, scene.camera, scene.motion.camera, scene.image_size, frame)
+            larger = self._larger(surfaces)
+            self.probes.place(larger, scene.camera, scene.motion.camera, scene.image_size, frame)
             if scene.motion.history_weight < 1.0:
                 self.probes.outdate(scene.motion.history_weight)
                 self.cache.outdate(scene.motion.history_weight)

@@ -28,18 +28,18 @@ GLOSSY_SEED = wp.constant(wp.uint32(0x676C6F73))
 
 
 @wp.kernel
-def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, shown_out: SurfacePixels):
+def choose_surfaces(start: int, splats: SurfacePixels, meshes: SurfacePixels, larger_out: SurfacePixels):
     """Per pixel: copies the surface that covers more of it."""
     pixel = start + wp.tid()
     chosen = splats
     if meshes.share[pixel] > splats.share[pixel]:
         chosen = meshes
-    shown_out.share[pixel] = chosen.share[pixel]
-    shown_out.position[pixel] = chosen.position[pixel]
-    shown_out.normal[pixel] = chosen.normal[pixel]
-    shown_out.distance[pixel] = chosen.distance[pixel]
-    shown_out.extent[pixel] = chosen.extent[pixel]
-    shown_out.previous[pixel] = chosen.previous[pixel]
+    larger_out.share[pixel] = chosen.share[pixel]
+    larger_out.position[pixel] = chosen.position[pixel]
+    larger_out.normal[pixel] = chosen.normal[pixel]
+    larger_out.distance[pixel] = chosen.distance[pixel]
+    larger_out.extent[pixel] = chosen.extent[pixel]
+    larger_out.previous[pixel] = chosen.previous[pixel]
 
 
 @wp.kernel

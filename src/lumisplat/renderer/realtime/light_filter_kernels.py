@@ -112,12 +112,12 @@ def scaled(history: PixelHistory, factor: float) -> PixelHistory:
 
 
 @wp.func
-def store_history(pixel: int, own: PixelHistory, history: LightHistory):
+def store_history(pixel: int, pixel_history: PixelHistory, history: LightHistory):
     """Writes the history of a pixel."""
-    history.frames[pixel] = own.frames
-    history.diffuse[pixel] = own.diffuse
-    history.glossy[pixel] = own.glossy
-    history.moments[pixel] = own.moments
+    history.frames[pixel] = pixel_history.frames
+    history.diffuse[pixel] = pixel_history.diffuse
+    history.glossy[pixel] = pixel_history.glossy
+    history.moments[pixel] = pixel_history.moments
 
 
 @wp.func
@@ -200,10 +200,10 @@ def reproject(
 ):
     """Per pixel: fetches the history of its surface from the surface's position in the previous frame."""
     pixel = start + wp.tid()
-    own = PixelHistory()
+    pixel_history = PixelHistory()
     if surfaces.share[pixel] > 0.0:
-        own = history_of(pixel, size, surfaces, before, camera, camera_before, history)
-    store_history(pixel, own, history_out)
+        pixel_history = history_of(pixel, size, surfaces, before, camera, camera_before, history)
+    store_history(pixel, pixel_history, history_out)
 
 
 @wp.func
@@ -292,12 +292,12 @@ def accumulate(
         history_out: History with the samples.
     """
     pixel = start + wp.tid()
-    own = with_tap(PixelHistory(), 1.0, pixel, history)
+    pixel_history = with_tap(PixelHistory(), 1.0, pixel, history)
     if surfaces.share[pixel] > 0.0 and light.is_sampled[pixel]:
-        is_young = own.frames < YOUNG
+        is_young = pixel_history.frames < YOUNG
         if is_young:
-            own.frames *= history_weight
-        if own.frames > 0.0 and (history_weight < 1.0 or not is_young):
+            pixel_history.frames *= history_weight
+        if pixel_history.frames > 0.0 and (history_weight < 1.0 or not is_young):
             x = pixel % size[0]
             y = pixel // size[0]
             extent = surfaces.extent[pixel]
@@ -333,11 +333,11 @@ def accumulate(
                             glossy = with_pixel(glossy, is_old, found, held, moments[2], moments[3])
             retained = wp.min(retained_share(diffuse, shared), retained_share(glossy, shared))
             if history_weight < 1.0:
-                retained = wp.min(retained, share_inside(diffuse, luminance(own.diffuse)))
-                retained = wp.min(retained, share_inside(glossy, luminance(own.glossy)))
-            own.frames *= retained
-        own = with_sample(own, light.diffuse[pixel], light.glossy[pixel], frames_max)
-    store_history(pixel, own, history_out)
+                retained = wp.min(retained, share_inside(diffuse, luminance(pixel_history.diffuse)))
+                retained = wp.min(retained, share_inside(glossy, luminance(pixel_history.glossy)))
+            pixel_history.frames *= retained
+        pixel_history = with_sample(pixel_history, light.diffuse[pixel], light.glossy[pixel], frames_max)
+    store_history(pixel, pixel_history, history_out)
 
 
 @wp.func
@@ -473,11 +473,11 @@ def filter_pass(
     of_diffuses = light.diffuse
     of_glossies = light.glossy
     variances = light.variance
-    own = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
-    weights = wp.vec2(own)
-    diffuse = own * diffuse
-    glossy = own * glossy
-    squares = own * variance
+    self_weight = wp.where(frames[pixel] > 0.0, 1.0, 0.0)
+    weights = wp.vec2(self_weight)
+    diffuse = self_weight * diffuse
+    glossy = self_weight * glossy
+    squares = self_weight * variance
     for row in range(-radius, radius + 1):
         tap_y = y + row * step
         if tap_y < 0 or tap_y >= size[1]:
@@ -494,11 +494,11 @@ def filter_pass(
             weight *= falloff(1.5 * float(row * row + column * column) / float(radius * radius + 1))
             tap_variance = variances[tap]
             tap_diffuse = of_diffuses[tap]
-            apart = own * (luminance(tap_diffuse) - bright[0])
+            apart = self_weight * (luminance(tap_diffuse) - bright[0])
             of_diffuse = weight * luminance_weight(apart, variance[0], tap_variance[0])
             diffuse += of_diffuse * tap_diffuse
             tap_glossy = of_glossies[tap]
-            apart = own * (luminance(tap_glossy) - bright[1])
+            apart = self_weight * (luminance(tap_glossy) - bright[1])
             of_glossy = weight * luminance_weight(apart, variance[1], tap_variance[1])
             glossy += of_glossy * tap_glossy
             weights += wp.vec2(of_diffuse, of_glossy)

@@ -81,11 +81,11 @@ class ScreenProbes:
         self._write_grid(frame)
         self._store_history()
         run, tiles, grids = self._launcher.run_banded, self._tiles, self._grids
-        shown = grids, camera, camera_before, surfaces
-        run(kernels.place_in_tiles, tiles, *shown, self._before, self._adaptive_before, self.probes)
+        inputs = grids, camera, camera_before, surfaces
+        run(kernels.place_in_tiles, tiles, *inputs, self._before, self._adaptive_before, self.probes)
         keys, order = self._list("probes.needs_keys", tiles), self._tile_order
         history = self._before, self._adaptive_before
-        run(kernels.find_needs, tiles, *shown, self.probes, *history, self._needs, keys, order)
+        run(kernels.find_needs, tiles, *inputs, self.probes, *history, self._needs, keys, order)
         sort_pairs(keys, order, tiles)
         run(
             kernels.place_adaptive,
