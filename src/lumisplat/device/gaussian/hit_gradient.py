@@ -21,7 +21,7 @@ class RayMotion:
 
     shift: wp.vec3
     """Gradient with respect to a translation of the rays."""
-    turn: wp.vec3
+    rotation: wp.vec3
     """Gradient with respect to a rotation of the rays about the origin."""
 
 
@@ -36,7 +36,7 @@ class HitMoments:
     log_opacity: float
     pull: wp.vec3
     """Canonical offset of the ray from the mean, over the scales."""
-    turn: wp.vec3
+    torque: wp.vec3
     """Torque of ``pull`` about the mean."""
     spread: wp.vec3
     """Squares of the canonical offset, over the scales."""
@@ -113,7 +113,7 @@ def add_hit(
     steep = wp.cw_div(across, wide)
     moments.log_opacity += by_log_alpha
     moments.pull += by_distance2 * steep
-    moments.turn += by_distance2 * wp.cross(steep, wp.cw_mul(across, wide))
+    moments.torque += by_distance2 * wp.cross(steep, wp.cw_mul(across, wide))
     moments.spread += by_distance2 * wp.cw_mul(wp.cw_mul(steep, steep), scale)
     if footprint > 0.0:
         by_variance = -by_distance2 * wp.dot(steep, steep)
@@ -141,15 +141,17 @@ def add_moments(
     else:
         by_scale[2] = by_scale[2] + moments.largest
     by_mean = moments.path - 2.0 * (axes * moments.pull)
-    turn = 2.0 * moments.turn
-    by_rotation = gaussians.rotations[i] * wp.quat(2.0 * turn[0], 2.0 * turn[1], 2.0 * turn[2], 0.0)
+    by_rotation_vector = 2.0 * moments.torque
+    by_rotation = gaussians.rotations[i] * wp.quat(
+        2.0 * by_rotation_vector[0], 2.0 * by_rotation_vector[1], 2.0 * by_rotation_vector[2], 0.0
+    )
     out.means[i] = out.means[i] + by_mean
     out.rotations[i] = out.rotations[i] + by_rotation
     out.scales[i] = out.scales[i] + by_scale
     out.opacities[i] = out.opacities[i] + moments.log_opacity / gaussians.opacities[i]
     motion = RayMotion()
     motion.shift = -by_mean
-    motion.turn = -(axes * turn) - wp.cross(gaussians.means[i], by_mean)
+    motion.rotation = -(axes * by_rotation_vector) - wp.cross(gaussians.means[i], by_mean)
     return motion
 
 
@@ -180,5 +182,5 @@ def add_color(
         out.sh[first + k] = out.sh[first + k] + harmonics[k] * by_open
     out.means[i] = out.means[i] + by_mean
     motion.shift -= by_mean
-    motion.turn -= wp.cross(eye, by_mean)
+    motion.rotation -= wp.cross(eye, by_mean)
     return motion

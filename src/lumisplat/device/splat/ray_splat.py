@@ -470,7 +470,7 @@ def scale_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
 
 
 @wp.func
-def turn_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
+def rotation_gradient(gaussian: WorldGaussian, sums: RaySplatGradient) -> wp.vec3:
     """Returns the gradient with respect to small rotations about the Gaussian's own axes."""
     s = gaussian.scale
     return wp.vec3(

@@ -164,7 +164,7 @@ class Film:
                 self._ratio.fill_(1.0)
             if self._adds_captured:
                 is_apart = self._plan.traces_paths
-                inputs = is_apart, self._data, self._image("emission"), self._image("emission_shown")
+                inputs = is_apart, self._data, self._image("emission"), self._image("emission_total")
                 self._launcher.run_banded(film_kernels.add_captured, self._pixel_count, *inputs)
             if self._launcher.is_parallel:  # so that only one number has to be downloaded
                 self._count_total.zero_()
@@ -198,7 +198,7 @@ class Film:
         if "shadow_ratio" in self._plan.aovs:
             arrays["shadow_ratio"] = self._ratio
         if self._adds_captured:
-            arrays["emission_shown"] = self._image("emission_shown")
+            arrays["emission_total"] = self._image("emission_total")
         if self._plan.is_lit:
             arrays["lit"] = self._lit.block
         encode = partial(self._encoded, exposure, config)
@@ -228,7 +228,7 @@ class Film:
         size, light_count = self._size, self._light_count
         for name in ("albedo", "reflection", "variance", "shadow_ratio", *PATH_PARTS, "cache"):
             if name in self._plan.aovs:
-                source = "emission_shown" if name == "emission" and self._adds_captured else name
+                source = "emission_total" if name == "emission" and self._adds_captured else name
                 images[name] = copies.lazy(partial(self._layer, size, copies, source))
         for name in ("hits", "history"):
             if name in self._plan.aovs:

@@ -103,7 +103,9 @@ class FeatureChannels:
         count, get, run = by_pixels.shape[0], self._buffers.get, self._launcher.run_banded
         given = self._upload("features.by_pixels", by_pixels)
         pixels, gradient = PixelData(), PixelGradient()
-        pixels.color, gradient.color = (get(f"features.{name}", wp.vec3, count) for name in ("shown", "by_shown"))
+        pixels.color, gradient.color = (
+            get(f"features.{name}", wp.vec3, count) for name in ("pixel_sums", "by_pixel_sums")
+        )
         pixels.alpha = gradient.alpha = get("features.no_alpha", wp.float32, count)
         pixels.alpha.fill_(0.0)
         by_features = get("features.by_splats", wp.float32, rendered.of_splats.shape)
@@ -117,7 +119,7 @@ class FeatureChannels:
 
     def _with_features(self, drawn: DrawnSplats, rendered: RenderedFeatures, first: int) -> DrawnSplats:
         """Returns the drawn splats with six features, from column ``first`` on, as colours and normals."""
-        splats = self._buffers.get("features.shown_splats", Splat, drawn.splats.count)
+        splats = self._buffers.get("features.drawn_splats", Splat, drawn.splats.count)
         inputs = (rendered.of_splats, first, drawn.splats.rects, drawn.splats.data, splats)
         self._launcher.run_banded(kernels.replace_colors, drawn.splats.count, *inputs)
         return replace(drawn, splats=replace(drawn.splats, data=splats), tiles=replace(drawn.tiles, splats=splats))

@@ -56,14 +56,14 @@ def pose_of_rays_gradient(motions: DeviceArray, instances: Sequence[SplatInstanc
         camera: Camera of the rays.
     """
     table = motions.numpy()
-    shift, turn, first = np.zeros(3), np.zeros(3), 0
+    shift, by_rotation_vector, first = np.zeros(3), np.zeros(3), 0
     for instance in instances:
         rows = table[first : first + instance.gaussians.count]
         first += len(rows)
         rotation, offset = instance.transform[:3, :3] / instance.scale, instance.transform[:3, 3]
         by_shift = rotation @ rows["shift"].sum(axis=0, dtype=np.float64) / instance.scale
         shift += by_shift
-        turn += rotation @ rows["turn"].sum(axis=0, dtype=np.float64) + np.cross(offset, by_shift)
+        by_rotation_vector += rotation @ rows["rotation"].sum(axis=0, dtype=np.float64) + np.cross(offset, by_shift)
     camera_from_world = camera.camera_from_world[:3, :3]
-    across = cross_matrix(camera_from_world @ turn)
+    across = cross_matrix(camera_from_world @ by_rotation_vector)
     return np.column_stack([-0.5 * across @ camera_from_world, -camera_from_world @ shift])

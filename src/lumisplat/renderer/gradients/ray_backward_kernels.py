@@ -153,7 +153,7 @@ def gather_gaussians(
         motion = add_color(view, instance, gaussians, i, eye, by_color, motion, gaussians_inout)
         by_rays = add_moments(gaussians, i, axes, moments, gaussians_inout)
         motion.shift += by_rays.shift
-        motion.turn += by_rays.turn
+        motion.rotation += by_rays.rotation
         motions_inout[index] = motion
         weights_inout[index] = weights
         largest_inout[index] = largest

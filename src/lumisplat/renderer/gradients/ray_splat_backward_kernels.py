@@ -15,9 +15,9 @@ from lumisplat.device.splat.ray_splat import (
     exposure_time,
     eye_at,
     mean_gradient,
+    rotation_gradient,
     scale_gradient,
     sum_of_records,
-    turn_gradient,
     widened_gaussian,
 )
 from lumisplat.device.splat.visitors import derivatives
@@ -158,12 +158,12 @@ def backward_ray_gaussians(
         widening = wp.where(instance.antialiased == 0, raster.dilation, 0.0)
         by_point = mean_gradient(view, widening, gaussian, time, sums)
         by_instance_mean = instance.scale * (wp.transpose(instance.world_from_object) * by_point)
-        by_instance_rotation = turn_gradient(gaussian, sums)
+        by_instance_rotation = rotation_gradient(gaussian, sums)
         by_mean += by_instance_mean
         by_rotation_vector += by_instance_rotation
         # Moving the rays is the same as moving the Gaussian back.
         motion.shift = -by_instance_mean
-        motion.turn = -wp.quat_rotate(gaussians.rotations[i], by_instance_rotation) - wp.cross(
+        motion.rotation = -wp.quat_rotate(gaussians.rotations[i], by_instance_rotation) - wp.cross(
             gaussians.means[i], by_instance_mean
         )
         world_scale = instance.scale * gaussians.scales[i]
@@ -180,7 +180,7 @@ def backward_ray_gaussians(
                 gaussians_out.sh[first + k] = gaussians_out.sh[first + k] + sh_basis[k] * by_color
             by_mean += by_direction
             motion.shift -= by_direction
-            motion.turn -= wp.cross(eye, by_direction)
+            motion.rotation -= wp.cross(eye, by_direction)
         motions_out[index] = motion
     gaussians_out.means[i] = by_mean
     gaussians_out.rotations[i] = gaussians.rotations[i] * wp.quat(

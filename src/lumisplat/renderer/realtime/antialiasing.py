@@ -39,7 +39,7 @@ class Antialiasing:
         """
         width, height = scene.image_size
         size, radiance = wp.vec2i(width, height), wave.row.radiance
-        pixels = self._buffers.struct("antialiasing.shown", TemporalPixels, width * height)
+        pixels = self._buffers.struct("antialiasing.pixels", TemporalPixels, width * height)
         shares = self._buffers.get("antialiasing.shares", wp.vec3, wave.count)
         before, now = (self._history(scene, number) for number in (frame - 1, frame))
         if not self._has_history:

@@ -159,7 +159,7 @@ class IndirectLight:
         if len(surfaces) == 1:
             return surfaces[0].now
         count = len(device_array(surfaces[0].now.share))
-        larger = self._buffers.struct("gbuffer.shown", SurfacePixels, count)
+        larger = self._buffers.struct("gbuffer.larger", SurfacePixels, count)
         self._launcher.run_banded(kernels.choose_surfaces, count, surfaces[0].now, surfaces[1].now, larger)
         return larger
 
@@ -264,7 +264,7 @@ class SecondaryRays:
         onward.rays = self._buffers.struct("bounced.onward", RayData, count)
         onward.goes_on = get("bounced.goes_on", wp.int32, count)
         onward.length_before, onward.mirrored = (
-            get("bounced.way", wp.float32, count),
+            get("bounced.path_length", wp.float32, count),
             get("bounced.mirrored", wp.int32, count),
         )
         onward.weights = get("bounced.weights", wp.vec3, count)

@@ -74,7 +74,7 @@ class Mirrors:
         Returns:
             Their radiance alone, linear, one vec3 a ray.
         """
-        added = self._buffers.get("mirrors.shown", wp.vec3, first.count)
+        added = self._buffers.get("mirrors.added", wp.vec3, first.count)
         before = self._buffers.get("mirrors.before", wp.vec3, first.count)
         before.assign(first.row.radiance.light)
         self._direct_light.begin_sample(sample)

@@ -183,7 +183,7 @@ class ScreenProbes:
         self.light = ProbeLight()
         self.light.exists = buffers.get("probes.light.exists", wp.int32, self.count)
         self.light.radiance = buffers.get("probes.light.radiance", wp.vec3, total)
-        self.light.sh = buffers.get("probes.light.harmonics", wp.vec3, self.count * (_DEGREE + 1) ** 2)
+        self.light.sh = buffers.get("probes.light.sh", wp.vec3, self.count * (_DEGREE + 1) ** 2)
 
     def _list(self, name: str, count: int) -> DeviceArray:
         """Returns an array of integers with the scratch space that sorts need."""
