@@ -95,7 +95,7 @@ def test_mismatched_parts_are_refused() -> None:
         ls.farm.merge_samples(renderer, scene, CAMERA, [])
     with pytest.raises(ls.ConfigError, match="expected 2 of 24 x 16"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2)])
-    with pytest.raises(ls.ConfigError, match="to different frames"):
+    with pytest.raises(ls.ConfigError, match="belong to different frames"):
         ls.farm.merge_samples(renderer, scene, CAMERA, [part, replace(part, first=2, size=(16, 24))])
     with pytest.raises(ls.ConfigError, match="expected a block"):
         ls.farm.render_samples(renderer, scene, CAMERA, range(0))
