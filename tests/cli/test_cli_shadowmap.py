@@ -77,7 +77,7 @@ def test_invalid_gaussians_are_left_out(work: Workplace) -> None:
         (("--light", "1,2", "-o", "@a.ply"), "--light is '1,2'"),
         (("--light", "nan,2,3", "-o", "@a.ply"), "--light is 'nan,2,3', expected finite numbers"),
         (("--sun", "0,0,inf", "-o", "@a.ply"), "--sun is '0,0,inf', expected finite numbers"),
-        (("--sun", "0,0,0", "-o", "@a.ply"), "direction has no length"),
+        (("--sun", "0,0,0", "-o", "@a.ply"), "needs a direction or a target"),
         (("--sun", "0,0,1", "--light", LIGHT, "-o", "@a.ply"), "choose one"),
         (("--light", LIGHT, "-o", "@a.png"), "a.png: expected .ply"),
         (("--light", LIGHT, "--light", "0,0,9", "-o", "@a.npz"), "a map is of one light, got 2"),

@@ -364,7 +364,7 @@ def test_shadows_can_be_switched_off() -> None:
         (ls.Scene(splats=[floor()]), [], [], "none of the lights"),
         (ls.Scene(splats=[floor()]), [ls.LightEnvironment()], [], "none of the lights"),
         (ls.Scene(splats=[floor()]), [replace(LIGHT, casts_shadow=False)], [], "none of the lights"),
-        (ls.Scene(splats=[floor()]), LIGHT, [], "lights is one LightPoint, expected a list"),
+        (ls.Scene(splats=[floor()]), LIGHT, [], "lights is a LightPoint, expected a list"),
         (ls.Scene(splats=[floor()]), [LIGHT, 3], [], "lights holds a int"),
         (ls.Scene(splats=[floor()]), [LIGHT], [3], "actors holds a int"),
         (ls.Scene(splats=[floor()]), [LIGHT], puppet(), "actors is one SplatInstance"),

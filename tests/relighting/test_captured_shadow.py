@@ -110,7 +110,7 @@ def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None
         ({"lights": [ls.LightEnvironment()]}, ls.SceneError, "lights holds an environment"),
         ({"receivers": 3}, ls.SceneError, "got a int"),
         ({"lights": [3]}, ls.SceneError, "lights holds a int"),
-        ({"lights": ls.LightPoint((0, 0, 3))}, ls.SceneError, "lights is one LightPoint, expected a list"),
+        ({"lights": ls.LightPoint((0, 0, 3))}, ls.SceneError, "lights is a LightPoint, expected a list"),
         ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
     ],
 )

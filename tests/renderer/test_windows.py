@@ -117,9 +117,9 @@ def test_focus_and_depth_use_full_image_coordinates() -> None:
     [
         ((8, 0, 16, 16), "multiples of 16 pixels"),
         ((0, 0, 40, 53), "multiples of 16 pixels"),
-        ((64, 0, 16, 16), "not within the picture of 71 x 53"),
-        ((-16, 0, 32, 16), "not within the picture"),
-        ((0, 0, 0, 16), "not within the picture"),
+        ((64, 0, 16, 16), "expected a part of the image of 71 x 53"),
+        ((-16, 0, 32, 16), "expected a part of the image"),
+        ((0, 0, 0, 16), "expected a part of the image"),
         ((0, 0, 16), "four whole numbers"),
         ((0, 0, 16.5, 16), "four whole numbers"),
     ],

@@ -122,7 +122,7 @@ def test_depth_z_of_every_model(model: ls.CameraModel) -> None:
         ({"camera_from_world_end": np.eye(3)}, r"camera_from_world_end has shape \(3, 3\), expected \(4, 4\)"),
         ({"camera_from_world_end": 2.0 * np.eye(4)}, "camera_from_world_end has last row"),
         ({"camera_from_world_end": np.diag([2.0, 2.0, 2.0, 1.0])}, "camera_from_world_end is not rigid"),
-        ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "half a turn from camera_from_world: which way"),
+        ({"camera_from_world_end": np.diag([-1.0, 1.0, -1.0, 1.0])}, "rotated by 180 degrees from camera_from_world"),
     ],
 )
 def test_wrong_lenses_are_refused(changes: dict[str, Any], message: str) -> None:
@@ -164,7 +164,7 @@ def test_shutter_turn_leads_from_pose_to_pose(axis: tuple[float, float, float], 
         camera_from_world_end=posed(rotation(axis, angle) @ first, (1.5, 2.0, 2.0)),
     )
     expected = np.asarray(axis) / np.linalg.norm(axis) * angle
-    np.testing.assert_allclose(camera.shutter_turn, expected, atol=1e-9)
+    np.testing.assert_allclose(camera.shutter_rotation, expected, atol=1e-9)
     np.testing.assert_allclose(camera.shutter_motion, (0.5, 0.0, -1.0), atol=1e-12)
 
 
@@ -173,7 +173,7 @@ def test_still_shutters_do_not_move_at_all() -> None:
     pose = posed(rotation((0.3, -0.5, 0.8), 1.234), (0.1, 0.2, 0.3))
     for end in (None, pose):
         camera = front_camera(camera_from_world=pose, camera_from_world_end=end)
-        np.testing.assert_array_equal(camera.shutter_turn, 0.0)
+        np.testing.assert_array_equal(camera.shutter_rotation, 0.0)
         np.testing.assert_array_equal(camera.shutter_motion, 0.0)
 
 

@@ -88,7 +88,7 @@ def test_captures_are_placed_by_the_same_words():
     [
         ({"world_from_object": np.eye(4), "position": (0, 0, 0)}, "world_from_object and position are both given"),
         ({"up": "y-up", "front": "+y"}, r"front is '\+y', expected one of \+z, -z, \+x, -x"),
-        ({"front": "-z"}, "front is of objects that stand or look somewhere: give up or look_at, too"),
+        ({"front": "-z"}, "front needs up or look_at: give one of them, too"),
         ({"world_from_object": np.eye(4), "up": "y-up"}, "world_from_object and up are both given"),
         ({"position": (0, 1)}, "position is .*three finite numbers"),
         ({"rotation_degrees": 90}, "rotation_degrees is 90, expected three finite numbers"),
@@ -156,12 +156,12 @@ def test_a_rect_faces_its_target():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ls.LightSpot((0, 4, 0)), "direction has no length: a spot needs one, or a target"),
+        (lambda: ls.LightSpot((0, 4, 0)), "a spot needs a direction or a target"),
         (lambda: ls.LightSpot((0, 4, 0), (0, 1, 0), target=(0, 0, 0)), "direction and target of a spot are both given"),
-        (lambda: ls.LightSpot((0, 4, 0), target=(0, 4, 0)), "target of a spot is where it stands"),
+        (lambda: ls.LightSpot((0, 4, 0), target=(0, 4, 0)), "target of a spot is at its position"),
         (lambda: ls.LightDirectional(target=(0, 0, 0)), "without a position"),
         (lambda: ls.LightDisk((0, 4, 0), (0, 1, 0), target=(0, 0, 0)), "direction and target of a disk"),
-        (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0)), "target and size of a rect go together"),
+        (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0)), "target and size of a rect must be given together"),
         (lambda: ls.LightRect((0, 4, 0), (1, 0, 0), (0, 1, 0), target=(0, 0, 0), size=(1, 1)), "both given"),
         (lambda: ls.LightRect((0, 4, 0), target=(0, 0, 0), size=(1, 0)), "size is"),
     ],
@@ -225,7 +225,7 @@ def test_scene_files_have_the_same_words(tmp_path):
         ("rotation_degrees = [0, 0, 90]", "rotation_degrees = [0, 0, 90]\nrotation_wxyz = [1, 0, 0, 0]", "both given"),
         ("ground = -2.0", "ground = nan", "ground is nan"),
         ("target = [3, 0, 0]\n", "", "lacks direction"),
-        ("target = [3, 0, 0]", "target = [0, -4, 0]", "target of a spot is where it stands"),
+        ("target = [3, 0, 0]", "target = [0, -4, 0]", "target of a spot is at its position"),
     ],
 )
 def test_wrong_words_of_scene_files_are_refused(tmp_path, old, new, message):

@@ -123,7 +123,7 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightPoint, {"range": 0.0}, "range is 0.0, expected a number above 0"),
         (ls.LightPoint, {"radius": -1.0}, "radius is -1.0"),
         (ls.LightPoint, {"casts_shadow": None}, "casts_shadow is None"),
-        (ls.LightSpot, {"direction": ORIGIN}, "direction has no length"),
+        (ls.LightSpot, {"direction": ORIGIN}, "needs a direction or a target"),
         (ls.LightSpot, {"inner_angle": 0.8}, "inner_angle is 0.8 and its outer_angle 0.785"),
         (ls.LightSpot, {"outer_angle": 1.6}, r"outer_angle is 1.6, expected 0.0 to 1.570797 \(radians\)"),
         (ls.LightSpot, {"inner_angle": -0.1}, "inner_angle is -0.1"),
@@ -137,7 +137,7 @@ NEGATIVE[0, 1:3, 2] = -1.0
         (ls.LightEnvironment, {"shadow_distance": math.nan}, "shadow_distance is nan, expected a number above 0"),
         (ls.LightSphere, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
         (ls.LightDisk, {"radius": 0.0}, "radius is 0.0, expected a number above 0"),
-        (ls.LightDisk, {"direction": ORIGIN}, "direction has no length: a disk needs one, or a target"),
+        (ls.LightDisk, {"direction": ORIGIN}, "a disk needs a direction or a target"),
         (ls.LightRect, {"edge_v": (2.0, 0.0, 0.0)}, "span no area"),
         (ls.LightRect, {"edge_u": ORIGIN}, "span no area"),
         (ls.LightEnvironment, {"image": np.ones((4, 3))}, r"image has shape \(4, 3\), expected \(H, W, 3\)"),
@@ -164,7 +164,7 @@ def test_a_scene_takes_one_enabled_environment() -> None:
 
 @pytest.mark.parametrize(
     ("lights", "message"),
-    [([quad(1.0)], "lights holds a Mesh"), (ls.LightPoint(ORIGIN), "lights is one LightPoint, expected a list")],
+    [([quad(1.0)], "lights holds a Mesh"), (ls.LightPoint(ORIGIN), "lights is a LightPoint, expected a list")],
 )
 def test_what_is_no_light_is_refused(lights: Any, message: str) -> None:
     """``lights`` must be a list of lights."""

@@ -84,7 +84,7 @@ def test_strangers_are_refused() -> None:
         ls.Scene([quad(1.0)])  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="meshes holds a str"):
         ls.Scene([], ["mesh"])  # pyright: ignore[reportArgumentType]
-    with pytest.raises(ls.SceneError, match="splats is one Gaussians, expected a list"):
+    with pytest.raises(ls.SceneError, match="splats is a Gaussians, expected a list"):
         ls.Scene(random_gaussians(0, 3))  # pyright: ignore[reportArgumentType]
     with pytest.raises(ls.SceneError, match="gaussians is a Mesh, expected Gaussians"):
         ls.SplatInstance(quad(1.0))  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""Cameras: x right, y down, z forward; pixel centres at +0.5."""
+"""Cameras with OpenCV axes: x right, y down, z forward; pixel centres at +0.5."""
 
 from __future__ import annotations
 
@@ -20,30 +20,30 @@ from lumisplat.math.distortion import Coefficients, undistort
 from lumisplat.scene.checks import take_scene_fields
 
 DISTORTION_MAX = 1e9
-"""Largest coefficient of a lens: far beyond those of any, and its polynomial still fits into float64."""
+"""Largest distortion coefficient: far beyond any lens, while the polynomial still fits into float64."""
 
 _RIGID_ERROR = 1e-3
-"""Largest error of the scalar products of a rotation's rows."""
+"""Tolerance for the scalar products of a rotation's rows."""
 
 
 class CameraModel(Enum):
-    """The ray of a pixel, with ``(u, v) = ((x - cx) / fx, (y - cy) / fy)`` for the pixel's centre (x, y)."""
+    """Mapping from pixels to rays, with ``(u, v) = ((x - cx) / fx, (y - cy) / fy)`` at the pixel centre (x, y)."""
 
     PINHOLE = "pinhole"
-    """The ray goes from the eye along (u, v, 1)."""
+    """The ray starts at the eye in direction (u, v, 1)."""
     FISHEYE = "fisheye"
     """Equidistant: the ray leaves the eye at ``theta = |(u, v)|`` radians from the axis; fx and fy are pixels per
-    radian. Views wider than 180 degrees are allowed; a pixel beyond ``theta = pi`` has no ray."""
+    radian. Views wider than 180 degrees are allowed; pixels beyond ``theta = pi`` have no ray."""
     ORTHOGRAPHIC = "orthographic"
     """The ray is parallel to the axis and starts at (u, v, 0), on the plane through the eye; fx and fy are pixels per
     scene unit."""
 
 
 def _pixel_count(value: float, name: str = "width") -> int:
-    """Converts a number of pixels, which may be given as a float.
+    """Converts a number of pixels, which may be a whole float, to an integer.
 
     Raises:
-        SceneError: It is no whole number, or out of range.
+        SceneError: The number is not whole, or out of range.
     """
     number = plain(value)
     whole = int(number) if isinstance(number, float) and number.is_integer() else number
@@ -52,11 +52,11 @@ def _pixel_count(value: float, name: str = "width") -> int:
 
 @frozen(kw_only=True)
 class Camera:
-    """A camera with OpenCV axes: a projection, a pose, and, for rays only, a thin lens and a rolling shutter.
+    """A camera with OpenCV axes: projection, pose, and for rays also a thin lens and a rolling shutter.
 
     Raises:
-        SceneError: A size or focal length is not positive, a pose is not a rigid transform, the aperture is negative,
-            or the two poses of a rolling shutter are half a turn apart.
+        SceneError: A size or focal length is not positive, a pose is not rigid, the aperture is negative, or the two
+            poses of a rolling shutter differ by a rotation of 180 degrees.
     """
 
     width: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
@@ -64,7 +64,7 @@ class Camera:
     height: Annotated[int, Range(1, 65536, "pixels")] = given(converter=_pixel_count)
     """Image height."""
     fx: Annotated[float, Range(0.0, above=True)]
-    """Horizontal focal length, pixels; for a fisheye pixels per radian, for an orthographic camera per scene unit."""
+    """Horizontal focal length in pixels; fisheye: pixels per radian; orthographic: pixels per scene unit."""
     fy: Annotated[float, Range(0.0, above=True)]
     """Vertical focal length, in the same unit as ``fx``."""
     cx: Annotated[float, Range(unit="pixels")]
@@ -72,33 +72,33 @@ class Camera:
     cy: Annotated[float, Range(unit="pixels")]
     """Principal point, from the top edge of the image."""
     camera_from_world: npt.NDArray[np.float64]
-    """Rigid transform for column vectors, shape (4, 4); with a rolling shutter, the pose at the start of the first
-    row."""
+    """World-to-camera pose for column vectors, rigid, shape (4, 4); with a rolling shutter, the pose at the start of
+    the first row."""
     near: Annotated[float, Range(0.0, unit="scene units", above=True)] = NEAR_PLANE
-    """Nothing at a smaller view depth is drawn; for a fisheye, nothing at a smaller distance. The default
-    is halved until it is a thousandth of the size of the largest asset, or less."""
+    """Near plane: view depth below which nothing is drawn; fisheye: distance. The default is halved until it is at
+    most a thousandth of the largest asset's size."""
     name: str = ""
-    """Name of the frame: in a camera file, the name of its image."""
+    """Name of the frame; in a camera file, the name of its image."""
     model: CameraModel = CameraModel.PINHOLE
-    """How pixels map to rays."""
+    """Mapping from pixels to rays."""
     aperture: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the lens; 0: everything is in focus. The lens is a disc in the plane through the eye; for
-    a fisheye, perpendicular to the ray of each pixel."""
+    """Radius of the thin lens; 0: everything is in focus. The lens is a disc in the plane through the eye; for a
+    fisheye, perpendicular to the ray of each pixel."""
     focus_distance: Annotated[float, Range(0.0, unit="scene units", above=True)] = 1.0
     """View depth of the plane in focus; for a fisheye, the radius of the sphere in focus."""
     camera_from_world_end: npt.NDArray[np.float64] | None = None
-    """Rolling shutter: the pose at the end of the last row, shape (4, 4). Row y is exposed at the fraction
-    (y + 0.5) / height of the motion; the eye moves on a straight line, the rotation is slerped. None: all rows are
-    exposed at once."""
+    """Rolling shutter: pose at the end of the last row, shape (4, 4). Row y is exposed at the fraction (y + 0.5) /
+    height of the motion, in which the eye moves on a straight line and the rotation is slerped. None: global shutter.
+    """
     distortion: Coefficients = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """Lens distortion k1, k2, k3, k4, p1, p2 of OpenCV's pinhole (k1, k2, k3, p1, p2) and fisheye models (k1 to k4).
-    With (u, v) as without a lens and s = u^2 + v^2, a point appears at (u, v) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4)
-    plus (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Not for orthographic cameras."""
+    """Lens distortion k1, k2, k3, k4, p1, p2 of OpenCV's pinhole (k1, k2, k3, p1, p2) and fisheye (k1 to k4) models.
+    With the undistorted (u, v) and s = u^2 + v^2, a point appears at (u, v) (1 + k1 s + k2 s^2 + k3 s^3 + k4 s^4) plus
+    (2 p1 u v + p2 (s + 2 u^2), 2 p2 u v + p1 (s + 2 v^2)). Not for orthographic cameras."""
     exposure: Annotated[float, Range(-EXPOSURE_MAX, EXPOSURE_MAX, "stops")] = 0.0
-    """Exposure of lit frames: pictures show linear light times 2 to this power."""
+    """Exposure of lit frames: linear light is multiplied by 2 to this power for display."""
     window: tuple[int, int, int, int] | None = None
-    """The part of the picture that frames show: left, top, width and height, pixels. Its pixels are those of the whole
-    picture, to the bit. Its edges are multiples of 16 pixels, or edges of the picture. None: all of it."""
+    """Rendered part of the image: left, top, width and height in pixels. Its pixels equal those of the whole image to
+    the bit. Its edges are multiples of 16 pixels, or edges of the image. None: the whole image."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self, "camera ")
@@ -107,9 +107,11 @@ class Camera:
         if self.camera_from_world_end is not None:
             end = _rigid("camera_from_world_end", self.camera_from_world_end)
             object.__setattr__(self, "camera_from_world_end", end)
-            sine, cosine = self._turn()
+            sine, cosine = self._shutter_sine_cosine()
             if cosine < 0.0 and np.linalg.norm(sine) < 1e-3:
-                raise SceneError("camera_from_world_end is half a turn from camera_from_world: which way round is open")
+                raise SceneError(
+                    "camera_from_world_end is rotated by 180 degrees from camera_from_world, expected less"
+                )
         if self.window is not None:
             object.__setattr__(self, "window", checked_window(self.window, self.width, self.height))
 
@@ -134,20 +136,20 @@ class Camera:
         Args:
             eye: World position, shape (3,).
             target: World position, shape (3,).
-            up: World direction that points up in the image, any length, shape (3,); of most captures (0, -1, 0).
+            up: World direction that points up in the image, any length, shape (3,); (0, -1, 0) for most captures.
             width: Image width, pixels.
             height: Image height, pixels.
-            fov_y: Vertical field of view, radians, 0 to pi, for a fisheye to 2 pi. An orthographic camera shows as much
-                as a pinhole camera of that field of view would at the distance of ``target``.
+            fov_y: Vertical field of view, radians, 0 to pi; for a fisheye up to 2 pi. An orthographic camera shows as
+                much as a pinhole camera with this field of view at the distance of ``target``.
             near: Near plane, scene units.
             name: Name of the frame.
-            model: How pixels map to rays.
-            aperture: Radius of the lens, scene units; 0: everything is in focus.
-            focus_distance: Distance in focus, scene units; None: that of ``target``.
+            model: Mapping from pixels to rays.
+            aperture: Radius of the thin lens, scene units; 0: everything is in focus.
+            focus_distance: Distance in focus, scene units; None: the distance of ``target``.
 
         Raises:
             SceneError: ``eye`` equals ``target``, ``up`` is parallel to the view, the field of view is out of range,
-                or something is not of its shape.
+                or an argument has the wrong shape.
         """
         width, height = _pixel_count(width, "camera width"), _pixel_count(height, "camera height")
         eye, up = _point("eye", eye), _point("up", up)
@@ -175,34 +177,34 @@ class Camera:
 
     @property
     def image_size(self) -> tuple[int, int]:
-        """Width and height of frames, pixels: those of the window, if there is one."""
+        """Width and height of frames in pixels: the window's, if there is one."""
         return (self.width, self.height) if self.window is None else self.window[2:]
 
     @property
     def image_corner(self) -> tuple[int, int]:
-        """Column and row of the picture at the upper left pixel of frames."""
+        """Column and row, in the whole image, of the upper left pixel of frames."""
         return (0, 0) if self.window is None else self.window[:2]
 
     @property
     def world_from_camera(self) -> Doubles:
-        """Inverse pose, shape (4, 4)."""
+        """Camera-to-world pose, shape (4, 4)."""
         return np.asarray(np.linalg.inv(self.camera_from_world), dtype=np.float64)
 
     @property
     def eye(self) -> Doubles:
-        """World position of the centre of projection, shape (3,); orthographic: of the principal point."""
+        """World position of the centre of projection, shape (3,); for orthographic cameras, of the principal point."""
         return self.world_from_camera[:3, 3]
 
     @property
     def fov_y(self) -> float:
-        """Vertical field of view, radians, as if the principal point were centred; 0 for an orthographic camera."""
+        """Vertical field of view in radians for a centred principal point; 0 for an orthographic camera."""
         if self.model is CameraModel.FISHEYE:
             return self.height / self.fy
         return 2.0 * math.atan(0.5 * self.height / self.fy) if self.model is CameraModel.PINHOLE else 0.0
 
     @property
     def is_distorted(self) -> bool:
-        """Whether the lens distorts."""
+        """True if the lens has distortion."""
         return any(self.distortion)
 
     @property
@@ -211,17 +213,17 @@ class Camera:
         return self._world_from_camera_end[:3, 3] - self.eye
 
     @property
-    def shutter_turn(self) -> Doubles:
+    def shutter_rotation(self) -> Doubles:
         """Rotation of the camera over the same time: axis in world space times angle in radians, shape (3,)."""
-        sine, cosine = self._turn()
+        sine, cosine = self._shutter_sine_cosine()
         length = float(np.linalg.norm(sine))
         return sine * (math.atan2(length, cosine) / length) if length > 0.0 else np.zeros(3)
 
     def ray_directions(self) -> Doubles:
-        """Unit directions through the pixel centres of frames, camera space, shape (H, W, 3).
+        """Returns unit ray directions at the pixel centres, camera space, shape (H, W, 3).
 
-        Pixels of a fisheye or of a distorting lens that have no ray have direction 0. Orthographic rays start on the
-        plane through the eye, all others at the eye.
+        Pixels without a ray, at the edge of a fisheye or distorted image, have direction 0. Orthographic rays start on
+        the plane through the eye, all others at the eye.
         """
         (width, height), (left, top) = self.image_size, self.image_corner
         u = (left + np.arange(width) + 0.5 - self.cx) / self.fx
@@ -244,10 +246,10 @@ class Camera:
         return rays
 
     def scaled(self, width: int | None = None, height: int | None = None) -> Camera:
-        """The same view at another resolution. If only one side is given, the other follows from the aspect ratio.
+        """Returns the same view at another resolution; a missing side follows from the aspect ratio.
 
         Raises:
-            SceneError: The camera has a window, which would not stay one of whole pixels.
+            SceneError: The camera has a window, whose scaled edges might not lie on whole pixels.
         """
         if width is None and height is None:
             return self
@@ -262,13 +264,13 @@ class Camera:
         return replace(self, width=width, height=height, fx=self.fx * x, fy=self.fy * y, cx=self.cx * x, cy=self.cy * y)
 
     def windows(self, columns: int, rows: int) -> list[Camera]:
-        """Cameras of all parts of the picture, row by row: windows of about one size, in so many columns and rows.
+        """Cuts the image into a grid of windows of similar size; returns their cameras, row by row.
 
         Raises:
-            SceneError: The camera has a window already, or there are fewer steps of 16 pixels than parts.
+            SceneError: The camera already has a window, or there are fewer steps of 16 pixels than parts.
         """
         if self.window is not None:
-            raise SceneError("a camera with a window is not cut further: cut the whole picture")
+            raise SceneError("a camera with a window cannot be cut again: cut the whole image")
         across, down = _cuts("columns", columns, self.width), _cuts("rows", rows, self.height)
         return [
             replace(self, window=(left, top, right - left, bottom - top))
@@ -281,42 +283,42 @@ class Camera:
         end = self.camera_from_world if self.camera_from_world_end is None else self.camera_from_world_end
         return np.asarray(np.linalg.inv(end), dtype=np.float64)
 
-    def _turn(self) -> tuple[Doubles, float]:
-        """The rotation from the first pose to the last: axis times sine (exactly 0 without a rotation), and cosine."""
+    def _shutter_sine_cosine(self) -> tuple[Doubles, float]:
+        """Returns axis times sine, exactly 0 without rotation, and cosine of the rotation between the two poses."""
         first, last = self.world_from_camera[:3, :3].T, self._world_from_camera_end[:3, :3].T
         return 0.5 * np.cross(first, last).sum(axis=0), 0.5 * (float(np.sum(first * last)) - 1.0)
 
 
 def checked_window(window: object, width: int, height: int) -> tuple[int, int, int, int]:
-    """A window of a picture of a size.
+    """Returns a window of an image of the given size as four integers.
 
     Raises:
-        SceneError: It is none.
+        SceneError: It is no such window.
     """
     numbers = finite_numbers(window, (4,))
     if numbers is None or (numbers != np.floor(numbers)).any():
         raise SceneError(f"camera window is {window}, expected four whole numbers: left, top, width, height")
     left, top, columns, rows = (int(number) for number in numbers)
     if left < 0 or top < 0 or columns < 1 or rows < 1 or left + columns > width or top + rows > height:
-        raise SceneError(f"camera window is {window}, which is not within the picture of {width} x {height}")
+        raise SceneError(f"camera window is {window}, expected a part of the image of {width} x {height} pixels")
     edges = (left, width), (left + columns, width), (top, height), (top + rows, height)
     if any(edge % WINDOW_STEP and edge != end for edge, end in edges):
         raise SceneError(
-            f"camera window is {window}, expected edges at multiples of {WINDOW_STEP} pixels or at those of the picture"
+            f"camera window is {window}, expected edges at multiples of {WINDOW_STEP} pixels or at the image's edges"
         )
     return left, top, columns, rows
 
 
 def _cuts(name: str, parts: object, size: int) -> list[int]:
-    """Where a side of a picture is cut in so many parts, its ends included."""
+    """Returns the positions that cut a side of an image into parts, including both ends."""
     steps = -(-size // WINDOW_STEP)
     if not is_number(parts) or parts != int(parts) or not 1 <= parts <= steps:
-        raise SceneError(f"{name} is {parts}, expected 1 to {steps}, for {size} pixels in steps of {WINDOW_STEP}")
+        raise SceneError(f"{name} is {parts}, expected 1 to {steps}: {size} pixels are cut in steps of {WINDOW_STEP}")
     return [*(WINDOW_STEP * (part * steps // int(parts)) for part in range(int(parts))), size]
 
 
 def camera_pose(eye: Doubles, right: Doubles, forward: Doubles) -> Doubles:
-    """``camera_from_world``, shape (4, 4), from the eye and two perpendicular unit axes in world space, shape (3,)."""
+    """Returns ``camera_from_world``, shape (4, 4), from the eye and two perpendicular world-space unit axes, (3,)."""
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward])
     pose[:3, 3] = -pose[:3, :3] @ eye
@@ -324,7 +326,10 @@ def camera_pose(eye: Doubles, right: Doubles, forward: Doubles) -> Doubles:
 
 
 def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float) -> float:
-    """Focal length for a field of view, in the unit of the model; orthographic: as of a pinhole at ``distance``."""
+    """Returns the focal length for a field of view, in the unit of the model.
+
+    An orthographic camera shows at ``distance`` as much as a pinhole camera.
+    """
     fisheye = model is CameraModel.FISHEYE
     widest = 2.0 * math.pi if fisheye else math.nextafter(math.pi, 0.0)
     if not is_number(fov_y) or not 0.0 < fov_y <= widest:
@@ -336,7 +341,7 @@ def _focal_length(model: CameraModel, fov_y: float, height: int, distance: float
 
 
 def _model_of(model: object) -> CameraModel:
-    """The model, given as such or by its value, such as "fisheye"."""
+    """Converts a camera model, given as such or by its value, such as "fisheye"."""
     return enum_member("camera model", model, CameraModel, SceneError)
 
 
@@ -347,7 +352,7 @@ def _coefficients(values: object, model: CameraModel) -> Coefficients:
     if np.abs(numbers).max() > DISTORTION_MAX:
         raise SceneError(f"camera distortion is {values}, expected k1 k2 k3 k4 p1 p2 of at most {DISTORTION_MAX:g}")
     if model is CameraModel.ORTHOGRAPHIC and numbers.any():
-        raise SceneError("camera distortion is of pinhole and fisheye cameras, this one is orthographic")
+        raise SceneError("camera distortion needs a pinhole or fisheye camera, this one is orthographic")
     k1, k2, k3, k4, p1, p2 = (float(number) for number in numbers)
     return k1, k2, k3, k4, p1, p2
 

@@ -1,4 +1,4 @@
-"""Checks that the scene dataclasses share. Values come from users, so declared types are not relied on."""
+"""Checks that the scene dataclasses share. Values come from users, so their types are not trusted."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ def check_kind(name: str, value: object, kind: type | tuple[type, ...], expected
 
 
 def check_argument(function: str, value: object, kind: type, expected: str, hint: str = "") -> None:
-    """Raises a `SceneError` unless ``value``, which a function was called with, is an instance of ``kind``."""
+    """Raises a `SceneError` unless an argument of ``function`` is an instance of ``kind``."""
     if not isinstance(value, kind):
         raise SceneError(f"{function} takes {expected}, got a {type(value).__name__}{hint}")
 
 
 def check_whole(name: str, value: object, low: int, high: int) -> int:
-    """Returns an integer with ``low <= value <= high`` as Python's; else raises a `SceneError`."""
+    """Returns ``value`` as a Python integer with ``low <= value <= high``, or raises a `SceneError`."""
     return Range(low, high).taken(name, value, int, SceneError)
 
 
 def check_positive(name: str, value: object) -> float:
-    """Returns a finite number above 0 as Python's; else raises a `SceneError`."""
+    """Returns ``value`` as a finite Python float above 0, or raises a `SceneError`."""
     return Range(0.0, above=True).taken(name, value, float, SceneError)
 
 
 def take_scene_fields(item: DataclassInstance, prefix: str = "") -> None:
-    """Makes the fields of a new object what they declare, see `take_fields`; what is refused is a `SceneError`."""
+    """Converts and checks the fields of a new object as declared, see `take_fields`; errors are `SceneError`."""
     take_fields(item, prefix, SceneError)
 
 
 class LinearColor:
-    """Converts what is given for linear Rec.709: three numbers, or one for all channels.
+    """Converter to linear Rec.709 colours, from three numbers or one for all channels.
 
     Args:
-        high: The largest number of a channel.
+        high: Largest value of a channel.
     """
 
     kind = "color"
@@ -63,10 +63,10 @@ class LinearColor:
         self._range = Range(0.0, high)
 
     def __call__(self, value: npt.ArrayLike, name: str = "color") -> Vector:
-        """Returns the three numbers.
+        """Returns the three channels.
 
         Raises:
-            SceneError: The value is something else, or one is outside the range.
+            SceneError: The value is no colour, or a channel is out of range.
         """
         single: Any = plain(value)
         values: Any = (single,) * 3 if type(single) in (int, float) else host_array(single)
@@ -81,22 +81,22 @@ class LinearColor:
 
 
 COLOR, UNIT_COLOR = LinearColor(), LinearColor(1.0)
-"""Colours that are at least 0, and those of at most 1."""
+"""Converters for non-negative colours, and for colours in 0..1."""
 
 
 def items_of(name: str, values: object) -> Iterable[object]:
-    """Returns ``values``, a list that the user gives.
+    """Returns ``values``, which must be a list or another iterable.
 
     Raises:
-        SceneError: It is a single object instead of a list.
+        SceneError: It is a single object.
     """
     if not _is_iterable(values):
-        raise SceneError(f"{name} is one {type(values).__name__}, expected a list")
+        raise SceneError(f"{name} is a {type(values).__name__}, expected a list")
     return values
 
 
 def with_checked(item: _Item, **values: object) -> _Item:
-    """A copy of a frozen dataclass with other fields, whose values are known to be right: nothing is checked again."""
+    """Copies a frozen dataclass with other field values, without checks: the values must be valid."""
     changed = copy.copy(item)
     for name, value in values.items():
         object.__setattr__(changed, name, value)

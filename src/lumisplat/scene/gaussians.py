@@ -1,4 +1,4 @@
-"""A set of 3D Gaussians: the asset that a capture file stores."""
+"""3D Gaussians: the asset that a capture file stores."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Gaussians:
     opacities: FloatArray = given(converter=to_floats)
     """Opacity at the centre, 0..1, shape (N,)."""
     sh: FloatArray = given(converter=to_floats)
-    """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3), K in 1, 4, 9, 16.
-    The colour is max(sum + 0.5, 0)."""
+    """SH coefficients of display-referred sRGB in INRIA's order and signs, shape (N, K, 3), K in 1, 4, 9, 16. The
+    colour is max(sum + 0.5, 0)."""
     normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Unit surface normals in object space, shape (N, 3)."""
     albedo: FloatArray | None = given(converter=to_floats_or_none, default=None)
@@ -70,26 +70,26 @@ class Gaussians:
     metallic: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Metalness, 0..1, shape (N,)."""
     antialiased: bool = field(default=False, kw_only=True)
-    """Whether the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
+    """True if the capture was trained with Mip-Splatting's opacity compensation, and must be rendered with it."""
     kernel_degree: Annotated[int, Range(0, KERNEL_DEGREE_MAX)] = field(default=KERNEL_DEGREE, kw_only=True)
     """Exponent of the distance in the response that the capture was trained with, from linear to quintic; ordinary
-    captures have 2, the Gaussian. The ray tracer uses it; the rasteriser draws every capture with degree 2."""
+    captures have 2, the Gaussian. Only the ray tracer uses it; the rasteriser draws every capture with degree 2."""
     comments: tuple[str, ...] = field(default=(), kw_only=True)
-    """Comments of the file, kept on conversion."""
+    """Comments of the file, preserved by conversions."""
     incident: FloatArray | None = given(converter=to_floats_or_none, default=None, kw_only=True)
-    """Light that reached each Gaussian from near by when the photographs were taken, as Relightable 3D Gaussians learn
-    it beside the sky: SH coefficients of linear radiance by the direction that it comes from, shape (N, J, 3), J in 1,
-    4, 9, 16; the radiance is max(sum, 0). It is kept for those who asked for it, and lights nothing."""
+    """Indirect light at each Gaussian when the images were taken, as Relightable 3D Gaussians trains it in addition to
+    the environment: SH coefficients of incident linear radiance, shape (N, J, 3), J in 1, 4, 9, 16; the radiance is
+    max(sum, 0). It is stored for other programs, and lights nothing here."""
 
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
-    """Unit vector that points up in the capture; None: it does not say. Accepted as of `lumisplat.Scene`."""
+    """Unit vector that points up in the capture; None: unknown. Accepts what `lumisplat.Scene` accepts."""
     first_view: Camera | None = field(default=None, kw_only=True)
-    """From where the capture is looked at first, such as from where one of its images was taken; what it looks at is
-    at its ``focus_distance``. None: it does not say."""
+    """Default camera for looking at the capture, such as the camera of one of its images; it looks at the point at its
+    ``focus_distance``. None: unknown."""
 
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
-    """Where the capture's zero is placed, unless an instance of it says otherwise, scene units, in float64: captures
-    in map coordinates have their means, and their first view, about an origin, as float32 is 0.5 apart there."""
+    """World position of the capture's zero, scene units, float64, unless an instance overrides it. Captures in map
+    coordinates store means and first view relative to an origin, because float32 positions are 0.5 apart there."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -106,7 +106,7 @@ class Gaussians:
             incident=(self.incident, "N J 3"),
         )
         if self.count == 0:
-            raise SceneError("zero Gaussians: there is nothing to render")
+            raise SceneError("zero Gaussians, expected at least one")
         for name, values in (("sh", self.sh), ("incident", self.incident)):
             if values is not None and values.shape[1] not in SH_DEGREE_FROM_COUNT:
                 raise SceneError(f"{name} has {values.shape[1]} coefficients, expected 1, 4, 9 or 16 (degree 0 to 3)")
@@ -146,55 +146,58 @@ class Gaussians:
         return self.means.min(axis=0), self.means.max(axis=0)
 
     def arrays(self) -> dict[str, FloatArray]:
-        """The arrays by name, without the optional ones that are None."""
+        """Returns the arrays by name, without the optional ones that are None."""
         named = {name: getattr(self, name) for name in (*_REQUIRED, *_OPTIONAL)}
         return {name: values for name, values in named.items() if values is not None}
 
     def subset(self, rows: npt.NDArray[np.bool_] | npt.NDArray[np.integer]) -> Gaussians:
-        """The Gaussians that ``rows`` (a mask or indices) selects, in that order."""
+        """Returns the Gaussians that ``rows`` (a mask or indices) selects, in that order."""
         return replace(self, **{name: read_only_view(values[rows]) for name, values in self.arrays().items()})
 
 
 def merge_gaussians(sets: Sequence[Gaussians]) -> Gaussians:
     """Joins sets in the same space into one, in order. Optional arrays are kept if all sets have them.
 
-    Harmonics of lower degree are padded with zeros. The comments are those of the first set; up and first view are
-    those of the first set that says them.
+    SH of lower degree are padded with zeros. Comments come from the first set; up and first view come from the first
+    set that has them.
 
-    Antialiased sets merge with others if they are opaque, as those of meshes are; the result is not antialiased.
+    Antialiased sets merge with others if they are opaque, as Gaussians made from meshes are; the result is not
+    antialiased.
 
     Raises:
-        SceneError: The list is empty, only some sets are antialiased and not all of these opaque, or their kernel
-            degrees differ, or they stand so far apart that float32 holds no common origin.
+        SceneError: The list is empty; only some sets are antialiased, and not all of these are opaque; kernel degrees
+            differ; or the sets are so far apart that float32 holds no common origin.
     """
     if not sets:
-        raise SceneError("zero Gaussian sets: there is nothing to merge")
+        raise SceneError("zero Gaussian sets, expected at least one")
     if len({one.antialiased for one in sets}) > 1:
         if any(one.antialiased and one.opacities.min() < ALPHA_MAX for one in sets):
-            raise SceneError("cannot merge antialiased captures with others: their opacities mean different things")
-        _log.warning("opaque Gaussians, as those of meshes, are dilated as those are with which they are merged")
+            raise SceneError("cannot merge antialiased captures with others: their opacities are defined differently")
+        _log.warning(
+            "antialiased Gaussians (such as those of meshes) merged with ordinary captures: they are now dilated, too"
+        )
         sets = [replace(one, antialiased=False) for one in sets]
     degrees = sorted({one.kernel_degree for one in sets})
     if len(degrees) > 1:
         listed = ", ".join(map(str, degrees))
-        raise SceneError(f"cannot merge captures of kernel degrees {listed}: their scales mean different things")
+        raise SceneError(f"cannot merge captures of kernel degrees {listed}: their scales are defined differently")
     origin = next((one.origin for one in sets if any(one.origin)), sets[0].origin)
-    columns = [_about(one, origin).arrays() for one in sets]
+    columns = [_with_origin(one, origin).arrays() for one in sets]
     shared = [name for name in columns[0] if all(name in column for column in columns)]
     for name in {"sh", "incident"}.intersection(shared):
         most = max(column[name].shape[1] for column in columns)
         for column in columns:
             column[name] = np.pad(column[name], ((0, 0), (0, most - column[name].shape[1]), (0, 0)))
     joined = {name: read_only_view(np.concatenate([column[name] for column in columns])) for name in shared}
-    said = {
-        name: next((value for one in sets if (value := getattr(_about(one, origin), name)) is not None), None)
+    stated = {
+        name: next((value for one in sets if (value := getattr(_with_origin(one, origin), name)) is not None), None)
         for name in ("up", "first_view")
     }
-    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined | said), origin=origin)
+    return replace(sets[0], **(dict.fromkeys(_OPTIONAL) | joined | stated), origin=origin)
 
 
-def _about(gaussians: Gaussians, origin: Vector) -> Gaussians:
-    """Returns a capture in its place about another origin."""
+def _with_origin(gaussians: Gaussians, origin: Vector) -> Gaussians:
+    """Returns a capture at the same world position, stored relative to another origin."""
     if gaussians.origin == origin:
         return gaussians
     move = np.eye(4)
@@ -204,28 +207,28 @@ def _about(gaussians: Gaussians, origin: Vector) -> Gaussians:
     if np.spacing(np.abs(np.median(means, axis=0)).max()) > ORIGIN_LOSS * width:
         apart = float(np.linalg.norm(move[:3, 3]))
         raise SceneError(
-            f"a capture {apart:g} units from another cannot be merged with it: float32 does not hold both; move one of "
-            "them with transform(), or put both into one Scene"
+            f"captures {apart:g} units apart cannot be merged, because float32 cannot represent both: move one with "
+            "transform(), or put both into one Scene"
         )
     return replace(gaussians, means=means, origin=origin, **moved_orientation(gaussians, move))
 
 
 def moved_orientation(gaussians: Gaussians, new_from_old: Doubles) -> dict[str, Any]:
-    """Returns ``up`` and ``first_view`` of a capture that an affine matrix, shape (4, 4), moves, if it has one.
+    """Returns ``up`` and ``first_view`` of a capture after an affine transform, shape (4, 4), if it has them.
 
-    Directions turn by the rotation that is nearest to the matrix; the eye and what it looks at move with the capture.
+    Directions rotate by the rotation nearest to the matrix; the eye and its target move with the capture.
     """
     if gaussians.up is None and gaussians.first_view is None:
         return {}
     left, _, right = np.linalg.svd(new_from_old[:3, :3])
-    turn = left @ right
+    rotation = left @ right
     up, view = gaussians.up, gaussians.first_view
     if view is not None:
         _, down, forward = view.camera_from_world[:3, :3]
         eye, target = transform_points(new_from_old, np.stack([view.eye, view.eye + view.focus_distance * forward]))
         distance = float(np.linalg.norm(target - eye))
-        side = np.cross(turn @ down, target - eye)
+        side = np.cross(rotation @ down, target - eye)
         pose = camera_pose(eye, side / np.linalg.norm(side), (target - eye) / distance)
         factor = distance / view.focus_distance
         view = replace(view, camera_from_world=pose, focus_distance=distance, near=factor * view.near)
-    return {"up": None if up is None else up_vector(np.round(turn @ up, 12) + 0.0), "first_view": view}
+    return {"up": None if up is None else up_vector(np.round(rotation @ up, 12) + 0.0), "first_view": view}

@@ -1,11 +1,11 @@
-"""Lights, in the units of glTF's KHR_lights_punctual: candela and lux; lights with an area have radiance.
+"""Lights in the units of glTF's KHR_lights_punctual (candela and lux); area lights have radiance.
 
-All lights have a ``color`` (linear Rec.709, at least 0, multiplied with the intensity), ``intensity``, ``enabled``,
+All lights have a ``color`` (linear Rec.709, non-negative, multiplied by the intensity), ``intensity``, ``enabled``,
 ``casts_shadow`` and ``name``. Positions and directions are in world space.
 
-Each class states what the rest of the package asks of a light: ``kind``, its ``type`` in scene files; ``unit``, that of
-its ``intensity``; ``aim_fields``, the fields that say where it shines; ``aim_keys``, what may be given in their place.
-The unions below the classes say which of them have a position, a direction, a radius or an area.
+Each class states what the rest of the package needs to know about a light: ``kind``, its ``type`` in scene files;
+``unit`` of its ``intensity``; ``aim_fields``, the fields that orient it; ``aim_keys``, keys that may replace these.
+The unions below the classes list which lights have a position, a direction, a radius or an area.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from lumisplat.scene.checks import COLOR, Vector, take_scene_fields
 
 
 def vector(name: str, values: npt.ArrayLike) -> Vector:
-    """Three finite numbers.
+    """Converts three finite numbers to a vector.
 
     Raises:
-        SceneError: They are something else.
+        SceneError: The value is something else.
     """
     array = float_array(name, values)
     if array.shape != (3,):
@@ -39,25 +39,25 @@ def vector(name: str, values: npt.ArrayLike) -> Vector:
 
 
 def to_vector(values: npt.ArrayLike, name: str = "vector") -> Vector:
-    """Converts a field to three finite numbers, see `vector`."""
+    """Converts a field to a vector, see `vector`."""
     return vector(name, values)
 
 
 def direction_of(name: str, values: npt.ArrayLike) -> Vector:
-    """A unit vector.
+    """Normalises a direction.
 
     Raises:
-        SceneError: The values have no length, or are not three finite numbers.
+        SceneError: The direction has no length, or is not three finite numbers.
     """
     given = np.array(vector(name, values))
     if np.linalg.norm(given) == 0.0:
-        raise SceneError(f"{name} has no length")
+        raise SceneError(f"{name} has no length, expected a direction")
     x, y, z = (float(v) for v in unit_vector(given))
     return x, y, z
 
 
 def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.ArrayLike | None) -> Vector:
-    """The unit direction that is given, or that from a start to a target.
+    """Returns the unit direction that is given, or the direction from ``start`` to ``target``.
 
     Raises:
         SceneError: Both are given, or neither, or the target is at the start.
@@ -65,33 +65,33 @@ def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.Arra
     is_given = bool(np.any(np.asarray(vector("direction", direction)) != 0.0))
     if target is None:
         if not is_given:
-            raise SceneError(f"direction has no length: {kind} needs one, or a target")
+            raise SceneError(f"{kind} needs a direction or a target")
         return direction_of("direction", direction)
     if is_given:
-        raise SceneError(f"direction and target of {kind} are both given: choose one of them")
+        raise SceneError(f"direction and target of {kind} are both given: give one of them")
     along = np.subtract(vector("target", target), start)
     if not along.any():
-        raise SceneError(f"target of {kind} is where it stands: they must be apart")
+        raise SceneError(f"target of {kind} is at its position: move one of them")
     return direction_of("direction", along)
 
 
 def facing_edges(
     position: Vector, edges: tuple[Vector, Vector], target: npt.ArrayLike | None, size: npt.ArrayLike | None
 ) -> tuple[Vector, Vector]:
-    """Edges of a rectangle that faces a target: ``edge_u`` level with y along the vertical.
+    """Returns the edges of a rectangle that faces ``target``; ``edge_u`` is horizontal, with y as the vertical.
 
     Raises:
-        SceneError: Only one of both is given, edges are given too, or the size is not positive.
+        SceneError: Only one of target and size is given, edges are given too, or the size is not positive.
     """
     if target is None or size is None:
-        raise SceneError("target and size of a rect go together: where it faces, and how large it is")
+        raise SceneError("target and size of a rect must be given together")
     if np.any(edges):
-        raise SceneError("edge_u and target of a rect are both given: choose the edges, or the target and the size")
+        raise SceneError("edges and target of a rect are both given: give the edges, or target and size")
     sizes = finite_numbers(size, (2,))
     if sizes is None or not (sizes > 0.0).all():
         raise SceneError(f"size is {size}, expected two positive numbers, width and height")
     forward = np.array(towards("a rect", (0.0, 0.0, 0.0), position, target))
-    # Level with y; straight up or down, with z.
+    # edge_u is horizontal; for a light that faces straight up or down, z replaces y.
     across = np.cross((0.0, 1.0, 0.0) if abs(forward[1]) < 0.999999 else (0.0, 0.0, 1.0), forward)
     across /= np.linalg.norm(across)
     return vector("edge_u", sizes[0] * across), vector("edge_v", sizes[1] * np.cross(forward, across))
@@ -105,7 +105,7 @@ def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray |
     """Converts the image of an environment.
 
     Raises:
-        SceneError: It is not finite, non-negative and of floats, shape (H, W, 3).
+        SceneError: The image is not a finite, non-negative float array of shape (H, W, 3).
     """
     if values is None:
         return None
@@ -122,7 +122,7 @@ def _radiance(values: npt.ArrayLike | None, name: str = "image") -> FloatArray |
 
 
 def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tuple[float, float, float, float]:
-    """Converts a quaternion, of any length but 0.
+    """Normalises a quaternion.
 
     Raises:
         SceneError: It is not four finite numbers, or all are 0.
@@ -137,13 +137,13 @@ def _unit_quaternion(values: npt.ArrayLike, name: str = "rotation_wxyz") -> tupl
 
 @frozen
 class LightPoint:
-    """A light that shines equally in all directions.
+    """A point light that shines equally in all directions; with a radius, its shadows are soft.
 
     Irradiance at distance d is ``intensity / d^2``, faded out towards ``range`` by the window that glTF recommends,
     ``clamp(1 - (d / range)^4, 0, 1)``.
 
     Raises:
-        SceneError: A value is not finite, negative or of the wrong shape.
+        SceneError: A value is negative, not finite or of the wrong shape.
     """
 
     kind: ClassVar[str] = "point"
@@ -154,11 +154,11 @@ class LightPoint:
     position: Vector = given(converter=to_vector)
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
-    """Candela."""
+    """Luminous intensity."""
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
-    """Distance beyond which it lights nothing."""
+    """Distance beyond which the light has no effect."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the sphere that it is for soft shadows; 0: a point."""
+    """Radius of the light for soft shadows; 0: hard shadows."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
@@ -166,20 +166,20 @@ class LightPoint:
     __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """Returns candela at an intensity of 1, as if all of the light shone from its position; shape (N,).
+        """Returns the intensity towards points for ``intensity`` 1, with all light coming from the centre, (N,).
 
         Args:
-            offsets: From the light's position, scene units, shape (N, 3).
+            offsets: Points minus the light's position, scene units, shape (N, 3).
         """
         return _window(self.range, _squared(offsets))
 
 
 @frozen
 class LightSpot:
-    """A point light that shines into a cone: at full intensity within ``inner_angle``, fading out to ``outer_angle``.
+    """A spot light: full intensity within ``inner_angle`` of its axis, fading to zero at ``outer_angle``.
 
     Raises:
-        SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angles
+        SceneError: A value is negative, not finite or of the wrong shape, the direction has no length, or the angles
             are not ``0 <= inner < outer <= pi / 2``.
     """
 
@@ -190,23 +190,23 @@ class LightSpot:
 
     position: Vector = given(converter=to_vector)
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """Direction in which it shines, of any length; normalised. Needed unless there is a ``target``."""
+    """Axis of the cone, any length; normalised. Required unless there is a ``target``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="cd")] = 1.0
-    """Candela along the axis."""
+    """Luminous intensity along the axis."""
     range: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
-    """Distance beyond which it lights nothing."""
+    """Distance beyond which the light has no effect."""
     inner_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
-    """Angle from the axis within which it shines at full intensity."""
+    """Angle from the axis up to which the light has full intensity."""
     outer_angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = math.pi / 4.0
-    """Angle from the axis at which its light ends."""
+    """Angle from the axis at which the light has faded to zero."""
     radius: Annotated[float, Range(0.0, unit="scene units")] = 0.0
-    """Radius of the sphere that it is for soft shadows; 0: a point."""
+    """Radius of the light for soft shadows; 0: hard shadows."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     name: str = field(default="", kw_only=True)
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``direction``: world position at which it shines, shape (3,)."""
+    """Point that the light aims at, world position, shape (3,); replaces ``direction``."""
 
     def __post_init__(self, target: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -218,7 +218,7 @@ class LightSpot:
             )
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """As `LightPoint.candela`."""
+        """Returns the intensity towards points, see `LightPoint.candela`."""
         distance2 = _squared(offsets)
         inner, outer = math.cos(self.inner_angle), math.cos(self.outer_angle)
         cosine = offsets @ np.array(self.direction) / np.sqrt(distance2)
@@ -227,10 +227,10 @@ class LightSpot:
 
 @frozen
 class LightDirectional:
-    """Parallel light from infinitely far away: the sun.
+    """Parallel light from infinitely far away, such as the sun.
 
     Raises:
-        SceneError: A value is not finite, negative or of the wrong shape, the direction has no length, or the angle is
+        SceneError: A value is negative, not finite or of the wrong shape, the direction has no length, or the angle is
             above pi / 2.
     """
 
@@ -240,28 +240,29 @@ class LightDirectional:
     aim_keys: ClassVar[tuple[str, ...]] = ("position", "target")
 
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """Direction in which the light travels, of any length; normalised. Needed unless there is a ``position``."""
+    """Direction in which the light travels, any length; normalised. Required unless there is a ``position``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="lux")] = 1.0
-    """Lux: irradiance of a surface that faces the light."""
+    """Illuminance of a surface that faces the light."""
     angle: Annotated[float, Range(0.0, RIGHT_ANGLE, "radians")] = 0.0
-    """Angular radius for soft shadows; the sun's is 0.27 degrees."""
+    """Angular radius of the light for soft shadows; the sun's is 0.27 degrees (0.0047)."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
-    """What is farther than this from a surface casts no shadow on it: a sky of captured Gaussians."""
+    """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
+    Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
     position: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``direction``: world position from which the light comes towards ``target``, however far away."""
+    """World position from which the light travels towards ``target``, at any distance; replaces ``direction``."""
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
     """World position towards which the light travels from ``position``; None: the origin."""
 
     def __post_init__(self, position: npt.ArrayLike | None, target: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
         if target is not None and position is None:
-            raise SceneError("target of a directional light is given without a position, from which the light comes")
+            raise SceneError("target of a directional light is given without a position that the light comes from")
         start = (0.0, 0.0, 0.0) if position is None else vector("position", position)
         end = (0.0, 0.0, 0.0) if target is None and position is not None else target
         object.__setattr__(self, "direction", towards("a directional light", self.direction, start, end))
@@ -269,12 +270,12 @@ class LightDirectional:
 
 @frozen
 class LightSphere:
-    """A sphere whose surface shines equally in all directions. Only the path pipeline shows it.
+    """A spherical area light. Only the path pipeline shows it.
 
-    Outside of it, it lights as a ``LightPoint`` of the same radius and of ``intensity * pi * radius^2`` candela does.
+    Outside the sphere, it lights like a ``LightPoint`` of the same radius with ``intensity * pi * radius^2`` candela.
 
     Raises:
-        SceneError: A value is not finite, negative or of the wrong shape.
+        SceneError: A value is negative, not finite or of the wrong shape.
     """
 
     kind: ClassVar[str] = "sphere"
@@ -287,25 +288,26 @@ class LightSphere:
     """Radius of the sphere."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
-    """Radiance: candela per square metre."""
+    """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     visible: bool = field(default=True, kw_only=True)
-    """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
+    """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
+    """
     name: str = field(default="", kw_only=True)
 
     __post_init__ = take_scene_fields
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """As `LightPoint.candela`."""
+        """Returns the intensity towards points, see `LightPoint.candela`."""
         return np.full(len(offsets), math.pi * self.radius**2)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns where rays enter the sphere from outside, scene units, shape (N,); inf where they miss it.
+        """Returns the distances at which rays enter the sphere from outside, scene units, shape (N,); inf for misses.
 
         Args:
-            origins: World space, shape (N, 3).
-            directions: Unit, shape (N, 3).
+            origins: Ray origins, world space, shape (N, 3).
+            directions: Unit ray directions, shape (N, 3).
         """
         offsets = origins - np.array(self.position)
         to_middle = -(offsets * directions).sum(axis=1)
@@ -316,10 +318,10 @@ class LightSphere:
 
 @frozen
 class LightRect:
-    """A rectangle (or parallelogram) that shines on one side. Only the path pipeline shows it.
+    """A rectangular (or parallelogram) area light that shines on one side. Only the path pipeline shows it.
 
     Raises:
-        SceneError: A value is not finite, negative or of the wrong shape, or the edges are parallel.
+        SceneError: A value is negative, not finite or of the wrong shape, or the edges are parallel.
     """
 
     kind: ClassVar[str] = "rect"
@@ -330,21 +332,22 @@ class LightRect:
     position: Vector = given(converter=to_vector)
     """Centre of the rectangle."""
     edge_u: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """One edge, scene units. Both edges are needed unless there is a ``target``."""
+    """First edge, scene units. Both edges are required unless there is a ``target``."""
     edge_v: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """The other edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
+    """Second edge. The light shines to the side of ``cross(edge_u, edge_v)``."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
-    """Radiance: candela per square metre."""
+    """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     visible: bool = field(default=True, kw_only=True)
-    """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
+    """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
+    """
     name: str = field(default="", kw_only=True)
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of the edges: world position towards which it faces."""
+    """Point that the light faces, world position, shape (3,); with ``size``, replaces the edges."""
     size: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """With ``target``: width, which is level with y along the vertical, and height, scene units, shape (2,)."""
+    """Width (the horizontal edge, with y as the vertical) and height with ``target``, scene units, shape (2,)."""
 
     def __post_init__(self, target: npt.ArrayLike | None, size: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -354,39 +357,39 @@ class LightRect:
             object.__setattr__(self, "edge_v", edges[1])
         area = np.linalg.norm(np.cross(self.edge_u, self.edge_v))
         if not area > 1e-9 * np.linalg.norm(self.edge_u) * np.linalg.norm(self.edge_v):
-            raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area")
+            raise SceneError(f"edge_u {self.edge_u} and edge_v {self.edge_v} span no area: they must not be parallel")
 
     @property
     def area_vector(self) -> Doubles:
-        """Normal of the side that shines, as long as the area, shape (3,)."""
+        """Normal of the emitting side, scaled to the light's area, shape (3,)."""
         return np.asarray(np.cross(self.edge_u, self.edge_v), np.float64)
 
     def boundary(self) -> Doubles:
-        """Returns its corners in order, world space, shape (4, 3)."""
+        """Returns the corners in order, world space, shape (4, 3)."""
         u, v = np.array(self.edge_u), np.array(self.edge_v)
         return np.array([self.position + 0.5 * (a * u + b * v) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
 
     def covers(self, offsets: Doubles) -> Flags:
-        """Returns which points of its plane lie within it, shape (N,); ``offsets`` are from its position."""
+        """Returns which points of the light's plane lie on the light, (N,), from their offsets to its centre."""
         across = self.area_vector
         shares = np.abs([np.cross(offsets, self.edge_v) @ across, np.cross(self.edge_u, offsets) @ across])
         return np.asarray((shares / (across @ across) <= 0.5).all(axis=0))
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """As `LightPoint.candela`."""
+        """Returns the intensity towards points, see `LightPoint.candela`."""
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns where rays reach the side that shines, scene units, shape (N,); inf where they miss it."""
+        """Returns the distances at which rays hit the emitting side, scene units, shape (N,); inf for misses."""
         return _flat_distances(self, origins, directions)
 
 
 @frozen
 class LightDisk:
-    """A disk that shines on one side. Only the path pipeline shows it.
+    """A disk-shaped area light that shines on one side. Only the path pipeline shows it.
 
     Raises:
-        SceneError: A value is not finite, negative or of the wrong shape, or the direction has no length.
+        SceneError: A value is negative, not finite or of the wrong shape, or the direction has no length.
     """
 
     kind: ClassVar[str] = "disk"
@@ -397,19 +400,20 @@ class LightDisk:
     position: Vector = given(converter=to_vector)
     """Centre of the disk."""
     direction: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0))
-    """Normal of the side that shines, of any length; normalised. Needed unless there is a ``target``."""
+    """Normal of the emitting side, any length; normalised. Required unless there is a ``target``."""
     radius: Annotated[float, Range(0.0, unit="scene units", above=True)] = 0.5
     """Radius of the disk."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="cd/m2")] = 1.0
-    """Radiance: candela per square metre."""
+    """Radiance (luminance): candela per square metre."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     visible: bool = field(default=True, kw_only=True)
-    """Whether the path pipeline shows it, to the camera and to surfaces alike. No pipeline lets it block light."""
+    """Show the light in the path pipeline, to the camera and to surfaces alike. No pipeline lets a light block light.
+    """
     name: str = field(default="", kw_only=True)
     target: InitVar[npt.ArrayLike | None] = field(default=None, kw_only=True)
-    """In place of ``direction``: world position towards which it faces, shape (3,)."""
+    """Point that the light faces, world position, shape (3,); replaces ``direction``."""
 
     def __post_init__(self, target: npt.ArrayLike | None) -> None:
         take_scene_fields(self)
@@ -417,32 +421,32 @@ class LightDisk:
 
     @property
     def area_vector(self) -> Doubles:
-        """Normal of the side that shines, as long as the area, shape (3,)."""
+        """Normal of the emitting side, scaled to the light's area, shape (3,)."""
         return math.pi * self.radius**2 * np.array(self.direction)
 
     def boundary(self) -> Doubles:
-        """Returns points of its edge in order, world space, shape (48, 3)."""
+        """Returns points on the rim in order, world space, shape (48, 3)."""
         normal, angles = np.array(self.direction), np.linspace(0.0, 2.0 * math.pi, 48, endpoint=False)[:, None]
         u = np.cross(np.eye(3)[int(np.abs(normal).argmin())], normal)
         u /= np.linalg.norm(u)
         return self.position + self.radius * (np.cos(angles) * u + np.sin(angles) * np.cross(normal, u))
 
     def covers(self, offsets: Doubles) -> Flags:
-        """Returns which points of its plane lie within it, shape (N,); ``offsets`` are from its position."""
+        """Returns which points of the light's plane lie on the light, (N,), from their offsets to its centre."""
         return np.asarray((offsets**2).sum(axis=1) <= self.radius**2)
 
     def candela(self, offsets: Doubles) -> Doubles:
-        """As `LightPoint.candela`."""
+        """Returns the intensity towards points, see `LightPoint.candela`."""
         return _flat_candela(self, offsets)
 
     def distances(self, origins: Doubles, directions: Doubles) -> Doubles:
-        """Returns where rays reach the side that shines, scene units, shape (N,); inf where they miss it."""
+        """Returns the distances at which rays hit the emitting side, scene units, shape (N,); inf for misses."""
         return _flat_distances(self, origins, directions)
 
 
 @frozen
 class LightEnvironment:
-    """Light from all directions, infinitely far away: a latitude-longitude image, or one colour.
+    """An environment: light from all directions at infinity, as a latitude-longitude image or one colour.
 
     The image's upper edge is the environment's +y, its middle column -z, and +x is to the right of the middle:
     ``u = 1/2 + atan2(x, -z) / (2 pi)``, ``v = acos(y) / pi``.
@@ -460,17 +464,19 @@ class LightEnvironment:
     """Linear Rec.709 radiance, shape (H, W, 3); None: 1 everywhere."""
     color: Vector = given(converter=COLOR, default=(1.0, 1.0, 1.0))
     intensity: Annotated[float, Range(0.0, unit="x image")] = 1.0
-    """Factor of the image's radiance."""
+    """Factor applied to the image's radiance."""
     rotation_wxyz: tuple[float, float, float, float] = given(converter=_unit_quaternion, default=(1.0, 0.0, 0.0, 0.0))
-    """World from environment, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), half a turn about x."""
+    """World-from-environment rotation, a quaternion, scalar first. Scenes with y down need (0, 1, 0, 0), 180 degrees
+    about x."""
     visible: bool = True
-    """Whether it is the background of pictures; mirrors always show it."""
+    """Show the environment as the background; mirrors always show it."""
     enabled: bool = field(default=True, kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
     shadow_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = field(
         default=math.inf, kw_only=True
     )
-    """What is farther than this from a surface casts no shadow on it: a sky of captured Gaussians."""
+    """Largest distance from a surface at which objects cast shadows on it. A finite value lets light pass the
+    Gaussians of a captured sky."""
     name: str = field(default="", kw_only=True)
 
     __post_init__ = take_scene_fields
@@ -479,32 +485,32 @@ class LightEnvironment:
 FlatLight = LightRect | LightDisk
 """Lights that shine from one side of a plane."""
 AreaLight = LightSphere | LightRect | LightDisk
-"""Lights whose surface shines: their intensity is a radiance, and paths show them."""
+"""Lights with an emitting surface: their intensity is a radiance, and the path pipeline shows them."""
 RoundLight = LightPoint | LightSpot | LightSphere | LightDisk
-"""Lights at a position that have a radius."""
+"""Lights with a position and a radius."""
 AimedLight = LightSpot | LightDirectional | LightDisk
 """Lights with a direction."""
 PlacedLight = LightPoint | LightSpot | LightSphere | LightRect | LightDisk
-"""Lights at a position."""
+"""Lights with a position."""
 Light = PlacedLight | LightDirectional | LightEnvironment
 """Any light."""
 LIGHT_KINDS: dict[str, type[PlacedLight | LightDirectional]] = {
     one.kind: one for one in (LightPoint, LightSpot, LightDirectional, LightSphere, LightRect, LightDisk)
 }
-"""Lights by their ``type`` in scene files, where the environment has a table of its own."""
+"""Light classes by their ``type`` in scene files; the environment has a table of its own there."""
 
 
 def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles:
-    """Returns the unshadowed irradiance of surfaces that face a light, as if all of it shone from its position.
+    """Returns the unshadowed irradiance of surfaces that face a light, with all light coming from its position.
 
     The formulas are those of device/light/light.py for hard shadows.
 
     Args:
         light: Any light but an environment.
-        points: World space, shape (N, 3).
+        points: World positions, shape (N, 3).
 
     Returns:
-        Linear Rec.709, shape (N, 3).
+        Linear Rec.709 irradiance, shape (N, 3).
     """
     assert not isinstance(light, LightEnvironment)
     power = light.intensity * np.array(light.color)
@@ -515,12 +521,12 @@ def facing_irradiance(light: Light, points: npt.NDArray[np.floating]) -> Doubles
 
 
 def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light:
-    """Moves a light with the object that it belongs to.
+    """Transforms a light together with the object that it belongs to.
 
-    Its extent is scaled; its intensity and its range stay, as in glTF.
+    Its size is scaled; its intensity and range stay, as in glTF.
 
     Args:
-        light: Any light; environments stay as they are.
+        light: Any light; environments are returned unchanged.
         world_from_light: Similarity transform, shape (4, 4).
     """
     linear = world_from_light[:3, :3]
@@ -535,12 +541,12 @@ def move_light(light: Light, world_from_light: npt.NDArray[np.float64]) -> Light
 
 
 def _squared(offsets: Doubles) -> Doubles:
-    """Squared lengths, at least that of the smallest distance to a light, shape (N,)."""
+    """Returns squared lengths, clamped to the smallest distance to a light, shape (N,)."""
     return np.maximum(np.einsum("ij,ij->i", offsets, offsets), LIGHT_DISTANCE_MIN**2)
 
 
 def _window(reach: float, distance2: Doubles) -> Doubles:
-    """Attenuation towards the end of a light's range (glTF, KHR_lights_punctual)."""
+    """Returns the attenuation towards the end of a light's range (glTF, KHR_lights_punctual)."""
     return np.clip(1.0 - (distance2 / reach**2) ** 2, 0.0, 1.0)
 
 

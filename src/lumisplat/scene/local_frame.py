@@ -1,8 +1,8 @@
-"""Local frames: scenes and cameras about an origin of their own, and in another unit, so that float32 can hold them.
+"""Local frames: scenes and cameras relative to a local origin and unit, so that float32 can represent them.
 
-Kernels compute in float32, which holds seven digits: at map coordinates of 5,000,000 it is 0.5 apart. What is far from
-zero is therefore moved, in float64, before anything becomes float32 (docs/adr/0086-one-local-origin.md).
-Meshes and Gaussians are also moved to world space here.
+Kernels compute in float32 with seven digits: at map coordinates of 5,000,000, neighbouring numbers are 0.5 apart.
+Scenes far from zero are therefore moved in float64 before anything becomes float32 (docs/adr/0086-one-local-origin.md).
+This module also transforms meshes and Gaussians to world space.
 """
 
 from __future__ import annotations
@@ -26,75 +26,75 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 NEAR_SHARE = 1e-3
-"""View depth in front of which nothing is drawn, as a share of a scene's size, where that is less than `NEAR_PLANE`: a
-scene of millimetres, in metres, is not cut away."""
+"""Largest near plane relative to a scene's size: small scenes get a nearer plane than `NEAR_PLANE`, so that a scene of
+millimetres, given in metres, is not clipped."""
 
 # Local origins (docs/adr/0086-one-local-origin.md)
 
 ORIGIN_GRID = 16.0
-"""Step of the grid of origins of what is rendered, in sizes of the scene, rounded up to a power of two: positions have
-five digits below the size of the scene, and what stands around zero, or moves a little, keeps its origin."""
+"""Step of the grid of origins in units of the scene's size, rounded up to a power of two. Positions keep five digits
+below the scene's size, and scenes around zero, or scenes that move a little, keep their origin."""
 
 SIZE_SAMPLE = 4096
-"""Points of an asset, at most, that tell its size where that need not be exact."""
+"""Largest number of points from which an asset's approximate size is estimated."""
 
 SIZE_TAIL = 0.02
-"""Share of them at each end of each axis that counts as strays."""
+"""Fraction of these points, at each end of each axis, that counts as outliers."""
 
 CAMERA_MARGIN = 1.1
-"""By how much a scene is taken to be larger than the sphere of its cameras, as INRIA's trainer does."""
+"""Factor from the radius of the cameras' sphere to the scene extent, as in INRIA's trainer."""
 
 
 class _Box(NamedTuple):
-    """Where an asset is in its own space."""
+    """Bounding box of an asset in object space."""
 
     low: Doubles
     high: Doubles
     middle: Doubles
-    """The point of a grid next to its middle, shape (3,): zero unless the asset is far from it."""
+    """Grid point nearest to the box's centre, shape (3,): zero unless the asset is far from it."""
     is_far: bool
 
 
 _Asset = TypeVar("_Asset", Gaussians, Mesh)
 
 _CENTERED: WeakKeyDictionary[Gaussians | Mesh, tuple[Gaussians | Mesh, Doubles]] = WeakKeyDictionary()
-"""Of assets that are far from their own zero: the same about a middle, and where that is."""
+"""Cache for assets far from their own zero: the asset relative to a grid point, and that point."""
 _BOXES: WeakKeyDictionary[Gaussians | Mesh, _Box] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True)
 class LocalFrame:
-    """An origin and a unit: a point p of the world is (p - origin) / unit here."""
+    """An origin and a unit: world position p has local coordinates (p - origin) / unit."""
 
     origin: Doubles
-    """World position of the frame's zero, shape (3,)."""
+    """World position of the local zero, shape (3,)."""
     unit: float = 1.0
-    """Length of the frame's unit, scene units."""
+    """Length of the local unit in scene units."""
 
     @classmethod
     def of_cameras(cls, cameras: Sequence[Camera], extent: float) -> LocalFrame:
-        """Returns the frame about the middle of cameras in which they are so far apart.
+        """Returns the frame about the centre of cameras in which `camera_extent` has a given value.
 
         Args:
-            cameras: At least one.
-            extent: What `camera_extent` is to be in the frame. Cameras in one place say nothing of a unit: it stays.
+            cameras: At least one camera.
+            extent: Camera extent in the local frame. If all cameras are at one position, the unit stays 1.
         """
         eyes = np.stack([camera.eye for camera in cameras])
         middle, found = eyes.mean(axis=0), camera_extent(cameras)
-        is_one_place = found < COINCIDENT_EXTENT * float(np.abs(eyes).max())
-        return cls(middle, 1.0 if is_one_place or found == 0.0 else found / extent)
+        is_coincident = found < COINCIDENT_EXTENT * float(np.abs(eyes).max())
+        return cls(middle, 1.0 if is_coincident or found == 0.0 else found / extent)
 
     @property
     def is_world(self) -> bool:
-        """Whether it is the world's own frame."""
+        """True if local and world coordinates are the same."""
         return self.unit == 1.0 and not self.origin.any()
 
     def points(self, points: npt.NDArray[np.floating]) -> Doubles:
-        """Returns world positions in this frame, shape (N, 3)."""
+        """Converts world positions to local coordinates, shape (N, 3)."""
         return (np.asarray(points, np.float64) - self.origin) / self.unit
 
     def camera(self, camera: Camera) -> Camera:
-        """Returns a camera of the world in this frame."""
+        """Converts a world-space camera to local coordinates."""
         if self.is_world:
             return camera
         end = camera.camera_from_world_end
@@ -111,7 +111,7 @@ class LocalFrame:
         )
 
     def gaussians(self, gaussians: Gaussians) -> Gaussians:
-        """Returns Gaussians of this frame in the world, about an origin where float32 needs one."""
+        """Converts local Gaussians to world space, with an origin of their own where float32 needs one."""
         means = self.unit * gaussians.means.astype(np.float64) + self.origin
         scales = (self.unit * gaussians.scales.astype(np.float64)).astype(np.float32)
         origin = needed_origin(means, float(np.median(scales)))
@@ -123,30 +123,30 @@ class LocalFrame:
         )
 
     def world_pose(self, camera_from_local: Doubles) -> Doubles:
-        """Returns ``camera_from_world``, shape (4, 4), of a pose in this frame."""
+        """Converts a local ``camera_from_local`` pose to ``camera_from_world``, shape (4, 4)."""
         pose = np.array(camera_from_local, np.float64)
         pose[:3, 3] = self.unit * pose[:3, 3] - pose[:3, :3] @ self.origin
         return pose
 
     def scene(self, scene: Scene) -> Scene:
-        """Returns a scene of the world about this frame's origin, whose unit is that of the world.
+        """Converts a scene to coordinates relative to this frame's origin; the unit stays that of the world.
 
-        Assets that are themselves far from their zero are about a middle of their own, the same in each call.
+        Assets far from their own zero are re-centred, identically in each call.
         """
         assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
         if not self.origin.any() and not any(_box(asset).is_far for asset in assets):
             return scene
         splats, meshes = list(scene.splats), list(scene.meshes)
         for number, splat in enumerate(splats):
-            gaussians, place = self._placed(splat.gaussians, splat.transform)
-            splats[number] = replace(splat, gaussians=gaussians, world_from_object=place)
+            gaussians, transform = self._placed(splat.gaussians, splat.transform)
+            splats[number] = replace(splat, gaussians=gaussians, world_from_object=transform)
         for number, instance in enumerate(meshes):
-            mesh, place = self._placed(instance.mesh, instance.transform)
-            meshes[number] = replace(instance, mesh=mesh, world_from_object=place)
+            mesh, transform = self._placed(instance.mesh, instance.transform)
+            meshes[number] = replace(instance, mesh=mesh, world_from_object=transform)
         return replace(scene, splats=splats, meshes=meshes, lights=[self._moved_light(light) for light in scene.lights])
 
     def _placed(self, asset: _Asset, world_from_object: Doubles) -> tuple[_Asset, Doubles]:
-        """Returns an asset about its middle, and where that is in this frame."""
+        """Returns an asset, re-centred if needed, and its local transform."""
         matrix = world_from_object.copy()
         middle = _box(asset).middle
         if middle.any():
@@ -172,17 +172,17 @@ class LocalFrame:
 
 
 def camera_extent(cameras: Sequence[Camera]) -> float:
-    """Returns 1.1 times the largest distance of a camera from the mean of their positions, scene units."""
+    """Returns 1.1 times the largest distance of a camera from the mean camera position, scene units."""
     eyes = np.stack([camera.eye for camera in cameras])
     return CAMERA_MARGIN * float(np.linalg.norm(eyes - eyes.mean(axis=0), axis=1).max())
 
 
 def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
-    """Returns the frame in which a scene is rendered, and the near plane of its cameras unless they say another.
+    """Returns the local frame in which a scene is rendered, and the default near plane of its cameras.
 
-    The origin is zero of the world unless the scene is far from it: then it is the point next to the scene's middle of
-    a grid so coarse that scenes around zero, and those that move, keep theirs. Small scenes are not hidden behind the
-    near plane.
+    The origin is zero unless the scene is far from it. Otherwise it is the point nearest to the scene's centre on a
+    grid so coarse that scenes around zero, and scenes that move a little, keep their origin. For small scenes the near
+    plane is nearer.
     """
     if not (scene.splats or scene.meshes):
         return LocalFrame(np.zeros(3)), NEAR_PLANE
@@ -193,33 +193,33 @@ def rendered_frame(scene: Scene) -> tuple[LocalFrame, float]:
 
 
 def default_near(size: float) -> float:
-    """Returns the near plane of cameras that do not say theirs, by the size of the largest asset, scene units.
+    """Returns the default near plane for the size of the largest asset, scene units.
 
-    It is the default halved so often that it is a thousandth of the size or less: sizes that are nearly the same, as
-    those of a capture and of its blocks, have the same near plane.
+    `NEAR_PLANE` is halved until it is at most a thousandth of the size. Similar sizes, such as those of a capture and
+    of its blocks, thus have the same near plane.
     """
     halvings = math.ceil(math.log2(NEAR_PLANE / (NEAR_SHARE * size))) if size > 0.0 else 0
     return NEAR_PLANE * 2.0 ** -max(halvings, 0)
 
 
-def note_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
-    """Tells the box of the capture that Gaussians are a part of: all parts are rendered in one frame, as it is.
+def register_box(gaussians: Gaussians, low: Doubles, high: Doubles) -> None:
+    """Registers the bounding box of a whole capture for a part of it, so that all parts render in the same frame.
 
     Args:
-        gaussians: Some of a capture's.
-        low: Least coordinates of all of it, shape (3,).
-        high: Largest ones.
+        gaussians: Part of a capture.
+        low: Smallest coordinates of the whole capture, shape (3,).
+        high: Largest coordinates, shape (3,).
     """
     middle = _grid_point(0.5 * (low + high), float((high - low).max()))
     _BOXES[gaussians] = _Box(low, high, middle, bool(middle.any()))
 
 
 def needed_origin(points: Doubles, width: float) -> Doubles:
-    """Returns an origin for points that float32 cannot hold about zero, shape (3,); zero where it can.
+    """Returns an origin for points that float32 cannot represent relative to zero, shape (3,); zero where it can.
 
     Args:
-        points: Positions, shape (N, 3), float64; those beyond float32 do not count.
-        width: Size of what is to be told apart, in the unit of the points: a scale of Gaussians, an edge of triangles.
+        points: Positions, shape (N, 3), float64; positions beyond float32's range are ignored.
+        width: Size of the smallest detail, in the unit of the points: a scale of Gaussians, an edge of triangles.
     """
     points = points[:: -(-len(points) // SIZE_SAMPLE)]
     points = points[(np.abs(points) <= np.finfo(np.float32).max).all(axis=1)]
@@ -241,7 +241,7 @@ def _grid_point(middle: Doubles, size: float) -> Doubles:
 
 
 def _box(asset: Gaussians | Mesh) -> _Box:
-    """Returns an asset's box, found once from a few thousand of its points; strays do not count."""
+    """Returns an asset's bounding box without outliers, estimated once from a few thousand points."""
     found = _BOXES.get(asset)
     if found is None:
         points = asset.means if isinstance(asset, Gaussians) else asset.positions
@@ -259,7 +259,7 @@ def _box(asset: Gaussians | Mesh) -> _Box:
 
 
 def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
-    """Returns middles and sides of world boxes that most of each instance lies in, shape (N, 3) each."""
+    """Returns centres and side lengths of world-space boxes around the bulk of each instance, shape (N, 3) each."""
     assets = [*(one.gaussians for one in scene.splats), *(one.mesh for one in scene.meshes)]
     boxes = np.array([_box(asset)[:2] for asset in assets])
     matrices = np.array([one.transform for one in (*scene.splats, *scene.meshes)])[:, :3]
@@ -268,14 +268,14 @@ def _boxes(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 ZERO: Doubles = np.zeros(3)
-"""Zero of the world, as an origin."""
+"""The world's zero, as an origin."""
 
 _STRAYS = 0.01
-"""Share of a body's means on each side that its box leaves out."""
+"""Fraction of a body's means on each side that its box ignores."""
 
 
 def placed_mesh(instance: MeshInstance) -> Mesh:
-    """The mesh of an instance in world space; a mirrored one is wound the other way round."""
+    """Returns the mesh of an instance in world space; a mirroring transform reverses its winding."""
     mesh, linear = instance.mesh, instance.transform[:3, :3]
     if np.array_equal(instance.transform, np.eye(4)):
         return mesh
@@ -292,39 +292,39 @@ def placed_mesh(instance: MeshInstance) -> Mesh:
 
 
 class PlacedGaussians(NamedTuple):
-    """Gaussians in world space, as float32."""
+    """Gaussians in world space as float32."""
 
     means: FloatArray
-    """Shape (N, 3)."""
+    """Centres, shape (N, 3)."""
     rotations_wxyz: FloatArray
-    """World from Gaussian, unit quaternions, shape (N, 4)."""
+    """World-from-Gaussian unit quaternions, shape (N, 4)."""
     scales: FloatArray
     """Standard deviations, shape (N, 3)."""
     opacities: FloatArray
-    """0..1, shape (N,)."""
+    """Opacities 0..1, shape (N,)."""
 
     @property
     def rotations_xyzw(self) -> FloatArray:
-        """The rotations in the order of Warp's quaternions, shape (N, 4)."""
+        """Rotations in the order of Warp's quaternions, shape (N, 4)."""
         return self.rotations_wxyz[:, [1, 2, 3, 0]]
 
 
 def placed_gaussians(instances: Iterable[SplatInstance], origin: Doubles = ZERO) -> PlacedGaussians:
-    """The Gaussians of all instances, in order, in world space about an origin; empty if there is no instance."""
+    """Returns the Gaussians of all instances in world space relative to an origin, in order; may be empty."""
     empty = PlacedGaussians(*(np.empty((0, *shape), np.float32) for shape in ((3,), (4,), (3,), ())))
     parts = [empty, *(_in_world(instance, origin) for instance in instances)]
     return PlacedGaussians(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def distance_from_body(points: npt.NDArray[np.floating], gaussians: PlacedGaussians) -> npt.NDArray[np.floating]:
-    """How far points are from the box of a body along x, y or z, whichever is farthest; 0 within.
+    """Returns the Chebyshev distance of points from a body's bounding box: the largest over x, y and z; 0 inside.
 
     Args:
-        points: World space, shape (P, 3).
-        gaussians: The body, at least one Gaussian. A hundredth of the means on each side does not count: strays.
+        points: World positions, shape (P, 3).
+        gaussians: The body, at least one Gaussian. The outermost hundredth of the means on each side is ignored.
 
     Returns:
-        Scene units, shape (P,).
+        Distances, scene units, shape (P,).
     """
     low, high = np.quantile(gaussians.means, (_STRAYS, 1.0 - _STRAYS), axis=0)
     return np.maximum(np.maximum(low - points, points - high), 0.0).max(axis=1, initial=0.0)

@@ -1,8 +1,8 @@
-"""Surface materials for meshes and splats, and their textures: metallic-roughness as in glTF 2.0, and a simpler one.
+"""Materials of meshes and splat sets, and their textures: metallic-roughness as in glTF 2.0, and a simpler model.
 
 The surface colour of a mesh is ``base_color`` times texture and vertex colour. That of a splat set is the albedo of
-its Gaussians if they have one and the material is not emissive, else the captured colour, decoded; ``base_color`` and
-textures are not used. Roughness and metallic of the Gaussians, if they have them, replace those of the material.
+its Gaussians if they have one and the material is not emissive, otherwise the decoded captured colour; ``base_color``
+and textures are not used. Roughness and metallic of the Gaussians, if they have them, replace the material's.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ Texture = npt.NDArray[np.uint8]
 
 
 class TextureWrap(Enum):
-    """What a texture shows beyond its edges."""
+    """Texture wrap mode: what a texture shows outside 0..1."""
 
     REPEAT = "repeat"
-    """The texture again."""
+    """Repeat the texture."""
     MIRROR = "mirror"
-    """The texture again, every second time mirrored."""
+    """Repeat the texture, mirroring every second copy."""
     CLAMP = "clamp"
-    """The texels of its edge."""
+    """Extend the edge texels."""
 
 
 WrapPair = tuple[TextureWrap, TextureWrap]
-"""How a texture wraps along u and along v."""
+"""Wrap modes along u and v."""
 Wraps = Mapping[str, WrapPair]
-"""The same of several textures, by the names of their fields."""
+"""Wrap modes of several textures, by field name."""
 WrapsLike = Mapping[str, TextureWrap | str | Sequence[TextureWrap | str]]
-"""What is taken for `Wraps`: also one value for both axes, and values of the enum."""
+"""Input for `Wraps`, which may also give one mode for both axes, and modes by value."""
 
 
 def to_texture(value: npt.ArrayLike | None, name: str = "texture") -> Texture | None:
-    """Converts texels of a material to a read-only array.
+    """Converts texels to a read-only array.
 
     Raises:
         SceneError: They are not (H, W, 3 or 4) uint8.
@@ -59,14 +59,14 @@ def to_texture(value: npt.ArrayLike | None, name: str = "texture") -> Texture | 
 
 
 def checked_wraps(given: WrapsLike | None, known: Sequence[str]) -> Wraps | None:
-    """The wraps of single textures of a material, as pairs.
+    """Converts the wrap modes of a material's textures to pairs.
 
     Args:
-        given: What the material was given.
-        known: Names of its textures.
+        given: Wrap modes from the user.
+        known: Names of the material's textures.
 
     Raises:
-        SceneError: There is no such texture, or no such way to wrap.
+        SceneError: There is no such texture or wrap mode.
     """
     if given is None:
         return None
@@ -78,8 +78,10 @@ def checked_wraps(given: WrapsLike | None, known: Sequence[str]) -> Wraps | None
         try:
             u, v = map(TextureWrap, pair)
         except (TypeError, ValueError):
-            ways = ", ".join(repr(way.value) for way in TextureWrap)
-            raise SceneError(f"texture_wraps of {name} is {value!r}, expected one of {ways}, or two of them") from None
+            choices = ", ".join(repr(choice.value) for choice in TextureWrap)
+            raise SceneError(
+                f"texture_wraps of {name} is {value!r}, expected one of {choices}, or two of them"
+            ) from None
         wraps[name] = u, v
     return wraps
 
@@ -88,14 +90,14 @@ Color = tuple[float, float, float]
 
 
 class AlphaMode(Enum):
-    """What the alpha of a mesh's material means: ``alpha`` times that of the base colour texture (glTF 3.9.4)."""
+    """Meaning of a mesh material's alpha, which is ``alpha`` times that of the base colour texture (glTF 3.9.4)."""
 
     OPAQUE = "opaque"
-    """Nothing."""
+    """Alpha is ignored."""
     MASK = "mask"
-    """There is a surface where it is at least ``alpha_cutoff``, and none elsewhere."""
+    """The surface exists where alpha is at least ``alpha_cutoff``."""
     BLEND = "blend"
-    """It is the share of the surface that is there; what is behind shows through the rest."""
+    """Alpha is the coverage of the surface; the background shows through the rest."""
 
 
 @frozen(kw_only=True)
@@ -110,9 +112,10 @@ class MaterialPbr:
     """
 
     base_color: Color = given(converter=UNIT_COLOR, default=(0.8, 0.8, 0.8))
-    """Linear Rec.709; a factor of the texture, which ``(1, 1, 1)``, glTF's default, shows as it is."""
+    """Linear Rec.709 base colour, multiplied by the texture; ``(1, 1, 1)``, glTF's default, shows the texture
+    unchanged."""
     metallic: Share = 0.0
-    """0 is a dielectric, 1 a metal."""
+    """Metalness: 0 is a dielectric, 1 a metal."""
     roughness: Share = 0.5
     """Perceptual roughness; exactly 0 is smooth. The roughness of splats is at least 0.03."""
     specular: Share = 1.0
@@ -120,32 +123,35 @@ class MaterialPbr:
     ior: Annotated[float, Range(1.0)] = 1.5
     """Index of refraction; with 1, light is neither reflected nor bent."""
     transmission: Share = 0.0
-    """Share of the light not reflected that is refracted through the dielectric, tinted by the base colour at
-    each crossing. The mesh should be closed and its triangles counter-clockwise from outside, which is how a ray
-    decides whether it enters or leaves. Splats scatter that share back, and rough meshes do but in `Pipeline.PATH`."""
+    """Fraction of the light not reflected that is refracted through the dielectric, tinted by the base colour at each
+    crossing. The mesh should be closed with triangles counter-clockwise from outside, which tells rays whether they
+    enter or leave. Splats scatter that fraction back, and so do rough meshes except in `Pipeline.PATH`."""
     thin_walled: bool = False
-    """Whether the mesh is a wall without an inside: light goes straight through it, and what follows means nothing."""
+    """Treat the mesh as a wall without an inside: light passes straight through, and the volume settings have no
+    effect."""
     attenuation_color: Color = given(converter=UNIT_COLOR, default=(1.0, 1.0, 1.0))
-    """What white light becomes inside after ``attenuation_distance``, linear."""
+    """Linear colour of white light after ``attenuation_distance`` inside the volume."""
     attenuation_distance: Annotated[float, Range(0.0, unit="scene units", above=True, infinite=True)] = math.inf
-    """Distance inside after which white light has that colour; inf: nothing is absorbed."""
+    """Distance inside the volume after which white light has ``attenuation_color``; inf: no absorption."""
     priority: Annotated[int, Range(-(2**31), 2**31 - 1)] = 0
-    """Where meshes that transmit overlap, the highest one's inside is there; of equal ones, that entered last."""
+    """Priority where transmissive meshes overlap: the volume of the highest one counts; of equal ones, the last
+    entered."""
     clearcoat: Share = 0.0
-    """Strength of a clear coat over all of it (KHR_materials_clearcoat)."""
+    """Strength of a clear coat over the whole surface (KHR_materials_clearcoat)."""
     clearcoat_roughness: Share = 0.0
-    """Roughness of the coat; below 0.03 as 0.03."""
+    """Roughness of the clear coat; values below 0.03 count as 0.03."""
     sheen_color: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
-    """Linear colour of the sheen of cloth, below the coat; black: none (KHR_materials_sheen)."""
+    """Linear colour of the sheen of cloth, below the clear coat; black: none (KHR_materials_sheen)."""
     sheen_roughness: Share = 0.0
-    """Roughness of the sheen: less of it is at grazing angles the higher; below 0.1 as 0.1."""
+    """Roughness of the sheen; the higher it is, the less the sheen concentrates at grazing angles. Values below 0.1
+    count as 0.1."""
     emissive: Color = given(converter=COLOR, default=(0.0, 0.0, 0.0))
     """Emitted linear radiance; on a splat set, a factor of the captured colour."""
     double_sided: bool = True
-    """Whether meshes emit from the back of their triangles as well, from which these are clockwise. False: the back is
-    black but for what it reflects, as with glTF's ``doubleSided``. Light is reflected on both sides either way."""
+    """Let meshes emit from the back of their triangles, too. False: the back only reflects, as with glTF's
+    ``doubleSided``. Both sides reflect light either way."""
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
-    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); the fourth is alpha."""
+    """sRGB-encoded texels, shape (H, W, 3 or 4), row 0 at v = 0 (top, as in glTF); the fourth channel is alpha."""
     metallic_roughness_texture: Texture | None = given(converter=to_texture, default=None)
     """Factors of roughness (green) and metallic (blue), linear."""
     normal_texture: Texture | None = given(converter=to_texture, default=None)
@@ -153,7 +159,7 @@ class MaterialPbr:
     normal_scale: Annotated[float, Range()] = 1.0
     """Factor of x and y of the normal texture."""
     occlusion_texture: Texture | None = given(converter=to_texture, default=None)
-    """Share of the environment's light that reaches the surface (red)."""
+    """Fraction of the environment's light that reaches the surface (red)."""
     occlusion_strength: Share = 1.0
     """Strength of the occlusion."""
     emissive_texture: Texture | None = given(converter=to_texture, default=None)
@@ -169,17 +175,18 @@ class MaterialPbr:
     sheen_roughness_texture: Texture | None = given(converter=to_texture, default=None)
     """Factor of ``sheen_roughness`` (alpha), linear."""
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """What textures show beyond their left and right edges; also by its value, ``"clamp"``."""
+    """Wrap mode of textures along u; also by its value, ``"clamp"``."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
-    """The same beyond their upper and lower edges."""
+    """Wrap mode of textures along v."""
     texture_wraps: Wraps | None = None
-    """What single textures show there instead, along u and v: ``{"normal_texture": ("clamp", "repeat")}``."""
+    """Wrap modes of single textures along u and v, instead of ``wrap_u`` and ``wrap_v``: ``{"normal_texture":
+    ("clamp", "repeat")}``."""
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
-    """What alpha means, on meshes; also by its value, ``"mask"``."""
+    """Meaning of alpha on meshes; also by its value, ``"mask"``."""
     alpha: Share = 1.0
     """Factor of the base colour texture's alpha."""
     alpha_cutoff: Annotated[float, Range(0.0)] = 0.5
-    """With ``AlphaMode.MASK``, the alpha from which on there is a surface; above 1 there is none."""
+    """Smallest alpha at which the surface exists with ``AlphaMode.MASK``; above 1, it exists nowhere."""
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -188,57 +195,58 @@ class MaterialPbr:
 
     @property
     def is_solid(self) -> bool:
-        """Whether light enters the inside of a mesh of it."""
+        """True if light enters the inside of a mesh with this material."""
         return self.transmission > 0.0 and not self.thin_walled
 
     @property
     def is_emissive(self) -> bool:
-        """Whether it shines by itself."""
+        """True if the surface emits light."""
         return any(self.emissive)
 
     @property
     def is_smooth(self) -> bool:
-        """Whether rays are reflected or refracted by it."""
+        """True if rays are reflected or refracted without scattering."""
         return self.roughness == 0.0
 
     @property
     def blends(self) -> bool:
-        """Whether a share of a mesh of it shows what is behind, by its alpha."""
+        """True if a mesh with this material is partly transparent by its alpha."""
         return self.alpha_mode is AlphaMode.BLEND
 
     @property
     def sends_rays_on(self) -> bool:
-        """Whether rays go on from a mesh of it: reflected, refracted, or past the share that alpha leaves."""
+        """True if rays continue from a mesh with this material: reflected, refracted, or through transparent alpha."""
         return self.is_smooth or self.blends
 
 
 @frozen(kw_only=True)
 class MaterialSimple:
-    """Emission, diffuse reflection and a Phong highlight, each with its factor (docs/method/materials.md#simple).
+    """Simple material: emission, ambient light, diffuse reflection and a Phong highlight.
 
-    With the defaults a splat set shines as captured and reflects nothing, as it does without a material. If the diffuse
-    and specular factors add up to more than 1, both are scaled down, so that no more light leaves than arrives.
+    With the defaults a splat set emits its captured colour and reflects nothing, as without a material. If the diffuse
+    and specular factors add up to more than 1, both are scaled down, so that energy is conserved. The equations are in
+    docs/method/materials.md#simple.
 
     Raises:
         SceneError: A value is outside its range, or the texture is not (H, W, 3 or 4) uint8.
     """
 
     emissive: Color = given(converter=COLOR, default=(1.0, 1.0, 1.0))
-    """Factor of the surface colour that shows without any light."""
+    """Fraction of the surface colour that is emitted, without any light."""
     ambient: Color = given(converter=COLOR, default=(0.0, 0.0, 0.0))
-    """Factor of the surface colour that shows in lit frames, wherever the lights are."""
+    """Fraction of the surface colour that shows in lit frames, wherever the lights are."""
     diffuse: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
-    """Factor of the surface colour that is reflected diffusely."""
+    """Fraction of the surface colour that is reflected diffusely."""
     specular: Color = given(converter=UNIT_COLOR, default=(0.0, 0.0, 0.0))
     """Reflectance of the highlight around the mirror direction."""
     shininess: Annotated[float, Range(0.0, 1e4)] = 32.0
     """Exponent of the highlight: higher is sharper."""
     base_color: Color = given(converter=UNIT_COLOR, default=(1.0, 1.0, 1.0))
-    """Linear Rec.709."""
+    """Linear Rec.709 base colour."""
     base_color_texture: Texture | None = given(converter=to_texture, default=None)
     """sRGB-encoded texels, as in `MaterialPbr`."""
     wrap_u: TextureWrap = TextureWrap.REPEAT
-    """As in `MaterialPbr`, like what follows."""
+    """Wrap mode along u. This and the next fields are as in `MaterialPbr`."""
     wrap_v: TextureWrap = TextureWrap.REPEAT
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
     alpha: Share = 1.0
@@ -249,22 +257,22 @@ class MaterialSimple:
 
     @property
     def is_emissive(self) -> bool:
-        """Whether it shines by itself, or by ambient light."""
+        """True if the surface shows its colour without lights, by emission or ambient light."""
         return any(self.emissive) or any(self.ambient)
 
     @property
     def is_smooth(self) -> bool:
-        """Whether rays are reflected or refracted by it: never."""
+        """False: rays always scatter."""
         return False
 
     @property
     def blends(self) -> bool:
-        """Whether a share of a mesh of it shows what is behind, by its alpha."""
+        """True if a mesh with this material is partly transparent by its alpha."""
         return self.alpha_mode is AlphaMode.BLEND
 
     @property
     def sends_rays_on(self) -> bool:
-        """Whether rays go on from a mesh of it: past the share that alpha leaves."""
+        """True if rays continue through the mesh's transparent alpha."""
         return self.blends
 
 
@@ -273,11 +281,11 @@ Material = MaterialPbr | MaterialSimple
 
 
 def texture_names(material: Material) -> list[str]:
-    """The fields that hold textures, whether there are any or not."""
+    """Returns the names of the material's texture fields, including empty ones."""
     return [field.name for field in fields(material) if field.name.endswith("_texture")]
 
 
 def wraps_of(material: Material, name: str) -> WrapPair:
-    """How the texture in field ``name`` wraps along u and v."""
+    """Returns the wrap modes of texture field ``name`` along u and v."""
     own = material.texture_wraps if isinstance(material, MaterialPbr) else None
     return (own or {}).get(name, (material.wrap_u, material.wrap_v))

@@ -1,4 +1,4 @@
-"""A triangle mesh with one material, and what follows from its triangles: which are usable, areas, sums at vertices."""
+"""Triangle meshes with one material, and operations on triangles: validity, areas, sums at vertices."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ _log = logging.getLogger("lumisplat")
 
 
 def _to_indices(values: npt.ArrayLike, name: str = "indices") -> IntArray:
-    """Converts triangles to an array of NumPy, which the mesh checks."""
+    """Converts triangles to a NumPy array, which the mesh checks."""
     return np.asarray(host_array(values))
 
 
 @frozen(weakref_slot=True)
 class Mesh:
-    """V vertices and F triangles, counter-clockwise seen from outside.
+    """A mesh of V vertices and F triangles, counter-clockwise seen from outside.
 
     Arrays become read-only; they are copied unless they are that already. Normals are normalised; a normal of zero
-    length becomes the mean of the adjacent faces' normals, weighted by area. Triangles with an index out of range, and
-    those without area, are left out, and a log line counts them; all vertices stay.
+    length becomes the area-weighted mean of the adjacent faces' normals. Triangles with an index out of range, or
+    without area, are left out, and a warning counts them; all vertices stay.
 
     Raises:
-        SceneError: Shapes do not fit, values are not finite, a colour is outside 0..1, indices are not integers, or no
-            usable triangle is left.
+        SceneError: Shapes do not match, values are not finite, a colour is outside 0..1, indices are not integers, or
+            no usable triangle is left.
     """
 
     positions: FloatArray = given(converter=to_floats)
-    """Vertices, object space, scene units, shape (V, 3)."""
+    """Vertex positions, object space, scene units, shape (V, 3)."""
     indices: IntArray = given(converter=_to_indices)
-    """Triangles, shape (F, 3)."""
+    """Vertex indices of the triangles, shape (F, 3)."""
     normals: FloatArray | None = given(converter=to_floats_or_none, default=None)
     """Unit shading normals, object space, shape (V, 3); None: flat shading."""
     uvs: FloatArray | None = given(converter=to_floats_or_none, default=None)
@@ -62,7 +62,7 @@ class Mesh:
     """Linear Rec.709 vertex colours, 0..1, multiplied with the base colour, shape (V, 3)."""
     name: str = ""
     origin: Vector = given(converter=to_vector, default=(0.0, 0.0, 0.0), kw_only=True)
-    """Where the mesh's zero is placed, unless an instance of it says otherwise, as of `Gaussians`."""
+    """World position of the mesh's zero, unless an instance overrides it, as in `Gaussians`."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
@@ -109,34 +109,34 @@ class Mesh:
         return read_only_array(indices, np.int32)
 
     def _fill_normals(self, normals: FloatArray) -> FloatArray:
-        """The normals; those of zero length replaced by the area-weighted mean of the faces around."""
+        """Replaces normals of zero length by the area-weighted mean of the adjacent faces' normals."""
         missing = np.abs(normals).max(axis=1) == 0.0
         if not missing.any():
             return normals
         around = sum_at_vertices(area_vectors(self.positions, self.indices), self.indices, self.vertex_count)
-        # Scaled, because areas of small meshes underflow in float32. Vertices without any area around are never seen.
+        # Scaled, because areas of small meshes underflow in float32. Vertices without adjacent area are never visible.
         largest = np.abs(around).max(axis=1, keepdims=True)
         around = np.where(largest > 0.0, around / np.where(largest > 0.0, largest, 1.0), (0.0, 1.0, 0.0))
         return np.where(missing[:, None], around, normals).astype(np.float32)
 
 
 TRIANGLE_HEIGHT_MIN = 1e-12
-"""Height of a triangle over its longest edge, at or below which it has no area: corners on a line come out at 1e-16 in
-float64, thin triangles from float32 at 1e-7."""
+"""Ratio of a triangle's height to its longest edge at or below which it has no area. Collinear corners give 1e-16 in
+float64, thin triangles from float32 1e-7."""
 
 _BLOCK = 2**16
-"""Triangles checked at once: few enough for their float64 corners to stay in the cache."""
+"""Triangles checked at once, few enough for their float64 corners to stay in the cache."""
 
 
 class TriangleCheck(NamedTuple):
-    """Which triangles are usable, and why the others are not."""
+    """Usable triangles, and counts of the others by reason."""
 
     usable: npt.NDArray[np.bool_]
-    """Shape (F,)."""
+    """True for each usable triangle, shape (F,)."""
     out_of_range: int
-    """Number of triangles with an index that is no vertex."""
+    """Number of triangles with an index of no vertex."""
     without_area: int
-    """Number of triangles whose corners coincide or lie on a line."""
+    """Number of triangles whose corners coincide or are collinear."""
 
     @property
     def problems(self) -> str:
@@ -145,20 +145,20 @@ class TriangleCheck(NamedTuple):
 
 
 def describe_problems(out_of_range: int, without_area: int) -> str:
-    """The phrase of messages: ``2 with an index that is no vertex, 7 without area``; empty if both are 0."""
+    """Returns the phrase ``2 with an index that is no vertex, 7 without area``; empty if both counts are 0."""
     counts = {"with an index that is no vertex": out_of_range, "without area": without_area}
     return ", ".join(f"{count:,} {problem}" for problem, count in counts.items() if count)
 
 
 def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any]) -> TriangleCheck:
-    """Finds the triangles that a mesh cannot use.
+    """Finds the usable triangles of a mesh.
 
     Args:
-        positions: Vertices, shape (V, 3).
+        positions: Vertex positions, shape (V, 3).
         indices: Triangles of any integer type, shape (F, 3).
 
     Raises:
-        SceneError: ``indices`` has another shape, or another type.
+        SceneError: ``indices`` has another shape or type.
     """
     if indices.dtype.kind not in "iu":
         raise SceneError(f"indices must be integers, got {indices.dtype}")
@@ -178,7 +178,7 @@ def check_triangles(positions: npt.NDArray[np.float32], indices: npt.NDArray[Any
 
 
 def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.integer]) -> npt.NDArray[np.float64]:
-    """Cross products of the edges, shape (F, 3): the direction is the triangle's normal, the length twice its area."""
+    """Returns the cross products of the triangles' edges, shape (F, 3): along the normal, twice as long as the area."""
     corners = positions.astype(np.float64)[indices]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -186,7 +186,7 @@ def area_vectors(positions: npt.NDArray[np.floating], indices: npt.NDArray[np.in
 def sum_at_vertices(
     vectors: npt.NDArray[np.float64], indices: npt.NDArray[np.integer], vertex_count: int
 ) -> npt.NDArray[np.float64]:
-    """For each vertex, the sum of the vectors, shape (F, 3), of the triangles around it, shape (V, 3)."""
+    """Sums vectors of triangles, shape (F, 3), at each vertex over its triangles, shape (V, 3)."""
     sums = np.zeros((vertex_count, 3))
     for corner in range(3):
         np.add.at(sums, indices[:, corner], vectors)

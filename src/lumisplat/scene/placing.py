@@ -1,4 +1,4 @@
-"""Converts words to transforms: up and front of scenes, which files do not state, positions and angles."""
+"""Placement of objects: up axes and fronts of scenes, which files do not store, positions and angles."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ UP_AXES: dict[str, Vector] = {
     "x-up": (1.0, 0.0, 0.0),
     "x-down": (-1.0, 0.0, 0.0),
 }
-"""Directions that point up, by name."""
+"""Up directions by name."""
 
 _FRONTS: dict[str, Vector] = {
     "y-down": (0.0, 0.0, -1.0),
@@ -34,19 +34,19 @@ _FRONTS: dict[str, Vector] = {
     "x-up": (0.0, 0.0, 1.0),
     "x-down": (0.0, 0.0, 1.0),
 }
-"""Where the eye stands that looks at the front: before captures seen along +z, and before glTF files seen along -z."""
+"""Direction from the scene to a viewer in front of it: captures are viewed along +z, and glTF files along -z."""
 
 
 def up_vector_or_none(up: str | npt.ArrayLike | None, name: str = "up") -> Vector | None:
-    """Converts a field to a unit vector that points up; None stays."""
+    """Converts a field to a unit up vector, and leaves None as it is."""
     return None if up is None else up_vector(up)
 
 
 def up_vector(up: str | npt.ArrayLike) -> Vector:
-    """A unit vector that points up, from the name of an axis or from a direction of any length, shape (3,).
+    """Returns a unit up vector from the name of an axis, or from a direction of any length, shape (3,).
 
     Raises:
-        SceneError: It is neither.
+        SceneError: The value is neither.
     """
     if isinstance(up, str):
         if up not in UP_AXES:
@@ -61,9 +61,9 @@ def up_vector(up: str | npt.ArrayLike) -> Vector:
 
 
 def y_up_from(up: npt.ArrayLike) -> Doubles:
-    """Returns the rotation after which y is up and the front is z, as in glTF: for y down, half a turn about x.
+    """Returns the rotation, shape (3, 3), to coordinates with y up and z to the front, as in glTF.
 
-    Its shape is (3, 3).
+    For scenes with y down it is 180 degrees about x.
 
     Args:
         up: Unit vector that points up, shape (3,).
@@ -73,10 +73,10 @@ def y_up_from(up: npt.ArrayLike) -> Doubles:
 
 
 def front_vector(up: npt.ArrayLike) -> Doubles:
-    """The horizontal unit vector towards the eye that sees a scene from the front, shape (3,).
+    """Returns the horizontal unit vector from a scene to a viewer in front of it, shape (3,).
 
     Args:
-        up: Unit vector that points up, shape (3,). Between the axes, the front is that of the nearest one, levelled.
+        up: Unit vector that points up, shape (3,). Between the axes, the front is the nearest axis's, made horizontal.
     """
     upward = np.asarray(up, dtype=np.float64)
     nearest = max(UP_AXES, key=lambda name: float(upward @ np.array(UP_AXES[name])))
@@ -86,77 +86,79 @@ def front_vector(up: npt.ArrayLike) -> Doubles:
 
 
 FRONT_AXES = {"+z": 0.0, "-z": 180.0, "+x": -90.0, "-x": 90.0}
-"""Axes that may be the front of an object with y up: the turn about y that takes each to +z, degrees."""
+"""Front axes of objects with y up, and the rotation about y in degrees that turns each to +z."""
 
 
-class Placing(NamedTuple):
-    """How an instance is placed, in words instead of by a matrix."""
+class Placement(NamedTuple):
+    """Placement of an instance by position, angles, scale, up and target, instead of a matrix."""
 
     position: npt.ArrayLike | None = None
     """World position of the object's origin, shape (3,); None: the world's origin."""
     rotation_degrees: npt.ArrayLike | None = None
-    """Turns about the object's x, then y, then z axis, degrees, shape (3,)."""
+    """Rotations about the x, then y, then z axis in degrees, shape (3,)."""
     scale: float | None = None
     """Uniform scale factor, above 0."""
     up: str | npt.ArrayLike | None = None
-    """Up of the scene: an object that was made with y up stands upright in it; None: as it is."""
+    """Up direction of the scene, in which an object with y up is stood upright; None: as it is."""
     look_at: npt.ArrayLike | None = None
-    """World position towards which the object's front is turned; ``up`` stays up."""
+    """World position that the object's front faces; ``up`` stays up."""
     front: str | None = None
-    """Which of the object's axes is its front, a key of `FRONT_AXES`; None: +z, as in glTF."""
+    """Axis that is the object's front, a key of `FRONT_AXES`; None: +z, as in glTF."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class PlacedInstance:
-    """What placed assets have in common; subclasses declare ``world_from_object`` and call `_place`."""
+    """Common part of placed assets; subclasses declare ``world_from_object`` and call `_place`."""
 
     name: str = ""
     position: InitVar[npt.ArrayLike | None] = None
-    """In place of ``world_from_object``: world position of its origin, shape (3,)."""
+    """World position of the object's origin, shape (3,). This and the next arguments replace ``world_from_object``."""
     rotation_degrees: InitVar[npt.ArrayLike | None] = None
-    """In place of ``world_from_object``: turns about its x, then y, then z axis, degrees, shape (3,)."""
+    """Rotations about the x, then y, then z axis in degrees, shape (3,)."""
     scale_by: InitVar[float | None] = None
-    """In place of ``world_from_object``: uniform scale factor."""
+    """Uniform scale factor."""
     up: InitVar[str | npt.ArrayLike | None] = None
-    """In place of ``world_from_object``: up of the scene, an axis (``"y-down"``) or a direction; what was made with y
-    up, such as glTF, then stands upright."""
+    """Up direction of the scene, an axis (``"y-down"``) or a direction, in which an object with y up, as in glTF, is
+    stood upright."""
     look_at: InitVar[npt.ArrayLike | None] = None
-    """In place of ``world_from_object``: world position to which its front is turned, with ``up`` up."""
+    """World position that the object's front faces, with ``up`` up."""
     front: InitVar[str | None] = None
-    """With ``up`` or ``look_at``: which of its axes is its front, ``"+z"`` (as in glTF, and the default), ``"-z"``,
+    """Axis that is the object's front, with ``up`` or ``look_at``: ``"+z"`` (the default, as in glTF), ``"-z"``,
     ``"+x"`` or ``"-x"``."""
 
     @property
     def transform(self) -> Doubles:
-        """``world_from_object``, never None."""
-        # A field of the subclasses, which takes its place behind what they place.
+        """Object-to-world transform, ``world_from_object``, never None."""
+        # The subclasses declare this field after the asset.
         matrix: Doubles | None = getattr(self, "world_from_object")  # noqa: B009
         assert matrix is not None
         return matrix
 
     def _place(
-        self, world_from_object: npt.ArrayLike | None, placing: Placing, origin: Vector = (0.0, 0.0, 0.0)
+        self, world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)
     ) -> None:
-        """Makes ``world_from_object`` the checked matrix, the given one or that of the placing, else at ``origin``.
+        """Sets and checks ``world_from_object``: the given matrix, the placement's, or a move to ``origin``.
 
         Raises:
-            SceneError: As of `placed`.
+            SceneError: As in `placed`.
         """
         object.__setattr__(self, "world_from_object", placed(world_from_object, placing, origin))
 
     def _placement(self) -> str:
-        """Name and position, and the scale unless that is 1."""
+        """Returns name, position, and scale unless it is 1, as text."""
         matrix = self.transform
         scale = float(np.cbrt(abs(np.linalg.det(matrix[:3, :3]))))
         scaled = f", scale={scale:.4g}" if abs(scale - 1.0) > SIMILARITY_TOLERANCE else ""
         return f"name={self.name!r}, position=({', '.join(f'{value:z.4g}' for value in matrix[:3, 3])}){scaled}"
 
 
-def placed(world_from_object: npt.ArrayLike | None, placing: Placing, origin: Vector = (0.0, 0.0, 0.0)) -> Doubles:
-    """``world_from_object``, shape (4, 4): points are scaled, turned, stood upright, then moved, else to ``origin``.
+def placed(world_from_object: npt.ArrayLike | None, placing: Placement, origin: Vector = (0.0, 0.0, 0.0)) -> Doubles:
+    """Returns ``world_from_object``, shape (4, 4), of a placement: scale, rotate, stand upright, then move.
+
+    Without a position, the object moves to ``origin``.
 
     Raises:
-        SceneError: Both a matrix and a placing are given, or a value is out of range.
+        SceneError: Both a matrix and a placement are given, or a value is out of range.
     """
     given = [name for name, value in placing._asdict().items() if value is not None]
     if not given and world_from_object is None:
@@ -165,7 +167,7 @@ def placed(world_from_object: npt.ArrayLike | None, placing: Placing, origin: Ve
     if not given:
         return matrix_4x4("world_from_object", world_from_object)
     if world_from_object is not None:
-        raise SceneError(f"world_from_object and {given[0]} are both given: choose the matrix or the words")
+        raise SceneError(f"world_from_object and {given[0]} are both given: give one of them")
     matrix = np.eye(4)
     matrix[:3, 3] = _vector("position", origin if placing.position is None else placing.position, 0.0)
     scale = 1.0 if placing.scale is None else placing.scale
@@ -174,12 +176,12 @@ def placed(world_from_object: npt.ArrayLike | None, placing: Placing, origin: Ve
     x, y, z = np.radians(_vector("rotation_degrees", placing.rotation_degrees, 0.0))
     turn = axis_rotation((0, 0, 1), z) @ axis_rotation((0, 1, 0), y) @ axis_rotation((1, 0, 0), x)
     if placing.front is not None and placing.up is None and placing.look_at is None:
-        raise SceneError("front is of objects that stand or look somewhere: give up or look_at, too")
+        raise SceneError("front needs up or look_at: give one of them, too")
     matrix[:3, :3] = scale * (_standing(placing, matrix[:3, 3]) @ turn)
     return matrix_4x4("world_from_object", matrix)
 
 
-def front_turn(front: str | None) -> Doubles:
+def front_rotation(front: str | None) -> Doubles:
     """Returns the rotation about y that turns the front of an object with y up to +z, shape (3, 3).
 
     Args:
@@ -193,13 +195,13 @@ def front_turn(front: str | None) -> Doubles:
     return axis_rotation((0, 1, 0), math.radians(FRONT_AXES[front or "+z"])).round()
 
 
-def _standing(placing: Placing, position: Doubles) -> Doubles:
-    """Returns the rotation that stands an object with y up upright, and turns its front to what it looks at.
+def _standing(placing: Placement, position: Doubles) -> Doubles:
+    """Returns the rotation that stands an object with y up upright, and turns its front to the target.
 
     Raises:
-        SceneError: The front is no axis, or is turned to a point that is at no side.
+        SceneError: The front is no axis, or the target lies straight above or below.
     """
-    to_z = front_turn(placing.front)
+    to_z = front_rotation(placing.front)
     up = np.array(up_vector("y-up" if placing.up is None else placing.up))
     front = front_vector(up)
     if placing.look_at is not None:
@@ -207,7 +209,7 @@ def _standing(placing: Placing, position: Doubles) -> Doubles:
         distance = np.linalg.norm(front)
         right = np.cross(up, front)
         if np.linalg.norm(right) <= 1e-9 * max(float(distance), 1e-300):
-            raise SceneError("look_at is at the position, or straight above or below it: it must be to a side")
+            raise SceneError("look_at is at the position, or straight above or below it: move it sideways")
         right /= np.linalg.norm(right)
         front = front / distance
         return np.stack([right, np.cross(front, right), front], axis=1) @ to_z

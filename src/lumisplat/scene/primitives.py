@@ -1,4 +1,4 @@
-"""Simple meshes, made by formula: to stand on, to try light on, to measure with. Y is up; they have normals and uvs."""
+"""Simple meshes by formula, with y up, normals and uvs: ground planes, boxes, spheres."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from lumisplat.scene.mesh import Mesh
 
 
 def plane(width: float = 1.0, depth: float = 1.0, *, material: Material | None = None) -> Mesh:
-    """A rectangle in the plane y = 0, centred at the origin, that faces +y.
+    """Makes a rectangle in the plane y = 0, centred at the origin, that faces +y.
 
     Args:
-        width: Along x, scene units.
-        depth: Along z, scene units.
-        material: What it is made of; None: the default.
+        width: Extent along x, scene units.
+        depth: Extent along z, scene units.
+        material: Material; None: the default.
 
     Raises:
         SceneError: A size is not positive.
@@ -37,11 +37,11 @@ def plane(width: float = 1.0, depth: float = 1.0, *, material: Material | None =
 
 
 def box(size: float | npt.ArrayLike = 1.0, *, material: Material | None = None) -> Mesh:
-    """A box centred at the origin, with hard edges; each side shows the whole of a texture.
+    """Makes a box centred at the origin, with hard edges; each side shows the whole texture.
 
     Args:
-        size: Along x, y and z, scene units: one number, or shape (3,).
-        material: What it is made of; None: the default.
+        size: Extent along x, y and z, scene units: one number, or shape (3,).
+        material: Material; None: the default.
 
     Raises:
         SceneError: A size is not positive.
@@ -49,7 +49,7 @@ def box(size: float | npt.ArrayLike = 1.0, *, material: Material | None = None) 
     sizes = finite_numbers(np.broadcast_to(np.asarray(size), (3,)) if np.ndim(size) == 0 else size, (3,))
     if sizes is None or not (sizes > 0.0).all():
         raise SceneError(f"size is {size}, expected one positive number or three")
-    # A side is that of +z, turned; its corners run counter-clockwise from the bottom left.
+    # Each side is the +z side, rotated; its corners run counter-clockwise from the bottom left.
     side = np.array([(-0.5, -0.5, 0.5), (0.5, -0.5, 0.5), (0.5, 0.5, 0.5), (-0.5, 0.5, 0.5)])
     turns = [
         _axes(right, up) for right, up in (("x", "y"), ("-x", "y"), ("-z", "y"), ("z", "y"), ("x", "-z"), ("x", "z"))
@@ -65,12 +65,12 @@ def box(size: float | npt.ArrayLike = 1.0, *, material: Material | None = None) 
 
 
 def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = None) -> Mesh:
-    """A sphere centred at the origin, with the poles along y and smooth normals.
+    """Makes a sphere centred at the origin, with the poles along y and smooth normals.
 
     Args:
-        radius: Scene units.
-        rows: Rings of faces from pole to pole, 2 to 1024; there are twice as many around.
-        material: What it is made of; None: the default.
+        radius: Radius, scene units.
+        rows: Rings of faces from pole to pole, 2 to 1024; there are twice as many faces around.
+        material: Material; None: the default.
 
     Raises:
         SceneError: The radius is not positive, or ``rows`` is out of range.
@@ -79,7 +79,7 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
     check_whole("rows", rows, 2, 1024)
     columns = 2 * rows
     v, u = np.mgrid[: rows + 1, : columns + 1] / np.array([rows, columns])[:, None, None]
-    polar, around = np.pi * v.ravel(), 2.0 * np.pi * (u.ravel() % 1.0)  # the seam closes to the bit, and the poles do
+    polar, around = np.pi * v.ravel(), 2.0 * np.pi * (u.ravel() % 1.0)  # seam and poles close to the bit
     radii = np.where((v.ravel() == 0.0) | (v.ravel() == 1.0), 0.0, np.sin(polar))
     normals = np.stack([radii * np.sin(around), np.cos(polar), radii * np.cos(around)], axis=1)
     first = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).ravel()
@@ -98,7 +98,7 @@ def sphere(radius: float = 0.5, *, rows: int = 32, material: Material | None = N
 
 
 def _axes(right: str, up: str) -> Doubles:
-    """The rotation whose columns are two signed axes and their cross product, shape (3, 3)."""
+    """Returns the rotation whose columns are two signed axes and their cross product, shape (3, 3)."""
     x: Doubles
     y: Doubles
     x, y = (np.eye(3)["xyz".index(name[-1])] * (-1.0 if name[0] == "-" else 1.0) for name in (right, up))

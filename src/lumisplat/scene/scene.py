@@ -1,4 +1,4 @@
-"""A scene: assets placed in the world."""
+"""Scenes: captures, meshes and lights placed in the world."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from lumisplat.scene.gaussians import Gaussians, moved_orientation
 from lumisplat.scene.lights import Light, LightEnvironment
 from lumisplat.scene.materials import Material, MaterialPbr, MaterialSimple
 from lumisplat.scene.mesh import Mesh
-from lumisplat.scene.placing import UP_AXES, PlacedInstance, Placing, up_vector, up_vector_or_none, y_up_from
+from lumisplat.scene.placing import UP_AXES, PlacedInstance, Placement, up_vector, up_vector_or_none, y_up_from
 
 BULK_TAIL = 0.02
-"""Share of a capture's opacity left out at each end of each axis: stray Gaussians must neither set the frame nor hold
-an object above the ground."""
+"""Fraction of a capture's opacity left out at each end of each axis, so that stray Gaussians neither set the view nor
+raise an object above the ground."""
 
 Bounds = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """Corners (min, max) of a box, world space, shape (3,) each."""
 
 _BINS = 2**14
-"""Into which heights are sorted roughly."""
+"""Number of bins into which coordinates are first sorted."""
 
 _Placed = TypeVar("_Placed", "SplatInstance", "MeshInstance")
 
 
 @frozen
 class SplatInstance(PlacedInstance):
-    """A Gaussian set placed in the world by rotation, uniform scale and translation.
+    """A capture placed in the world by rotation, uniform scale and translation.
 
     Raises:
         SceneError: ``gaussians`` is something else, or ``world_from_object`` mirrors, shears or scales the axes
@@ -48,28 +48,28 @@ class SplatInstance(PlacedInstance):
 
     gaussians: Gaussians
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Similarity transform, shape (4, 4); None: the identity, at the ``origin`` of the Gaussians."""
+    """Similarity transform, shape (4, 4); None: a translation to the ``origin`` of the Gaussians."""
     material: Material | None = None
-    """How it reflects light; None: it shines as captured, whatever the lights."""
+    """Material that reflects light; None: the capture is shown as captured, whatever the lights."""
     sh_degree: Annotated[int, Range(0, SH_DEGREE_MAX)] = field(default=SH_DEGREE_MAX, kw_only=True)
     """Highest SH degree that is evaluated. A lower degree removes view-dependent light that was baked in."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Whether it is a shadow catcher: it shows its captured colours, lights do not brighten it, its own Gaussians do
-    not shadow it, and it is darkened where something else blocks a light. By how much depends on its ambient light,
-    the ``ambient`` of a `MaterialSimple` (0.5 without a material)."""
+    """Make the capture a shadow catcher: it shows its captured colours, darkened where other objects block a light.
+    Lights do not brighten it, and its own Gaussians do not shadow it. Its ambient light, the ``ambient`` of a
+    `MaterialSimple` (0.5 without a material), sets how dark shadows are."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("gaussians", self.gaussians, Gaussians, "Gaussians")
         if self.material is not None:
             check_kind("material", self.material, (MaterialPbr, MaterialSimple), "a MaterialPbr or MaterialSimple")
         take_scene_fields(self)
-        self._place(self.world_from_object, Placing(*placing), self.gaussians.origin)
+        self._place(self.world_from_object, Placement(*placing), self.gaussians.origin)
         check_similarity(self.transform[:3, :3])
 
     def __repr__(self) -> str:
         material = f", material={type(self.material).__name__}" if self.material is not None else ""
-        kept = ", shadow_catcher" if self.shadow_catcher else ""
-        return f"SplatInstance({self.gaussians!r}, {self._placement()}{material}{kept})"
+        catcher = ", shadow_catcher" if self.shadow_catcher else ""
+        return f"SplatInstance({self.gaussians!r}, {self._placement()}{material}{catcher})"
 
     @property
     def world_means(self) -> npt.NDArray[np.float64]:
@@ -77,7 +77,7 @@ class SplatInstance(PlacedInstance):
         return transform_points(self.transform, self.gaussians.means)
 
     def bounds(self) -> Bounds:
-        """Corners (min, max) of the world-space bounding box of the means, shape (3,) each."""
+        """Returns the corners (min, max) of the world-space bounding box of the means, shape (3,) each."""
         points = self.world_means
         return points.min(axis=0), points.max(axis=0)
 
@@ -92,35 +92,35 @@ class MeshInstance(PlacedInstance):
     """A mesh placed in the world by any invertible affine transform.
 
     Raises:
-        SceneError: ``mesh`` is something else, ``world_from_object`` is not an invertible affine transform, or both it
-            and a position or the like are given.
+        SceneError: ``mesh`` is something else, ``world_from_object`` is not an invertible affine transform, or it is
+            given together with a position or another part of a placement.
     """
 
     mesh: Mesh
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Affine transform, shape (4, 4); None: the identity, at the ``origin`` of the mesh."""
+    """Affine transform, shape (4, 4); None: a translation to the ``origin`` of the mesh."""
     shadow_catcher: bool = field(default=False, kw_only=True)
-    """Whether it is a shadow catcher, seen only where other objects shadow it or, if it is shiny, are mirrored by it:
-    it stands for a surface of the captures, or of a picture that the frame is put over. It hides nothing and casts no
-    shadow. Captures do not block its light, but for those that are added to others which are shadow catchers."""
+    """Make the mesh a shadow catcher, visible only where other objects shadow it or, if it is shiny, are mirrored in
+    it. It stands for a surface of the captures, or of an image behind the frame. It hides nothing and casts no shadow.
+    Captures do not block its light, except captures added to others that are shadow catchers."""
 
     def __post_init__(self, *placing: Any) -> None:
         check_kind("mesh", self.mesh, Mesh, "a Mesh")
         take_scene_fields(self)
-        self._place(self.world_from_object, Placing(*placing), self.mesh.origin)
+        self._place(self.world_from_object, Placement(*placing), self.mesh.origin)
 
     def __repr__(self) -> str:
         catches = ", shadow_catcher" if self.shadow_catcher else ""
         return f"MeshInstance({self.mesh!r}, {self._placement()}{catches})"
 
     def bounds(self) -> Bounds:
-        """Corners (min, max) of the world-space bounding box of the vertices, shape (3,) each."""
+        """Returns the corners (min, max) of the world-space bounding box of the vertices, shape (3,) each."""
         points = transform_points(self.transform, self.mesh.positions)
         return points.min(axis=0), points.max(axis=0)
 
 
 def checked_lights(lights: Iterable[Light], name: str = "lights") -> tuple[Light, ...]:
-    """The lights of a list that the user gives, as a tuple.
+    """Converts a list of lights from the user to a tuple.
 
     Raises:
         SceneError: It is not a list, an entry is not a light, or two environments are enabled.
@@ -136,17 +136,17 @@ def checked_lights(lights: Iterable[Light], name: str = "lights") -> tuple[Light
 
 
 def _splats(items: Iterable[SplatInstance | Gaussians], name: str = "splats") -> tuple[SplatInstance, ...]:
-    """Converts captures; bare ones are placed at the origin."""
+    """Converts captures to instances; bare captures are placed at their origin."""
     return _instances(name, items, Gaussians, SplatInstance)
 
 
 def _meshes(items: Iterable[MeshInstance | Mesh], name: str = "meshes") -> tuple[MeshInstance, ...]:
-    """Converts meshes; bare ones are placed at the origin."""
+    """Converts meshes to instances; bare meshes are placed at their origin."""
     return _instances(name, items, Mesh, MeshInstance)
 
 
 def _instances(name: str, items: Iterable[object], asset: type[Any], instance: type[_Placed]) -> tuple[_Placed, ...]:
-    """The entries of a list as instances; bare assets are placed at the origin."""
+    """Converts the entries of a list to instances; bare assets are placed at their origin."""
     placed: list[_Placed] = []
     for item in items_of(name, items):
         one = instance(cast("Any", item)) if isinstance(item, asset) else item
@@ -158,22 +158,22 @@ def _instances(name: str, items: Iterable[object], asset: type[Any], instance: t
 
 @frozen(weakref_slot=True)
 class Scene:
-    """What a frame shows. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at the origin.
+    """Captures, meshes and lights to render. Bare ``Gaussians`` and ``Mesh`` are accepted and placed at their origin.
 
     Raises:
         SceneError: An entry of a list has the wrong type, two environments are enabled, or ``up`` is no direction.
     """
 
     UP_NAMES: ClassVar[tuple[str, ...]] = tuple(UP_AXES)
-    """Names that ``up`` may have."""
+    """Names accepted for ``up``."""
 
     splats: tuple[SplatInstance, ...] = given(converter=_splats, default=())
     meshes: tuple[MeshInstance, ...] = given(converter=_meshes, default=())
     lights: tuple[Light, ...] = given(converter=checked_lights, default=())
-    """At most one enabled light is a `LightEnvironment`."""
+    """Lights, of which at most one enabled one is a `LightEnvironment`."""
     up: Vector | None = given(converter=up_vector_or_none, default=None, kw_only=True)
-    """Unit vector that points up; None: the files do not say it, see `up_direction`. The name of an axis
-    (``"y-down"``, ``"z-up"``) or a direction of any length is accepted."""
+    """Unit vector that points up; None: unknown, see `up_direction`. Accepts the name of an axis (``"y-down"``,
+    ``"z-up"``) or a direction of any length."""
 
     __post_init__ = take_scene_fields
 
@@ -186,10 +186,10 @@ class Scene:
 
     @property
     def is_lit_by_default(self) -> bool:
-        """Whether frames are lit unless ``RenderConfig.lighting`` decides: it has lights or meshes.
+        """True if frames are lit unless ``RenderConfig.lighting`` decides: the scene has lights or meshes.
 
-        Meshes without any light would be flat areas of colour: captures around them light them, or a headlight at the
-        camera. Captures bring their light with them.
+        Meshes without any light would be flat areas of colour, so captures around them light them, or a headlight at
+        the camera does. Captures alone bring their light with them.
         """
         return bool(self.lights or self.meshes)
 
@@ -205,9 +205,9 @@ class Scene:
 
     @property
     def up_direction(self) -> Vector:
-        """Unit vector that points up: ``up``, else that of the first capture that says its own, else a guess.
+        """Unit vector that points up: ``up``, else that of the first capture that has one, else a guess.
 
-        The guess is y down for a scene with a capture, y up for one of meshes alone. `up_source` says which it is.
+        The guess is y down for a scene with a capture, y up for one with only meshes. `up_source` says which it is.
         """
         if self.up is not None:
             return self.up
@@ -216,21 +216,21 @@ class Scene:
 
     @property
     def up_source(self) -> Literal["scene", "capture", "guess"]:
-        """Where `up_direction` comes from: ``up`` of the scene, a capture that says its own, or a guess."""
+        """Source of `up_direction`: ``up`` of the scene, a capture's own up, or a guess."""
         if self.up is not None:
             return "scene"
         return "guess" if self._stated_up() is None else "capture"
 
     @property
     def first_view(self) -> Camera | None:
-        """World-space view of the first capture that says from where it is looked at first; None: none says it."""
+        """World-space default view of the first capture that has one; None if none has."""
         for instance in self.splats:
             if instance.gaussians.first_view is not None:
                 return moved_orientation(instance.gaussians, instance.transform)["first_view"]
         return None
 
     def _stated_up(self) -> Vector | None:
-        """Returns up as the first capture has it that says its own, where it is placed."""
+        """Returns the world-space up direction of the first capture that has one."""
         for instance in self.splats:
             if instance.gaussians.up is not None:
                 return moved_orientation(instance.gaussians, instance.transform)["up"]
@@ -238,15 +238,15 @@ class Scene:
 
     @property
     def upright_wxyz(self) -> tuple[float, float, float, float]:
-        """Rotation, a quaternion, scalar first, that stands upright in the scene what was made with y up.
+        """Rotation, a quaternion, scalar first, that stands an object with y up upright in the scene.
 
-        The side of it that is seen along -z, as glTF has it, becomes the front.
+        The object's side that is seen along -z, as in glTF, becomes its front.
         """
         w, x, y, z = quaternions_from_matrices(y_up_from(self.up_direction).T[None])[0]
         return float(w), float(x), float(y), float(z)
 
     def bounds(self) -> Bounds:
-        """Corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
+        """Returns the corners (min, max) of the world-space bounding box of all means and vertices, shape (3,) each.
 
         Raises:
             SceneError: The scene is empty.
@@ -258,9 +258,9 @@ class Scene:
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
     def bulk_bounds(self) -> Bounds:
-        """Corners (min, max) of a world-space box around all meshes and the bulk of each capture, shape (3,) each.
+        """Returns the corners (min, max) of a world-space box around meshes and the bulk of captures, shape (3,) each.
 
-        Stray Gaussians do not count: 2 % of a capture's opacity are left out at each end of each axis.
+        Stray Gaussians are ignored: 2 % of a capture's opacity is left out at each end of each axis.
 
         Raises:
             SceneError: The scene is empty.
@@ -269,17 +269,17 @@ class Scene:
         worlds = [transform_points(i.transform, i.mesh.positions) for i in self.meshes]
         boxes += [(world.min(axis=0), world.max(axis=0)) for world in worlds]
         if not boxes:
-            raise SceneError("the scene is empty: there is nothing to look at")
+            raise SceneError("the scene is empty, expected a capture or a mesh")
         lows, highs = zip(*boxes, strict=True)
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
 
 _BULKS: WeakKeyDictionary[Gaussians, tuple[bytes, Bounds]] = WeakKeyDictionary()
-"""Of captures: where the last instance stood whose bulk was measured, and that bulk."""
+"""Cache of captures' bulk bounds: transform of the instance that was measured last, and its bounds."""
 
 
 def _bulk(instance: SplatInstance) -> Bounds:
-    """Corners of the box of a capture's means that leaves out `BULK_TAIL` of its opacity at each end of each axis."""
+    """Returns the box of a capture's means without `BULK_TAIL` of its opacity at each end of each axis."""
     place = instance.transform.tobytes()
     held = _BULKS.get(instance.gaussians)
     if held is None or held[0] != place:
@@ -291,10 +291,10 @@ def _bulk(instance: SplatInstance) -> Bounds:
 
 
 def bulk_extent(heights: npt.NDArray[np.float64], weights: FloatArray, tail: float = BULK_TAIL) -> tuple[float, float]:
-    """The heights between which all but ``tail`` of the weight at each end lies, from two arrays of shape (N,)."""
+    """Returns the weighted quantiles ``tail`` and 1 - ``tail`` of heights; both arrays have shape (N,)."""
     low = float(heights.min())
     extent = float(heights.max()) - low
-    # Only what is in the bin of an end has to be sorted, of millions that are not.
+    # Binning avoids sorting millions of heights: only two bins are sorted.
     bins = ((heights - low) / (extent or 1.0) * (_BINS - 1)).astype(np.int32)
     share = np.cumsum(np.bincount(bins, weights, _BINS), dtype=np.float64)
     first, last = (_height_at(heights, weights, bins, share, end * share[-1]) for end in (tail, 1.0 - tail))
@@ -308,7 +308,7 @@ def _height_at(
     share: npt.NDArray[np.float64],
     wanted: float,
 ) -> float:
-    """The height up to which there is a share of the weight, from bins of heights and the weight up to each."""
+    """Returns the height up to which the weight sums to ``wanted``, from bins and cumulative weights."""
     number = int(np.searchsorted(share, wanted))
     rows = np.flatnonzero(bins == number)
     rows = rows[np.argsort(heights[rows])]
@@ -321,7 +321,7 @@ def check_similarity(
 ) -> None:
     """Checks that a matrix, shape (3, 3), is a rotation times a uniform scale, as a splat instance needs.
 
-    The message calls the matrix by ``name``, and says what takes it.
+    ``name`` and ``taker`` name the matrix and its user in the message.
 
     Raises:
         SceneError: It mirrors, scales the axes differently or shears; the message says by how much.

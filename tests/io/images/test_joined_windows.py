@@ -91,7 +91,7 @@ def test_windows_cover_the_image_exactly_once() -> None:
         assert len(windows(columns, rows)) == columns * rows and (count == 1).all()
     with pytest.raises(ls.SceneError, match="columns is 6, expected 1 to 5"):
         CAMERA.windows(6, 1)
-    with pytest.raises(ls.SceneError, match="not cut further"):
+    with pytest.raises(ls.SceneError, match="cannot be cut again"):
         CAMERA.windows(2, 2)[0].windows(1, 1)
 
 

@@ -185,7 +185,7 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
         (lambda _: ls.editing.crop(cast(Any, "a.ply"), sphere=((0, 0, 0), 1.0)), "crop takes Gaussians, got a str"),
         (lambda _: ls.merge([]), "merge takes at least one capture"),
         (lambda g: ls.merge(cast(Any, [g, 3])), "merge takes a list of Gaussians, got a int"),
-        (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is one float32, expected a list"),
+        (lambda g: ls.merge(cast(Any, g.means[0, 0])), "captures is a float32, expected a list"),
     ],
 )
 def test_mistakes_are_one_line(capture: ls.Gaussians, change: Any, message: str) -> None:

@@ -22,7 +22,7 @@ from lumisplat.io.files.source import PathLike, check_memory, parsing
 from lumisplat.math.arrays import Doubles, FloatArray
 from lumisplat.scene.camera import Camera, CameraModel
 from lumisplat.scene.gaussians import Gaussians
-from lumisplat.scene.local_frame import default_near, note_box
+from lumisplat.scene.local_frame import default_near, register_box
 
 BLOCK_PREVIEW = 2**18
 """Number of sampled Gaussians from which a view of the whole capture is framed."""
@@ -94,7 +94,7 @@ def load_blocks(index: BlockIndex, parts: Sequence[BlockPart]) -> Gaussians:
     try:
         found = joined(rows, sum(level.count for level in levels), width, **index.settings)
         low, high = index.bounds
-        note_box(found, low.min(axis=0), high.max(axis=0))
+        register_box(found, low.min(axis=0), high.max(axis=0))
         return found
     except FormatError:
         raise

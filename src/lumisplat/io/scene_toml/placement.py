@@ -32,7 +32,7 @@ from lumisplat.io.splats.spz import read_spz_orientation
 from lumisplat.math.transforms import rotation_matrix
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.insertion import insertion
-from lumisplat.scene.placing import Placing, Vector, placed, up_vector
+from lumisplat.scene.placing import Placement, Vector, placed, up_vector
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance
 
 _log = logging.getLogger("lumisplat")
@@ -175,7 +175,7 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
         given = {key: table.values.get(key) for key in ("position", "rotation_degrees", "scale", "look_at", "front")}
         stands = table.values.get("upright", "front" in table.values) or "look_at" in table.values
         try:
-            return placed(None, Placing(**given, up=up if stands else None))
+            return placed(None, Placement(**given, up=up if stands else None))
         except SceneError as error:
             raise table.failed(error) from None
     scale = table.values.get("scale", 1.0)

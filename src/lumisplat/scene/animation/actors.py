@@ -1,4 +1,4 @@
-"""Actors that move through a scene, sequences of Gaussians in files, and animations: the scene at each time."""
+"""Actors that move through a scene, file sequences of Gaussians, and animations: the scene at each time."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, check_similarity
 
 SEQUENCE_TIME_SLACK = 1e-6
-"""Frames by which a time may precede the frame that it denotes: k / fps * fps is below k for some k."""
+"""Tolerance in frames for times just before a frame, because k / fps * fps is below k for some k."""
 
 SEQUENCE_FRAMES_KEPT = 2
-"""Frames that a sequence keeps in memory: the one shown, and the one before it. A frame may have a gigabyte."""
+"""Frames that a sequence caches: the current and the previous one. A frame may have a gigabyte."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GaussianSequence:
     """Frames of Gaussians at a constant rate, loaded when they are shown; made by `load_sequence`.
 
-    A frame is shown unchanged from its time until that of the next one. Frames are not interpolated: formats reorder
-    Gaussians and counts may differ, so that a Gaussian cannot be found again in the next frame. The last few frames
-    stay in memory.
+    A frame is shown unchanged until the time of the next one. Frames are not interpolated, because files reorder
+    Gaussians and their counts may differ, so that Gaussians of two frames do not correspond. The last few frames are
+    cached.
 
     Raises:
         SceneError: There are no frames, or ``fps`` is not a positive number.
@@ -51,14 +51,14 @@ class GaussianSequence:
     fps: Annotated[float, Range(0.0, above=True)]
     """Frames per second."""
     load: Callable[[Path], Gaussians]
-    """Reads the file of a frame."""
+    """Function that reads the file of a frame."""
     _cache: OrderedDict[int, Gaussians] = field(default_factory=OrderedDict[int, Gaussians], init=False)
-    """The most recently shown frames by index, the latest last."""
+    """Cached frames by index, the most recently shown last."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paths", tuple(self.paths))
         if not self.paths:
-            raise SceneError("a sequence of no frames: there is nothing to show")
+            raise SceneError("a sequence without frames, expected at least one")
         take_scene_fields(self)
 
     def __repr__(self) -> str:
@@ -75,7 +75,7 @@ class GaussianSequence:
         return self.frame_count / self.fps
 
     def at(self, time: float) -> Gaussians:
-        """The frame at a time. Earlier times give the first frame, later ones the last.
+        """Returns the frame at a time. Earlier times give the first frame, later ones the last.
 
         Args:
             time: Seconds.
@@ -85,7 +85,7 @@ class GaussianSequence:
             FormatError: The frame cannot be read; names its file.
         """
         check_time(time)
-        # Rounding may have put a multiple of 1 / fps just before the frame that begins there.
+        # Rounding may put a multiple of 1 / fps just before the frame that begins there.
         index = int(np.clip(np.floor(time * self.fps + SEQUENCE_TIME_SLACK), 0, self.frame_count - 1))
         if index not in self._cache:
             self._cache[index] = self.load(self.paths[index])
@@ -101,19 +101,19 @@ Instance = SplatInstance | MeshInstance
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deforming:
-    """A mesh or capture whose shape is read from its file for each time that is shown; made by `load_animation`."""
+    """A deforming mesh or capture, read from its file at each time; made by `load_animation`."""
 
     read: Callable[[float], Instances]
-    """What there is at a time, seconds, where it stands."""
+    """Function that returns the placed instances at a time in seconds."""
     _shown: dict[float, Instances] = field(default_factory=dict[float, Instances], init=False)
-    """That of the last time."""
+    """Cached instances of the last time."""
 
     def at(self, time: float) -> Instances:
-        """What there is at a time, seconds; the same objects as long as that is asked for.
+        """Returns the instances at a time in seconds; repeated calls for the same time return the same objects.
 
         Raises:
             SceneError: The time is not finite.
-            FormatError: It cannot be read.
+            FormatError: The file cannot be read.
         """
         check_time(time)
         shown = self._shown.get(time)
@@ -125,38 +125,38 @@ class Deforming:
 
 
 Subject = Gaussians | GaussianSequence | RiggedGaussians | Mesh | Rig | Scene | Deforming
-"""What an actor may be; a `Scene` stands for its captures and meshes, `Deforming` for those of a time."""
+"""Types of an actor's subject. A `Scene` stands for its captures and meshes, `Deforming` for those of a time."""
 _Item = TypeVar("_Item")
 
 
 @frozen
 class Actor:
-    """Something that moves through a scene, by its own clip or frames and by keyframes.
+    """A subject that moves through a scene, by its own clip or frames and by keyframes.
 
-    Its points are placed by ``world_from_object``, then moved by ``motion``: the pose at a time is
+    The subject is placed by ``world_from_object``, then moved by ``motion``: the pose at a time is
     ``motion.at(time) @ world_from_object``.
 
     Raises:
-        SceneError: A field has the wrong type, a transform is not a similarity (meshes take any affine one), a number
+        SceneError: A field has the wrong type, a transform is not a similarity (meshes accept any affine one), a number
             is out of range, or the clip does not exist.
     """
 
     subject: Subject
     motion: Keyframes | None = None
-    """Motion through the world, in the animation's time; None: the actor stays where it is placed."""
+    """Motion through the world in the animation's time; None: the actor does not move."""
     world_from_object: npt.NDArray[np.float64] | None = None
-    """Placement before the motion, shape (4, 4); None: the identity."""
+    """Transform before the motion, shape (4, 4); None: the identity."""
     name: str = field(default="", kw_only=True)
     casts_shadow: bool = field(default=True, kw_only=True)
-    """Whether it casts shadows on the scene."""
+    """Cast shadows on the scene."""
     relight: bool = field(default=True, kw_only=True)
-    """Whether it is lit by the light at its place; otherwise it keeps its own colours."""
+    """Light the actor by the scene's light at its position; otherwise it keeps its captured colours."""
     clip: str | None = field(default=None, kw_only=True)
     """Name of the rig's clip; None: the first."""
     loop: bool = field(default=True, kw_only=True)
-    """Whether the clip or the frames repeat; otherwise the last pose stays. Keyframes never repeat."""
+    """Repeat the clip or the frames; otherwise the last pose stays. Keyframes never repeat."""
     speed: Annotated[float, Range(0.0)] = field(default=1.0, kw_only=True)
-    """Seconds of the clip or the frames per second of the animation."""
+    """Playback speed of the clip or the frames: their seconds per second of the animation."""
 
     def __post_init__(self) -> None:
         subjects = "Gaussians, a GaussianSequence, RiggedGaussians, a Mesh, a Rig or a Scene"
@@ -171,21 +171,21 @@ class Actor:
             rig.duration(self.clip)
         matrix = matrix_4x4("world_from_object", self.world_from_object)
         if not isinstance(self.subject, Mesh | Rig):
-            check_similarity(matrix[:3, :3])  # now rather than at some frame
+            check_similarity(matrix[:3, :3])  # reported now rather than at a later frame
         object.__setattr__(self, "world_from_object", matrix)
 
     @property
     def rig(self) -> Rig | None:
-        """The rig that poses it; None if it has none."""
+        """Rig that poses the actor; None if it has none."""
         if isinstance(self.subject, RiggedGaussians):
             return self.subject.rig
         return self.subject if isinstance(self.subject, Rig) else None
 
     def at(self, time: float) -> tuple[Instance, ...]:
-        """The actor at a time of the animation: one instance, or one for each mesh of its rig or asset of its scene.
+        """Returns the actor's instances at a time: one, or one for each mesh of its rig or asset of its scene.
 
         Args:
-            time: Seconds.
+            time: Seconds of the animation.
 
         Raises:
             SceneError: The time is not finite.
@@ -213,23 +213,23 @@ class Actor:
         return (SplatInstance(gaussians, world, name=self.name),)
 
     def _placed(self, instances: tuple[Instance, ...], world: npt.NDArray[np.float64]) -> tuple[Instance, ...]:
-        """Instances in the actor's space, where it is."""
+        """Transforms instances from the actor's space to the world."""
         return tuple(replace(i, world_from_object=world @ i.transform, name=self.name or i.name) for i in instances)
 
     @property
     def own_duration(self) -> float:
-        """Time that its clip or its frames take once, at its speed, seconds; 0 if it has none."""
+        """Duration of one pass of the clip or the frames at the actor's speed, seconds; 0 if it has none."""
         return self._length() / self.speed if self.speed > 0.0 else 0.0
 
     def _length(self) -> float:
-        """Duration of the clip or the frames, in their own seconds."""
+        """Returns the duration of the clip or the frames at their own speed."""
         if isinstance(self.subject, GaussianSequence):
             return self.subject.duration
         rig = self.rig
         return rig.duration(self.clip) if rig is not None and rig.clips else 0.0
 
     def _own_time(self, time: float) -> float:
-        """The animation's time as a time of the clip or the frames."""
+        """Converts the animation's time to a time of the clip or the frames."""
         own, length = self.speed * time, self._length()
         return own % length if self.loop and length > 0.0 else own
 
@@ -243,7 +243,7 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 
 
 def _items(name: str, items: Iterable[_Item], kind: type[_Item]) -> tuple[_Item, ...]:
-    """Returns a list that the user gives as a tuple; a `SceneError` if it holds something else."""
+    """Converts a list from the user to a tuple; raises a `SceneError` if an entry has another type."""
     taken = tuple(items_of(name, items))
     for item in taken:
         if not isinstance(item, kind):
@@ -260,7 +260,7 @@ class Animation:
     """
 
     scene: Scene
-    """The static captures, meshes and lights."""
+    """Static captures, meshes and lights."""
     actors: tuple[Actor, ...] = given(converter=_actors, default=())
     cameras: tuple[Camera, ...] = given(converter=_cameras, default=())
     fps: Annotated[float, Range(0.0, above=True)] = 25.0
@@ -268,9 +268,9 @@ class Animation:
     frame_count: Annotated[int, Range(1)] = 1
     """Number of frames, 1 to 1,000,000."""
     lighting: AvatarLightingConfig = field(default_factory=AvatarLightingConfig)
-    """How actors are lit and cast shadows."""
+    """Settings of the actors' relighting and shadows."""
     camera_path: CameraPath | None = None
-    """A camera that moves, in the animation's time; None: ``cameras`` stand still."""
+    """Moving camera, in the animation's time; None: ``cameras`` do not move."""
 
     def __post_init__(self) -> None:
         check_kind("scene", self.scene, Scene, "a Scene")
@@ -281,7 +281,7 @@ class Animation:
         if count > ANIMATION_FRAMES_MAX:
             raise SceneError(
                 f"frame_count is {count:,.10g} at {self.fps:g} frames a second, "
-                f"expected at most {ANIMATION_FRAMES_MAX:,}: lower duration or frames, or fps"
+                f"expected at most {ANIMATION_FRAMES_MAX:,}: lower the duration, the frames or the fps"
             )
 
     @property
@@ -295,7 +295,7 @@ class Animation:
         return self.frame_count / self.fps
 
     def actors_at(self, time: float) -> list[Instance]:
-        """The instances of all actors at a time, in order; `Actor.at` gives those of one actor.
+        """Returns the instances of all actors at a time, in order; `Actor.at` returns those of one actor.
 
         Raises:
             SceneError: The time is not finite.

@@ -1,4 +1,4 @@
-"""A camera that moves smoothly through cameras at given times."""
+"""Camera paths: a camera that moves smoothly through key cameras."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from lumisplat.scene.camera import Camera
 from lumisplat.scene.checks import items_of, take_scene_fields
 
 _SAME = ("width", "height", "model", "distortion")
-"""What all cameras of a path have in common."""
+"""Fields that must be equal in all cameras of a path."""
 _BLENDED = ("cx", "cy", "near", "aperture", "focus_distance", "exposure")
 
 
 def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ...]:
-    """Returns cameras that the user gives as a tuple; a `SceneError` if the list holds something else."""
+    """Converts cameras from the user to a tuple; raises a `SceneError` if the list holds something else."""
     cameras = tuple(items_of(name, items))
     for camera in cameras:
         if not isinstance(camera, Camera):
@@ -36,28 +36,28 @@ def _cameras(items: Iterable[Camera], name: str = "cameras") -> tuple[Camera, ..
 
 @frozen
 class CameraPath:
-    """A camera that moves through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
+    """A path through K cameras: eye, rotation and focal length follow smooth cubics (Catmull-Rom 1974).
 
-    Before the first time and after the last one it stands still. With ``targets`` it looks at a point that moves
-    likewise, so that what is in the middle of the image stays there between the keys, too.
+    The camera stands still before the first time and after the last. With ``targets`` it looks at a point that moves
+    likewise, so that this point stays in the centre of the image between the keys, too.
 
     Raises:
         SceneError: There is no camera, they differ in size, model or distortion, one has a rolling shutter, shapes do
-            not fit, or times do not rise.
+            not match, or times do not increase.
     """
 
     cameras: tuple[Camera, ...] = given(converter=_cameras)
     times: npt.ArrayLike | None = None
-    """Seconds, rising, shape (K,); None: 0, 1, 2 and so on."""
+    """Times of the cameras in seconds, increasing, shape (K,); None: 0, 1, 2 and so on."""
     targets: npt.ArrayLike | None = None
-    """World positions in the middle of the image at these times, shape (K, 3); None: rotations are interpolated."""
+    """World positions in the centre of the image at these times, shape (K, 3); None: rotations are interpolated."""
 
     def __post_init__(self) -> None:
         take_scene_fields(self)
         cameras = self.cameras
         for k, camera in enumerate(cameras):
             if camera.camera_from_world_end is not None:
-                raise SceneError(f"camera {k} of the path has a rolling shutter, expected one pose each")
+                raise SceneError(f"camera {k} of the path has a rolling shutter, expected one pose for each camera")
             for name in _SAME:
                 if getattr(camera, name) != getattr(cameras[0], name):
                     raise SceneError(
@@ -65,12 +65,12 @@ class CameraPath:
                         "see Camera.scaled for sizes"
                     )
         if not cameras:
-            raise SceneError("a path has at least one camera, this one has none")
+            raise SceneError("a path without cameras, expected at least one")
         times = np.arange(float(len(cameras))) if self.times is None else finite_array("times", self.times, np.float64)
         targets = None if self.targets is None else finite_array("targets", self.targets, np.float64)
         check_shapes(cameras=(np.empty(len(cameras)), "K"), times=(times, "K"), targets=(targets, "K 3"))
         if (np.diff(times) <= 0.0).any():
-            raise SceneError("times of a path must rise")
+            raise SceneError("times of a path must increase")
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "targets", targets)
 
@@ -80,10 +80,10 @@ class CameraPath:
         return float(np.asarray(self.times)[-1])
 
     def at(self, time: float) -> Camera:
-        """The camera at a time, seconds.
+        """Returns the camera at a time in seconds.
 
         Raises:
-            SceneError: ``time`` is not a finite number, or the eye meets the target on the way.
+            SceneError: ``time`` is not a finite number, or the eye coincides with the target.
         """
         check_time(time)
         keys, times = self.cameras, np.asarray(self.times)
@@ -92,7 +92,7 @@ class CameraPath:
         if time >= times[-1]:
             return keys[-1]
         after = int(np.searchsorted(times, time, side="right"))
-        near = slice(max(after - 2, 0), after + 2)  # what the cubic and its slopes are of
+        near = slice(max(after - 2, 0), after + 2)  # the keys that the cubic and its slopes need
         keys, times = keys[near], times[near]
         eyes = np.array([camera.eye for camera in keys])
         rotations = _aligned(quaternions_from_matrices(np.array([c.world_from_camera[:3, :3] for c in keys])))
@@ -112,10 +112,10 @@ class CameraPath:
         return replace(before, camera_from_world=pose, fx=float(focal[0]), fy=float(focal[1]), **blended)
 
     def frames(self, fps: float) -> list[Camera]:
-        """One camera for each frame, from the first time to the last, named ``frame_00000`` and so on.
+        """Returns one camera for each frame, from the first time to the last, named ``frame_00000`` and so on.
 
         Args:
-            fps: Frames a second, above 0.
+            fps: Frames per second, above 0.
 
         Raises:
             SceneError: The rate is out of range, or gives too many frames.
@@ -125,11 +125,11 @@ class CameraPath:
         first = float(np.asarray(self.times)[0])
         count = (self.duration - first) * fps
         if count > ANIMATION_FRAMES_MAX:
-            raise SceneError(f"the path takes {count:,.0f} frames at fps = {fps:g}: at most {ANIMATION_FRAMES_MAX:,}")
+            raise SceneError(f"the path has {count:,.0f} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}")
         return [replace(self.at(first + k / fps), name=f"frame_{k:05d}") for k in range(int(count + 1e-6) + 1)]
 
     def stretched(self, seconds: float) -> CameraPath:
-        """The same path from time 0 to ``seconds``.
+        """Returns the same path from time 0 to ``seconds``.
 
         Raises:
             SceneError: ``seconds`` is not positive.
@@ -141,7 +141,7 @@ class CameraPath:
 
 
 def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
-    """Quaternions of the same rotations, each on the side of the one before."""
+    """Flips the signs of quaternions so that neighbours lie in the same hemisphere."""
     aligned = np.array(quaternions, dtype=np.float64)
     for k in range(1, len(aligned)):
         if aligned[k] @ aligned[k - 1] < 0.0:
@@ -150,9 +150,9 @@ def _aligned(quaternions: npt.NDArray[np.floating]) -> Doubles:
 
 
 def _cubic(times: Doubles, values: Doubles, time: float) -> Doubles:
-    """Values, shape (K, N), at a time between the first and the last: Hermite's cubic through two neighbours.
+    """Interpolates values, shape (K, N), at a time between the first and the last by cubic Hermite splines.
 
-    The slope at a key is that from the key before to the key after it, at the ends to the neighbour.
+    The slope at a key is that from the previous to the next key; at the ends, that to the neighbour.
     """
     k = int(np.searchsorted(times, time, side="right")) - 1
     span = times[k + 1] - times[k]

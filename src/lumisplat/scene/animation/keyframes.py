@@ -1,4 +1,4 @@
-"""Motion by keyframes: position, rotation and uniform scale of an object at given times."""
+"""Keyframes: position, rotation and uniform scale of an object at given times."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from lumisplat.math.transforms import matrices_from_quaternions, slerp
 class Keyframes:
     """Poses of an object at K times; in between, positions and scales are linear and rotations slerped.
 
-    Before the first key and after the last one the pose is constant. Rotations take the shorter way: for a full turn,
-    give a key every third of it.
+    Before the first key and after the last one the pose is constant. Rotations take the shorter arc: for a full turn,
+    give a key every 120 degrees.
 
     Raises:
-        SceneError: There is no key, shapes do not fit, a value is not finite, times do not increase, a scale is not
+        SceneError: There is no key, shapes do not match, a value is not finite, times do not increase, a scale is not
             positive, or a rotation has zero length.
     """
 
     times: npt.ArrayLike
-    """Seconds, strictly increasing, shape (K,)."""
+    """Times in seconds, strictly increasing, shape (K,)."""
     positions: npt.ArrayLike | None = None
     """Positions of the object's origin, scene units, shape (K, 3); None: the world's origin."""
     rotations_wxyz: npt.ArrayLike | None = None
@@ -58,7 +58,7 @@ class Keyframes:
         falls = np.flatnonzero(np.diff(times) <= 0.0)
         if falls.size:
             k = int(falls[0])
-            raise SceneError(f"times must rise, but {times[k + 1]:g} follows {times[k]:g} (keyframe {k + 1})")
+            raise SceneError(f"times must increase, but {times[k + 1]:g} follows {times[k]:g} (keyframe {k + 1})")
         if not (values["scales"] > 0.0).all():
             raise SceneError(f"scales has {values['scales'].min():g}, expected positive numbers")
         lengths = np.linalg.norm(values["rotations_wxyz"], axis=1, keepdims=True)
@@ -80,7 +80,7 @@ class Keyframes:
         return float(np.asarray(self.times)[-1])
 
     def at(self, time: float) -> npt.NDArray[np.float64]:
-        """The pose at a time: ``world_from_object``, shape (4, 4).
+        """Returns the pose at a time: ``world_from_object``, shape (4, 4).
 
         Args:
             time: Seconds.

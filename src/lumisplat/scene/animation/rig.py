@@ -1,4 +1,4 @@
-"""Defines rigs: meshes that are moved by joints, and the clips that move the joints.
+"""Rigs: meshes that are moved by joints, and the clips that move the joints.
 
 A vertex moves with the weighted mean of its joints' matrices (linear blend skinning, glTF 2.0 section 3.7.3).
 """
@@ -32,11 +32,11 @@ class Channel(Enum):
     """Property of a node that a track animates."""
 
     TRANSLATION = "translation"
-    """Vector, shape (3,)."""
+    """Translation vector, shape (3,)."""
     ROTATION = "rotation"
-    """Unit quaternion wxyz, shape (4,)."""
+    """Rotation as a unit quaternion wxyz, shape (4,)."""
     SCALE = "scale"
-    """Factors along the axes, shape (3,)."""
+    """Scale factors along the axes, shape (3,)."""
     WEIGHTS = "weights"
     """Weights of the morph targets of the node's mesh, shape (T,)."""
 
@@ -46,7 +46,7 @@ class Interpolation(Enum):
 
     STEP = "STEP"
     LINEAR = "LINEAR"
-    """Linear; slerp for rotations."""
+    """Linear interpolation; slerp for rotations."""
     CUBICSPLINE = "CUBICSPLINE"
     """Cubic Hermite spline."""
 
@@ -59,14 +59,14 @@ class Track:
     channel: Channel
     interpolation: Interpolation
     times: Doubles
-    """Seconds, not falling, shape (K,)."""
+    """Times of the keys in seconds, not decreasing, shape (K,)."""
     values: Doubles
-    """Shape (K, C)."""
+    """Values at the keys, shape (K, C)."""
     tangents: Doubles | None = None
-    """Tangents of a spline, incoming and outgoing at each key, units per second, shape (K, 2, C)."""
+    """Incoming and outgoing tangents of a cubic spline at each key, units per second, shape (K, 2, C)."""
 
     def at(self, time: float) -> Doubles:
-        """The value at a time, shape (C,). It is constant before the first key and after the last one."""
+        """Returns the value at a time, shape (C,), constant before the first key and after the last one."""
         before = int(np.searchsorted(self.times, time, side="right")) - 1
         if before < 0 or before + 1 >= self.times.size or self.interpolation is Interpolation.STEP:
             return self._normalise(self.values[max(before, 0)])
@@ -83,7 +83,7 @@ class Track:
         return (1.0 - share) * first + share * second
 
     def _normalise(self, value: Doubles) -> Doubles:
-        """Rotations scaled back to length 1, which splines do not keep; other values as they are."""
+        """Normalises rotations, whose length splines do not preserve; other values are returned unchanged."""
         return value / np.linalg.norm(value) if self.channel is Channel.ROTATION else value
 
 
@@ -102,27 +102,27 @@ class Clip:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
-    """N nodes with their transforms at rest. A node scales a point first, then rotates, then translates it."""
+    """N nodes with their rest transforms. A node scales a point first, then rotates, then translates it."""
 
     parents: tuple[int | None, ...]
     """Index of each node's parent; None for a root."""
     order: tuple[int, ...]
-    """All nodes, parents first."""
+    """All nodes, parents before children."""
     translations: Doubles
-    """Shape (N, 3)."""
+    """Rest translations, shape (N, 3)."""
     rotations_wxyz: Doubles
-    """Unit quaternions, shape (N, 4)."""
+    """Rest rotations, unit quaternions, shape (N, 4)."""
     scales: Doubles
-    """Shape (N, 3)."""
+    """Rest scales, shape (N, 3)."""
     matrices: Mapping[int, Doubles]
-    """``parent_from_node`` of the nodes that have a matrix instead of the three parts; clips do not move them."""
+    """``parent_from_node`` of nodes with a matrix instead of the three parts; clips do not move these."""
 
     def world_from_node(self, clip: Clip | None = None, time: float = 0.0) -> Doubles:
-        """The transforms of all nodes to world space, shape (N, 4, 4).
+        """Returns the transforms of all nodes to world space, shape (N, 4, 4).
 
         Args:
-            clip: The animation; None: the nodes are at rest.
-            time: Time of the clip, seconds.
+            clip: Animation; None: rest pose.
+            time: Time of the clip in seconds.
         """
         columns = {
             Channel.TRANSLATION: self.translations.copy(),
@@ -147,12 +147,12 @@ class Skeleton:
 
 
 def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: _Floats) -> npt.NDArray[np.float64]:
-    """The skinning matrix of each vertex, shape (V, 3, 4).
+    """Returns the skinning matrix of each vertex, shape (V, 3, 4).
 
     Args:
         matrices: ``world_from_bind`` of each joint: its pose times its inverse bind matrix, shape (J, 4, 4).
-        joints: Indices of the joints of each vertex, shape (V, K).
-        weights: Weights of these joints, of any sum but 0, shape (V, K).
+        joints: Joint indices of each vertex, shape (V, K).
+        weights: Weights of these joints, any sum but 0, shape (V, K).
     """
     rows = np.ascontiguousarray(matrices[:, :3])
     blended = np.zeros((len(joints), 3, 4))
@@ -164,16 +164,16 @@ def blend_matrices(matrices: _Floats, joints: npt.NDArray[np.integer], weights: 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MorphTargets:
-    """Offsets of vertices, T targets that are added by weight."""
+    """Vertex offsets of T morph targets, added by weight."""
 
     node: int
-    """The node whose weights a clip changes."""
+    """Node whose weights a clip animates."""
     weights: Doubles
-    """Weights at rest, shape (T,)."""
+    """Rest weights, shape (T,)."""
     positions: FloatArray
-    """Shape (T, V, 3)."""
+    """Position offsets, shape (T, V, 3)."""
     normals: FloatArray | None
-    """Shape (T, V, 3)."""
+    """Normal offsets, shape (T, V, 3)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,30 +181,30 @@ class RigPart:
     """V vertices in the bind pose, and the joints that move them."""
 
     positions: FloatArray
-    """Shape (V, 3)."""
+    """Positions in the bind pose, shape (V, 3)."""
     normals: FloatArray | None
-    """Shape (V, 3)."""
+    """Normals in the bind pose, shape (V, 3)."""
     nodes: IntArray
-    """Nodes that are the J joints, shape (J,)."""
+    """Nodes of the J joints, shape (J,)."""
     joint_from_bind: Doubles
     """Inverse bind matrices, shape (J, 4, 4)."""
     joints: IntArray
-    """Indices of the joints of each vertex, 0..J-1, shape (V, K)."""
+    """Joint indices of each vertex, 0..J-1, shape (V, K)."""
     weights: FloatArray
-    """Weights of these joints, at least 0 and of a positive sum, shape (V, K)."""
+    """Weights of these joints, non-negative with a positive sum, shape (V, K)."""
     morphs: MorphTargets | None = None
 
     def matrices(self, world_from_node: Doubles) -> Doubles:
-        """``world_from_bind`` of each vertex, shape (V, 3, 4)."""
+        """Returns ``world_from_bind`` of each vertex, shape (V, 3, 4)."""
         return blend_matrices(world_from_node[self.nodes] @ self.joint_from_bind, self.joints, self.weights)
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Positions and normals (of any length) in world space, shape (V, 3) each."""
+        """Returns posed positions and normals (of any length) in world space, shape (V, 3) each."""
         positions: npt.NDArray[np.floating] = self.positions
         normals: npt.NDArray[np.floating] | None = self.normals
         if self.morphs is not None:
             weights = pose.morph_weights.get(self.morphs.node, self.morphs.weights)
-            used = np.flatnonzero(weights[: len(self.morphs.positions)])  # the last ones may move nothing that is read
+            used = np.flatnonzero(weights[: len(self.morphs.positions)])  # weights beyond the targets that were read have no effect
             positions = positions + np.tensordot(weights[used], self.morphs.positions[used], 1)
             if normals is not None and self.morphs.normals is not None:
                 normals = normals + np.tensordot(weights[used], self.morphs.normals[used], 1)
@@ -216,27 +216,27 @@ class RigPart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigSurface:
-    """Triangles of one material over the vertices of its parts, which follow one another."""
+    """Triangles of one material over the concatenated vertices of several parts."""
 
     parts: tuple[RigPart, ...]
     indices: IntArray
-    """Shape (F, 3), counter-clockwise seen from outside in the rest pose."""
+    """Triangles, shape (F, 3), counter-clockwise seen from outside in the rest pose."""
     material: Material
     uvs: FloatArray | None
     colors: FloatArray | None
     name: str
     _usable_indices: dict[bytes, IntArray] = field(default_factory=dict[bytes, IntArray], init=False, repr=False)
-    """Triangles left in the last pose that lost some, by the mask of those left."""
+    """Usable triangles of the last pose that lost some, by their mask."""
 
     def pose_vertices(self, pose: RigPose) -> tuple[Doubles, Doubles | None]:
-        """Positions and normals (of any length) of all vertices in world space, shape (V, 3) each."""
+        """Returns posed positions and normals (of any length) of all vertices in world space, shape (V, 3) each."""
         moved = [part.pose_vertices(pose) for part in self.parts]
         normals = [normals for _, normals in moved if normals is not None]
         positions = np.concatenate([positions for positions, _ in moved])
         return positions, np.concatenate(normals) if len(normals) == len(moved) else None
 
     def mesh(self, pose: RigPose) -> Mesh | None:
-        """The surface as a mesh, without the triangles that have no area in this pose; None if none is left."""
+        """Returns the posed mesh without triangles that have no area in this pose; None if none is left."""
         moved, normals = self.pose_vertices(pose)
         positions = read_only_view(moved.astype(np.float32))
         usable = check_triangles(positions, self.indices).usable
@@ -253,7 +253,7 @@ class RigSurface:
         )
 
     def _select(self, usable: npt.NDArray[np.bool_]) -> IntArray:
-        """Triangles by a mask; poses that lose the same triangles get the same array, so that caches recognise it."""
+        """Returns the triangles of a mask, as the same array for the same mask, so that caches recognise it."""
         key = usable.tobytes()
         if key not in self._usable_indices:
             self._usable_indices.clear()
@@ -263,12 +263,12 @@ class RigSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigPose:
-    """The state of a rig at a time: what moves its vertices."""
+    """State of a rig at a time."""
 
     world_from_node: Doubles
-    """Shape (N, 4, 4)."""
+    """Node transforms, shape (N, 4, 4)."""
     morph_weights: dict[int, Doubles]
-    """Weights of morph targets by node, for the nodes whose weights the clip changes."""
+    """Morph-target weights by node, for the nodes whose weights the clip animates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,7 +286,7 @@ class Rig:
     surfaces: tuple[RigSurface, ...]
     animations: tuple[Clip, ...]
     meshes: tuple[Mesh, ...] = field(init=False)
-    """The meshes at rest, one per material, with the joints where the file's nodes are, as `load` shows them."""
+    """Meshes in the rest pose, one per material, with the joints where the file's nodes are, as `load` shows them."""
 
     def __post_init__(self) -> None:
         rest = RigPose(self.skeleton.world_from_node(), {})
@@ -301,12 +301,12 @@ class Rig:
 
     @property
     def clips(self) -> tuple[str, ...]:
-        """Names of the clips, in the file's order; a clip without a name has its number instead."""
+        """Names of the clips, in the file's order; the number of a clip without a name."""
         return tuple(clip.name for clip in self.animations)
 
     @property
     def mesh(self) -> Mesh:
-        """The mesh at rest of a rig with one mesh.
+        """Mesh in the rest pose, for a rig with one mesh.
 
         Raises:
             SceneError: The rig has several; see `meshes`.
@@ -315,10 +315,10 @@ class Rig:
         return self.meshes[0]
 
     def duration(self, clip: str | None = None) -> float:
-        """Time of the last key of a clip, seconds.
+        """Returns the time of a clip's last key in seconds.
 
         Args:
-            clip: Its name; None: the first.
+            clip: Name of the clip; None: the first.
 
         Raises:
             SceneError: There is no such clip; the message lists the clips.
@@ -329,7 +329,7 @@ class Rig:
         return found.duration
 
     def pose(self, time: float, clip: str | None = None) -> Mesh:
-        """The mesh at a time of a clip, for a rig with one mesh; see `poses`.
+        """Returns the mesh at a time of a clip, for a rig with one mesh; see `poses`.
 
         Raises:
             SceneError: The rig has several meshes, there is no such clip, the time is not finite, or the mesh has no
@@ -338,11 +338,11 @@ class Rig:
         self._refuse_several("poses(time)")
         found = self.poses(time, clip)
         if not found:
-            raise SceneError(f"the rig has no triangles at {time:g} s: its clip scales it to nothing")
+            raise SceneError(f"the rig has no triangles at {time:g} s: its clip scales it to zero")
         return found[0]
 
     def poses(self, time: float, clip: str | None = None) -> tuple[Mesh, ...]:
-        """The meshes at a time of a clip, with normals.
+        """Returns the meshes at a time of a clip, with normals.
 
         Args:
             time: Seconds; the pose is constant before the first key and after the last one.
@@ -350,7 +350,7 @@ class Rig:
 
         Returns:
             One mesh per material. Triangles without area in the pose are left out, and so are meshes that the clip
-            scales to nothing.
+            scales to zero.
 
         Raises:
             SceneError: There is no such clip, or the time is not finite.
@@ -360,7 +360,7 @@ class Rig:
         return tuple(mesh for mesh in meshes if mesh is not None)
 
     def pose_at(self, time: float, clip: str | None = None) -> RigPose:
-        """The state of the rig at a time; see `poses`.
+        """Returns the state of the rig at a time; see `poses`.
 
         Raises:
             SceneError: There is no such clip, or the time is not finite.
@@ -372,7 +372,7 @@ class Rig:
         return RigPose(self.skeleton.world_from_node(found, time), weights)
 
     def _clip(self, name: str | None) -> Clip | None:
-        """A clip by name, the first for None."""
+        """Returns a clip by name, the first for None."""
         if name is None:
             return self.animations[0] if self.animations else None
         for clip in self.animations:
@@ -387,12 +387,12 @@ class Rig:
 
 
 def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skeleton) -> IntArray:
-    """Joins the triangles of parts into one array over the vertices of all, shape (F, 3).
+    """Joins the triangles of parts into one array over the vertices of all parts, shape (F, 3).
 
     Args:
-        parts: The parts of one surface.
-        indices: Triangles of each part, shape (F, 3). Those of parts that are mirrored at rest are wound the other way.
-        skeleton: Gives the rest pose.
+        parts: Parts of one surface.
+        indices: Triangles of each part, shape (F, 3). The winding of parts that are mirrored at rest is reversed.
+        skeleton: Provides the rest pose.
     """
     world_from_node = skeleton.world_from_node()
     shifted: list[npt.NDArray[np.integer]] = []
@@ -405,6 +405,6 @@ def join_triangles(parts: list[RigPart], indices: list[IntArray], skeleton: Skel
 
 
 def _normalise(normals: Doubles) -> FloatArray:
-    """Normals of unit length; zero ones stay zero, for `Mesh` to fill."""
+    """Normalises normals; zero normals stay zero, for `Mesh` to fill."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Binds Gaussians to the triangles of a surface or a rig, with which they deform."""
+"""Gaussians bound to the triangles of a surface or a rig, with which they deform."""
 
 from __future__ import annotations
 
@@ -16,49 +16,49 @@ from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.mesh_sampling import SurfaceSamples, sample_surfaces
 
 RIG_HIDDEN_AREA = 1e-4
-"""Area of a posed triangle, relative to that at rest, below which its Gaussians vanish: scaled to a hundredth, or so
-flat that its normal is lost in float32."""
+"""Area of a posed triangle, relative to its rest area, below which its Gaussians vanish: scaled to a hundredth, or so
+flat that float32 loses its normal."""
 
 RIG_SHEAR_MIN = 1e-5
-"""Cosine between a Gaussian's two deformed wide axes up to which they stay its axes: above float32's rounding, by
-which round discs would else turn."""
+"""Cosine between a Gaussian's two deformed wide axes below which they count as perpendicular: above float32's
+rounding, which would otherwise rotate round discs."""
 
 _Floats = npt.NDArray[np.floating]
 
 _SHORT_NORMAL = 1e-6
-"""Length of an interpolated normal below which its direction is rounding."""
+"""Length of an interpolated normal below which its direction is rounding noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Binding:
-    """The places of the N Gaussians of one surface on T of its triangles.
+    """Binding of the N Gaussians of one surface to T of its triangles.
 
     The frame of a triangle has the columns (first edge, second edge, normal); at rest the normal has length 1.
     """
 
     corners: IntArray
-    """Vertices of the triangles, shape (T, 3)."""
+    """Vertex indices of the triangles, shape (T, 3)."""
     areas: FloatArray
-    """Twice the areas of the triangles at rest, shape (T,)."""
+    """Twice the rest areas of the triangles, shape (T,)."""
     triangles: IntArray
     """Triangle of each Gaussian, 0..T-1, shape (N,)."""
     weights: FloatArray
     """Barycentric coordinates of the centres, shape (N, 3)."""
     in_frame: FloatArray
-    """Each Gaussian in the rest frame of its triangle: columns are the two wide axes times their scales, and the centre
+    """Gaussians in the rest frame of their triangle: columns are the two wide axes times their scales, and the centre
     relative to the first corner; shape (N, 3, 3)."""
 
     def frames(self, positions: _Floats) -> tuple[FloatArray, FloatArray]:
-        """The frames of the triangles, and the factors of their areas against those at rest.
+        """Returns the posed frames of the triangles, and the ratios of their areas to the rest areas.
 
-        The normal has the square root of the area's factor as its length, so that a uniform scale of the surface scales
-        the frame uniformly.
+        The length of the normal is the square root of the area ratio, so that a uniform scale of the surface scales the
+        frame uniformly.
 
         Args:
             positions: Positions of all vertices of the surface, shape (V, 3).
 
         Returns:
-            Frames, shape (T, 3, 3), and factors, shape (T,).
+            Frames, shape (T, 3, 3), and area ratios, shape (T,).
         """
         a, b, c = positions[self.corners].swapaxes(0, 1)
         first, second = b - a, c - a
@@ -99,14 +99,14 @@ def deform_gaussians(
     """Moves Gaussians with their triangles.
 
     Args:
-        binding: Binds the Gaussians to the triangles.
-        scales: Scales at rest, shape (N, 3).
-        positions: Positions of all vertices of the surface, shape (V, 3).
-        vertex_normals: Normals of these vertices, of any length, shape (V, 3); None: the triangles are flat.
+        binding: Binding of the Gaussians to the triangles.
+        scales: Rest scales, shape (N, 3).
+        positions: Posed positions of all vertices of the surface, shape (V, 3).
+        vertex_normals: Posed normals of these vertices, any length, shape (V, 3); None: the triangles are flat.
 
     Returns:
-        The new ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name, and a mask of the Gaussians that
-        vanish with their triangles, shape (N,).
+        New ``means``, ``rotations_wxyz``, ``scales`` and ``normals`` by name, and a mask of the Gaussians that vanish
+        with their triangles, shape (N,).
     """
     frames, growth = binding.frames(positions)
     triangles = binding.triangles
@@ -129,7 +129,7 @@ def deform_gaussians(
 
 
 def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
-    """Two perpendicular vectors that span the same ellipse as the given pair, shape (N, 3) each.
+    """Returns two perpendicular vectors that span the same ellipse as the given pair, shape (N, 3) each.
 
     The pair is rotated once (one-sided Jacobi, Hestenes 1958), by the smaller of the two possible angles, so that axes
     change as little as possible.
@@ -144,7 +144,7 @@ def _principal_axes(first: _Floats, second: _Floats) -> tuple[_Floats, _Floats]:
 
 
 def _normals(binding: Binding, vertex_normals: _Floats | None, flat: _Floats) -> _Floats:
-    """Shading normals of the Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
+    """Returns shading normals of the Gaussians, shape (N, 3); ``flat`` if the vertices have no normals."""
     if vertex_normals is None:
         return flat
     lengths = np.linalg.norm(vertex_normals, axis=1, keepdims=True)
@@ -169,19 +169,19 @@ def _crosses(first: _Floats, second: _Floats) -> _Floats:
 class RiggedGaussians:
     """Gaussians on the surface of a rig that follow its triangles; made by `bind_gaussians`.
 
-    Each Gaussian keeps its barycentric coordinates. Its two wide axes are transformed by the triangle's affine map from
-    rest to pose, and the principal axes of the ellipse that they then span become its new wide axes. So rotation,
-    stretch and shear in the plane are exact; the rotation of a polar decomposition with a factor for the area is only
-    close where skin stretches in one direction. The thin axis is perpendicular to both and scales with the square root
-    of the area's factor. Normals are interpolated between those of the posed vertices. Opacities, colours and materials
-    stay; where a triangle shrinks to nothing, its Gaussians get opacity 0. Number and order never change.
+    The barycentric coordinates of a Gaussian are fixed. The triangle's affine map from rest to pose transforms its two
+    wide axes, and the principal axes of the ellipse that they span become its new wide axes. Rotation, stretch and
+    shear in the plane are thus exact; a polar decomposition with an area factor would only approximate skin that
+    stretches in one direction. The thin axis is perpendicular to both and scales with the square root of the area
+    ratio. Normals are interpolated between the posed vertices. Opacities, colours and materials stay; where a triangle
+    shrinks to nothing, its Gaussians get opacity 0. Number and order never change.
     """
 
     rig: Rig
     gaussians: Gaussians
-    """At rest, in the rig's world space."""
+    """Gaussians in the rest pose, in the rig's world space."""
     bindings: tuple[Binding, ...]
-    """One binding for each surface of the rig, whose Gaussians follow one another."""
+    """Binding for each surface of the rig, in the order of the Gaussians."""
 
     def __repr__(self) -> str:
         return f"RiggedGaussians(count={self.count}, rig={self.rig!r})"
@@ -192,7 +192,7 @@ class RiggedGaussians:
         return self.gaussians.count
 
     def at(self, time: float, clip: str | None = None) -> Gaussians:
-        """The Gaussians at a time of a clip, in the order of `gaussians`.
+        """Returns the Gaussians at a time of a clip, in the order of `gaussians`.
 
         Args:
             time: Seconds; the pose is constant before the first key and after the last one.
@@ -221,10 +221,10 @@ class RiggedGaussians:
 
 
 def bind_gaussians(rig: Rig, count: int | None = None, seed: int = 0) -> RiggedGaussians:
-    """Covers a rig at rest with Gaussians, as `gaussians_from_mesh` does, that move with its triangles.
+    """Covers a rig's surface with Gaussians, as `gaussians_from_mesh` does, that move with its triangles.
 
     Args:
-        rig: A rig from `load_rig`.
+        rig: Rig from `load_rig`.
         count: Number of Gaussians, at least one for each mesh of the rig; None: so many that neighbours are 1/300 of
             the bounding box's diagonal apart, from 1,000 to 1,000,000.
         seed: Seed of the random order; equal seeds give equal results on the same platform and NumPy version.

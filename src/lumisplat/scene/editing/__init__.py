@@ -1,1 +1,1 @@
-"""Captures cut, cleaned, moved, joined, ordered and thinned: what returns other Gaussians than it was given."""
+"""Editing of captures: functions that return cut, cleaned, moved, joined, levelled or decimated Gaussians."""

@@ -1,6 +1,6 @@
-"""Makes captures of fewer, larger Gaussians that look the same from farther away (docs/adr/0027-decimation.md).
+"""Decimation: captures with fewer, larger Gaussians that look the same from a distance.
 
-Pairs of neighbours that lose least become one, again and again.
+Passes repeatedly merge the pairs of neighbours that lose the least (docs/adr/0027-decimation.md).
 """
 
 from __future__ import annotations
@@ -21,57 +21,58 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.ops.neighbours import morton_codes
 
 DECIMATE_NEIGHBOURS = 4
-"""Next ones along a Morton curve, in each direction, with which a Gaussian may be merged. More make passes slower, and
-merge more where it is cheap, less evenly: 8 are 0.3 dB worse on the biker."""
+"""Candidates for merging: the next Gaussians along a Morton curve in each direction. More candidates make passes
+slower and concentrate merging where it is cheap: 8 are 0.3 dB worse on the biker."""
 
 DECIMATE_COLOR_WEIGHT = 30.0
-"""Loss by a difference of colours of 1, relative to that by an e-fold larger spread. Within 0.3 dB from 10 to 100."""
+"""Loss of a colour difference of 1, relative to that of an e-fold larger spread. Results stay within 0.3 dB from 10 to
+100."""
 
 DECIMATE_OPACITY_MIN = 1e-9
-"""Opacity below which a Gaussian's mass falls no further: weights must not be 0."""
+"""Opacity below which a Gaussian's mass falls no further, because weights must not be 0."""
 
 ROWS, COLUMNS = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
-"""Where the six entries of a packed symmetric matrix stand."""
+"""Rows and columns of the six entries of a packed symmetric matrix."""
 
 _DECIMATE_BLOCK = 2**13
-"""Pairs whose costs are computed at a time: about 60 doubles for each fit into the cache."""
+"""Pairs whose costs are computed at a time: about 60 doubles per pair fit into the cache."""
 
 _Indices = npt.NDArray[np.intp]
 
 _SHIFTS = np.array([0.8191725134, 0.6710436067, 0.5497004779])
-"""The R3 sequence: steps of the curve's origin from pass to pass, so that its seams lie elsewhere each time."""
+"""The R3 sequence: offsets of the curve's origin from pass to pass, so that its seams move."""
 
 
 class Moments(NamedTuple):
-    """Moments of N Gaussians, an array for each axis or entry, so that each is contiguous."""
+    """Moments of N Gaussians, one contiguous array for each axis or matrix entry."""
 
     masses: Doubles
     """Opacity times `areas`, above 0, shape (N,)."""
     means: Doubles
-    """Shape (3, N)."""
+    """Means, shape (3, N)."""
     covariances: Doubles
-    """Packed, shape (6, N)."""
+    """Packed covariances, shape (6, N)."""
 
     def at(self, rows: npt.NDArray[np.intp] | slice) -> Moments:
-        """Some of them."""
+        """Returns the moments of some Gaussians."""
         return Moments(self.masses[rows], self.means[:, rows], self.covariances[:, rows])
 
 
 def moments_of(gaussians: Gaussians) -> Moments:
-    """The moments of each Gaussian of a capture."""
+    """Returns the moments of each Gaussian of a capture."""
     axes = matrices_from_quaternions(gaussians.rotations_wxyz) * gaussians.scales[:, None, :].astype(np.float64)
     matrices = axes @ axes.transpose(0, 2, 1)
     covariances = np.ascontiguousarray(matrices[:, ROWS, COLUMNS].T)
-    # Invisible ones have some mass, too: they have a position.
+    # Invisible Gaussians keep a little mass, so that their mixture has a position.
     opacities = np.maximum(gaussians.opacities.astype(np.float64), DECIMATE_OPACITY_MIN)
     return Moments(opacities * areas(covariances), np.ascontiguousarray(gaussians.means.T, np.float64), covariances)
 
 
 def areas(covariances: Doubles) -> Doubles:
-    """The area that a Gaussian covers, up to a constant: the root mean square over all directions, shape (N,).
+    """Returns a Gaussian's projected area up to a constant: the root mean square over all directions, shape (N,).
 
-    Seen along a unit vector n, its outline has the area pi sqrt(n^T adj(covariance) n), whose square has a third of the
-    adjugate's trace as its mean.
+    Along a unit vector n, the outline has the area pi sqrt(n^T adj(covariance) n). The mean of its square is a third of
+    the adjugate's trace.
     """
     xx, xy, xz, yy, yz, zz = covariances
     trace = xx * yy - xy * xy + xx * zz - xz * xz + yy * zz - yz * yz
@@ -79,15 +80,15 @@ def areas(covariances: Doubles) -> Doubles:
 
 
 def log_determinants(covariances: Doubles) -> Doubles:
-    """Natural logarithms of the determinants, shape (N,)."""
+    """Returns the natural logarithms of the covariances' determinants, shape (N,)."""
     xx, xy, xz, yy, yz, zz = covariances
     determinants = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    # Rounding may leave nothing, or less, of the thinnest.
+    # Rounding may make the determinants of the thinnest zero or negative.
     return np.log(np.maximum(determinants, 1e-15 * xx * yy * zz + SCALE_MIN**6))
 
 
 def _mixture(first: Moments, second: Moments) -> Moments:
-    """The moments of the mixture of each Gaussian of ``first`` with one of ``second``."""
+    """Returns the moments of the mixture of each Gaussian of ``first`` with one of ``second``."""
     masses = first.masses + second.masses
     share = second.masses / masses
     step = second.means - first.means
@@ -99,7 +100,7 @@ def _mixture(first: Moments, second: Moments) -> Moments:
 
 
 def mixtures(parts: Moments, labels: npt.NDArray[np.intp], count: int) -> Moments:
-    """The moments of ``count`` mixtures, to which the labels of the parts, shape (N,), assign them."""
+    """Returns the moments of ``count`` mixtures; labels, shape (N,), assign the parts to them."""
     masses = np.bincount(labels, parts.masses, count).astype(np.float64, copy=False)
 
     def averages(values: Doubles) -> Doubles:
@@ -112,13 +113,13 @@ def mixtures(parts: Moments, labels: npt.NDArray[np.intp], count: int) -> Moment
 
 
 def shapes(covariances: Doubles) -> tuple[Doubles, Doubles]:
-    """Unit quaternions, shape (N, 4), and scales, the smallest first, shape (N, 3), of covariances."""
+    """Decomposes covariances into unit quaternions, shape (N, 4), and scales, smallest first, shape (N, 3)."""
     matrices = np.empty((covariances.shape[1], 3, 3))
     for entry in range(6):
         matrices[:, ROWS[entry], COLUMNS[entry]] = matrices[:, COLUMNS[entry], ROWS[entry]] = covariances[entry]
     variances, axes = np.linalg.eigh(matrices)
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    # Rounding hides variances below 1e-16 of the largest.
+    # Variances below 1e-16 of the largest are rounding.
     smallest = np.maximum(SCALE_MIN**2, 1e-15 * variances[:, 2:])
     return quaternions_from_matrices(axes).astype(np.float64), np.sqrt(np.maximum(variances, smallest))
 
@@ -133,13 +134,13 @@ def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[f
     """Assigns Gaussians to ``count`` clusters.
 
     Args:
-        parts: Their moments, of N Gaussians.
+        parts: Moments of N Gaussians.
         colors: Their display-referred mean colours, shape (3, N).
         count: Number of clusters, 1..N.
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        The cluster of each, 0..count - 1, along a Morton curve, shape (N,).
+        The cluster of each Gaussian, 0..count - 1, in Morton order, shape (N,).
     """
     labels = np.arange(parts.masses.size)
     start = max(math.log(parts.masses.size / count), 1e-9)
@@ -165,26 +166,26 @@ def _clusters(parts: Moments, colors: Doubles, count: int, progress: Callable[[f
 
 
 def _curve(means: Doubles, step: int) -> _Indices:
-    """The order of the means along a Morton curve of cubic cells, whose origin is another in each step."""
+    """Returns the order of the means along a Morton curve of cubic cells, whose origin differs in each pass."""
     low, high = np.quantile(means, (0.001, 0.999), axis=1)
     extent = max(float((high - low).max()), np.finfo(np.float32).tiny)
-    # The capture fills half of the cube in each direction, and is moved within it.
+    # The capture fills half of the cube along each axis, and shifts within it from pass to pass.
     shares = 0.5 * (means - low[:, None]) / extent + 0.5 * ((step * _SHIFTS) % 1.0)[:, None]
     return np.argsort(morton_codes(np.clip(shares, 0.0, 1.0)), kind="stable")
 
 
 def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
-    """Pairs of which each is the other's cheapest among the nearest along the curve."""
+    """Returns pairs in which each Gaussian is the other's cheapest candidate along the curve."""
     count = parts.masses.size
     numbers = np.arange(count)
     best, partner = np.full(count, np.inf), np.full(count, -1, np.intp)
     logs = log_determinants(parts.covariances)
     for apart in range(1, min(DECIMATE_NEIGHBOURS, count - 1) + 1):
         costs = np.empty(count - apart)
-        for start in range(0, costs.size, _DECIMATE_BLOCK):  # so that what is computed on the way stays in the cache
+        for start in range(0, costs.size, _DECIMATE_BLOCK):  # keeps intermediate results in the cache
             block = slice(start, min(start + _DECIMATE_BLOCK, costs.size))
             costs[block] = _costs(parts, logs, colors, block, slice(block.start + apart, block.stop + apart))
-        # Costs that are equal, as of copies, must not all point the same way along the curve: few would be mutual.
+        # Equal costs, as of copies, get a random tie-breaker: otherwise all point in one direction, and few pairs are mutual.
         ties = (numbers[: costs.size] * 0.6180339887 + apart * 0.4142135624) % 1.0
         costs += 1e-9 * np.sqrt(parts.masses[: costs.size]) * ties
         here, there = slice(0, count - apart), slice(apart, count)
@@ -197,21 +198,21 @@ def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
 
 
 def _costs(parts: Moments, logs: Doubles, colors: Doubles, own: slice, other: slice) -> Doubles:
-    """What is lost by merging each Gaussian of a slice with one of the other slice."""
+    """Returns the loss of merging each Gaussian of a slice with one of the other slice."""
     first, second = parts.at(own), parts.at(other)
     merged = _mixture(first, second)
-    # Runnalls 2007, equation 16: a bound of how much less likely the mixture becomes, in shape.
+    # Runnalls 2007, equation 16: upper bound of the Kullback-Leibler divergence of shapes, times the mass.
     shape = (
         merged.masses * log_determinants(merged.covariances) - first.masses * logs[own] - second.masses * logs[other]
     )
     color = ((colors[:, own] - colors[:, other]) ** 2).sum(axis=0)
     spread = first.masses * second.masses / merged.masses
-    # Over the root of the mass: between the loss as a whole, which spares the large, and that for each unit of mass.
+    # Divided by the root of the mass: a compromise between total loss, which spares large Gaussians, and loss per mass.
     return (0.5 * shape + DECIMATE_COLOR_WEIGHT * spread * color) / np.sqrt(merged.masses)
 
 
 def _cheapest(pairs: _Pairs, most: int) -> _Pairs:
-    """At most ``most`` of the pairs, the cheapest."""
+    """Returns at most ``most`` pairs, the cheapest ones."""
     if pairs.first.size <= most:
         return pairs
     rows = np.argpartition(pairs.costs, most - 1)[:most]
@@ -219,7 +220,7 @@ def _cheapest(pairs: _Pairs, most: int) -> _Pairs:
 
 
 def _merged(parts: Moments, colors: Doubles, pairs: _Pairs) -> tuple[Moments, Doubles]:
-    """Moments and colours in which the first of each pair has become the mixture of both."""
+    """Replaces the moments and colours of the first of each pair by those of the pair's mixture."""
     first, second = parts.at(pairs.first), parts.at(pairs.second)
     merged = _mixture(first, second)
     for old, new in zip(parts, merged, strict=True):
@@ -230,22 +231,22 @@ def _merged(parts: Moments, colors: Doubles, pairs: _Pairs) -> tuple[Moments, Do
 
 
 def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], None] | None = None) -> Gaussians:
-    """Merges neighbours until ``count`` Gaussians are left.
+    """Merges neighbouring Gaussians until ``count`` are left.
 
-    Each new Gaussian has the mean and the covariance of those that it stands for, and their mass: opacity times the
-    area that they cover, averaged over all directions, so that it hides as much of what is behind it (up to opacity 1).
-    Harmonics, normals and materials are means weighted by mass.
+    Each new Gaussian has the mean, the covariance and the mass of the Gaussians that it replaces. The mass is opacity
+    times projected area, averaged over all directions, so that it hides as much of the background (up to opacity 1). SH
+    coefficients, normals and materials are averages weighted by mass.
 
     Args:
-        gaussians: The capture, of N Gaussians.
-        count: How many are left, 1 or more: ``len(gaussians) // 4`` for a quarter.
+        gaussians: Capture of N Gaussians.
+        count: Number of Gaussians to keep, 1 or more: ``len(gaussians) // 4`` for a quarter.
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        New Gaussians along a Morton curve; ``gaussians`` itself if it has no more than ``count``.
+        New Gaussians in Morton order; ``gaussians`` itself if it has no more than ``count``.
 
     Raises:
-        SceneError: ``count`` is no whole number above 0.
+        SceneError: ``count`` is not a whole number above 0.
     """
     check_argument("decimate", gaussians, Gaussians, "Gaussians")
     check_whole("count", count, 1, 2**31)
@@ -275,7 +276,7 @@ def decimate(gaussians: Gaussians, count: int, *, progress: Callable[[float], No
 
 
 def _unit_or_thin_axis(normals: Doubles, rotations: Doubles) -> Doubles:
-    """Mean normals made unit; the thinnest axis, which is the first, where they cancel."""
+    """Normalises mean normals; where they cancel, returns the Gaussian's thinnest axis, which is its first."""
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     thin = matrices_from_quaternions(rotations)[:, :, 0]
     return np.where(lengths > 1e-3, normals / np.maximum(lengths, 1e-3), thin)

@@ -1,4 +1,4 @@
-"""Which way is up in a capture that is tilted, from its ground, from three points, or from its own axes."""
+"""Levelling: estimates the up direction of a tilted capture from its ground, points, or principal axes."""
 
 from __future__ import annotations
 
@@ -20,85 +20,88 @@ from lumisplat.scene.placing import UP_AXES, Vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 _SAMPLES = 8_000
-"""Gaussians of which planes are judged."""
+"""Number of Gaussians on which planes are evaluated."""
 _PLANES = 1_500
-"""Planes that are tried, each through a Gaussian and the two that are nearest to it of `_DRAWN`."""
+"""Number of candidate planes, each through a Gaussian and the two nearest of `_DRAWN` others."""
 _DRAWN = 8
 _THICKNESS = 0.012
-"""Half the thickness of a ground, as a share of the size of the capture."""
+"""Half the thickness of a ground plane, relative to the size of the capture."""
 _CLEAR = 0.2
-"""Height above a ground that is free over most of it, as a share of the size of the capture."""
+"""Height above a ground that must be free over most of it, relative to the size of the capture."""
 _OPEN_LEAST = 0.3
-"""Least share of a ground's area with nothing right above it: the back of a guitar has its front there."""
+"""Smallest fraction of a ground's area with free space above it; it rejects the back of a guitar, which has its front
+there."""
 _GROUND_LEAST = 0.06
-"""Least share of what shows that a ground is."""
+"""Smallest fraction of the visible weight that a ground contains."""
 _FLAT_LEAST = 0.6
-"""Least share of what lies within twice the thickness of a ground that lies within it; a slice of a wall has half."""
+"""Smallest fraction of the weight within twice a ground's thickness that lies within its thickness; a slice of a wall
+has half."""
 _BELOW_MOST = 0.12
-"""Largest share of what shows that lies below a ground."""
+"""Largest fraction of the visible weight below a ground."""
 _NEAR_STATED = math.cos(math.radians(50.0))
-"""Cosine of the largest angle between the up of a ground and one that a file states."""
+"""Cosine of the largest angle between a ground's normal and the up direction that a file states."""
 _CELLS = (4, 24)
-"""Least and largest number of cells of a ground along its longer side, for its area, as `_CELL_POINTS` allows."""
+"""Smallest and largest number of cells along a ground's longer side for measuring its area; `_CELL_POINTS` sets the
+number in between."""
 _CELL_POINTS = 8
-"""Points of a ground in a cell, about."""
+"""Approximate number of a ground's points per cell."""
 _UPRIGHT = math.cos(math.radians(5.0))
-"""Cosine of the tilt below which a capture without a ground is upright as it is: its own axes tell no better."""
+"""Cosine of the tilt below which a capture without a ground stays as it is: its principal axes are no more accurate."""
 _APART = 1.2
-"""Least factor between the extent of a capture along an axis of its own and along the others, so that it has one."""
+"""Smallest ratio between a capture's extent along a principal axis and along the others for the axis to be distinct."""
 _LONG, _STANDS = 1.7, math.cos(math.radians(70.0))
-"""Factor by which the longest axis is longer than the next in long things, which stand along it unless they lie: then
-they are further from the guess than the angle of this cosine."""
+"""Ratio of the longest to the second extent above which an object is long, and the cosine of the largest angle between
+its long axis and the guess at which it counts as standing rather than lying."""
 _SIDE = 0.65
-"""Share of what shows on one side of three points, above which that side is above them."""
+"""Fraction of the visible weight on one side of three ground points above which that side is up."""
 
 
 @dataclass(frozen=True, slots=True)
 class UpEstimate:
-    """Which way is up in a scene, as `find_up` found it."""
+    """Up direction of a scene, estimated by `find_up`."""
 
     up: Vector
     """Unit vector that points up, world space."""
     source: Literal["ground", "points", "axes", "stated"]
-    """What tells it: a ground, points that were given, the axes along which the scene is longest and shortest, or, as
-    none of these is there, the scene or a capture, which states it."""
+    """Evidence: a ground plane, given points, the axes along which the scene is longest or shortest, or, without any
+    of these, the direction that the scene or a capture states."""
     height: float | None = None
-    """Height of the ground or of the points along ``up``, scene units; None: there is none."""
+    """Height of the ground or the points along ``up``, scene units; None: no ground."""
     share: float | None = None
-    """Share of what shows that lies in the ground, 0..1; None: none was looked for, or found."""
+    """Fraction of the visible weight that lies in the ground, 0..1; None: no ground."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Cloud:
-    """What shows of a scene: some of its Gaussians, with weights that sum to 1."""
+    """Sample of a scene's Gaussians, with visibility weights that sum to 1."""
 
     points: Doubles
     weights: Doubles
     size: float
-    """Diagonal of the box that holds the middle 90 % along each axis, scene units."""
+    """Diagonal of the box around the middle 90 % along each axis, scene units."""
 
 
 def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
-    """Finds which way is up in a scene of captures.
+    """Estimates the up direction of a scene of captures.
 
-    The ground is the plane that holds most of what shows, with little below it, free space above most of it, and the
-    rest on it (random sample consensus, Fischler and Bolles 1981, then least squares). An up that the scene or a
-    capture states is at most 50 degrees off; a guessed one decides among equals. Without a ground, a stated up stays;
-    else it is an axis of the scene's own, along which it is clearly longer or shorter than along the others: that
-    along which a long thing stands, else the one that is nearest to the guess, which stays if it is less than 5
-    degrees off.
+    The ground is the plane with most visible weight in it, little below it, free space above most of it, and the rest
+    standing on it (random sample consensus, Fischler and Bolles 1981, then least squares). It is at most 50 degrees off
+    an up direction that the scene or a capture states; a guessed up direction only decides among equals. Without a
+    ground, a stated direction is returned. Otherwise up is a principal axis along which the scene is clearly longer or
+    shorter than along the others: the axis along which a long object stands, or else the axis nearest to the guess. A
+    guess that is less than 5 degrees off is returned unchanged.
 
     Args:
-        scene: What is looked at: its captures.
-        points: Three or more points of the ground, world space, shape (N, 3), in place of looking for it; up is on the
-            side on which the scene is.
+        scene: Scene with captures.
+        points: Three or more points of the ground, world space, shape (N, 3), instead of a search; the scene lies above
+            them.
 
     Raises:
-        SceneError: There is no capture, the points lie on a line, or nothing tells which way is up.
+        SceneError: There is no capture, the points are collinear, or there is no evidence.
     """
     check_argument("find_up", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
     if not scene.splats:
-        raise SceneError("find_up looks at captures, and the scene has none")
+        raise SceneError("find_up needs a capture, and the scene has none")
     cloud, guess = _cloud(scene), np.array(scene.up_direction)
     if points is not None:
         return _up_of_points(cloud, guess, points)
@@ -111,30 +114,30 @@ def find_up(scene: Scene, points: npt.ArrayLike | None = None) -> UpEstimate:
 
 
 def level(gaussians: Gaussians, up: str | npt.ArrayLike | None = None) -> Gaussians:
-    """Turns a capture about the origin so that its up is an axis, and states that.
+    """Rotates a capture about the origin so that its up direction is an axis, and stores that axis as ``up``.
 
-    The axis is the one that is nearest to the up that the capture states; y down, as captures have it, if it states
-    none. Its first view turns with it.
+    The axis is the one nearest to the up direction that the capture states; without one it is y down, as in most
+    captures. The first view rotates with the capture.
 
     Args:
-        gaussians: The capture.
-        up: Which way is up in it, a direction of any length; None: as `find_up` finds it.
+        gaussians: Capture.
+        up: Current up direction, any length; None: as `find_up` estimates it.
 
     Raises:
-        SceneError: ``up`` is no direction, or nothing tells it.
+        SceneError: ``up`` is no direction, or cannot be estimated.
     """
     check_argument("level", gaussians, Gaussians, "Gaussians")
     scene = Scene([gaussians])
     now = np.array(find_up(scene).up if up is None else up_vector(up))
     before = np.array(scene.up_direction)
     axis = max(UP_AXES.values(), key=lambda one: float(before @ np.array(one)))
-    turn = np.eye(4)
-    turn[:3, :3] = rotation_between(now, np.array(axis))
-    return replace(transform(gaussians, turn), up=axis)
+    rotation = np.eye(4)
+    rotation[:3, :3] = rotation_between(now, np.array(axis))
+    return replace(transform(gaussians, rotation), up=axis)
 
 
 def _cloud(scene: Scene) -> _Cloud:
-    """Returns what shows of captures: each Gaussian counts by its opacity and outline, though no large one by much."""
+    """Samples a scene's Gaussians, weighted by opacity and outline, with a limit for large ones."""
     points, weights = zip(*map(_weighted, scene.splats), strict=True)
     means, mass = np.concatenate(points), np.concatenate(weights)
     step = max(1, len(means) // _SAMPLES)
@@ -153,7 +156,7 @@ def _weighted(instance: SplatInstance) -> tuple[Doubles, Doubles]:
 
 
 def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float]:
-    """Returns between which values the middle 90 % of the weight lies."""
+    """Returns the bounds of the middle 90 % of the weight."""
     order = np.argsort(values)
     rows = np.searchsorted(np.cumsum(weights[order]), (0.05, 0.95)).clip(0, len(values) - 1)
     low, high = values[order][rows]
@@ -161,7 +164,7 @@ def _weighted_quantiles(values: Doubles, weights: Doubles) -> tuple[float, float
 
 
 def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None:
-    """Returns the up of the best ground; None: there is none."""
+    """Returns the up direction of the best ground; None if there is none."""
     thickness = _THICKNESS * cloud.size
     normals, offsets = _planes(cloud)
     normals, offsets = _facing_the_rest(cloud, normals, offsets, thickness)
@@ -171,7 +174,7 @@ def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None
         return None
     below = _share_beyond(cloud, -normals, -offsets + thickness)
     above, high = (_share_beyond(cloud, normals, offsets + reach) for reach in (thickness, _CLEAR * cloud.size))
-    inside, standing = 1.0 - below - above, above - high  # of a floor and a ceiling, things stand on the floor
+    inside, standing = 1.0 - below - above, above - high  # prefers a floor to a ceiling, because objects stand on it
     scores = inside * (1.0 + standing) * np.maximum(1.0 - below / _BELOW_MOST, 0.0) * (3.0 + agreement) * usable
     for row in np.argsort(-scores, kind="stable")[:20]:
         if scores[row] <= 0.0:
@@ -183,7 +186,7 @@ def _ground(cloud: _Cloud, guess: Doubles, *, stated: bool) -> UpEstimate | None
 
 
 def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
-    """Returns planes through three points each that are near each other: unit normals (M, 3), and offsets (M,)."""
+    """Returns planes through triples of nearby points: unit normals (M, 3), and offsets (M,)."""
     rng = np.random.default_rng(0)
     count = len(cloud.points)
     first = rng.choice(count, _PLANES, p=cloud.weights)
@@ -199,7 +202,7 @@ def _planes(cloud: _Cloud) -> tuple[Doubles, Doubles]:
 
 
 def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thickness: float) -> tuple[Doubles, Doubles]:
-    """Returns the planes with their normals on the side on which more lies."""
+    """Flips planes so that their normals point to the side with more weight."""
     above = _share_beyond(cloud, normals, offsets + thickness)
     below = _share_beyond(cloud, -normals, -offsets + thickness)
     signs = np.where(above >= below, 1.0, -1.0)
@@ -207,7 +210,7 @@ def _facing_the_rest(cloud: _Cloud, normals: Doubles, offsets: Doubles, thicknes
 
 
 def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
-    """Returns the share of the weight that lies beyond planes, (M,)."""
+    """Returns the fraction of the weight beyond each plane, (M,)."""
     shares = np.empty(len(normals))
     for start in range(0, len(normals), 64):
         rows = slice(start, start + 64)
@@ -217,7 +220,7 @@ def _share_beyond(cloud: _Cloud, normals: Doubles, offsets: Doubles) -> Doubles:
 
 
 def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) -> UpEstimate | None:
-    """Returns the up of a plane, fitted to what lies within it; None: it is no ground."""
+    """Refits a plane by least squares and returns its up direction; None if it is no ground."""
     for width in (2.0, 1.5, 1.0, 1.0):
         heights = cloud.points @ normal - offset
         near = np.abs(heights) < width * thickness
@@ -233,7 +236,7 @@ def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) ->
     inside = np.abs(heights) < thickness
     share, below = float(cloud.weights[inside].sum()), float(cloud.weights[heights < -thickness].sum())
     around = float(cloud.weights[np.abs(heights) < 2.0 * thickness].sum())
-    is_flat = share > _FLAT_LEAST * around  # else it is a slice of something else
+    is_flat = share > _FLAT_LEAST * around  # otherwise it is a slice through an object
     if (
         share < _GROUND_LEAST
         or below > _BELOW_MOST
@@ -245,7 +248,7 @@ def _checked(cloud: _Cloud, normal: Doubles, offset: float, thickness: float) ->
 
 
 def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, thickness: float) -> bool:
-    """Returns whether a plane is wide in both directions, and has free space above most of it."""
+    """Returns whether a plane is wide in both directions, with free space above most of it."""
     across = np.cross(normal, np.eye(3)[int(np.argmin(np.abs(normal)))])
     across /= np.linalg.norm(across)
     flat = cloud.points @ np.stack([across, np.cross(normal, across)], axis=1)
@@ -262,10 +265,10 @@ def _is_open(cloud: _Cloud, normal: Doubles, heights: Doubles, inside: Flags, th
 
 
 def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEstimate:
-    """Returns the up of the plane through points.
+    """Returns the up direction of the plane through points.
 
     Raises:
-        SceneError: They are fewer than three, not finite, or lie on a line.
+        SceneError: They are fewer than three, not finite, or collinear.
     """
     count = len(cast("Sized", given)) if isinstance(given, Sized) else 0
     points = finite_numbers(given, (count, 3))
@@ -274,7 +277,7 @@ def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEsti
     parted = points - points.mean(axis=0)
     _, extents, axes = np.linalg.svd(parted, full_matrices=False)
     if not extents[1] > 1e-6 * max(extents[0], 1e-300):
-        raise SceneError("the points of the ground lie on a line: which way is up stays open")
+        raise SceneError("the points of the ground are collinear: give three that are not")
     normal = axes[2] if len(axes) > 2 else np.cross(axes[0], axes[1])
     heights = (cloud.points - points.mean(axis=0)) @ normal
     above = float(cloud.weights[heights > 0.0].sum())
@@ -286,10 +289,10 @@ def _up_of_points(cloud: _Cloud, guess: Doubles, given: npt.ArrayLike) -> UpEsti
 
 
 def _own_axis(cloud: _Cloud, guess: Doubles) -> Vector:
-    """Returns the axis of a capture's own that is nearest to the guess, on its side.
+    """Returns the distinct principal axis of a capture that is nearest to the guess, on the guess's side.
 
     Raises:
-        SceneError: The capture has no such axis.
+        SceneError: The capture has no distinct axis.
     """
     parted = cloud.points - cloud.weights @ cloud.points
     variances, axes = np.linalg.eigh(np.einsum("n,ni,nj->ij", cloud.weights, parted, parted))
@@ -301,7 +304,7 @@ def _own_axis(cloud: _Cloud, guess: Doubles) -> Vector:
     ]
     if not clear:
         raise SceneError(
-            "no ground is found, and the capture is as long as it is wide: name three points of the ground, or turn it"
+            "no ground is found, and the capture has no distinct axis: give three points of the ground, or an up direction"
         )
     axis = max((axes[:, row] for row in clear), key=lambda one: abs(float(one @ guess)))
     if extents[2] > _LONG * extents[1] and abs(axes[:, 2] @ guess) > _STANDS:

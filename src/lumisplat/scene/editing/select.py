@@ -1,4 +1,4 @@
-"""Selects Gaussians by their values, crops captures to a box or a sphere, and removes floaters."""
+"""Selection of Gaussians: by their values, in a box or a sphere, and without floaters."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from lumisplat.scene.checks import check_argument, check_positive, check_whole
 from lumisplat.scene.gaussians import Gaussians
 
 FLOATER_NEIGHBOURS = 4
-"""Others that a Gaussian must have around it."""
+"""Smallest number of neighbours of a Gaussian that is no floater."""
 
 FLOATER_REACH = 3.0
-"""How far around it, in its largest scale or the capture's median one: where a Gaussian ends."""
+"""Radius of the neighbourhood, in the Gaussian's largest scale or the capture's median one: where a Gaussian ends."""
 
 Range = tuple[float | None, float | None]
-"""Smallest and largest value that is kept; None: no limit."""
+"""Smallest and largest value to keep; None: no limit."""
 
 Box = tuple[npt.ArrayLike, npt.ArrayLike]
 Sphere = tuple[npt.ArrayLike, float]
 
 _BLOCK = 2**16
-"""Gaussians that are searched for at a time, between two reports of progress."""
+"""Gaussians that are searched at a time, between two progress reports."""
 
 
 def _remaining(gaussians: Gaussians, kept: npt.NDArray[np.bool_]) -> Gaussians:
-    """The Gaussians of a mask, shape (N,); the same object if that is all of them.
+    """Returns the Gaussians of a mask, shape (N,); the same object if all are kept.
 
     Raises:
-        SceneError: It is none of them; the message has the capture's bounds.
+        SceneError: None are kept; the message has the capture's bounds.
     """
     if kept.all():
         return gaussians
     if not kept.any():
         low, high = gaussians.bounds()
         bounds = "({:.4g}, {:.4g}, {:.4g}) to ({:.4g}, {:.4g}, {:.4g})".format(*low, *high)
-        raise SceneError(f"nothing is left of {gaussians.count:,} Gaussians, whose means lie within {bounds}")
+        raise SceneError(f"no Gaussian of {gaussians.count:,} is left; their means lie within {bounds}")
     return gaussians.subset(kept)
 
 
@@ -60,24 +60,24 @@ def select(
     roughness: Range | None = None,
     metallic: Range | None = None,
 ) -> Gaussians:
-    """Keeps the Gaussians whose values lie in all the ranges that are given, such as ``opacity=(0.1, None)``.
+    """Keeps the Gaussians whose values lie in all given ranges, such as ``opacity=(0.1, None)``.
 
     Args:
-        gaussians: The capture.
-        opacity: 0..1.
-        scale_min: The smallest of the three standard deviations, scene units.
-        scale_max: The largest of them.
-        x: Of the mean, in the capture's coordinates, scene units.
-        y: The same.
-        z: The same.
-        red: Mean colour over all directions, display-referred, 0..1 or a little outside.
-        green: The same.
-        blue: The same.
-        roughness: 0..1, of captures that have it.
-        metallic: The same.
+        gaussians: Capture.
+        opacity: Opacity, 0..1.
+        scale_min: Smallest of the three standard deviations, scene units.
+        scale_max: Largest of the three standard deviations, scene units.
+        x: Coordinate of the mean in the capture's space, scene units.
+        y: Coordinate of the mean, scene units.
+        z: Coordinate of the mean, scene units.
+        red: Mean colour over all directions, display-referred, 0..1 or slightly outside.
+        green: Mean colour, as for red.
+        blue: Mean colour, as for red.
+        roughness: Roughness, 0..1, if the capture has it.
+        metallic: Metalness, 0..1, if the capture has it.
 
     Returns:
-        Those Gaussians, in their order, unchanged; both limits of a range belong to it.
+        These Gaussians, in their order, unchanged; ranges include both limits.
 
     Raises:
         SceneError: A range is no pair of numbers, the capture lacks a value, or no Gaussian is left.
@@ -119,7 +119,7 @@ def _limits(name: str, limits: object) -> tuple[float, float]:
 
 
 def _values(gaussians: Gaussians, name: str) -> FloatArray:
-    """One number for each Gaussian, shape (N,)."""
+    """Returns one number for each Gaussian, shape (N,)."""
     if name in ("x", "y", "z"):
         axis = "xyz".index(name)
         return gaussians.means[:, axis] + gaussians.origin[axis] if any(gaussians.origin) else gaussians.means[:, axis]
@@ -134,7 +134,7 @@ def _values(gaussians: Gaussians, name: str) -> FloatArray:
         return gaussians.opacities
     values: FloatArray | None = getattr(gaussians, name)
     if values is None:
-        raise SceneError(f"select cannot go by {name}: the capture has none")
+        raise SceneError(f"select cannot use {name}: the capture has none")
     return values
 
 
@@ -144,13 +144,13 @@ def crop(
     """Keeps the Gaussians whose means lie in a box, in a sphere, or in both if both are given.
 
     Args:
-        gaussians: The capture.
+        gaussians: Capture.
         box: Two opposite corners in the capture's coordinates, shape (3,) each, in either order.
         sphere: Centre, shape (3,), and radius, above 0, scene units.
-        outside: Keep the others instead.
+        outside: Keep the Gaussians outside instead.
 
     Returns:
-        Those Gaussians, in their order, unchanged; the border belongs to the inside.
+        These Gaussians, in their order, unchanged; the border belongs to the inside.
 
     Raises:
         SceneError: Neither box nor sphere is given, one is malformed, or no Gaussian is left.
@@ -196,20 +196,20 @@ def remove_floaters(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Gaussians:
-    """Removes Gaussians that have fewer than so many others around them.
+    """Removes isolated Gaussians, which have fewer than ``neighbours`` others around them.
 
     Others count if their means are within ``reach`` times the Gaussian's largest scale, or times the capture's median
-    largest scale if that is more. So wide Gaussians of a far background, which lie far apart, stay. A clump of floaters
-    of more than ``neighbours`` stays, too: `crop` and `select` remove it.
+    largest scale if that is more. Thus wide Gaussians of a distant background, which are far apart, are kept. A clump
+    of more than ``neighbours`` floaters is kept, too: use `crop` and `select` to remove it.
 
     Args:
-        gaussians: The capture.
-        neighbours: Least number of others, 1 or more.
+        gaussians: Capture.
+        neighbours: Smallest number of others, 1 or more.
         reach: Distance in scales, above 0.
         progress: Called with the fraction done, 0..1.
 
     Returns:
-        The others, in their order, unchanged.
+        The other Gaussians, in their order, unchanged.
 
     Raises:
         SceneError: An argument is out of range, or no Gaussian is left.
@@ -223,7 +223,7 @@ def remove_floaters(
     tree, floating = cKDTree(gaussians.means), np.empty(gaussians.count, np.bool_)
     for start in range(0, gaussians.count, _BLOCK):
         rows = slice(start, start + _BLOCK)
-        # A Gaussian is the first of its own neighbours; those that do not exist are infinitely far.
+        # The nearest neighbour of a Gaussian is itself; missing neighbours are infinitely far away.
         distance, _ = tree.query(gaussians.means[rows], k=[neighbours + 1])
         floating[rows] = distance[:, 0] > radii[rows]
         if progress:

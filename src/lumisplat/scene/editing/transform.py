@@ -1,6 +1,6 @@
-"""Moves, turns and scales captures for good, colours included, joins them, and changes the degree of their SH.
+"""Transforms captures (means, shapes and SH), merges them, and changes their SH degree.
 
-Files scale captures by factors that differ along the axes, as instances do not.
+Instances only scale uniformly; files may also scale captures by different factors along the axes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from lumisplat.scene.scene import check_similarity
 _Vector = npt.ArrayLike
 
 _BLOCK = 2**16
-"""Gaussians whose axes are found at once."""
+"""Gaussians whose axes are decomposed at once."""
 
 
 def transform(
@@ -42,21 +42,21 @@ def transform(
     rotation_degrees: _Vector = (0.0, 0.0, 0.0),
     translation: _Vector = (0.0, 0.0, 0.0),
 ) -> Gaussians:
-    """Moves a capture: its Gaussians get other means, rotations, scales, normals and harmonics.
+    """Transforms a capture: means, rotations, scales, normals and SH.
 
-    A `SplatInstance` places a capture without touching it; this is for files and for `merge`. Colours turn with the
-    capture: a camera that is moved alike sees the same picture.
+    A `SplatInstance` places a capture without changing it; this function is for files and for `merge`. Colours rotate
+    with the capture: a camera moved likewise sees the same image.
 
     Args:
-        gaussians: The capture.
-        matrix: ``new_from_old``, rotation, uniform scale and translation, shape (4, 4); None: the identity.
-        scale: After the matrix, the capture is scaled about the origin by this factor, above 0,
-        rotation_degrees: then turned about the x axis, about y, and about z, by these angles, right-handed,
-        translation: then moved by this, scene units.
+        gaussians: Capture.
+        matrix: ``new_from_old``: rotation, uniform scale and translation, shape (4, 4); None: the identity.
+        scale: Uniform scale about the origin, applied after the matrix, above 0.
+        rotation_degrees: Right-handed rotations about x, then y, then z, applied after the scale.
+        translation: Translation, applied last, scene units.
 
     Returns:
-        The moved Gaussians, with up, first view and origin moved likewise, about an origin if float32 needs one there;
-        opacities and materials are the same arrays.
+        The transformed Gaussians, including up, first view and origin; they get an origin if float32 needs one.
+        Opacities and materials are the same arrays.
 
     Raises:
         SceneError: A number is not finite, ``scale`` is not positive, or ``matrix`` mirrors, shears or scales the axes
@@ -68,7 +68,7 @@ def transform(
     factor = float(np.cbrt(np.linalg.det(new_from_old[:3, :3])))
     rotation = new_from_old[:3, :3] / factor
     turned = quaternions_from_matrices(rotation[None])[0]
-    if any(gaussians.origin):  # it moves, and the capture turns and grows about it
+    if any(gaussians.origin):  # the origin moves, and the capture rotates and scales about it
         origin = new_from_old[:3, :3] @ gaussians.origin + new_from_old[:3, 3]
         new_from_old[:3, 3] = 0.0
     else:
@@ -79,25 +79,25 @@ def transform(
         "means": transform_points(new_from_old, gaussians.means),
         "rotations_wxyz": multiply_quaternions(turned, gaussians.rotations_wxyz),
         "scales": gaussians.scales * factor,
-        "sh": _turned_harmonics(gaussians.sh, rotation),
+        "sh": _rotated_sh(gaussians.sh, rotation),
     }
     if gaussians.incident is not None:
-        changed["incident"] = _turned_harmonics(gaussians.incident, rotation)
+        changed["incident"] = _rotated_sh(gaussians.incident, rotation)
     if gaussians.normals is not None:
         changed["normals"] = gaussians.normals @ rotation.T
-    with np.errstate(over="ignore", under="ignore"):  # too large or too small: refused
+    with np.errstate(over="ignore", under="ignore"):  # values out of range are refused below
         arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
         return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old), origin=tuple(origin.tolist()))
 
 
-def _turned_harmonics(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
-    """SH coefficients, shape (N, K, 3), of what has turned, or been mirrored, by a matrix ``new_from_old``."""
+def _rotated_sh(sh: FloatArray, rotation: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Rotates, or mirrors, SH coefficients, shape (N, K, 3), by an orthogonal matrix ``new_from_old``."""
     degree = SH_DEGREE_FROM_COUNT[sh.shape[1]]
     return np.einsum("jk,nkc->njc", sh_rotation(rotation, degree), sh, optimize=True)
 
 
 def _placement(scale: float, rotation_degrees: _Vector, translation: _Vector) -> npt.NDArray[np.float64]:
-    """Scales, then turns, then moves; shape (4, 4)."""
+    """Returns the matrix that scales, then rotates, then moves; shape (4, 4)."""
     check_positive("scale", scale)
     angles, offset = finite_numbers(rotation_degrees, (3,)), finite_numbers(translation, (3,))
     if angles is None:
@@ -111,14 +111,14 @@ def _placement(scale: float, rotation_degrees: _Vector, translation: _Vector) ->
 
 
 def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
-    """The Gaussians with their shapes moved, turned, stretched, sheared and mirrored; opacities and materials stay.
+    """Transforms Gaussians by any affine matrix, with stretching, shearing and mirroring.
 
     A covariance ``C C^T`` with ``C = R S`` becomes ``M C (M C)^T``, whose principal axes are the left singular vectors
-    of ``M C``. Colours turn, and are mirrored, with the rotation nearest to M, its orthogonal polar factor: harmonics
-    cannot be stretched.
+    of ``M C``. SH cannot be stretched: they are rotated, and mirrored, by the orthogonal polar factor of M. Opacities
+    and materials stay.
 
     Args:
-        gaussians: The capture.
+        gaussians: Capture.
         matrix: ``new_from_old``, shape (4, 4).
 
     Raises:
@@ -140,13 +140,13 @@ def under_affine(gaussians: Gaussians, matrix: Doubles) -> Gaussians:
         "means": transform_points(new_from_old, gaussians.means),
         "rotations_wxyz": rotations,
         "scales": np.maximum(scales, SCALE_MIN),
-        "sh": _turned_harmonics(gaussians.sh, turn),
+        "sh": _rotated_sh(gaussians.sh, turn),
     }
     if gaussians.incident is not None:
-        changed["incident"] = _turned_harmonics(gaussians.incident, turn)
+        changed["incident"] = _rotated_sh(gaussians.incident, turn)
     if gaussians.normals is not None:
-        changed["normals"] = gaussians.normals @ np.linalg.inv(linear)  # rows, so that this is the inverse transpose
-    with np.errstate(over="ignore", under="ignore"):  # what is too large is refused
+        changed["normals"] = gaussians.normals @ np.linalg.inv(linear)  # inverse transpose, for row vectors
+    with np.errstate(over="ignore", under="ignore"):  # values out of range are refused below
         arrays = {name: read_only_view(v.astype(np.float32)) for name, v in changed.items()}
         return replace(gaussians, **arrays, **moved_orientation(gaussians, new_from_old))
 
@@ -157,44 +157,44 @@ _log = logging.getLogger("lumisplat")
 def merge(captures: Iterable[Gaussians]) -> Gaussians:
     """Joins captures in the same coordinates into one, in their order.
 
-    Harmonics of lower degree are filled up with zeros. Normals and materials are kept if all captures have them; a log
-    line names those that are not. The comments are those of the first capture.
+    SH of lower degree are padded with zeros. Normals and materials are kept if all captures have them; a warning names
+    those that are dropped. The comments are those of the first capture.
 
     Args:
-        captures: At least one. `transform` places them first.
+        captures: At least one. `transform` moves them before, if needed.
 
     Raises:
         SceneError: There is none, only some are antialiased, or their kernel degrees differ.
     """
     sets: list[Gaussians] = []
     for one in items_of("captures", captures):
-        check_argument("merge", one, Gaussians, "a list of Gaussians", ": a scene keeps meshes and captures together")
+        check_argument("merge", one, Gaussians, "a list of Gaussians", ": a Scene holds meshes and captures together")
         sets.append(one)  # pyright: ignore[reportArgumentType]
     if not sets:
         raise SceneError("merge takes at least one capture, got none")
     merged = merge_gaussians(sets)
     lost = sorted({name for one in sets for name in one.arrays()} - merged.arrays().keys())
     if lost:
-        _log.warning("merge: not all captures have %s: left out", ", ".join(lost))
+        _log.warning("merge: %s left out, because not all captures have it", ", ".join(lost))
     return merged
 
 
 def limit_sh_degree(gaussians: Gaussians, degree: int, *, pad: bool = False) -> Gaussians:
-    """Leaves out the harmonics above a degree, or adds zeros up to it; degree 0 is one colour for all directions.
+    """Drops SH coefficients above a degree, or pads with zeros up to it; degree 0 is one colour for all directions.
 
-    The mean of a Gaussian's colour over all directions stays, as harmonics above degree 0 have mean 0 (but for colours
-    that are clipped at black).
+    A Gaussian's mean colour over all directions stays, because SH above degree 0 have mean 0 (except colours clipped at
+    black).
 
     Args:
-        gaussians: The capture.
-        degree: Highest degree that is kept, 0..3.
-        pad: Add coefficients of zero to captures of a lower degree: some importers want 45 ``f_rest``, degree 3.
+        gaussians: Capture.
+        degree: Highest degree to keep, 0..3.
+        pad: Pad captures of a lower degree with zeros, because some importers require 45 ``f_rest`` (degree 3).
 
     Returns:
-        ``gaussians`` itself if there is nothing to leave out or to add.
+        ``gaussians`` itself if nothing changes.
 
     Raises:
-        SceneError: ``degree`` is no whole number from 0 to 3.
+        SceneError: ``degree`` is not a whole number from 0 to 3.
     """
     check_argument("limit_sh_degree", gaussians, Gaussians, "Gaussians")
     check_whole("degree", degree, 0, SH_DEGREE_MAX)
@@ -203,5 +203,5 @@ def limit_sh_degree(gaussians: Gaussians, degree: int, *, pad: bool = False) -> 
         return replace(gaussians, sh=read_only_view(np.pad(gaussians.sh, ((0, 0), (0, missing), (0, 0)))))
     if missing >= 0:
         return gaussians
-    # A copy: a view would keep the memory of what is left out.
+    # A view would keep the memory of the dropped coefficients.
     return replace(gaussians, sh=read_only_view(gaussians.sh[:, : (degree + 1) ** 2].copy()))

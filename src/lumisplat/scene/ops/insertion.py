@@ -24,7 +24,7 @@ from lumisplat.scene.checks import check_argument, check_positive
 from lumisplat.scene.lights import move_light
 from lumisplat.scene.mesh import Mesh
 from lumisplat.scene.ops.surface_points import stratified_points
-from lumisplat.scene.placing import Vector, front_turn, up_vector, y_up_from
+from lumisplat.scene.placing import Vector, front_rotation, up_vector, y_up_from
 from lumisplat.scene.scene import MeshInstance, Scene, SplatInstance, bulk_extent
 
 _log = logging.getLogger("lumisplat")
@@ -206,7 +206,7 @@ def insertion(
         SceneError: The scale is out of range, or the front is no axis.
     """
     turn = y_up_from(scene.up_direction)
-    own_turn = front_turn(front) @ y_up_from(up_vector("y-up" if things_up is None else things_up))
+    own_turn = front_rotation(front) @ y_up_from(up_vector("y-up" if things_up is None else things_up))
     points = np.concatenate([_points(thing) for thing in things]) @ own_turn.T
     low, high = points.min(axis=0), points.max(axis=0)
     seen = _Seen.of(scene, turn)

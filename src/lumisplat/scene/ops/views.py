@@ -69,7 +69,7 @@ def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
         starts[..., 0] = (left + np.arange(width) + 0.5 - camera.cx) / camera.fx
         starts[..., 1] = (top + np.arange(height)[:, None] + 0.5 - camera.cy) / camera.fy
     time = ((top + np.arange(height) + 0.5) / camera.height)[:, None, None]
-    turn = time * camera.shutter_turn
+    turn = time * camera.shutter_rotation
     moved = camera.eye + time * camera.shutter_motion
     return moved + _rotate(starts @ rotation.T, turn), _rotate(directions @ rotation.T, turn)
 
