@@ -127,7 +127,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("convert", "@capture.ply", "@out.ply", "--outside"), "--outside needs --box or --sphere"),
         (
             ("convert", "@capture.ply", "@out.ply", "--sphere", "99", "0", "0", "1"),
-            "--sphere: nothing is left of 60 Gaussians, whose means lie within (",
+            "--sphere: no Gaussian of 60 is left; their means lie within (",
         ),
         (("convert", "@capture.ply", "@out.ply", "--sphere", "0", "0", "0", "-1"), "--sphere: the radius"),
         (("convert", "@capture.ply", "@out.ply", "--keep", "opacty=0.1.."), "unknown value 'opacty', expected one of"),
@@ -135,7 +135,7 @@ def work(tmp_path, capsys, monkeypatch) -> Workplace:
         (("convert", "@capture.ply", "@out.ply", "--keep", "opacity=0.1"), "expected opacity=MIN..MAX"),
         (("convert", "@capture.ply", "@out.ply", "--keep", "opacity=.."), "expected opacity=MIN..MAX"),
         (("convert", "@capture.ply", "@out.ply", "--keep", "opacity=a..b"), "expected opacity=MIN..MAX"),
-        (("convert", "@capture.ply", "@out.ply", "--keep", "roughness=0.."), "--keep: select cannot go by roughness"),
+        (("convert", "@capture.ply", "@out.ply", "--keep", "roughness=0.."), "--keep: select cannot use roughness"),
         (("convert", "@capture.ply", "@out.ply", "--keep", "x=0..", "--keep", "x=..1"), "--keep names x twice"),
         (("convert", "@capture.ply", "@out.ply", "--floaters", "0"), "--floaters: neighbours is 0"),
         (("convert", "@capture.ply", "@out.ply", "--sh-degree", "5"), "--sh-degree: degree is 5"),

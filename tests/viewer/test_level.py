@@ -160,7 +160,7 @@ def test_clicks_on_a_line_are_refused(viewer: ls.Viewer) -> None:
         viewer._things.level.start()
         for _ in range(3):
             click(viewer, page, (0.5, 0.6))
-    assert "lie on a line" in problems[0] and viewer.document is before and viewer._session.ground_points is None
+    assert "are collinear" in problems[0] and viewer.document is before and viewer._session.ground_points is None
 
 
 def test_a_ground_is_seen_from_above() -> None:

@@ -178,7 +178,7 @@ def test_zero_scale_rig_has_no_meshes(tmp_path: Path) -> None:
     """`pose` raises an error at that time."""
     loaded = load(TubeRig(clips={"vanish": VANISH}), tmp_path)
     assert loaded.poses(1.0) == ()
-    with pytest.raises(ls.SceneError, match="no triangles at 1 s: its clip scales it to nothing"):
+    with pytest.raises(ls.SceneError, match="no triangles at 1 s: its clip scales it to zero"):
         loaded.pose(1.0)
 
 

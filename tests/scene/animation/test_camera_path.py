@@ -79,9 +79,9 @@ def test_frames_and_stretching():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: ls.CameraPath([]), "at least one camera"),
+        (lambda: ls.CameraPath([]), "expected at least one"),
         (lambda: ls.CameraPath([KEYS[0], front_camera()]), r"differ in width \(camera 1\)"),
-        (lambda: ls.CameraPath(KEYS, [0, 1, 1, 2]), "times of a path must rise"),
+        (lambda: ls.CameraPath(KEYS, [0, 1, 1, 2]), "times of a path must increase"),
         (lambda: ls.CameraPath(KEYS, [0, 1]), "times has shape"),
         (lambda: ls.CameraPath(["a"]), "cameras holds a str"),  # pyright: ignore[reportArgumentType]
         (lambda: ls.CameraPath(KEYS).frames(0), "fps is 0"),

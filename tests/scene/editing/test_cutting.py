@@ -162,7 +162,7 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
         (lambda g: ls.editing.crop(g, sphere=((0, 0, 0), -1.0)), "radius of sphere is -1.0, expected a number above 0"),
         (
             lambda g: ls.editing.crop(g, sphere=((99, 0, 0), 1.0)),
-            r"nothing is left of 100 Gaussians, whose means lie within \(",
+            r"no Gaussian of 100 is left; their means lie within \(",
         ),
         (ls.editing.select, "select takes at least one range"),
         (
@@ -171,14 +171,14 @@ def test_morton_order_is_the_same_capture(capture: ls.Gaussians) -> None:
         ),
         (lambda g: ls.editing.select(g, opacity=(np.nan, None)), "expected the smaller value first"),
         (lambda g: ls.editing.select(g, x=cast(Any, 3.0)), "x is 3.0, expected its smallest and largest value"),
-        (lambda g: ls.editing.select(g, opacity=(2.0, None)), "nothing is left of 100"),
+        (lambda g: ls.editing.select(g, opacity=(2.0, None)), "no Gaussian of 100 is left"),
         (
             lambda g: ls.editing.select(replace(g, roughness=None), roughness=(0, 1)),
-            "cannot go by roughness: the capture has",
+            "cannot use roughness: the capture has",
         ),
         (lambda g: ls.editing.remove_floaters(g, 0), "neighbours is 0"),
         (lambda g: ls.editing.remove_floaters(g, 3, 0.0), "reach is 0.0, expected a number above 0"),
-        (lambda g: ls.editing.remove_floaters(g, 1000, 1e-6), "nothing is left"),
+        (lambda g: ls.editing.remove_floaters(g, 1000, 1e-6), "no Gaussian of"),
         (lambda g: ls.editing.limit_sh_degree(g, 4), "degree is 4"),
         (lambda g: ls.editing.decimate(g, 0), "count is 0"),
         (lambda g: ls.editing.decimate(g, cast(Any, 0.25)), "count is 0.25, expected a whole number"),
@@ -199,4 +199,4 @@ def test_merge_says_what_it_leaves_out(capture: ls.Gaussians, caplog: pytest.Log
     """Materials that only one of the captures has are named in a log line."""
     both = ls.merge([capture, replace(capture, roughness=None)])
     assert (both.count, both.roughness is None, both.metallic is None) == (200, True, False)
-    assert [r.getMessage() for r in caplog.records] == ["merge: not all captures have roughness: left out"]
+    assert [r.getMessage() for r in caplog.records] == ["merge: roughness left out, because not all captures have it"]

@@ -125,7 +125,9 @@ class CameraPath:
         first = float(np.asarray(self.times)[0])
         count = (self.duration - first) * fps
         if count > ANIMATION_FRAMES_MAX:
-            raise SceneError(f"the path has {count:,.0f} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}")
+            raise SceneError(
+                f"the path has {count:,.0f} frames at fps = {fps:g}, expected at most {ANIMATION_FRAMES_MAX:,}"
+            )
         return [replace(self.at(first + k / fps), name=f"frame_{k:05d}") for k in range(int(count + 1e-6) + 1)]
 
     def stretched(self, seconds: float) -> CameraPath:

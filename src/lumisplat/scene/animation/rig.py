@@ -204,7 +204,9 @@ class RigPart:
         normals: npt.NDArray[np.floating] | None = self.normals
         if self.morphs is not None:
             weights = pose.morph_weights.get(self.morphs.node, self.morphs.weights)
-            used = np.flatnonzero(weights[: len(self.morphs.positions)])  # weights beyond the targets that were read have no effect
+            used = np.flatnonzero(
+                weights[: len(self.morphs.positions)]
+            )  # weights beyond the targets that were read have no effect
             positions = positions + np.tensordot(weights[used], self.morphs.positions[used], 1)
             if normals is not None and self.morphs.normals is not None:
                 normals = normals + np.tensordot(weights[used], self.morphs.normals[used], 1)

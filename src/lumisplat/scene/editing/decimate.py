@@ -185,7 +185,7 @@ def _mutual_pairs(parts: Moments, colors: Doubles) -> _Pairs:
         for start in range(0, costs.size, _DECIMATE_BLOCK):  # keeps intermediate results in the cache
             block = slice(start, min(start + _DECIMATE_BLOCK, costs.size))
             costs[block] = _costs(parts, logs, colors, block, slice(block.start + apart, block.stop + apart))
-        # Equal costs, as of copies, get a random tie-breaker: otherwise all point in one direction, and few pairs are mutual.
+        # Equal costs, as of copies, get a tie-breaker: otherwise all choose the same side, and few pairs are mutual.
         ties = (numbers[: costs.size] * 0.6180339887 + apart * 0.4142135624) % 1.0
         costs += 1e-9 * np.sqrt(parts.masses[: costs.size]) * ties
         here, there = slice(0, count - apart), slice(apart, count)
