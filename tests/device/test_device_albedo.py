@@ -1,4 +1,4 @@
-"""What surfaces reflect of even light, by which light is divided before it is filtered: as much as their BSDFs do."""
+"""Tests that the albedos that demodulate light before denoising equal the integrals of the BSDFs."""
 
 from __future__ import annotations
 
@@ -27,15 +27,18 @@ MATERIALS = {
 
 
 def albedos(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np.float64]:
-    """Diffuse, glossy and transmitted, shape (3, 3)."""
+    """Returns the device's diffuse, glossy and transmitted albedos, shape (3, 3), for a cosine of view and normal."""
     found = wp.zeros((1, 3), dtype=wp.vec3, device="cpu")
     inputs = wp.array(row, dtype=Bsdf, device="cpu"), wp.array([cosine], dtype=float, device="cpu")
     Launcher("cpu", threads=1).run(probe_light_kernels.probe_albedos, 1, *inputs, found)
     return found.numpy()[0].astype(np.float64)
 
 
-def under_even_light(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np.float64]:
-    """What the BSDF sends to a view under a white sky, by its samples: from above and from below, shape (2, 3)."""
+def furnace_integral(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np.float64]:
+    """Returns the radiance under a constant environment of radiance 1, estimated by BSDF samples.
+
+    The rows are light from above and from below the surface, shape (2, 3).
+    """
     found = samples_of(row, direction(cosine, 0.3), 40_000)
     is_above = found["direction"][:, 2:] > 0.0
     weights = found["weight"].astype(np.float64)
@@ -44,17 +47,21 @@ def under_even_light(row: npt.NDArray[np.void], cosine: float) -> npt.NDArray[np
 
 @pytest.mark.parametrize("cosine", [0.95, 0.5, 0.2])
 @pytest.mark.parametrize("name", MATERIALS)
-def test_albedo_is_what_the_bsdf_reflects_of_even_light(name: str, cosine: float) -> None:
-    """From the front, and through it: within the fits of what facets lose, worst at the horizon and of rough metals."""
+def test_albedo_equals_the_bsdf_integral_under_a_constant_environment(name: str, cosine: float) -> None:
+    """Diffuse plus glossy albedo equals the reflected integral, the transmitted albedo the transmitted integral.
+
+    The tolerance covers the curve fit of the energy that microfacets lose. The fit is worst for rough metals and at
+    grazing angles.
+    """
     for compensates in (False, True):
         row = bsdf_row(MATERIALS[name], compensates=compensates)
-        above, below = under_even_light(row, cosine)
+        above, below = furnace_integral(row, cosine)
         diffuse, glossy, transmitted = albedos(row, cosine)
         np.testing.assert_allclose(diffuse + glossy, above, rtol=0.13 if name == "rough metal" else 0.07, atol=0.01)
         np.testing.assert_allclose(transmitted, below, rtol=0.1 if cosine > 0.2 else 0.2, atol=0.01)
 
 
-def test_rough_metals_reflect_more_with_what_scatters_again() -> None:
-    """Light that facets mirror to each other is a part of the highlight, not lost."""
+def test_multiple_scattering_brightens_rough_metals() -> None:
+    """Compensation adds the light that scatters several times between microfacets to the glossy albedo."""
     plain, whole = (bsdf_row(MATERIALS["rough metal"], compensates=compensates) for compensates in (False, True))
     assert albedos(whole, 0.5)[1][0] > 1.15 * albedos(plain, 0.5)[1][0]

@@ -1,4 +1,4 @@
-"""Materials: the books' equations, reciprocity, energy, and directions picked as densely as they say."""
+"""Tests of the BSDFs: published equations, reciprocity, energy conservation and importance sampling."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from support.probes import probe_light_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 
-# A frame that is no axis of anything: normal, and two directions along the surface.
+# An orthonormal frame aligned with no coordinate axis: the normal and two tangents.
 NORMAL = np.array([2.0, -3.0, 6.0]) / 7.0
 ALONG = np.array([6.0, -2.0, -3.0]) / 7.0
 ACROSS = np.cross(NORMAL, ALONG)
@@ -29,7 +29,7 @@ ACROSS = np.cross(NORMAL, ALONG)
 def pbr(
     alpha: float, diffuse: float = 0.8, specular: float = 0.04, grazing: float = 1.0, tint: bool = False
 ) -> Material:
-    """Metallic-roughness, by the alpha of its GGX distribution; what is diffuse of it is no metal."""
+    """Returns an oracle material of the metallic-roughness model with GGX ``alpha`` and a dielectric diffuse part."""
     channels = np.array([1.0, 0.6, 0.3]) if tint else np.ones(3)
     ratio = math.sqrt(specular / grazing) if grazing > 0.0 else 0.0
     return {
@@ -45,18 +45,18 @@ def pbr(
 
 
 def half_metal(alpha: float, share: float = 0.5) -> Material:
-    """White, a share of it metal."""
+    """Returns a white material whose metallic value is ``share``."""
     specular, grazing = 0.04 * (1.0 - share) + share, 1.0
     return pbr(alpha, 1.0 - share, 0.04) | {"specular": np.full(3, specular), "grazing": grazing}
 
 
 def simple(shininess: float, diffuse: float = 0.5, specular: float = 0.3, tint: bool = False) -> Material:
-    """The simple model."""
+    """Returns an oracle material of the simple (Phong) model."""
     return pbr(0.0, diffuse, specular, 0.0, tint) | {"model": "simple", "shininess": shininess}
 
 
 def rows(material: Material, count: int) -> npt.NDArray[Any]:
-    """The material as kernels read it, ``count`` times."""
+    """Returns ``count`` copies of the material as rows of ``Bsdf``."""
     table = np.zeros(count, dtype=table_dtype(Bsdf))
     table["model"] = BSDF_SIMPLE if material["model"] == "simple" else BSDF_PBR
     for name in ("diffuse", "specular", "grazing", "alpha", "shininess", "dielectric", "eta"):
@@ -68,19 +68,21 @@ def rows(material: Material, count: int) -> npt.NDArray[Any]:
 def on_device(
     material: Material, normals: Array, views: Array, lights: Array, device: str = "cpu"
 ) -> tuple[Array, Array]:
-    """Values, shape (N, 3), and densities, shape (N,)."""
+    """Evaluates the BSDF on the device: values, shape (N, 3), and pdfs, shape (N,)."""
     count = len(lights)
     inputs = [wp.array(rows(material, count), dtype=Bsdf, device=device)]
     for vectors in (normals, views, lights):
         given = np.broadcast_to(vectors, (count, 3)).astype(np.float32)
         inputs.append(wp.array(given, dtype=wp.vec3, device=device))
-    values, densities = wp.zeros(count, dtype=wp.vec3, device=device), wp.zeros(count, dtype=float, device=device)
-    Launcher(device, threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, densities)
-    return values.numpy().astype(np.float64), densities.numpy().astype(np.float64)
+    values, pdfs = wp.zeros(count, dtype=wp.vec3, device=device), wp.zeros(count, dtype=float, device=device)
+    Launcher(device, threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, pdfs)
+    return values.numpy().astype(np.float64), pdfs.numpy().astype(np.float64)
 
 
-def picks(material: Material, view: Array, randoms: npt.NDArray[Any], device: str = "cpu") -> npt.NDArray[Any]:
-    """Directions picked for the frame's normal, with weights and densities."""
+def sample_directions(
+    material: Material, view: Array, randoms: npt.NDArray[Any], device: str = "cpu"
+) -> npt.NDArray[Any]:
+    """Samples directions on the device for the normal ``NORMAL``, with their weights and pdfs."""
     count = len(randoms)
     normals, views = (np.broadcast_to(v, (count, 3)).astype(np.float32) for v in (NORMAL, view))
     inputs = [wp.array(rows(material, count), dtype=Bsdf, device=device)]
@@ -91,18 +93,21 @@ def picks(material: Material, view: Array, randoms: npt.NDArray[Any], device: st
 
 
 def unit(vectors: Array) -> Array:
-    """The same directions."""
+    """Normalises the vectors."""
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def direction(cos: npt.ArrayLike, turn: npt.ArrayLike) -> Array:
-    """Off the frame's normal by the angle of that cosine, turned by that many radians."""
+    """Returns directions by the cosine of the angle to ``NORMAL`` and the azimuth in radians."""
     cos, turn = np.asarray(cos)[..., None], np.asarray(turn)[..., None]
     return cos * NORMAL + np.sqrt(1.0 - cos * cos) * (np.cos(turn) * ALONG + np.sin(turn) * ACROSS)
 
 
 def pairs(count: int, alpha: float, seed: int) -> tuple[Array, Array, Array]:
-    """Normals, views and lights of every kind: anywhere, grazing, in and near the highlight, straight on, equal."""
+    """Returns normals, views and lights, each of shape (count, 3).
+
+    The pairs cover random, grazing, near-mirror, mirror, perpendicular and equal directions.
+    """
     rng = np.random.default_rng(seed)
     normals = unit(rng.normal(size=(count, 3)))
     views, lights = (unit(rng.normal(size=(count, 3))) for _ in range(2))
@@ -134,16 +139,16 @@ MATERIALS = [
 ]
 
 
-# --- The books ---
+# --- Published equations ---
 
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_twin(number: int, device: str) -> None:
-    """Values and densities are those of the oracle, as exactly as directions in float32 allow."""
+def test_values_and_pdfs_match_the_oracle(number: int, device: str) -> None:
+    """BSDF values and pdfs match the float64 oracle within what rounding the directions to float32 allows."""
     material = MATERIALS[number]
     normals, views, lights = pairs(3000, material["alpha"], number)
-    values, densities = on_device(material, normals, views, lights, device)
+    values, pdfs = on_device(material, normals, views, lights, device)
     expected = evaluate(material, normals, views, lights), density(material, normals, views, lights)
     spread = [np.zeros_like(part) for part in expected]
     rng = np.random.default_rng(1)
@@ -151,16 +156,16 @@ def test_twin(number: int, device: str) -> None:
         moved = [unit(vectors + 1.2e-7 * rng.normal(size=vectors.shape)) for vectors in (normals, views, lights)]
         for i, part in enumerate((evaluate(material, *moved), density(material, *moved))):
             spread[i] = np.maximum(spread[i], np.abs(part - expected[i]))
-    for found, wanted, rounding in zip((values, densities), expected, spread, strict=True):
+    for found, wanted, rounding in zip((values, pdfs), expected, spread, strict=True):
         assert np.isfinite(found).all()
         bound = (2e-5 + 4e-7 * material["shininess"]) * wanted + 5.0 * rounding + 1e-9
         np.testing.assert_array_less(np.abs(found - wanted) / bound, 1.0)
-    if material["alpha"] > 1e-3:  # so that the comparison means something
+    if material["alpha"] > 1e-3:  # rounding would otherwise exceed the values
         assert np.median((spread[0] / np.maximum(values, 1e-30))[values > 0.0]) < 1e-4
 
 
-def test_by_hand() -> None:
-    """Straight on: diffuse over pi; the GGX highlight F0 / (4 pi alpha^2); Phong's (n + 2) / (2 pi)."""
+def test_values_at_normal_incidence_match_closed_forms() -> None:
+    """The forms are albedo / pi, the GGX highlight F0 / (4 pi alpha^2) and Phong's (n + 2) / (2 pi)."""
     straight = NORMAL[None]
     matte, _ = on_device(pbr(0.5, diffuse=0.6, specular=0.0, grazing=0.0), NORMAL, straight, straight)
     np.testing.assert_allclose(matte[0], 0.6 / math.pi, rtol=1e-6)
@@ -170,36 +175,36 @@ def test_by_hand() -> None:
     phong, picked = on_device(simple(4.0, diffuse=0.0, specular=0.5), NORMAL, straight, straight)
     np.testing.assert_allclose(phong[0], 1.5 / math.pi, rtol=1e-5)
     assert picked[0] == pytest.approx(2.5 / math.pi, rel=1e-5)
-    # Too much of it is scaled down: 1 + 1 becomes 1/2 + 1/2.
+    # Diffuse and specular that exceed 1 in sum are scaled down: 1 + 1 becomes 1/2 + 1/2.
     both, _ = on_device(simple(4.0, diffuse=1.0, specular=1.0), NORMAL, straight, straight)
     np.testing.assert_allclose(both[0], 0.5 * (1.0 + 3.0) / math.pi, rtol=1e-5)
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_reciprocity(number: int) -> None:
-    """The same with view and light swapped."""
+def test_bsdf_is_reciprocal(number: int) -> None:
+    """Swapping view and light leaves the value unchanged."""
     normals, views, lights = pairs(6000, MATERIALS[number]["alpha"], 7)
-    there, _ = on_device(MATERIALS[number], normals, views, lights)
-    back, _ = on_device(MATERIALS[number], normals, lights, views)
-    np.testing.assert_allclose(there, back, rtol=1e-6, atol=0.0)
+    forward, _ = on_device(MATERIALS[number], normals, views, lights)
+    swapped, _ = on_device(MATERIALS[number], normals, lights, views)
+    np.testing.assert_allclose(forward, swapped, rtol=1e-6, atol=0.0)
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_nothing_below_the_horizon(number: int) -> None:
-    """Neither light nor view shines through, and no direction is picked there."""
+def test_bsdf_and_pdf_are_zero_below_the_horizon(number: int) -> None:
+    """A view below the surface yields no samples either."""
     material = MATERIALS[number]
     normals, views, lights = pairs(6000, material["alpha"], 8)
-    values, densities = on_device(material, normals, views, lights)
+    values, pdfs = on_device(material, normals, views, lights)
     below = (np.sum(normals * views, axis=1) < -1e-6) | (np.sum(normals * lights, axis=1) < -1e-6)
     assert below.sum() > 1000
     assert not values[below].any()
-    assert not densities[below].any()
-    assert not picks(material, -NORMAL, np.random.default_rng(0).random((50, 3)))["pdf"].any()
+    assert not pdfs[below].any()
+    assert not sample_directions(material, -NORMAL, np.random.default_rng(0).random((50, 3)))["pdf"].any()
 
 
 @pytest.mark.parametrize("number", range(len(MATERIALS)))
-def test_finite(number: int) -> None:
-    """Whatever the directions: opposite, along the surface, zero, and random numbers at their ends."""
+def test_bsdf_is_finite_for_extreme_directions(number: int) -> None:
+    """Values and samples stay finite for opposite, tangential and zero vectors and for random numbers of 0 and 1."""
     material = MATERIALS[number]
     special = [NORMAL, ALONG, -ALONG, unit(ALONG + 1e-8 * NORMAL), unit(-ALONG + 1e-8 * NORMAL), ALONG + 1e-25 * NORMAL]
     special += [unit(ALONG + 1e-3 * NORMAL), unit(-ALONG + 1e-3 * NORMAL), np.zeros(3), -NORMAL]
@@ -207,7 +212,7 @@ def test_finite(number: int) -> None:
     for found in on_device(material, NORMAL, views, lights):
         assert np.isfinite(found).all()
         assert (found >= 0.0).all()
-    # In the plane of z = 0, the tiniest cosines are exact.
+    # Along the z axis, the smallest cosines are exact.
     up, low = np.array([0.0, 0.0, 1.0]), np.array([[1.0, 0.0, 1e-25], [1.0, 0.0, 1e-12], [1.0, 0.0, 1e-4]])
     for view in low:
         for found in on_device(material, up, view, np.concatenate([low, low * [-1.0, 1.0, 1.0]])):
@@ -215,20 +220,20 @@ def test_finite(number: int) -> None:
     ends = np.array([0.0, 0.5, 1.0 - 2.0**-24, 1.0])
     randoms = np.stack(np.meshgrid(ends, ends, ends), axis=-1).reshape(-1, 3)
     for view in special:
-        samples = picks(material, view, randoms)
+        samples = sample_directions(material, view, randoms)
         for name in ("direction", "weight", "pdf"):
             assert np.isfinite(samples[name]).all()
         np.testing.assert_allclose(np.linalg.norm(samples["direction"], axis=1), 1.0, atol=1e-5)
         assert (samples["weight"] >= 0.0).all()
 
 
-# --- Energy: what a white sky all around gives ---
+# --- Energy under a constant environment ---
 
 
 def reflected(material: Material, view: Array, steps: int = 96) -> float:
-    """Share of the light of a white sky that goes to ``view``, by quadrature over the hemisphere (middle channel).
+    """Returns the fraction of a constant environment's light that is reflected to ``view`` (middle channel).
 
-    Of rough highlights, only the diffuse part: they may be narrower than the steps.
+    Quadrature over the hemisphere of lights. GGX highlights are left out: they may be narrower than the steps.
     """
     centers = (np.arange(steps) + 0.5) / steps
     cos, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
@@ -240,7 +245,10 @@ def reflected(material: Material, view: Array, steps: int = 96) -> float:
 
 
 def highlighted(material: Material, view: Array, steps: int = 96) -> float:
-    """The same of a GGX highlight alone, by quadrature over the microfacets, however narrow."""
+    """Returns the fraction that the GGX highlight alone reflects to ``view`` (middle channel).
+
+    Quadrature over the microfacet normals, which resolves highlights of any width.
+    """
     alpha = material["alpha"]
     centers = (np.arange(steps) + 0.5) / steps
     share, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
@@ -249,7 +257,7 @@ def highlighted(material: Material, view: Array, steps: int = 96) -> float:
     to_half = half @ view
     lights = 2.0 * to_half[:, None] * half - view
     values, _ = on_device(material, NORMAL, view[None], lights)
-    # As many square radians of light as the facets have times 4 cos; facets are spread with density D cos.
+    # The solid angle of the light is that of the microfacet normals times 4 cos; their pdf is D cos.
     spread = ggx(theta.ravel(), alpha) * np.cos(theta.ravel())
     shone = values[:, 1] * np.maximum(lights @ NORMAL, 0.0) * 4.0 * np.maximum(to_half, 0.0) / spread
     return float(shone.mean())
@@ -259,8 +267,8 @@ COSINES = (1.0, 0.9, 0.62, 0.4, 0.2, 0.1, 0.05)
 
 
 @pytest.mark.parametrize("alpha", [0.004, 0.01, 0.03, 0.09, 0.14, 0.25, 0.5, 1.0])
-def test_white_furnace(alpha: float) -> None:
-    """No view gets more than there is, whatever the reflectances, and of common ones no view much less."""
+def test_pbr_white_furnace_conserves_energy(alpha: float) -> None:
+    """Reflected light never exceeds the incident light; common dielectrics reflect at least 97 % of it."""
     for specular, grazing in ((0.0, 1.0), (0.04, 1.0), (0.2, 1.0), (0.7, 1.0), (0.25, 0.25), (0.04, 0.5)):
         for cos in COSINES:
             view = direction(cos, 0.3)
@@ -271,16 +279,16 @@ def test_white_furnace(alpha: float) -> None:
 
 
 @pytest.mark.parametrize("cos", COSINES)
-def test_perfect_mirrors_reflect_all(cos: float) -> None:
-    """A reflectance of 1, nearly smooth."""
+def test_nearly_smooth_perfect_mirror_reflects_all_light(cos: float) -> None:
+    """A reflectance of 1 at small roughness reflects all light."""
     if cos > 0.1:
         assert highlighted(pbr(0.01, 0.0, 1.0), direction(cos, 1.0)) == pytest.approx(1.0, abs=0.01)
     assert highlighted(pbr(1e-4, 0.0, 1.0), direction(cos, 1.0)) == pytest.approx(1.0, abs=0.01)
 
 
 @pytest.mark.parametrize("cos", COSINES)
-def test_smooth_white_loses_nothing(cos: float) -> None:
-    """What a smooth surface does not mirror, which is left to mirrors, its white inside reflects."""
+def test_smooth_white_dielectric_conserves_energy(cos: float) -> None:
+    """The specular reflection, which the BSDF leaves to mirror rays, and the white diffuse part add up to 1."""
     mirror = float(fresnel(np.array(cos), 1.0 / 1.5))
     total = mirror + reflected(pbr(0.0, 1.0, 0.04), direction(cos, 1.0), 200)
     assert total == pytest.approx(1.0, abs=1e-4)
@@ -288,8 +296,8 @@ def test_smooth_white_loses_nothing(cos: float) -> None:
 
 @pytest.mark.parametrize("cos", COSINES[:-2])
 @pytest.mark.parametrize("alpha", [0.01, 0.09, 0.25, 1.0])
-def test_half_metals_lose_as_much_as_their_halves(alpha: float, cos: float) -> None:
-    """White of which a share is metal reflects what that share of white metal and the rest of white paint do."""
+def test_partial_metal_albedo_is_linear_in_metallic(alpha: float, cos: float) -> None:
+    """The albedo of a half metal is the weighted mean of white metal and white paint."""
     view = direction(cos, 0.3)
     paint = highlighted(pbr(alpha, 0.0), view) + reflected(pbr(alpha, 1.0), view)
     metal = highlighted(pbr(alpha, 0.0, 1.0), view)
@@ -300,16 +308,16 @@ def test_half_metals_lose_as_much_as_their_halves(alpha: float, cos: float) -> N
         assert total <= 1.0003
 
 
-def test_diffuse_reflects_its_albedo() -> None:
-    """Exactly: without a highlight the value is the same for all directions."""
+def test_diffuse_material_reflects_exactly_its_albedo() -> None:
+    """Both models reflect their diffuse colour when they have no highlight."""
     for material in (pbr(0.3, 0.7, 0.0, 0.0), simple(8.0, 0.7, 0.0)):
         for cos in COSINES:
             assert reflected(material, direction(cos, 0.1), 8) == pytest.approx(0.7, abs=1e-6)
 
 
 @pytest.mark.parametrize("shininess", [0.0, 1.0, 10.0, 60.0])
-def test_simple_furnace(shininess: float) -> None:
-    """All of the highlight at normal incidence, less elsewhere, and never more than all together."""
+def test_simple_model_conserves_energy(shininess: float) -> None:
+    """The highlight reflects its full strength at normal incidence; the total never exceeds 1."""
     for cos in COSINES:
         view = direction(cos, 0.3)
         assert reflected(simple(shininess, 0.4, 0.6), view, 200) <= 1.001
@@ -317,13 +325,14 @@ def test_simple_furnace(shininess: float) -> None:
     assert reflected(simple(shininess, 0.0, 0.6), NORMAL, 200) == pytest.approx(0.6, rel=5e-3)
 
 
-# --- Picked directions ---
+# --- Importance sampling ---
 
 
 def bins(axis: Array, alpha: float, rings: int, sectors: int, fine: int) -> tuple[Array, Array]:
-    """Directions all around ``axis``, and the solid angle of each: closer together where a lobe of ``alpha`` is.
+    """Returns directions over the sphere around ``axis`` and the solid angle of each.
 
-    Shape (rings * sectors, fine^2, 3) and (rings * sectors, fine^2).
+    The bins are narrower near the axis to resolve a lobe of width ``alpha``. Shapes (rings * sectors, fine^2, 3) and
+    (rings * sectors, fine^2).
     """
     count = rings * fine
     s = ((np.arange(count) + 0.5) / count).reshape(rings, 1, fine, 1)
@@ -340,7 +349,7 @@ def bins(axis: Array, alpha: float, rings: int, sectors: int, fine: int) -> tupl
 
 
 def bin_of(directions: Array, axis: Array, alpha: float, rings: int, sectors: int) -> npt.NDArray[np.int64]:
-    """Which of the bins each direction falls into."""
+    """Returns the index of the bin that contains each direction."""
     first = unit(np.cross(axis, ALONG + 0.1 * NORMAL))
     second = np.cross(axis, first)
     x, y, z = directions @ first, directions @ second, directions @ axis
@@ -350,22 +359,22 @@ def bin_of(directions: Array, axis: Array, alpha: float, rings: int, sectors: in
     return ring * sectors + sector
 
 
-def compared(material: Material, said: Material, cos: float, alpha: float) -> float:
-    """How far directions picked for one material are from the density of another, standard deviations."""
+def chi_square_of_samples(material: Material, assumed: Material, cos: float, alpha: float) -> float:
+    """Returns the chi-square z-score of directions sampled for ``material`` against the pdf of ``assumed``."""
     view = direction(cos, 2.0)
     axis = unit(mirrored(NORMAL, view))
     count, rings, sectors, fine = 200_000, 20, 12, 20
-    samples = picks(material, view, np.random.default_rng(5).random((count, 3), dtype=np.float32))
-    kept = samples["pdf"] > 0.0
-    assert (samples["direction"][kept] @ NORMAL > -1e-6).all()
+    samples = sample_directions(material, view, np.random.default_rng(5).random((count, 3), dtype=np.float32))
+    valid = samples["pdf"] > 0.0
+    assert (samples["direction"][valid] @ NORMAL > -1e-6).all()
     vectors, size = bins(axis, alpha, rings, sectors, fine)
-    _, densities = on_device(said, NORMAL, view[None], vectors.reshape(-1, 3))
-    expected = count * (densities.reshape(size.shape) * size).sum(axis=1)
-    found = bin_of(samples["direction"][kept].astype(np.float64), axis, alpha, rings, sectors)
+    _, pdfs = on_device(assumed, NORMAL, view[None], vectors.reshape(-1, 3))
+    expected = count * (pdfs.reshape(size.shape) * size).sum(axis=1)
+    found = bin_of(samples["direction"][valid].astype(np.float64), axis, alpha, rings, sectors)
     counts = np.bincount(found, minlength=rings * sectors).astype(np.float64)
-    # What would have gone below the horizon is missing from the density.
+    # The pdf excludes directions below the horizon; their samples count as one more bin.
     assert expected.sum() < 1.002 * count
-    counts, expected = np.append(counts, count - kept.sum()), np.append(expected, max(count - expected.sum(), 0.0))
+    counts, expected = np.append(counts, count - valid.sum()), np.append(expected, max(count - expected.sum(), 0.0))
     return chi_square_z(counts, expected)
 
 
@@ -383,39 +392,39 @@ def compared(material: Material, said: Material, cos: float, alpha: float) -> fl
     ],
     ids=lambda m: f"{m['model']}-{m['alpha']:.2g}-{m['shininess']:.0f}-{max(m['diffuse']):.1f}",
 )
-def test_directions_are_as_dense_as_said(material: Material, cos: float) -> None:
-    """Chi-square over the whole sphere, what falls below the horizon included."""
+def test_sampled_directions_follow_the_pdf(material: Material, cos: float) -> None:
+    """A chi-square test over the whole sphere, with rejected samples as one more bin."""
     narrow = material["alpha"] if material["model"] == "pbr" else 1.0 / math.sqrt(material["shininess"] + 1.0)
     alpha = float(np.clip(2.0 * narrow, 0.02, 1.0)) if narrow > 0.0 else 1.0
-    assert abs(compared(material, material, cos, alpha)) < LIMIT
+    assert abs(chi_square_of_samples(material, material, cos, alpha)) < LIMIT
 
 
-def test_the_comparison_can_fail() -> None:
-    """The test rejects the density of a slightly wider highlight, and of slightly more diffuse light."""
+def test_chi_square_test_rejects_wrong_pdfs() -> None:
+    """The chi-square test rejects a slightly wider highlight and a slightly different diffuse fraction."""
     metal = pbr(0.09, diffuse=0.0)
-    assert compared(metal, pbr(0.1, diffuse=0.0), 0.7, 0.2) > LIMIT
-    assert compared(pbr(0.09), pbr(0.09, diffuse=0.6), 0.3, 0.2) > LIMIT
+    assert chi_square_of_samples(metal, pbr(0.1, diffuse=0.0), 0.7, 0.2) > LIMIT
+    assert chi_square_of_samples(pbr(0.09), pbr(0.09, diffuse=0.6), 0.3, 0.2) > LIMIT
 
 
 @pytest.mark.parametrize("number", [4, 6, 8, 10, 12, 14, 17, 19])
-def test_weights(number: int) -> None:
-    """Value times cosine over density; their mean is what a white sky gives."""
+def test_sample_weight_is_bsdf_times_cosine_over_pdf(number: int) -> None:
+    """The mean weight is the light reflected under a constant environment of radiance 1."""
     material = MATERIALS[number]
     view = direction(0.6, 0.4)
-    samples = picks(material, view, np.random.default_rng(6).random((100_000, 3), dtype=np.float32))
-    kept = samples[samples["pdf"] > 0.0]
-    values, densities = on_device(material, NORMAL, view[None], kept["direction"])
-    cosines = kept["direction"].astype(np.float64) @ NORMAL.astype(np.float32).astype(np.float64)
+    samples = sample_directions(material, view, np.random.default_rng(6).random((100_000, 3), dtype=np.float32))
+    valid = samples[samples["pdf"] > 0.0]
+    values, pdfs = on_device(material, NORMAL, view[None], valid["direction"])
+    cosines = valid["direction"].astype(np.float64) @ NORMAL.astype(np.float32).astype(np.float64)
     clear = cosines > 1e-3
-    np.testing.assert_allclose(kept["pdf"], densities, rtol=1e-6)
-    expected = (values * (cosines / densities)[:, None])[clear]
-    np.testing.assert_allclose(kept["weight"][clear], expected, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(valid["pdf"], pdfs, rtol=1e-6)
+    expected = (values * (cosines / pdfs)[:, None])[clear]
+    np.testing.assert_allclose(valid["weight"][clear], expected, rtol=1e-3, atol=1e-6)
     assert not samples["weight"][samples["pdf"] <= 0.0].any()
     mean = samples["weight"][:, 1].mean(dtype=np.float64)
     error = float(samples["weight"][:, 1].std()) / math.sqrt(len(samples))
     if material["model"] == "simple":
-        sky = reflected(material, view, 300)
+        furnace = reflected(material, view, 300)
     else:
-        sky = reflected(material, view, 200)
-        sky += highlighted(material | {"diffuse": np.zeros(3)}, view, 200)
-    assert mean == pytest.approx(sky, abs=LIMIT * error + 2e-3)
+        furnace = reflected(material, view, 200)
+        furnace += highlighted(material | {"diffuse": np.zeros(3)}, view, 200)
+    assert mean == pytest.approx(furnace, abs=LIMIT * error + 2e-3)

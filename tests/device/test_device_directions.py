@@ -1,4 +1,4 @@
-"""Directions around an axis, and angles of directions."""
+"""Tests of directions around an axis and of the device's arctangent."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ AXES += [v / np.linalg.norm(v) for v in np.array([(1e-6, 2e-6, -1.0), (1e-6, -2e
 
 
 @pytest.mark.parametrize("axis", AXES)
-def test_around(axis: np.ndarray) -> None:
-    """Off the axis by the angle, unit, and as far round as asked: the same way about every axis."""
+def test_around_returns_unit_directions_at_the_given_angles(axis: np.ndarray) -> None:
+    """The azimuth runs counterclockwise about every axis, by the fraction of a full rotation that is passed."""
     angle = 0.7
     found = [
         np.array(around(wp.vec3(*axis), math.cos(angle), math.sin(angle), turn)) for turn in (0.0, 0.25, 0.5, 0.75)
@@ -31,8 +31,8 @@ def test_around(axis: np.ndarray) -> None:
     np.testing.assert_allclose(flat[1] + flat[3], 0.0, atol=1e-6)
 
 
-def test_angle_of() -> None:
-    """The library's atan2, all around and next to the axes; 0 for no direction."""
+def test_angle_of_matches_atan2() -> None:
+    """``angle_of`` matches NumPy's arctan2 in all quadrants and next to the axes, and returns 0 for (0, 0)."""
     rng = np.random.default_rng(1)
     pairs = rng.normal(size=(2000, 2)) * 10.0 ** rng.uniform(-6.0, 6.0, (2000, 2))
     pairs = np.concatenate([pairs, [(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0)]]).astype(np.float32)

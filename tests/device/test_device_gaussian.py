@@ -1,4 +1,4 @@
-"""The functions of a Gaussian's projection, called from Python."""
+"""Tests of the rasteriser's projection of Gaussians, called from Python."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ rotations = st.tuples(unit, unit, unit, unit).filter(lambda q: np.linalg.norm(q)
 
 
 def camera_data(**changes: object) -> CameraData:
-    """The camera as kernels read it."""
+    """Returns the front camera as ``CameraData``, with ``changes`` applied."""
     camera = replace(front_camera(), **changes)
     data = CameraData()
     row = camera_table(camera)[0]
@@ -31,22 +31,22 @@ def camera_data(**changes: object) -> CameraData:
 
 
 @given(st.floats(float(np.log(ALPHA_MIN)), 0.0))
-def test_alpha_is_the_exponential(log_alpha: float) -> None:
-    """Over its whole range the polynomial is exp to a millionth, and never above 0.99."""
+def test_alpha_approximates_the_exponential(log_alpha: float) -> None:
+    """The polynomial matches exp to two millionths over its range and is clamped at 0.99."""
     expected = min(np.exp(np.float32(log_alpha), dtype=np.float64), ALPHA_MAX)
     assert alpha_from_log(log_alpha) == pytest.approx(expected, rel=2e-6)
 
 
 def test_alpha_is_monotonic() -> None:
-    """More response is never less alpha."""
+    """Alpha never decreases when the response increases."""
     values = [alpha_from_log(float(x)) for x in np.linspace(np.log(ALPHA_MIN), 0.0, 2000)]
     assert (np.diff(values) >= 0.0).all() and values[0] >= ALPHA_MIN * (1.0 - 1e-6)
 
 
 @settings(max_examples=50)
 @given(unit, unit, st.floats(0.05, 50.0))
-def test_jacobian_is_the_derivative(x: float, y: float, z: float) -> None:
-    """Inside the image, the Jacobian is that of the projection, by central differences."""
+def test_jacobian_matches_central_differences(x: float, y: float, z: float) -> None:
+    """The Jacobian of the projection matches central differences for points inside the image."""
     camera = front_camera()
     point = np.array([0.5 * x * z, 0.35 * y * z, z])
 
@@ -62,16 +62,16 @@ def test_jacobian_is_the_derivative(x: float, y: float, z: float) -> None:
 @pytest.mark.parametrize(
     ("cx", "side", "limit"), [(32.0, 1, 0.5333), (32.0, -1, -0.5333), (10.0, 1, 0.9), (10.0, -1, -0.1667)]
 )
-def test_jacobian_is_clamped(cx: float, side: int, limit: float) -> None:
-    """Far outside it stops at the image's edge plus 0.3 half widths, measured from the principal point."""
+def test_jacobian_is_clamped_outside_the_image(cx: float, side: int, limit: float) -> None:
+    """The clamp lies 0.3 half image widths beyond the image's edge, measured from the principal point."""
     margin = 0.3 * 0.5 * 64.0 / 60.0
     jacobian = np.array(projection_jacobian(camera_data(cx=cx), wp.vec3(side * 90.0, 0.0, 2.0))).reshape(2, 3)
     assert jacobian[0, 2] == pytest.approx(-30.0 * (limit + side * margin), rel=1e-3)
     assert jacobian[0, 0] == pytest.approx(30.0)
 
 
-def test_normal_of_tiny_gaussians_survives_float32() -> None:
-    """Scales whose inverse squares are beyond float32 still have a normal: only their ratios matter."""
+def test_normal_of_tiny_gaussians_does_not_overflow_float32() -> None:
+    """Scales whose inverse squares exceed float32 still give a normal, since only their ratios matter."""
     axes = oracles.rotation_from_quaternion(np.array([[0.5, 0.5, 0.5, 0.5]]))[0]
     tiny = np.array(gaussian_normal(wp.mat33(axes), wp.vec3(2e-25, 1e-25, 3e-25), wp.vec3(0.3, 0.4, 0.5)))
     usual = np.array(gaussian_normal(wp.mat33(axes), wp.vec3(2.0, 1.0, 3.0), wp.vec3(0.3, 0.4, 0.5)))
@@ -83,7 +83,7 @@ def test_normal_of_tiny_gaussians_survives_float32() -> None:
 def test_normal_is_that_of_the_max_density_plane(
     quaternion: tuple[float, ...], log_scales: tuple[float, ...], to_eye: tuple[float, ...]
 ) -> None:
-    """inverse(covariance) (eye - mean), normalised, on the viewer's side, for scales that span eight decades."""
+    """The normal is inverse(covariance) (eye - mean), normalised and facing the viewer; scales span eight decades."""
     q = np.array(quaternion) / np.linalg.norm(quaternion)
     axes = oracles.rotation_from_quaternion(q[None])[0].astype(np.float32).astype(np.float64)
     scales = np.exp(log_scales)

@@ -1,4 +1,4 @@
-"""Clearcoat, sheen, and rough metals whose lost light is brought back: energy, reciprocity, sampling."""
+"""Tests of clearcoat, sheen and the energy compensation of rough metals: energy, reciprocity and sampling."""
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ COATS = {
 
 
 def on_device(row: npt.NDArray[Any], view: Doubles, lights: Doubles) -> tuple[Doubles, Doubles]:
-    """Values, shape (N, 3), and densities, shape (N,)."""
+    """Evaluates the BSDF on the device: values, shape (N, 3), and pdfs, shape (N,)."""
     count = len(lights)
     inputs = [wp.array(np.repeat(row, count), dtype=Bsdf, device="cpu")]
     for vectors in (UP, view, lights):
         inputs.append(wp.array(np.broadcast_to(vectors, (count, 3)).astype(np.float32), dtype=wp.vec3, device="cpu"))
-    values, densities = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
-    Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, densities)
-    return values.numpy().astype(np.float64), densities.numpy().astype(np.float64)
+    values, pdfs = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
+    Launcher("cpu", threads=1).run(probe_light_kernels.probe_bsdf, count, *inputs, values, pdfs)
+    return values.numpy().astype(np.float64), pdfs.numpy().astype(np.float64)
 
 
 def albedo(row: npt.NDArray[Any], cosine: float) -> tuple[float, float]:
-    """Share of a white sky that a view gets (middle channel), and its standard error."""
+    """Returns the reflected fraction of a constant environment's light (middle channel) and its standard error."""
     weights = samples_of(row, direction(cosine, 0.3), 60_000)["weight"][:, 1].astype(np.float64)
     return float(weights.mean()), float(weights.std() / np.sqrt(len(weights)))
 
 
 @pytest.mark.parametrize("base", [PAINT, METAL], ids=["paint", "metal"])
 @pytest.mark.parametrize("layers", COATS.values(), ids=COATS.keys())
-def test_a_white_furnace(layers: dict[str, Any], base: ls.MaterialPbr) -> None:
-    """No view gets more than there is, and with a coat alone hardly less of white paint."""
+def test_layered_materials_conserve_energy(layers: dict[str, Any], base: ls.MaterialPbr) -> None:
+    """Reflected light never exceeds the incident light; coated white paint still reflects more than 90 % of it."""
     row = bsdf_row(replace(base, **layers))
     for cosine in (1.0, 0.8, 0.5, 0.2, 0.05):
         mean, error = albedo(row, cosine)
@@ -60,8 +60,8 @@ def test_a_white_furnace(layers: dict[str, Any], base: ls.MaterialPbr) -> None:
 
 
 @pytest.mark.parametrize("layers", COATS.values(), ids=COATS.keys())
-def test_reciprocity(layers: dict[str, Any]) -> None:
-    """The same both ways."""
+def test_layered_bsdf_is_reciprocal(layers: dict[str, Any]) -> None:
+    """Swapping view and light leaves the value unchanged."""
     row = bsdf_row(replace(PAINT, **layers))
     rng = np.random.default_rng(1)
     for _ in range(60):
@@ -72,27 +72,27 @@ def test_reciprocity(layers: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("base", [PAINT, METAL], ids=["paint", "metal"])
 @pytest.mark.parametrize("layers", [*COATS.values(), None], ids=[*COATS.keys(), "compensated"])
-def test_directions_are_as_dense_as_said(layers: dict[str, Any] | None, base: ls.MaterialPbr) -> None:
-    """Chi-square over the hemisphere, what fell below it included."""
+def test_sampled_directions_follow_the_pdf(layers: dict[str, Any] | None, base: ls.MaterialPbr) -> None:
+    """A chi-square test over the hemisphere, with rejected samples as one more bin."""
     row = bsdf_row(replace(base, **(layers or {})), compensates=layers is None)
     view, rows, columns, fine, count = direction(0.6, 1.0), 12, 12, 24, 100_000
     found = samples_of(row, view, count)
-    kept = found["pdf"] > 0.0
-    d = found["direction"][kept].astype(np.float64)
+    valid = found["pdf"] > 0.0
+    d = found["direction"][valid].astype(np.float64)
     ring = np.clip((d[:, 2] * rows).astype(int), 0, rows - 1)
     column = (np.arctan2(d[:, 1], d[:, 0]) % (2.0 * np.pi) / (2.0 * np.pi) * columns).astype(int) % columns
     counts = np.bincount(ring * columns + column, minlength=rows * columns).astype(np.float64)
     z = (np.arange(rows * fine) + 0.5) / (rows * fine)
     turn = 2.0 * np.pi * (np.arange(columns * fine) + 0.5) / (columns * fine)
-    densities = on_device(row, view, direction(z[:, None], turn[None]).reshape(-1, 3))[1]
+    pdfs = on_device(row, view, direction(z[:, None], turn[None]).reshape(-1, 3))[1]
     size = 2.0 * np.pi / (rows * fine * columns * fine)
-    expected = count * size * densities.reshape(rows, fine, columns, fine).sum(axis=(1, 3)).ravel()
-    counts, expected = np.append(counts, count - kept.sum()), np.append(expected, max(count - expected.sum(), 0.0))
+    expected = count * size * pdfs.reshape(rows, fine, columns, fine).sum(axis=(1, 3)).ravel()
+    counts, expected = np.append(counts, count - valid.sum()), np.append(expected, max(count - expected.sum(), 0.0))
     assert abs(chi_square_z(counts, expected)) < LIMIT
 
 
-def test_coats_are_their_highlight_over_what_they_leave() -> None:
-    """Over black, a coat alone: what glTF's equation gives; over paint, in addition what is left of that."""
+def test_clearcoat_over_black_matches_the_gltf_equation() -> None:
+    """A clearcoat over a black base equals the clearcoat term of glTF's KHR_materials_clearcoat."""
     black = replace(PAINT, base_color=(0.0, 0.0, 0.0), specular=0.0)
     view = direction(0.8, 0.0)
     light = direction(0.8, np.pi)
@@ -106,8 +106,8 @@ def test_coats_are_their_highlight_over_what_they_leave() -> None:
 
 
 @pytest.mark.parametrize("roughness", [0.1, 0.3, 0.6, 1.0])
-def test_the_curve_of_sheen_is_its_albedo(roughness: float) -> None:
-    """Within a few percent, and not too small where there is much of it."""
+def test_sheen_curve_approximates_the_sheen_albedo(roughness: float) -> None:
+    """The fitted curve stays within a few percent and does not underestimate large albedos."""
     curve = albedo_curve(roughness)
     for cosine in (0.02, 0.1, 0.3, 0.5, 0.8, 1.0):
         truth = sheen_albedo(cosine, roughness**2, steps=500)
@@ -118,12 +118,12 @@ def test_the_curve_of_sheen_is_its_albedo(roughness: float) -> None:
 
 @pytest.mark.parametrize("roughness", [0.3, 0.6, 0.8, 1.0])
 @pytest.mark.parametrize(("cosine", "least"), [(1.0, 0.9), (0.6, 0.9), (0.342, 0.9), (0.12, 0.87), (0.05, 0.87)])
-def test_compensated_white_metal_loses_little(roughness: float, cosine: float, least: float) -> None:
-    """It reflects nearly all light, less at grazing angles, and never more; without, it loses up to half."""
+def test_compensated_rough_metal_conserves_most_energy(roughness: float, cosine: float, least: float) -> None:
+    """Compensated white metal reflects at least 87 % of the light, never more than all, and more than uncompensated."""
     metal = replace(METAL, roughness=roughness)
     mean, error = albedo(bsdf_row(metal, compensates=True), cosine)
     assert least < mean < 1.001 + 4.0 * error
     assert albedo(bsdf_row(metal), cosine)[0] < mean
     gold = replace(metal, base_color=(1.0, 0.77, 0.34))
-    brought, before = (albedo(bsdf_row(gold, compensates=on), cosine)[0] for on in (True, False))
-    assert before < brought < mean
+    compensated, uncompensated = (albedo(bsdf_row(gold, compensates=on), cosine)[0] for on in (True, False))
+    assert uncompensated < compensated < mean

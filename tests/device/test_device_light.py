@@ -1,4 +1,4 @@
-"""Lights as a point sees them: by hand, against geometry, and soft ones against what all of their extent gives."""
+"""Tests of light samples at a point: closed forms, geometry, and irradiance of soft lights by quadrature."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from support.probes import probe_light_kernels
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 POSITION = (1.0, 2.0, -0.5)
 AXIS = np.array([2.0, -6.0, 3.0]) / 7.0
-ACROSS = np.array([3.0, 2.0, 2.0]) / math.sqrt(17.0)  # square to the axis
+ACROSS = np.array([3.0, 2.0, 2.0]) / math.sqrt(17.0)  # perpendicular to the axis
 KINDS = (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL, LIGHT_RECT, LIGHT_DISK, LIGHT_HEADLIGHT, LIGHT_ENVIRONMENT)
 
 
 def light(kind: Any, **values: Any) -> npt.NDArray[Any]:
-    """A row as kernels read it: 3, 2 and 1 candela, lux or units of radiance, without end, unless given."""
+    """Returns a row of ``LightData``, by default of power (3, 2, 1) in candela, lux or radiance and infinite range."""
     table = np.zeros(1, dtype=table_dtype(LightData))
     if kind == LIGHT_RECT:
         values.setdefault("direction", np.cross(values["edge_u"], values["edge_v"]))
@@ -47,10 +47,10 @@ def light(kind: Any, **values: Any) -> npt.NDArray[Any]:
     return table
 
 
-def seen(
+def sample_lights(
     lights: npt.NDArray[Any], points: npt.ArrayLike, soft: bool = False, u: Array | None = None, device: str = "cpu"
 ) -> Any:
-    """Samples of a light, or of one a point, as a structured array."""
+    """Samples one light, or one light per point, at points; returns a structured array of ``LightSample``."""
     points = np.asarray(points, dtype=np.float64).reshape(-1, 3)
     count = max(len(points), 1 if u is None else len(u))
     u = np.zeros((count, 2)) if u is None else u
@@ -65,121 +65,121 @@ def seen(
     return samples.numpy()
 
 
-def crossed(there: npt.NDArray[Any], origin: Array, directions: npt.NDArray[Any]) -> Any:
-    """Where rays from a point cross a light, as a structured array."""
-    ways = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
+def intersect(table: npt.NDArray[Any], origin: Array, directions: npt.NDArray[Any]) -> Any:
+    """Intersects rays from one point with a light; returns a structured array of ``LightCrossing``."""
+    vectors = wp.array(directions.astype(np.float32), dtype=wp.vec3, device="cpu")
     crossings = wp.zeros(len(directions), dtype=LightCrossing, device="cpu")
-    inputs = wp.array(there, dtype=LightData, device="cpu"), wp.vec3(*origin), ways
+    inputs = wp.array(table, dtype=LightData, device="cpu"), wp.vec3(*origin), vectors
     Launcher("cpu", threads=1).run(probe_light_kernels.probe_crossings, len(directions), *inputs, crossings)
     return crossings.numpy()
 
 
 def grid(steps: int) -> Array:
-    """Random numbers without the randomness: centers of cells, shape (steps^2, 2)."""
+    """Returns stratified numbers in place of random ones: the centres of grid cells, shape (steps^2, 2)."""
     centers = (np.arange(steps) + 0.5) / steps
     return np.stack(np.meshgrid(centers, centers, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def gathered(samples: Any, normal: Array) -> Array:
-    """Mean irradiance of a surface with that normal."""
+def mean_irradiance(samples: Any, normal: Array) -> Array:
+    """Returns the mean irradiance of a surface with that normal, shape (3,)."""
     cosines = np.maximum(samples["direction"].astype(np.float64) @ normal, 0.0)
     return (samples["irradiance"] * cosines[:, None]).mean(axis=0)
 
 
-# --- By hand ---
+# --- Closed forms ---
 
 
-def test_inverse_square() -> None:
-    """8 candela at 2 units are 2 lux, at 0.5 units 32; the light is where it is."""
-    there = light(LIGHT_POINT, power=(8.0, 4.0, 0.0))
-    samples = seen(there, [(1.0, 0.0, -0.5), (1.0, 2.0, 0.0)])
+def test_point_light_follows_the_inverse_square_law() -> None:
+    """8 candela give 2 lux at 2 units and 32 lux at 0.5 units."""
+    table = light(LIGHT_POINT, power=(8.0, 4.0, 0.0))
+    samples = sample_lights(table, [(1.0, 0.0, -0.5), (1.0, 2.0, 0.0)])
     np.testing.assert_allclose(samples["irradiance"], [(2.0, 1.0, 0.0), (32.0, 16.0, 0.0)], rtol=1e-6)
     np.testing.assert_allclose(samples["direction"], [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0)], atol=1e-7)
     np.testing.assert_allclose(samples["distance"], (2.0, 0.5), rtol=1e-6)
     assert not samples["pdf"].any()
 
 
-def test_range() -> None:
-    """At half the range 15/16 are left, at 0.9 of it 0.3439, at the range and behind nothing."""
-    there = light(LIGHT_POINT, range=4.0, position=(0.0, 0.0, 0.0), power=(16.0, 16.0, 16.0))
-    samples = seen(there, [(2.0, 0.0, 0.0), (3.6, 0.0, 0.0), (4.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
+def test_range_window_matches_closed_form() -> None:
+    """The window is 15/16 at half the range, 0.3439 at 0.9 of it, and 0 from the range on."""
+    table = light(LIGHT_POINT, range=4.0, position=(0.0, 0.0, 0.0), power=(16.0, 16.0, 16.0))
+    samples = sample_lights(table, [(2.0, 0.0, 0.0), (3.6, 0.0, 0.0), (4.0, 0.0, 0.0), (9.0, 0.0, 0.0)])
     np.testing.assert_allclose(samples["irradiance"][:, 0], (3.75, 0.3439 * 16.0 / 12.96, 0.0, 0.0), rtol=1e-5)
     assert window(2.0, 4.0) == 0.9375
 
 
-def test_cone() -> None:
-    """From 30 to 60 degrees: all at 20, at 45 the square of 0.56580, nothing at 61 and behind."""
-    there = light(
+def test_spot_cone_matches_closed_form() -> None:
+    """A cone from 30 to 60 degrees is 1 at 20 degrees, 0.56580^2 at 45, and 0 at 61 and behind the light."""
+    table = light(
         LIGHT_SPOT, direction=(0.0, -1.0, 0.0), position=(0.0, 0.0, 0.0), inner=math.pi / 6, outer=math.pi / 3
     )
     angles = np.radians([0.0, 20.0, 45.0, 61.0, 180.0])
     points = np.stack([np.sin(angles), -np.cos(angles), 0.0 * angles], axis=1)
     expected = np.array([1.0, 1.0, 0.32013, 0.0, 0.0])
-    np.testing.assert_allclose(seen(there, points)["irradiance"][:, 0], 3.0 * expected, rtol=1e-4)
+    np.testing.assert_allclose(sample_lights(table, points)["irradiance"][:, 0], 3.0 * expected, rtol=1e-4)
     np.testing.assert_allclose(cone(angles, math.pi / 6, math.pi / 3), expected, rtol=1e-4)
 
 
 @pytest.mark.parametrize("outer", [1e-4, 1e-3, 0.1, math.pi / 2.0])
-def test_small_cones(outer: float) -> None:
-    """A spot no wider than a laser's beam fades as a wide one does."""
-    there = light(LIGHT_SPOT, position=(0.0, 0.0, 0.0), inner=0.5 * outer, outer=outer)
+def test_narrow_spot_cones_keep_precision(outer: float) -> None:
+    """A cone of 1e-4 radians fades as a wide cone does."""
+    table = light(LIGHT_SPOT, position=(0.0, 0.0, 0.0), inner=0.5 * outer, outer=outer)
     angles = outer * np.linspace(0.0, 1.1, 23)
     points = np.cos(angles)[:, None] * AXIS + np.sin(angles)[:, None] * ACROSS
-    # Points in float32 are off by as much as their last digit.
+    # The tolerance covers the rounding of the points to float32.
     expected = 3.0 * cone(angles, 0.5 * outer, outer)
-    np.testing.assert_allclose(seen(there, points)["irradiance"][:, 0], expected, atol=1e-5 + 6e-7 / outer)
+    np.testing.assert_allclose(sample_lights(table, points)["irradiance"][:, 0], expected, atol=1e-5 + 6e-7 / outer)
 
 
-def test_cones_without_a_fade() -> None:
-    """Angles that float32 cannot tell apart make a sharp edge."""
-    there = light(LIGHT_SPOT, position=(0.0, 0.0, 0.0), inner=0.5, outer=math.nextafter(0.5, 1.0))
+def test_equal_spot_angles_make_a_sharp_edge() -> None:
+    """Inner and outer angles that are equal in float32 cause no division by zero."""
+    table = light(LIGHT_SPOT, position=(0.0, 0.0, 0.0), inner=0.5, outer=math.nextafter(0.5, 1.0))
     angles = np.array([0.49, 0.51])
     points = np.cos(angles)[:, None] * AXIS + np.sin(angles)[:, None] * ACROSS
-    np.testing.assert_allclose(seen(there, points)["irradiance"][:, 0], (3.0, 0.0), rtol=1e-5)
-    there = light(
+    np.testing.assert_allclose(sample_lights(table, points)["irradiance"][:, 0], (3.0, 0.0), rtol=1e-5)
+    table = light(
         LIGHT_SPOT, position=(0.0, 0.0, 0.0), direction=(0.0, 0.0, -1.0), inner=math.pi / 2, outer=math.pi / 2
     )
-    assert seen(there, (1.0, 0.0, 0.0))["irradiance"][0, 0] in (0.0, 3.0)  # on the edge
+    assert sample_lights(table, (1.0, 0.0, 0.0))["irradiance"][0, 0] in (0.0, 3.0)  # on the edge
 
 
-def test_directional_and_headlight() -> None:
-    """As bright everywhere, from infinitely far away, and from the eye."""
+def test_directional_light_and_headlight_have_no_falloff() -> None:
+    """Both have the same irradiance at every point; a directional light is infinitely far, a headlight at the eye."""
     points = [(0.0, 0.0, 0.0), (1.0, 2.0, 3.5)]
-    samples = seen(light(LIGHT_DIRECTIONAL), points)
+    samples = sample_lights(light(LIGHT_DIRECTIONAL), points)
     np.testing.assert_allclose(samples["direction"], np.tile(-AXIS, (2, 1)), atol=1e-7)
     np.testing.assert_array_equal(samples["irradiance"], [(3.0, 2.0, 1.0)] * 2)
     assert np.isinf(samples["distance"]).all()
-    samples = seen(light(LIGHT_HEADLIGHT), points)
+    samples = sample_lights(light(LIGHT_HEADLIGHT), points)
     np.testing.assert_allclose(samples["direction"][1], (0.0, 0.0, -1.0), atol=1e-7)
     np.testing.assert_array_equal(samples["irradiance"], [(3.0, 2.0, 1.0)] * 2)
     np.testing.assert_allclose(samples["distance"], (math.sqrt(5.25), 4.0), rtol=1e-6)
 
 
-def test_hard_rectangles() -> None:
-    """2 by 3 units of radiance at 6 units: 6 / 36, half of it 60 degrees off, nothing behind, and never above pi."""
-    there = light(LIGHT_RECT, position=(0.0, 6.0, 0.0), edge_u=(2.0, 0.0, 0.0), edge_v=(0.0, 0.0, 3.0))
-    np.testing.assert_allclose(there["direction"][0], (0.0, -1.0, 0.0))
+def test_hard_rectangle_matches_closed_form() -> None:
+    """Area 6 at 6 units gives radiance times 6 / 36, half of it at 60 degrees, 0 behind, at most radiance times pi."""
+    table = light(LIGHT_RECT, position=(0.0, 6.0, 0.0), edge_u=(2.0, 0.0, 0.0), edge_v=(0.0, 0.0, 3.0))
+    np.testing.assert_allclose(table["direction"][0], (0.0, -1.0, 0.0))
     slanted = (6.0 * math.sin(math.pi / 3), 6.0 - 6.0 * math.cos(math.pi / 3), 0.0)
-    samples = seen(there, [(0.0, 0.0, 0.0), slanted, (0.0, 7.0, 0.0), (1.0, 6.0, 0.0), (0.0, 5.9, 0.0)])
+    samples = sample_lights(table, [(0.0, 0.0, 0.0), slanted, (0.0, 7.0, 0.0), (1.0, 6.0, 0.0), (0.0, 5.9, 0.0)])
     expected = 3.0 * np.array([1.0 / 6.0, 1.0 / 12.0, 0.0, 0.0, math.pi])
     np.testing.assert_allclose(samples["irradiance"][:, 0], expected, rtol=1e-5)
     np.testing.assert_allclose(samples["distance"][:2], 6.0, rtol=1e-6)
     assert not samples["pdf"].any()
 
 
-def test_hard_lights_have_no_extent() -> None:
-    """Radius, angle and edges count for soft light only, and random numbers too."""
+def test_hard_lights_ignore_their_extent() -> None:
+    """Radius, angular radius and random numbers affect soft lights only."""
     for kind in (LIGHT_POINT, LIGHT_SPOT, LIGHT_DIRECTIONAL):
         sharp, wide = (light(kind, radius=radius, inner=0.1, outer=1.0) for radius in (0.0, 0.7))
         for u in ((0.0, 0.0), (0.3, 0.8)):
-            samples = [seen(which, (0.4, 3.0, 0.1), u=np.array([u])) for which in (sharp, wide)]
+            samples = [sample_lights(which, (0.4, 3.0, 0.1), u=np.array([u])) for which in (sharp, wide)]
             assert samples[0] == samples[1]
-        assert seen(sharp, (0.4, 3.0, 0.1)) == seen(sharp, (0.4, 3.0, 0.1), soft=True)
+        assert sample_lights(sharp, (0.4, 3.0, 0.1)) == sample_lights(sharp, (0.4, 3.0, 0.1), soft=True)
 
 
-def test_environments_are_elsewhere() -> None:
-    """Their samples come by another function; here they give nothing."""
-    assert not seen(light(LIGHT_ENVIRONMENT), (0.0, 0.0, 0.0), soft=True)["irradiance"].any()
+def test_environment_is_not_sampled_by_sample_light() -> None:
+    """Environments have their own sampling function, so ``sample_light`` returns irradiance 0 for them."""
+    assert not sample_lights(light(LIGHT_ENVIRONMENT), (0.0, 0.0, 0.0), soft=True)["irradiance"].any()
 
 
 # --- Geometry ---
@@ -187,16 +187,16 @@ def test_environments_are_elsewhere() -> None:
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("ratio", [1e-5, 1e-3, 0.05, 0.5, 0.9, 0.999])
-def test_directions_meet_the_sphere(ratio: float, device: str) -> None:
-    """Every direction does, where the distance says; density is one over the solid angle, irradiance its radiance."""
+def test_sphere_light_samples_hit_the_sphere(ratio: float, device: str) -> None:
+    """Samples end on the near side of the sphere, with pdf 1 / solid angle and the irradiance of its radiance."""
     rng = np.random.default_rng(2)
     distance = 3.0
     point = np.array(POSITION) + distance * AXIS
     radius = ratio * distance
-    samples = seen(light(LIGHT_POINT, radius=radius), point, True, rng.random((5000, 2)), device)
+    samples = sample_lights(light(LIGHT_POINT, radius=radius), point, True, rng.random((5000, 2)), device)
     directions = samples["direction"].astype(np.float64)
     assert not np.isnan(first_hit(point, directions, np.array(POSITION), radius + 1e-6 * distance)).any()
-    # From its centre, where they end is as far as its radius, on the near side.
+    # The samples end at one radius from the centre, on the near side.
     ends = point + samples["distance"][:, None].astype(np.float64) * directions - np.array(POSITION)
     np.testing.assert_allclose(np.linalg.norm(ends, axis=1), radius, atol=1e-6 * distance)
     assert (ends @ AXIS > -1e-6 * distance).all()
@@ -211,45 +211,47 @@ def test_directions_meet_the_sphere(ratio: float, device: str) -> None:
 
 @pytest.mark.parametrize("tilt", [0.0, 0.4])
 @pytest.mark.parametrize("ratio", [1e-5, 1e-3, 0.05, 0.5, 0.9])
-def test_spheres_give_what_points_give(ratio: float, tilt: float) -> None:
-    """Wholly above the horizon: candela over squared distance, times the cosine of the centre's direction."""
+def test_sphere_light_has_the_irradiance_of_a_point_light(ratio: float, tilt: float) -> None:
+    """A sphere wholly above the horizon gives candela / distance^2 times the cosine of its centre's direction."""
     point = np.array(POSITION) + 3.0 * AXIS
     normal = -math.cos(tilt) * AXIS + math.sin(tilt) * ACROSS
-    samples = seen(light(LIGHT_POINT, radius=3.0 * ratio), point, True, grid(256))
+    samples = sample_lights(light(LIGHT_POINT, radius=3.0 * ratio), point, True, grid(256))
     expected = np.array([3.0, 2.0, 1.0]) / 9.0 * math.cos(tilt)
     if math.asin(ratio) + tilt > math.pi / 2.0:
         pytest.skip("partly below the horizon")
-    np.testing.assert_allclose(gathered(samples, normal), expected, rtol=1e-4)
+    np.testing.assert_allclose(mean_irradiance(samples, normal), expected, rtol=1e-4)
 
 
-def test_soft_lights_fade_by_their_centres() -> None:
-    """Range and cone of a spot with a radius are those of its centre."""
-    there = light(LIGHT_SPOT, radius=0.3, inner=0.2, outer=0.5, range=4.0)
+def test_soft_spot_attenuation_is_that_of_its_centre() -> None:
+    """Range window and cone of a spot with a radius are evaluated at the centre."""
+    table = light(LIGHT_SPOT, radius=0.3, inner=0.2, outer=0.5, range=4.0)
     angle = 0.35
-    way = math.cos(angle) * AXIS + math.sin(angle) * ACROSS
-    point = np.array(POSITION) + 3.0 * way
+    direction = math.cos(angle) * AXIS + math.sin(angle) * ACROSS
+    point = np.array(POSITION) + 3.0 * direction
     expected = 3.0 / 9.0 * float(cone(angle, 0.2, 0.5) * window(3.0, 4.0))
-    assert gathered(seen(there, point, True, grid(128)), -way)[0] == pytest.approx(expected, rel=1e-3)
+    assert mean_irradiance(sample_lights(table, point, True, grid(128)), -direction)[0] == pytest.approx(
+        expected, rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 1e-8, 0.3, 0.999, 1.001])
-def test_inside_spheres(share: float) -> None:
-    """As bright as at the surface, towards the centre; at the centre itself, dark. No jump at the surface."""
+def test_sphere_light_is_continuous_at_its_surface(share: float) -> None:
+    """Points inside the sphere receive the irradiance of the surface; the centre gives finite values."""
     point = np.array(POSITION) + share * 0.5 * AXIS
-    samples = seen(light(LIGHT_POINT, radius=0.5), point, True, grid(64))
+    samples = sample_lights(light(LIGHT_POINT, radius=0.5), point, True, grid(64))
     if share > 1e-6:
-        assert gathered(samples, -AXIS)[0] == pytest.approx(3.0 / 0.25, rel=3e-3)
+        assert mean_irradiance(samples, -AXIS)[0] == pytest.approx(3.0 / 0.25, rel=3e-3)
     assert np.isfinite(samples["irradiance"]).all()
 
 
 @pytest.mark.parametrize("angle", [1e-4, 0.00465, 0.1, 1.0, math.pi / 2.0])
-def test_suns(angle: float) -> None:
-    """The mean irradiance of a surface that faces it is the lux, and all directions are within the angle."""
-    samples = seen(light(LIGHT_DIRECTIONAL, radius=angle), (0.0, 0.0, 0.0), True, grid(256))
-    np.testing.assert_allclose(gathered(samples, -AXIS), (3.0, 2.0, 1.0), rtol=1e-4)
+def test_soft_directional_light_covers_its_angular_radius(angle: float) -> None:
+    """A facing surface receives the lux of the light, and directions are uniform over the light's cone."""
+    samples = sample_lights(light(LIGHT_DIRECTIONAL, radius=angle), (0.0, 0.0, 0.0), True, grid(256))
+    np.testing.assert_allclose(mean_irradiance(samples, -AXIS), (3.0, 2.0, 1.0), rtol=1e-4)
     off = np.linalg.norm(samples["direction"] + AXIS, axis=1)  # chord
     assert off.max() <= 2.0 * math.sin(0.5 * angle) + 3e-7
-    # Evenly: the squared chord is even.
+    # Uniform directions have a uniform squared chord.
     assert np.mean(off**2) == pytest.approx(2.0 * math.sin(0.5 * angle) ** 2, rel=1e-2)
     mean = samples["direction"].mean(axis=0, dtype=np.float64)
     np.testing.assert_allclose(mean @ np.array([AXIS, ACROSS, np.cross(AXIS, ACROSS)]).T[:, 1:], 0.0, atol=2e-5)
@@ -258,8 +260,8 @@ def test_suns(angle: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_rectangles_give_what_lambert_says(seed: int) -> None:
-    """A parallelogram over a receiver that looks its way, and the solid angle that its density stands for."""
+def test_rectangle_light_matches_lambert_formula(seed: int) -> None:
+    """The irradiance of a parallelogram matches Lambert's polygon formula; its samples cover its area."""
     rng = np.random.default_rng(seed)
     position = np.array([0.0, 0.0, 2.0]) + 0.3 * rng.normal(size=3)
     edge_u, edge_v = np.array([0.0, 1.2, 0.0]) + 0.2 * rng.normal(size=3), np.array([0.8, 0.0, 0.0])
@@ -269,23 +271,23 @@ def test_rectangles_give_what_lambert_says(seed: int) -> None:
         [position + a * edge_u + b * edge_v for a, b in ((-0.5, -0.5), (-0.5, 0.5), (0.5, 0.5), (0.5, -0.5))]
     )
     assert (corners @ normal > 0.0).all()
-    there = light(LIGHT_RECT, position=position, edge_u=edge_u, edge_v=edge_v)
-    samples = seen(there, (0.0, 0.0, 0.0), True, grid(128))
+    table = light(LIGHT_RECT, position=position, edge_u=edge_u, edge_v=edge_v)
+    samples = sample_lights(table, (0.0, 0.0, 0.0), True, grid(128))
     expected = abs(polygon_irradiance(corners, np.zeros(3), normal))
-    np.testing.assert_allclose(gathered(samples, normal), expected * np.array([3.0, 2.0, 1.0]), rtol=2e-4)
-    # Towards each point of it, and as dense as that point is seen large.
+    np.testing.assert_allclose(mean_irradiance(samples, normal), expected * np.array([3.0, 2.0, 1.0]), rtol=2e-4)
+    # The samples lie on the rectangle, with the pdf of its solid angle.
     u = grid(128) - 0.5
     points = position + u[:, :1] * edge_u + u[:, 1:] * edge_v
     np.testing.assert_allclose(samples["distance"][:, None] * samples["direction"], points, atol=1e-5)
     np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["pdf"], 3.0, rtol=1e-5)
-    # Nothing on its other side.
-    behind = seen(there, 2.0 * position, True, grid(4))
+    # The back of the light emits nothing.
+    behind = sample_lights(table, 2.0 * position, True, grid(4))
     assert not behind["irradiance"].any()
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_disks_give_what_lambert_says(seed: int) -> None:
-    """A disk over a receiver that looks its way, as a polygon of many corners; samples are even over its area."""
+def test_disk_light_matches_lambert_formula(seed: int) -> None:
+    """The irradiance of a disk matches Lambert's formula for a polygon of 4000 corners; samples are uniform in area."""
     rng = np.random.default_rng(seed)
     position, axis = np.array([0.0, 0.0, 2.0]) + 0.3 * rng.normal(size=3), np.array([0.0, 0.0, -1.0])
     axis = axis + 0.3 * rng.normal(size=3)
@@ -297,28 +299,28 @@ def test_disks_give_what_lambert_says(seed: int) -> None:
     v, turn = np.cross(axis, u), 2.0 * np.pi * np.arange(4000)[:, None] / 4000
     corners = position + 0.7 * (np.cos(turn) * u + np.sin(turn) * v)
     assert (corners @ normal > 0.0).all()
-    there = light(LIGHT_DISK, position=position, direction=axis, radius=0.7)
-    samples = seen(there, (0.0, 0.0, 0.0), True, grid(128))
+    table = light(LIGHT_DISK, position=position, direction=axis, radius=0.7)
+    samples = sample_lights(table, (0.0, 0.0, 0.0), True, grid(128))
     expected = abs(polygon_irradiance(corners, np.zeros(3), normal))
-    np.testing.assert_allclose(gathered(samples, normal), expected * np.array([3.0, 2.0, 1.0]), rtol=2e-4)
+    np.testing.assert_allclose(mean_irradiance(samples, normal), expected * np.array([3.0, 2.0, 1.0]), rtol=2e-4)
     np.testing.assert_allclose(samples["irradiance"][:, 0] * samples["pdf"], 3.0, rtol=1e-5)
     offsets = samples["distance"][:, None] * samples["direction"].astype(np.float64) - position
     np.testing.assert_allclose(offsets @ axis, 0.0, atol=2e-6)
     shares = (offsets**2).sum(axis=1) / 0.49
     np.testing.assert_allclose(np.quantile(shares, (0.25, 0.5, 0.75, 1.0)), (0.25, 0.5, 0.75, 1.0), atol=0.01)
     np.testing.assert_allclose(offsets.mean(axis=0), 0.0, atol=1e-5)
-    assert not seen(there, position - 0.1 * axis, True, grid(4))["irradiance"].any()
+    assert not sample_lights(table, position - 0.1 * axis, True, grid(4))["irradiance"].any()
 
 
 @pytest.mark.parametrize("height", [0.05, 0.7, 20.0])
-def test_a_disk_above_its_axis(height: float) -> None:
-    """Radiance times pi r^2 / (r^2 + h^2); hard, all of it at the centre, but never above pi."""
-    there = light(LIGHT_DISK, position=(0.0, height, 0.0), direction=(0.0, -1.0, 0.0), radius=0.7)
+def test_disk_light_on_axis_matches_closed_form(height: float) -> None:
+    """A soft disk gives radiance times pi r^2 / (r^2 + h^2), a hard one pi r^2 / h^2 and at most pi."""
+    table = light(LIGHT_DISK, position=(0.0, height, 0.0), direction=(0.0, -1.0, 0.0), radius=0.7)
     up = np.array([0.0, 1.0, 0.0])
     radii2 = np.stack([(np.arange(20000) + 0.5) / 20000, np.full(20000, 0.3)], axis=1)
-    soft = gathered(seen(there, (0.0, 0.0, 0.0), True, radii2), up)
+    soft = mean_irradiance(sample_lights(table, (0.0, 0.0, 0.0), True, radii2), up)
     assert soft[0] == pytest.approx(3.0 * math.pi * 0.49 / (0.49 + height**2), rel=1e-3)
-    hard = gathered(seen(there, (0.0, 0.0, 0.0)), up)
+    hard = mean_irradiance(sample_lights(table, (0.0, 0.0, 0.0)), up)
     assert hard[0] == pytest.approx(3.0 * math.pi * min(0.49 / height**2, 1.0), rel=1e-5)
 
 
@@ -330,13 +332,13 @@ FLAT = {
 
 
 @pytest.mark.parametrize("kind", FLAT)
-def test_rays_cross_lights_where_samples_lie(kind: Any) -> None:
-    """At the same distance and with the same density, which integrates to one over all directions."""
-    there = light(kind, **FLAT[kind])
-    towards = there["direction"][0].astype(np.float64)
+def test_ray_intersection_agrees_with_light_samples(kind: Any) -> None:
+    """Distance and pdf of the intersection equal those of the sample; the pdf integrates to 1 over the sphere."""
+    table = light(kind, **FLAT[kind])
+    towards = table["direction"][0].astype(np.float64)
     point = np.array(POSITION) + 1.3 * towards + 0.4 * np.cross(towards, (1.0, 0.0, 0.0))
-    samples = seen(there, point, True, np.clip(grid(40), 0.001, 0.999))
-    crossings = crossed(there, point, samples["direction"])
+    samples = sample_lights(table, point, True, np.clip(grid(40), 0.001, 0.999))
+    crossings = intersect(table, point, samples["direction"])
     assert np.isfinite(crossings["t"]).all()
     np.testing.assert_allclose(crossings["t"], samples["distance"], rtol=1e-3 if kind == LIGHT_POINT else 1e-5)
     np.testing.assert_allclose(crossings["pdf"], samples["pdf"], rtol=1e-4)
@@ -345,33 +347,33 @@ def test_rays_cross_lights_where_samples_lie(kind: Any) -> None:
     around = np.stack(
         [np.sqrt(1.0 - height**2) * np.cos(turn), height, np.sqrt(1.0 - height**2) * np.sin(turn)], axis=1
     )
-    densities = crossed(there, point, around)["pdf"].astype(np.float64)
-    assert 4.0 * math.pi * densities.mean() == pytest.approx(1.0, rel=3e-3)
-    assert np.isinf(crossed(there, point, -samples["direction"])["t"]).all()
+    pdfs = intersect(table, point, around)["pdf"].astype(np.float64)
+    assert 4.0 * math.pi * pdfs.mean() == pytest.approx(1.0, rel=3e-3)
+    assert np.isinf(intersect(table, point, -samples["direction"])["t"]).all()
 
 
-def test_lambert_by_hand() -> None:
-    """A disc of many corners straight above: sin^2 of its angular radius times pi."""
+def test_polygon_oracle_matches_the_closed_form_of_a_disk() -> None:
+    """A disk on the axis gives pi times the squared sine of its angular radius."""
     turn = 2.0 * np.pi * np.arange(4000) / 4000
     corners = np.stack([0.7 * np.cos(turn), 0.7 * np.sin(turn), np.ones(4000)], axis=1)
     disc = polygon_irradiance(corners, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     assert abs(disc) == pytest.approx(math.pi * 0.49 / 1.49, rel=1e-5)
 
 
-# --- Whatever the numbers ---
+# --- Extreme values ---
 
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("soft", [False, True])
 @pytest.mark.parametrize("kind", KINDS)
-def test_finite(kind: Any, soft: bool, device: str) -> None:
-    """Points at, next to and far from lights of any size and power."""
+def test_lights_are_finite_for_extreme_values(kind: Any, soft: bool, device: str) -> None:
+    """Samples stay finite at, next to and far from lights of any size and power."""
     offsets = [0.0, 1e-30, 1e-18, 1e-9, 1e-4, 1.0, 1e9, 1e18]
     points = np.array([(sign * x, y, 0.0) for x in offsets for y in offsets for sign in (-1.0, 1.0)])
     for size in (0.0, 1e-20, 1e-5, 1.0, 1e18):
         for power in (0.0, 1e-30, 1.0, 1e30):
             for reach in (1e-30, 1.0, math.inf):
-                there = light(
+                table = light(
                     kind,
                     position=(0.0, 0.0, 0.0),
                     power=(power, power, power),
@@ -384,7 +386,7 @@ def test_finite(kind: Any, soft: bool, device: str) -> None:
                     range=reach,
                 )
                 for u in ((0.0, 0.0), (0.5, 0.5), (1.0, 1.0)):
-                    samples = seen(there, points, soft, np.tile(np.array([u]), (len(points), 1)), device)
+                    samples = sample_lights(table, points, soft, np.tile(np.array([u]), (len(points), 1)), device)
                     for name in ("direction", "irradiance", "pdf"):
                         assert np.isfinite(samples[name]).all(), (name, size, power, reach, u)
                     assert not np.isnan(samples["distance"]).any()

@@ -1,4 +1,4 @@
-"""The lists of a packet against Python's own: its sorted hits, and the nodes that wait."""
+"""Tests of a ray packet's hit list and node stack against Python lists."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ BEGIN = 3  # the first slot of the lists
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("slots", [1, *HIT_COUNTS, HIT_BUFFER_CPU])
-def test_lists_keep_the_nearest_hits_in_order(slots: int, device: str) -> None:
-    """By distance, then by index; the farthest is dropped where there is no room; no other slot is written."""
+def test_hit_list_holds_the_nearest_hits_in_order(slots: int, device: str) -> None:
+    """The list sorts by distance, then by index, drops the farthest hit when full, and writes to its own slots only."""
     random = np.random.default_rng(slots)
     count, steps = 50, 150
     added: np.ndarray = np.zeros((count, steps), table_dtype(Hit))
-    added["t"] = random.integers(0, 40, (count, steps)) - 10.0  # many are equal, some are negative
+    added["t"] = random.integers(0, 40, (count, steps)) - 10.0  # includes many equal and some negative distances
     added["index"] = np.argsort(random.random((count, steps)), axis=1)
     added["alpha"] = random.random((count, steps))
     blended = random.choice([0, 1, 3], (count, steps), p=[0.8, 0.1, 0.1]).astype(np.int32)
-    untouched: np.ndarray = np.zeros((count, BEGIN + slots + 2), table_dtype(Hit))
-    untouched["index"] = -7
-    hits = wp.array(untouched, dtype=Hit, device=device)
+    initial: np.ndarray = np.zeros((count, BEGIN + slots + 2), table_dtype(Hit))
+    initial["index"] = -7
+    hits = wp.array(initial, dtype=Hit, device=device)
     dropped = wp.zeros((count, steps), dtype=Hit, device=device)
     lists = wp.zeros(count, dtype=HitList, device=device)
     inputs = (
@@ -44,34 +44,37 @@ def test_lists_keep_the_nearest_hits_in_order(slots: int, device: str) -> None:
     tables: list[np.ndarray] = [hits.numpy(), dropped.numpy(), lists.numpy()]
     found, lost, ends = tables
     for i in range(count):
-        kept: list[tuple[float, int, float]] = []
+        nearest: list[tuple[float, int, float]] = []
         for step in range(steps):
             t, alpha, index = added[i, step].item()
-            bisect.insort(kept, (t, index, alpha))
-            expected = (FAR, 0) if len(kept) <= slots else kept.pop()[:2]
+            bisect.insort(nearest, (t, index, alpha))
+            expected = (FAR, 0) if len(nearest) <= slots else nearest.pop()[:2]
             assert (lost[i, step]["t"], lost[i, step]["index"]) == (np.float32(expected[0]), expected[1])
-            del kept[: blended[i, step]]
+            del nearest[: blended[i, step]]
         row: np.ndarray = found[i, ends[i]["head"] : ends[i]["tail"]]
-        assert [(t, index, alpha) for t, alpha, index in row.tolist()] == kept
+        assert [(t, index, alpha) for t, alpha, index in row.tolist()] == nearest
         assert ends[i]["begin"] == BEGIN <= ends[i]["head"] and ends[i]["tail"] <= BEGIN + slots
     outside = np.r_[0:BEGIN, BEGIN + slots : BEGIN + slots + 2]
-    np.testing.assert_array_equal(found[:, outside], untouched[:, outside])
+    np.testing.assert_array_equal(found[:, outside], initial[:, outside])
     assert (lost["t"] < FAR).mean() > 0.05
 
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("order", [NEAR_FIRST, FAR_FIRST])
 @pytest.mark.parametrize("instance", [WORLD, 5])
-def test_children_wait_in_their_order(instance: int, order: float, device: str) -> None:
-    """Those in reach, the next one on top; below each, the least distance is known. Leaves of instances do not wait."""
+def test_children_are_pushed_in_visiting_order(instance: int, order: float, device: str) -> None:
+    """The stack holds children within reach, the next one to visit on top, with the least entry distance below each.
+
+    Leaves of instance trees are returned instead of pushed.
+    """
     random = np.random.default_rng(4)
     count, below, reach = 200, 2, 6.0
     nodes = np.concatenate([empty_node()] * count)
     links = random.integers(0, 100, (count, NODE_WIDTH))
     is_leaf, is_empty = random.random((2, count, NODE_WIDTH)) < np.reshape([0.4, 0.2], (2, 1, 1))
     nodes["link"] = np.where(is_empty, NO_CHILD, np.where(is_leaf, ~links, links))
-    entries = random.integers(0, 10, (count, NODE_WIDTH)).astype(np.float32)  # some are equal
-    entries[random.random((count, NODE_WIDTH)) < 0.1] = -FAR  # around the origin
+    entries = random.integers(0, 10, (count, NODE_WIDTH)).astype(np.float32)  # includes equal distances
+    entries[random.random((count, NODE_WIDTH)) < 0.1] = -FAR  # these boxes contain the origin
     waiting: np.ndarray = np.zeros((count, below + NODE_WIDTH), table_dtype(WaitingNode))
     waiting["entry"][:, :below] = waiting["floor"][:, :below] = [7.0, 3.0]
     stacks = wp.array(waiting, dtype=WaitingNode, device=device)
@@ -97,7 +100,7 @@ def test_children_wait_in_their_order(instance: int, order: float, device: str) 
         assert heights[i] == below + len(pushed)
         row: np.ndarray = found[i, below : heights[i]]
         assert row["entry"].tolist() == [entries[i, c] for c in pushed]
-        # An instance waits as the root of its tree.
+        # An instance is pushed as the root node of its tree.
         assert row["link"].tolist() == [0 if is_leaf[i, c] else links[i, c] for c in pushed]
         assert row["instance"].tolist() == [links[i, c] if is_leaf[i, c] else instance for c in pushed]
         if order == NEAR_FIRST:

@@ -1,4 +1,4 @@
-"""Gaussians as rays meet them: response by degree, reach, canonical space, box and ellipsoid, against float64."""
+"""Tests of ray-traced Gaussians against float64: response, reach, canonical space, box and ellipsoid normal."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ DEGREES = range(6)
 
 
 def kernel_of(degree: int, min_response: float = 0.0, adaptive: bool = True) -> KernelData:
-    """What kernels see of the settings."""
+    """Returns the ``KernelData`` of the response settings."""
     response = ls.config.ResponseConfig(kernel_degree=degree, min_response=min_response, adaptive_clamping=adaptive)
     return kernel_data(random_gaussians(0, 1), ls.RenderConfig(response=response))
 
 
 def response(degree: int, distance: np.ndarray | float) -> np.ndarray:
-    """Response at a canonical distance (Hamdi et al. 2024; degree 0 as NVIDIA has it)."""
+    """Returns the response at a canonical distance (Hamdi et al. 2024; degree 0 is NVIDIA's linear kernel)."""
     distance = np.asarray(distance, np.float64)
     if degree == 0:
         return np.maximum(1.0 - KERNEL_LINEAR_SLOPE * distance, 0.0)
@@ -41,7 +41,7 @@ def response(degree: int, distance: np.ndarray | float) -> np.ndarray:
 
 
 def probe(kernel: KernelData, opacities: np.ndarray, distances: np.ndarray, device: str) -> tuple[np.ndarray, ...]:
-    """Squared reaches, and alphas at the distances."""
+    """Returns the device's squared reaches and its alphas at the distances."""
     count = len(opacities)
     table = np.zeros(count, table_dtype(KernelData))
     for name in present(table.dtype.names):
@@ -56,7 +56,7 @@ def probe(kernel: KernelData, opacities: np.ndarray, distances: np.ndarray, devi
 def probe_gaussians(
     kernel: KernelData, gaussians: ls.Gaussians, origins: np.ndarray, directions: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Particles, boxes and normals of Gaussians, each for a ray of its own."""
+    """Returns the device's particles, boxes and ellipsoid normals; Gaussian i is intersected by ray i."""
     rays = [wp.array(values.astype(np.float32), dtype=wp.vec3, device="cpu") for values in (origins, directions)]
     kinds = {"particles": Particle, "boxes": Box, "normals": wp.vec3}
     out = {name: wp.zeros(gaussians.count, dtype=kind, device="cpu") for name, kind in kinds.items()}
@@ -68,7 +68,7 @@ def probe_gaussians(
 
 
 def frames(gaussians: ls.Gaussians) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, 3, 3) and scales (N, 3) of the stored numbers, float64."""
+    """Returns rotations, shape (N, 3, 3), and scales, shape (N, 3), in float64."""
     quaternions = gaussians.rotations_wxyz.astype(np.float64)
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     return oracles.rotation_from_quaternion(quaternions), gaussians.scales.astype(np.float64)
@@ -78,8 +78,8 @@ def frames(gaussians: ls.Gaussians) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_responses_meet_at_three_deviations(degree: int) -> None:
-    """Whatever the degree, a Gaussian responds by exp(-4.5) there, to a tenth of a percent for NVIDIA's slope."""
+def test_all_degrees_respond_equally_at_three_standard_deviations(degree: int) -> None:
+    """Every degree responds by exp(-4.5) there; NVIDIA's linear kernel deviates by 0.1 %."""
     _, alphas = probe(kernel_of(degree), np.array([0.9]), np.array([3.0]), "cpu")
     assert alphas[0] == pytest.approx(0.9 * math.exp(-4.5), rel=1e-3 if degree == 0 else 1e-5)
 
@@ -87,7 +87,7 @@ def test_responses_meet_at_three_deviations(degree: int) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("degree", DEGREES)
 def test_alpha_is_opacity_times_response(degree: int, device: str) -> None:
-    """From the centre to the end, and never above 0.99."""
+    """The product holds from the centre to the reach and is clamped at 0.99."""
     random = np.random.default_rng(degree)
     opacities = np.concatenate([random.uniform(0.01, 1.0, 500), np.ones(100)])
     shares = np.concatenate([random.uniform(0.0, 1.0, 598), [0.0, 1.0]])
@@ -104,21 +104,24 @@ def test_alpha_is_opacity_times_response(degree: int, device: str) -> None:
 @pytest.mark.parametrize("adaptive", [True, False])
 @pytest.mark.parametrize("min_response", [0.0, 0.0113, 0.5])
 @pytest.mark.parametrize("degree", DEGREES)
-def test_gaussians_end_where_a_threshold_is_met(degree: int, min_response: float, adaptive: bool, device: str) -> None:
-    """At the reach alpha is 1/255, or the response (adaptive: times opacity) is the minimum if that comes first."""
+def test_reach_is_where_a_threshold_is_reached(degree: int, min_response: float, adaptive: bool, device: str) -> None:
+    """At the reach either alpha is 1/255 or the response is ``min_response``, whichever comes first.
+
+    With adaptive clamping, opacity times response is compared with ``min_response``.
+    """
     opacities = np.array([0.005, 0.02, 0.2, 0.49, 0.51, 0.8, 1.0])
     reaches, _ = probe(kernel_of(degree, min_response, adaptive), opacities, opacities, device)
     never = opacities * 1.0 <= min_response if adaptive else np.zeros(7, bool)
     np.testing.assert_array_equal(reaches < 0.0, never)
     at_end = response(degree, np.sqrt(reaches[~never]))
     alpha = opacities[~never] * at_end
-    meant = alpha if adaptive else at_end
-    np.testing.assert_allclose(np.minimum(alpha / ALPHA_MIN, meant / max(min_response, 1e-9)), 1.0, rtol=2e-5)
+    compared = alpha if adaptive else at_end
+    np.testing.assert_allclose(np.minimum(alpha / ALPHA_MIN, compared / max(min_response, 1e-9)), 1.0, rtol=2e-5)
 
 
 @pytest.mark.parametrize("degree", DEGREES)
-def test_faint_gaussians_never_count(degree: int) -> None:
-    """Below 1/255 there is no reach, at 1/255 there is none to speak of, just above there is."""
+def test_gaussians_below_minimum_opacity_have_no_reach(degree: int) -> None:
+    """The squared reach is negative below an opacity of 1/255, 0 at it, and positive above."""
     step = np.float32(ALPHA_MIN)
     opacities = np.array([0.0, 1e-30, 0.5 * step, np.nextafter(step, np.float32(0.0)), step, 1.01 * step])
     reaches, _ = probe(kernel_of(degree), opacities, opacities, "cpu")
@@ -126,8 +129,8 @@ def test_faint_gaussians_never_count(degree: int) -> None:
 
 
 @pytest.mark.parametrize("adaptive", [True, False])
-def test_minimum_response_takes_opaque_gaussians_only_if_fixed(adaptive: bool) -> None:
-    """A minimum of 0.5: adaptive, an opacity of 0.4 never counts; fixed, it ends as far out as any other."""
+def test_adaptive_minimum_response_drops_transparent_gaussians(adaptive: bool) -> None:
+    """With a minimum of 0.5, adaptive clamping drops an opacity of 0.4; fixed clamping gives all the same reach."""
     reaches, _ = probe(kernel_of(2, 0.5, adaptive), np.array([0.4, 0.8, 1.0]), np.ones(3), "cpu")
     half = 2.0 * math.log(2.0)
     expected = [-1.0, 2.0 * math.log(1.6), half] if adaptive else [half] * 3
@@ -138,7 +141,7 @@ def test_minimum_response_takes_opaque_gaussians_only_if_fixed(adaptive: bool) -
 
 
 def test_canonical_space_is_the_inverse_of_rotation_and_scale() -> None:
-    """W R S = 1, from pancakes to balls, small and large; called as plain Python."""
+    """The product W R S is the identity for flat and round Gaussians of scales from 1e-4 to 1e4."""
     gaussians = random_gaussians(1, 60, scale_range=(1e-4, 1e4))
     rotations, scales = frames(gaussians)
     for quaternion, rotation, scale in zip(gaussians.rotations_wxyz, rotations, scales, strict=True):
@@ -147,8 +150,8 @@ def test_canonical_space_is_the_inverse_of_rotation_and_scale() -> None:
         np.testing.assert_allclose(actual * scale[:, None] @ rotation, np.eye(3), atol=1e-6)
 
 
-def test_particles_hold_their_gaussian() -> None:
-    """Mean, opacity, reach, own number, and a matrix that takes the ellipsoid to a ball."""
+def test_particle_stores_its_gaussian() -> None:
+    """A particle holds mean, index, log opacity, squared reach and the matrix from object to canonical space."""
     gaussians = random_gaussians(2, 200)
     kernel = kernel_of(2)
     rays = np.zeros((200, 3)), np.ones((200, 3))
@@ -164,19 +167,19 @@ def test_particles_hold_their_gaussian() -> None:
 
 @pytest.mark.parametrize("degree", [0, 2, 5])
 @pytest.mark.parametrize("offset", [0.0, 1e4])
-def test_boxes_are_tight_around_all_that_counts(degree: int, offset: float) -> None:
-    """Against the support function of the ellipsoid in float64: never inside it, and outside by rounding only.
+def test_boxes_tightly_contain_the_ellipsoids(degree: int, offset: float) -> None:
+    """Boxes contain the ellipsoid's exact bounds and exceed them by rounding only.
 
-    Thin needles that lie along an axis are the hard ones: a rotation rounded to float32 swings their ends by more than
-    they are thick.
+    Thin needles along an axis are the hard case: rounding their rotation to float32 moves their ends by more than their
+    thickness.
     """
     random = np.random.default_rng(3)
-    turns = random.normal(size=(600, 4)) * [1.0, 1e-3, 1e-3, 1e-3]
-    turns[:200] = random.normal(size=(200, 4))
+    quaternions = random.normal(size=(600, 4)) * [1.0, 1e-3, 1e-3, 1e-3]
+    quaternions[:200] = random.normal(size=(200, 4))
     thinnest, thickest = np.log((1e-8, 1e2))
     scales = np.exp(random.uniform(thinnest, thickest, (600, 3)))
     means = random.normal(size=(600, 3)) + offset
-    gaussians = ls.Gaussians(means, turns, scales, random.uniform(0.01, 1.0, 600), np.zeros((600, 1, 3)))
+    gaussians = ls.Gaussians(means, quaternions, scales, random.uniform(0.01, 1.0, 600), np.zeros((600, 1, 3)))
     kernel = kernel_of(degree)
     found = probe_gaussians(kernel, gaussians, np.zeros((600, 3)), np.ones((600, 3)))
     rotations, scales = frames(gaussians)
@@ -190,8 +193,8 @@ def test_boxes_are_tight_around_all_that_counts(degree: int, offset: float) -> N
         assert (out <= slack).all()
 
 
-def test_boxes_of_what_never_counts_are_inverted() -> None:
-    """Nothing meets them, and the union with any other box is that other box."""
+def test_ignored_gaussians_have_inverted_boxes() -> None:
+    """An inverted box is hit by no ray and leaves a union with another box unchanged."""
     gaussians = ls.Gaussians(
         [[1.0, 2.0, 3.0]] * 2, [[1, 0, 0, 0]] * 2, np.ones((2, 3)), [0.0, 0.0039], np.ones((2, 1, 3))
     )
@@ -202,15 +205,15 @@ def test_boxes_of_what_never_counts_are_inverted() -> None:
 # --- Ellipsoid ---
 
 
-def test_ellipsoid_normal_is_the_gradient_at_the_entry() -> None:
-    """Along the ray to where |W (x - mean)| is the reach; there, by central differences, on the side of the ray."""
+def test_ellipsoid_normal_is_the_gradient_at_the_entry_point() -> None:
+    """The entry point is where |W (x - mean)| equals the reach; the gradient, by central differences, faces the ray."""
     count = 300
     gaussians = random_gaussians(4, count, scale_range=(0.02, 2.0))
     random = np.random.default_rng(5)
     rotations, scales = frames(gaussians)
     kernel = kernel_of(2)
     reach = np.sqrt(np.maximum(probe(kernel, gaussians.opacities, np.zeros(count), "cpu")[0], 0.0))
-    # Rays through a point well inside, from outside, from inside and from behind.
+    # Rays through a point inside the ellipsoid start outside, inside or behind it.
     inside = 0.6 * reach[:, None] * oracles.normalized(random.normal(size=(count, 3)))
     target = gaussians.means + np.einsum("nij,nj->ni", rotations, scales * inside)
     directions = oracles.normalized(random.normal(size=(count, 3)))
@@ -231,15 +234,15 @@ def test_ellipsoid_normal_is_the_gradient_at_the_entry() -> None:
     sides = [level(entry + step * axis) - level(entry - step * axis) for axis in np.eye(3)]
     gradient = oracles.normalized(np.stack(sides, axis=-1))
     gradient *= -np.sign(np.einsum("ni,ni->n", gradient, directions))[:, None]
-    seen = gaussians.opacities > 1.1 * ALPHA_MIN
-    assert seen.sum() > 250
-    np.testing.assert_allclose(actual[seen], gradient[seen], atol=2e-3)
+    has_reach = gaussians.opacities > 1.1 * ALPHA_MIN
+    assert has_reach.sum() > 250
+    np.testing.assert_allclose(actual[has_reach], gradient[has_reach], atol=2e-3)
     np.testing.assert_allclose(np.linalg.norm(actual, axis=1), 1.0, atol=1e-5)
     assert (np.einsum("ni,ni->n", actual, directions) <= 1e-6).all()
 
 
-def test_ellipsoid_normal_of_a_ball_by_hand() -> None:
-    """A ray that passes a ball at 0.6 of its radius enters it 0.8 radii before: the normal is (0.6, 0, -0.8)."""
+def test_ellipsoid_normal_of_a_sphere_matches_closed_form() -> None:
+    """A ray that passes the centre at 0.6 radii enters 0.8 radii before it, so the normal is (0.6, 0, -0.8)."""
     ball = ls.Gaussians([[0.0, 0.0, 0.0]], [[1, 0, 0, 0]], [[0.5] * 3], [1.0], np.zeros((1, 1, 3)))
     radius = 0.5 * math.sqrt(2.0 * math.log(255.0))
     found = probe_gaussians(kernel_of(2), ball, np.array([[0.6 * radius, 0.0, -7.0]]), np.array([[0.0, 0.0, 1.0]]))

@@ -1,4 +1,4 @@
-"""Random numbers: known answers, the same everywhere, uniform, and independent of whatever they are told apart by."""
+"""Tests of random numbers: stored values, equal bits on all devices, uniformity and independence."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 PIXELS = np.arange(1 << 18, dtype=np.uint32)
 LAST = 2**32 - 1
 LIMIT = 5.0
-"""Standard deviations: good numbers exceed it once in 1.7 million, so all 500 comparisons pass with probability 0.9997;
-and as nothing here depends on chance, once and for all."""
+"""Largest absolute z-score.
+
+Good generators exceed it once in 1.7 million comparisons, so all 500 pass with probability 0.9997. The seeds are fixed,
+so the result never changes."""
 
 
 # --- Statistics ---
 
 
 def chi_square_z(counts: np.ndarray) -> float:
-    """Chi-square of equal expectations, as a standard normal number (Wilson and Hilferty 1931)."""
+    """Returns the z-score of a chi-square test for equal counts (Wilson and Hilferty 1931)."""
     expected = counts.sum() / counts.size
     freedom = counts.size - 1
     variance = 2.0 / (9.0 * freedom)
@@ -34,7 +36,10 @@ def chi_square_z(counts: np.ndarray) -> float:
 
 
 def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
-    """How unequally pairs fall on a grid of 16 x 16, by bits 1-4 and 9-12 of their draws, and their correlation."""
+    """Returns z-scores of pairs of draws: two chi-square tests on 16 x 16 grids and the correlation.
+
+    The grids use bits 1-4 and 9-12 of the draws.
+    """
     cells = [
         ((first >> shift) & 15).astype(np.int64) * 16 + ((second >> shift) & 15)
         for shift in (np.uint32(28), np.uint32(20))
@@ -58,8 +63,8 @@ def pair_z(first: np.ndarray, second: np.ndarray) -> list[float]:
         (2**31 - 1, 2**24 - 1, 12345, 0x8B5F3FF8),
     ],
 )
-def test_streams_are_known(pixel: int, sample: int, seed: int, sample_key: int) -> None:
-    """Images of a seed stay what they are: these were computed once, with integers of any size."""
+def test_sample_keys_match_stored_values(pixel: int, sample: int, seed: int, sample_key: int) -> None:
+    """The values were computed once with Python's integers; they keep frames of a seed unchanged."""
     assert int(random.sample_key_of(pixel, sample, wp.uint32(seed))) == sample_key
 
 
@@ -73,13 +78,13 @@ def test_streams_are_known(pixel: int, sample: int, seed: int, sample_key: int) 
         (0x89ED2DF0, LAST - 1, 1_094_224),
     ],
 )
-def test_draws_are_known(sample_key: int, dimension: int, value: int) -> None:
-    """Multiples of 2^-24."""
+def test_draws_match_stored_values(sample_key: int, dimension: int, value: int) -> None:
+    """Draws are multiples of 2^-24."""
     assert random.draw(wp.uint32(sample_key), wp.uint32(dimension)) == value * 2.0**-24
 
 
-def test_the_permutation_is_the_published_one() -> None:
-    """Written a third time, with Python's own integers."""
+def test_permutation_matches_its_publication() -> None:
+    """The published permutation is written here with Python's integers."""
     for word in (1, 2, 0xDEADBEEF, LAST, 0x80000000):
         x = word
         x = ((x ^ x >> 16) * 0x21F0AAAD) % 2**32
@@ -88,8 +93,8 @@ def test_the_permutation_is_the_published_one() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_devices_agree_with_python(device: str) -> None:
-    """Kernels, the NumPy twin and the functions called from Python give the same bits, for the largest counters too."""
+def test_kernels_numpy_and_python_give_the_same_bits(device: str) -> None:
+    """The law holds for the largest counters too."""
     rng = np.random.default_rng(1)
     count = 20_000
     pixels, samples = rng.integers(0, 2**31, count, dtype=np.int32), rng.integers(0, 2**24, count, dtype=np.int32)
@@ -112,7 +117,7 @@ def test_devices_agree_with_python(device: str) -> None:
 
 
 def test_draws_stay_below_one() -> None:
-    """Of the last word too: 24 bits fit a float32 exactly."""
+    """The largest word also gives a draw below 1, since float32 represents 24 bits exactly."""
     inverse = pow(0xD35A2D97, -1, 2**32), pow(0x21F0AAAD, -1, 2**32)
     word = LAST  # the permutation backwards, to find what it turns into 0xFFFFFFFF
     word ^= word >> 15 ^ word >> 30
@@ -125,8 +130,8 @@ def test_draws_stay_below_one() -> None:
     assert random.draw(wp.uint32(sample_key), wp.uint32(9)) == 1.0 - 2.0**-24
 
 
-def test_dimensions_of_lenses_and_branches_are_no_gaussians() -> None:
-    """They count down from the last, without meeting each other or an index."""
+def test_lens_and_branch_dimensions_do_not_overlap_gaussians() -> None:
+    """These dimensions count down from the largest, and Gaussians count up by index."""
     taken = [int(value) for value in (random.LENS_RADIUS, random.LENS_ANGLE, random.BRANCH_LAST)]
     assert taken == [LENS_RADIUS, LENS_ANGLE, BRANCH_LAST] == [LAST, LAST - 1, LAST - 2]
 
@@ -136,7 +141,7 @@ def test_dimensions_of_lenses_and_branches_are_no_gaussians() -> None:
 
 @pytest.mark.parametrize("dimension", [0, 1, 7, 152_745, 2**31 - 1, LAST - 3, LAST - 1, LAST])
 def test_draws_are_uniform(dimension: int) -> None:
-    """Over the pixels, over the samples of a pixel and over seeds, by the first 12 bits and by the 12 after them."""
+    """The first 12 bits and the next 12 are uniform over pixels, over samples and over seeds."""
     for key in (sample_keys(PIXELS), sample_keys(77, PIXELS), sample_keys(77, 5, PIXELS)):
         words = absorbed(key, dimension)
         for bits in (words >> 20, (words >> 8) & 0xFFF):
@@ -144,8 +149,8 @@ def test_draws_are_uniform(dimension: int) -> None:
 
 
 @pytest.mark.parametrize("key", [0, 1, 12345, LAST])
-def test_the_dimensions_of_a_stream_are_uniform(key: int) -> None:
-    """One ray's draws for all Gaussians, and neighbours in index are independent."""
+def test_dimensions_of_a_key_are_uniform_and_independent(key: int) -> None:
+    """One ray's draws for all Gaussians are uniform, and Gaussians of neighbouring index are independent."""
     words = absorbed(np.uint32(key), PIXELS)
     assert abs(chi_square_z(np.bincount(words >> 20, minlength=4096))) < LIMIT
     assert np.abs(pair_z(words[:-1], words[1:])).max() < LIMIT
@@ -153,16 +158,16 @@ def test_the_dimensions_of_a_stream_are_uniform(key: int) -> None:
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 16, 255, 4096, 65_537, 1 << 20, 1 << 24, 1 << 28, 1 << 29, 1 << 30, 1 << 31])
-def test_gaussians_are_independent(step: int) -> None:
-    """Whether one is accepted says nothing of another, however their indices differ."""
+def test_draws_of_different_gaussians_are_independent(step: int) -> None:
+    """The draws are independent for every difference of indices."""
     key = sample_keys(PIXELS)
     for index in (0, 1, 1000):
         assert np.abs(pair_z(absorbed(key, index), absorbed(key, (index + step) % 2**32))).max() < LIMIT
 
 
 @pytest.mark.parametrize("offset", [1, 2, 16, 640, 1920, 65_536])
-def test_pixels_are_independent(offset: int) -> None:
-    """Neighbours along a row and across rows, for Gaussians and for the lens."""
+def test_draws_of_different_pixels_are_independent(offset: int) -> None:
+    """Neighbours within a row and between rows are independent, for Gaussians and for lens points."""
     key = sample_keys(PIXELS)
     for dimension in (0, 12345, LAST):
         words = absorbed(key, dimension)
@@ -170,16 +175,16 @@ def test_pixels_are_independent(offset: int) -> None:
 
 
 @pytest.mark.parametrize("step", [1, 2, 3, 255, 256, 65_536, 1 << 23])
-def test_samples_and_seeds_are_independent(step: int) -> None:
-    """A pixel's next samples, and the same sample of other seeds."""
+def test_draws_of_different_samples_and_seeds_are_independent(step: int) -> None:
+    """A pixel's successive samples are independent, and so are equal samples of different seeds."""
     first = sample_keys(PIXELS, seed=3)
     for second in (sample_keys(PIXELS, step, 3), sample_keys(PIXELS, 0, 3 + step)):
         for dimension in (0, 12345, LAST):
             assert np.abs(pair_z(absorbed(first, dimension), absorbed(second, dimension))).max() < LIMIT
 
 
-def test_lens_points_and_branches_are_independent() -> None:
-    """The two numbers of a lens point; and what a ray draws for a Gaussian before and after a mirror or a pane."""
+def test_lens_coordinates_and_branches_are_independent() -> None:
+    """The two lens coordinates are independent, and so are a Gaussian's draws before and after a mirror or glass."""
     key = sample_keys(PIXELS)
     assert np.abs(pair_z(absorbed(key, LENS_RADIUS), absorbed(key, LENS_ANGLE))).max() < LIMIT
     reflected, refracted = absorbed(key, BRANCH_LAST), absorbed(key, BRANCH_LAST - 1)
@@ -189,14 +194,14 @@ def test_lens_points_and_branches_are_independent() -> None:
             assert np.abs(pair_z(words[i], words[j])).max() < LIMIT
 
 
-def test_streams_are_not_shared() -> None:
-    """The pixels of a sample, and the samples of a pixel, all have their own: mixing is one-to-one."""
+def test_all_pixels_and_samples_have_distinct_keys() -> None:
+    """The mixing is one-to-one, so no two pixels of a sample and no two samples of a pixel share a key."""
     assert np.unique(sample_keys(PIXELS)).size == PIXELS.size
     assert np.unique(sample_keys(7, PIXELS)).size == PIXELS.size
 
 
-def test_the_statistics_can_fail() -> None:
-    """They find what is wrong with a counter that is not mixed first, and with the lower bits of a multiplication."""
+def test_statistics_reject_weak_generators() -> None:
+    """The tests reject an unmixed counter and the low bits of a multiplication."""
     key = sample_keys(PIXELS)
     with np.errstate(over="ignore"):
         first, second = mix(key + np.uint32(5)), mix(key + np.uint32(5) + np.uint32(1 << 29))
@@ -205,7 +210,7 @@ def test_the_statistics_can_fail() -> None:
 
 
 def sobol_points(keys: np.ndarray, samples: np.ndarray) -> np.ndarray:
-    """Points of each key's sequence, shape (keys, samples, 2), in double precision."""
+    """Returns the points of each key's Sobol sequence, shape (keys, samples, 2), float64."""
     every_key, every_sample = (grid.ravel() for grid in np.meshgrid(keys, samples, indexing="ij"))
     points = wp.zeros(every_key.size, dtype=wp.vec2, device="cpu")
     inputs = (
@@ -216,8 +221,8 @@ def sobol_points(keys: np.ndarray, samples: np.ndarray) -> np.ndarray:
     return points.numpy().astype(float).reshape(len(keys), len(samples), 2)
 
 
-def test_spread_points_are_those_of_python() -> None:
-    """Kernels and the function called from Python give the same bits."""
+def test_sobol_points_match_python() -> None:
+    """The kernel gives the same bits as the function called from Python."""
     points = sobol_points(np.array([0, 5, LAST]), np.array([0, 3, 100]))
     for i, key in enumerate((0, 5, LAST)):
         for j, sample in enumerate((0, 3, 100)):
@@ -225,8 +230,8 @@ def test_spread_points_are_those_of_python() -> None:
 
 
 @pytest.mark.parametrize("key", [0, 0x9E3779B9])
-def test_spread_points_are_stratified(key: int) -> None:
-    """Aligned runs of 2^n points have one point in each of the 2^n boxes of every shape, for any key."""
+def test_sobol_points_are_stratified(key: int) -> None:
+    """Each aligned run of 2^n points has one point in each of the 2^n elementary intervals of every shape."""
     (points,) = sobol_points(np.array([key]), np.arange(128))
     assert (points >= 0.0).all() and (points < 1.0).all()
     for first, count in ((0, 64), (64, 64), (96, 32), (40, 8)):
@@ -236,8 +241,8 @@ def test_spread_points_are_stratified(key: int) -> None:
             assert len({tuple(cell) for cell in cells}) == count, (first, count, columns)
 
 
-def test_spread_points_of_different_keys_are_independent() -> None:
-    """The same samples of many keys are uniform, in x and y, and not related to those of the key before."""
+def test_sobol_points_of_different_keys_are_independent() -> None:
+    """Equal samples of many keys are uniform in x and y, and independent of those of the previous key."""
     count = 800
     points = sobol_points(np.arange(count), np.array([0, 3])).reshape(count, 4)
     assert np.abs(points.mean(axis=0) - 0.5).max() < 4.5 / np.sqrt(12 * count)
@@ -246,8 +251,8 @@ def test_spread_points_of_different_keys_are_independent() -> None:
     assert max(abs(related[0, 1]), abs(related[2, 3])) < 4.5 / np.sqrt(count)
 
 
-def test_bits_reverse() -> None:
-    """As strings do; twice is the word itself."""
+def test_reversed_bits_reverses_the_bit_string() -> None:
+    """Reversing twice restores the word."""
     for word in (0, 1, 0x80000000, 0x12345678, 0xDEADBEEF):
         turned = int(random.reversed_bits(wp.uint32(word)))
         assert f"{turned:032b}" == f"{word:032b}"[::-1]

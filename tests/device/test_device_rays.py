@@ -1,4 +1,4 @@
-"""Rays of cameras on the device: against float64, and by hand."""
+"""Tests of camera rays on the device, against a float64 oracle and closed forms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FISHEYE, ORTHOGRAPHIC, PINHOLE = ls.CameraModel.FISHEYE, ls.CameraModel.ORTHOGRA
 def device_rays(
     camera: ls.Camera, sample: int = 0, seed: int = 0, jitter: bool = True, device: str = "cpu"
 ) -> np.ndarray:
-    """The rays of all pixels, (H, W) records."""
+    """Returns the rays of all pixels as a structured array of ``Ray``, shape (H, W)."""
     cameras = wp.zeros(1, dtype=CameraData, device=device)
     cameras.assign(camera_table(camera, subpixel(sample if jitter else 0)))
     samples = wp.array([sample_of(sample, seed)], dtype=SampleData, device=device)
@@ -40,21 +40,24 @@ def device_rays(
 
 
 def sample_of(index: int, seed: int) -> SampleData:
-    """What kernels know of a sample."""
+    """Returns the ``SampleData`` of a sample index and a seed."""
     sample = SampleData()
     sample.index, sample.seed = index, wp.uint32(seed)
     return sample
 
 
 def moved_pose(angle: float = 0.7, eye: tuple[float, float, float] = (0.5, -1.0, 2.0)) -> np.ndarray:
-    """A camera_from_world that is turned and moved."""
+    """Returns a camera_from_world with rotation and translation, shape (4, 4)."""
     world_from_camera = rotation((0.2, 1.0, -0.4), angle)
     world_from_camera[:3, 3] = eye
     return np.linalg.inv(world_from_camera)
 
 
 def lens_camera(model: ls.CameraModel, **changes: object) -> ls.Camera:
-    """A camera of every feature at once, wide enough that a fisheye sees behind itself and has corners without rays."""
+    """Returns a camera with aperture, rolling shutter and offset principal point.
+
+    Its fisheye has rays pointing backwards and corners without rays.
+    """
     features = {
         "camera_from_world": moved_pose(),
         "camera_from_world_end": moved_pose(1.3, (0.6, -0.8, 2.5)),
@@ -70,8 +73,8 @@ def lens_camera(model: ls.CameraModel, **changes: object) -> ls.Camera:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("features", [{}, {"aperture": 0.0}, {"camera_from_world_end": None}])
-def test_rays_agree_with_float64(model: ls.CameraModel, features: dict[str, object], device: str) -> None:
-    """Origin, direction and first distance of every pixel, of the first samples and of a late one."""
+def test_rays_match_the_float64_oracle(model: ls.CameraModel, features: dict[str, object], device: str) -> None:
+    """Origin, direction and ``t_min`` match for the first samples and for a sample above one million."""
     camera = lens_camera(model, **features)
     for sample, seed in ((0, 0), (1, 0), (2, 7), (1_000_003, 2**32 - 1)):
         rays = device_rays(camera, sample, seed, device=device)
@@ -86,8 +89,8 @@ def test_rays_agree_with_float64(model: ls.CameraModel, features: dict[str, obje
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_rays_are_those_of_the_host(model: ls.CameraModel) -> None:
-    """Without a lens, the first sample's directions are ``ray_directions``: what depth_z is measured with."""
+def test_ray_directions_match_the_host(model: ls.CameraModel) -> None:
+    """Without aperture, the first sample's directions equal ``ray_directions``, which define depth_z."""
     camera = front_camera(40, 30, 7.0, model=model)
     np.testing.assert_allclose(device_rays(camera)["direction"], camera.ray_directions(), atol=1e-6)
 
@@ -102,24 +105,24 @@ def test_rays_are_those_of_the_host(model: ls.CameraModel) -> None:
         (0.21, 0.03, 0.01, 0.002, 0.004, -0.003),
     ],
 )
-def test_rays_of_a_distorting_lens_are_those_of_the_host(lens, model, device) -> None:
-    """Newton's method in float32 arrives where it does in float64."""
+def test_distorted_ray_directions_match_the_host(lens, model, device) -> None:
+    """Newton's method converges in float32 to the float64 result."""
     camera = front_camera(40, 30, 23.0, model=model, distortion=lens)
     expected = camera.ray_directions()
     assert (expected != 0.0).any(axis=2).all()
     np.testing.assert_allclose(device_rays(camera, device=device)["direction"], expected, atol=3e-6)
 
 
-def test_a_lens_shows_nothing_beyond_its_fold() -> None:
-    """There are no rays, on the device as on the host; at the fold itself, rounding decides."""
+def test_lens_has_no_rays_beyond_its_monotonic_radius() -> None:
+    """Device and host agree on the pixels without rays, except at the radius itself, where rounding decides."""
     camera = front_camera(64, 48, 33.0, distortion=(-0.5, 0.0, 0.0, 0.0, 0.0, 0.0))
     missing = (camera.ray_directions() == 0.0).all(axis=2)
     found = (device_rays(camera)["direction"] == 0.0).all(axis=2)
     assert missing.any() and (found != missing).mean() < 0.01
 
 
-def test_pinhole_rays_are_those_of_the_raster() -> None:
-    """Both pipelines look through the same points: the centres of the pixels, from the same near plane."""
+def test_pinhole_rays_match_the_rasteriser() -> None:
+    """Rays pass through the pixel centres of the rasteriser and start at the same near plane."""
     camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0, near=0.25)
     data = CameraData()
     data.focal, data.raster_center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
@@ -131,8 +134,8 @@ def test_pinhole_rays_are_those_of_the_raster() -> None:
     np.testing.assert_array_equal(rays["origin"], 0.0)
 
 
-def test_functions_run_in_python() -> None:
-    """A pixel's ray called from Python is the kernel's."""
+def test_camera_ray_called_from_python_matches_the_kernel() -> None:
+    """Python and the kernel return the same ray for a pixel, and none for a corner beyond the lens."""
     camera = lens_camera(FISHEYE)
     rays = device_rays(camera, 3, 5)
     row = camera_table(camera, subpixel(3))[0]
@@ -147,11 +150,11 @@ def test_functions_run_in_python() -> None:
     assert np.array_equal(np.array(camera_ray(data, sample, 0, 0).direction), (0.0, 0.0, 0.0))
 
 
-# --- Models, by hand ---
+# --- Camera models, closed forms ---
 
 
-def test_fisheye_of_220_degrees() -> None:
-    """110 degrees at the middle of an edge, behind the camera; near is a distance."""
+def test_fisheye_of_220_degrees_sees_behind_itself() -> None:
+    """Rays at the middle of an edge point 110 degrees off the axis, and ``near`` is a distance along the ray."""
     camera = ls.Camera.look_at(
         (1, 2, 3), (1, 2, 9), (0, -1, 0), width=222, height=220, fov_y=np.radians(220.0), near=0.4, model=FISHEYE
     )
@@ -166,7 +169,7 @@ def test_fisheye_of_220_degrees() -> None:
 
 
 def test_orthographic_rays_start_on_the_plane_through_the_eye() -> None:
-    """10 pixels a unit: pixel (x, y) sees what is 0.1 (x - cx, y - cy) off the axis."""
+    """At 10 pixels per unit, the ray of pixel (x, y) starts 0.1 (x - cx, y - cy) off the axis."""
     rays = device_rays(front_camera(20, 10, 10.0, model=ORTHOGRAPHIC, near=0.5))
     np.testing.assert_array_equal(rays["direction"], np.broadcast_to((0.0, 0.0, 1.0), (10, 20, 3)))
     np.testing.assert_allclose(rays["origin"][2, 17], (0.75, -0.25, 0.0), atol=1e-7)
@@ -175,8 +178,8 @@ def test_orthographic_rays_start_on_the_plane_through_the_eye() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_scaled_keeps_the_rays(model: ls.CameraModel) -> None:
-    """At three times the size, the middle one of each nine pixels has the ray of the one they replace."""
+def test_scaled_camera_keeps_the_rays(model: ls.CameraModel) -> None:
+    """At three times the resolution, the middle of each 3 x 3 pixels has the original pixel's ray."""
     camera = lens_camera(model, aperture=0.0, camera_from_world_end=None)
     large, small = device_rays(camera.scaled(width=120)), device_rays(camera)
     for name in ("origin", "direction", "t_min"):
@@ -186,8 +189,8 @@ def test_scaled_keeps_the_rays(model: ls.CameraModel) -> None:
 # --- Samples ---
 
 
-def test_samples_walk_the_pixel() -> None:
-    """The centre first, then by the R2 sequence, the same for all pixels; without jitter always the centre."""
+def test_subpixel_samples_follow_the_r2_sequence() -> None:
+    """Sample 0 is the pixel centre, and all pixels share the offsets; without jitter every sample is the centre."""
     assert subpixel(0) == (0.5, 0.5)
     np.testing.assert_allclose(subpixel(1), (0.2548776662466927, 0.0698402909980532), atol=1e-15)
     np.testing.assert_allclose(subpixel(2), (0.0097553324933854, 0.6396805819961064), atol=1e-15)
@@ -200,15 +203,18 @@ def test_samples_walk_the_pixel() -> None:
     np.testing.assert_array_equal(device_rays(camera, 2, jitter=False), device_rays(camera, 0))
 
 
-def test_r2_steps_solve_their_equation() -> None:
-    """1/g and 1/g^2 of the plastic number, g^3 = g + 1."""
+def test_r2_steps_are_powers_of_the_plastic_number() -> None:
+    """The steps are 1/g and 1/g^2, where g^3 = g + 1."""
     x, y = SUBPIXEL_STEPS
     assert 1.0 / x**3 == pytest.approx(1.0 / x + 1.0, abs=1e-14)
     assert y == pytest.approx(x * x, abs=1e-15)
 
 
-def test_samples_fill_the_pixel_evenly() -> None:
-    """Of 64 samples in a row, up to three lie in each of 32 cells and at most one is empty; chance leaves four."""
+def test_subpixel_samples_are_evenly_distributed() -> None:
+    """Of 64 successive samples, at most three fall into each of 32 cells and at most one cell stays empty.
+
+    Random samples leave four cells empty.
+    """
     for first in (0, 17, 1_000_003):
         points = np.array([subpixel(n) for n in range(first, first + 64)])
         x, y = (points * (8, 4)).astype(int).T
@@ -219,8 +225,8 @@ def test_samples_fill_the_pixel_evenly() -> None:
 # --- Lens ---
 
 
-def test_disk_points_are_uniform_over_the_disk() -> None:
-    """Equal shares of (u, v) fall on equal areas: rings and sectors of a disk."""
+def test_disk_points_are_uniform_in_area() -> None:
+    """Equal parts of (u, v) map to equal areas in rings and sectors."""
     grid = (np.arange(40) + 0.5) / 40.0
     points = np.array([disk_point(float(u), float(v)) for u in grid for v in grid])
     radius = np.linalg.norm(points, axis=1)
@@ -231,8 +237,8 @@ def test_disk_points_are_uniform_over_the_disk() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_lens_rays_meet_in_focus(model: ls.CameraModel) -> None:
-    """All samples of a pixel pass through one point: at view depth 2.5, for a fisheye at distance 2.5."""
+def test_lens_rays_of_a_pixel_intersect_in_focus(model: ls.CameraModel) -> None:
+    """The rays of all samples meet at view depth 2.5, or at distance 2.5 for a fisheye."""
     camera = front_camera(12, 10, 3.0, model=model, aperture=0.4, focus_distance=2.5)
     sharp = replace(camera, aperture=0.0)
     center = device_rays(sharp)
@@ -246,16 +252,16 @@ def test_lens_rays_meet_in_focus(model: ls.CameraModel) -> None:
     for sample in range(20):
         rays = device_rays(camera, sample, jitter=False)
         starts.append(rays["origin"])
-        away = focus - rays["origin"]
-        miss = np.linalg.norm(np.cross(away, rays["direction"]), axis=-1)
+        to_focus = focus - rays["origin"]
+        miss = np.linalg.norm(np.cross(to_focus, rays["direction"]), axis=-1)
         assert miss[found].max() < 2e-6
-        assert (np.einsum("yxi,yxi->yx", away, rays["direction"])[found] > 0.0).all()
+        assert (np.einsum("yxi,yxi->yx", to_focus, rays["direction"])[found] > 0.0).all()
     assert np.ptp(np.array(starts)[:, found], axis=0).max() > 0.4
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_circle_of_confusion(model: ls.CameraModel) -> None:
-    """At half and at twice the focus distance, blur is a uniform disk of |depth / focus - 1| apertures."""
+def test_circle_of_confusion_matches_the_thin_lens(model: ls.CameraModel) -> None:
+    """At depths of half and twice the focus distance, the blur is a uniform disk of |depth / focus - 1| apertures."""
     camera = front_camera(64, 64, 64.0 / 1.2, model=model, aperture=0.2, focus_distance=2.0, near=1e-3)
     center, rays = device_rays(replace(camera, aperture=0.0)), device_rays(camera, 5, jitter=False)
     for depth in (1.0, 4.0):
@@ -276,8 +282,8 @@ def test_circle_of_confusion(model: ls.CameraModel) -> None:
         assert np.abs((points - middle).mean(axis=(0, 1))).max() < 4.0 * 0.5 * 0.2 * abs(depth / 2.0 - 1.0) / 64.0
 
 
-def test_lens_of_a_fisheye_is_square_to_each_ray() -> None:
-    """Also where the ray looks sideways or back, so that blur has one size all over the image."""
+def test_fisheye_lens_is_perpendicular_to_each_ray() -> None:
+    """The blur has the same size across the image, also for rays that point sideways or backwards."""
     camera = front_camera(40, 40, 9.0, model=FISHEYE, aperture=0.3, focus_distance=2.0)
     rays, center = device_rays(camera, 1, jitter=False), device_rays(replace(camera, aperture=0.0))
     assert center["direction"][..., 2].min() < -0.5
@@ -285,8 +291,8 @@ def test_lens_of_a_fisheye_is_square_to_each_ray() -> None:
     assert np.abs(along).max() < 1e-6
 
 
-def test_seeds_and_samples_choose_the_lens_point() -> None:
-    """The same ones give the same rays to the bit; others give others."""
+def test_lens_point_depends_on_seed_and_sample_only() -> None:
+    """Equal seed and sample give equal bits; a different seed or sample gives different origins."""
     camera = lens_camera(PINHOLE)
     first = device_rays(camera, 4, 9)
     np.testing.assert_array_equal(first, device_rays(camera, 4, 9))
@@ -298,15 +304,15 @@ def test_seeds_and_samples_choose_the_lens_point() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_still_shutters_change_nothing(model: ls.CameraModel) -> None:
-    """The same pose twice gives the rays of one pose, to the bit."""
+def test_rolling_shutter_without_motion_changes_nothing(model: ls.CameraModel) -> None:
+    """Equal start and end poses give the bits of a camera without an end pose."""
     once = lens_camera(model, camera_from_world_end=None)
     twice = replace(once, camera_from_world_end=once.camera_from_world)
     np.testing.assert_array_equal(device_rays(once, 3), device_rays(twice, 3))
 
 
-def test_moving_eyes_move_evenly_from_row_to_row() -> None:
-    """10 rows and 5 units: row y starts at 0.5 y + 0.25, all its pixels together, and looks where it looked."""
+def test_rolling_shutter_translates_linearly_over_rows() -> None:
+    """A motion of 5 units over 10 rows starts row y at 0.5 y + 0.25 and keeps all directions."""
     end = np.eye(4)
     end[0, 3] = -5.0
     camera = front_camera(8, 10, 6.0, camera_from_world_end=end)
@@ -318,21 +324,21 @@ def test_moving_eyes_move_evenly_from_row_to_row() -> None:
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_quarter_turns_turn_evenly(model: ls.CameraModel) -> None:
-    """A quarter turn about the y axis over 9 rows: the middle row has turned by 45 degrees, row y by 10 y + 5."""
+def test_rolling_shutter_rotates_linearly_over_rows(model: ls.CameraModel) -> None:
+    """A rotation by 90 degrees about y over 9 rows rotates row y by 10 y + 5 degrees."""
     end = np.linalg.inv(rotation((0.0, 1.0, 0.0), 0.5 * np.pi))
     still = front_camera(9, 9, 6.0, model=model)
-    rays, before = device_rays(replace(still, camera_from_world_end=end)), device_rays(still)
+    rays, unrotated = device_rays(replace(still, camera_from_world_end=end)), device_rays(still)
     axis = rays["direction"][4, 4]
     np.testing.assert_allclose(axis, (np.sqrt(0.5), 0.0, np.sqrt(0.5)), atol=1e-6)
     for y in range(9):
         turn = rotation((0.0, 1.0, 0.0), np.radians(10.0 * y + 5.0))[:3, :3]
         for name in ("origin", "direction"):
-            np.testing.assert_allclose(rays[name][y], before[name][y] @ turn.T, atol=2e-6)
+            np.testing.assert_allclose(rays[name][y], unrotated[name][y] @ turn.T, atol=2e-6)
 
 
-def test_turned_is_a_rotation() -> None:
-    """Right-handed; nothing at all for no angle."""
+def test_rotated_is_a_right_handed_rotation() -> None:
+    """A rotation by 0 about the zero axis returns the vector."""
     vector = wp.vec3(0.3, -0.2, 0.9)
     axis = np.array([1.0, 2.0, -2.0]) / 3.0
     expected = rotation((1.0, 2.0, -2.0), 2.0)[:3, :3] @ np.array(vector)
@@ -340,8 +346,8 @@ def test_turned_is_a_rotation() -> None:
     np.testing.assert_array_equal(np.array(rotated(vector, wp.vec3(0.0, 0.0, 0.0), 0.0)), np.array(vector))
 
 
-def test_the_table_is_the_struct() -> None:
-    """Every field of the struct is filled: a forgotten one would stay zero."""
+def test_camera_table_fills_every_struct_field() -> None:
+    """A field that ``camera_table`` does not set would be 0."""
     camera = lens_camera(FISHEYE, distortion=(-0.01, 0.0, 0.0, 0.0, 0.001, 0.0))
     table = camera_table(replace(camera, window=(16, 16, 24, 14)), subpixel(4))
     assert table.shape == (1,) and table.dtype == table_dtype(CameraData)

@@ -1,4 +1,4 @@
-"""What shadows are made of: numbers of stochastic samples, and who owns the edge of a triangle."""
+"""Tests of the stratified draws of stochastic samples and of the rule that assigns an edge to one triangle."""
 
 from __future__ import annotations
 
@@ -13,38 +13,38 @@ from support.probes import probe_shade_kernels as probes
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 LIMIT = 5.0
-"""Standard deviations; nothing here depends on chance."""
+"""Largest absolute z-score; the seeds are fixed, so the result never changes."""
 
 
 def numbers(device: str, dimensions: int, samples: int, seed: int = 0) -> np.ndarray:
-    """What samples draw, shape (D, S)."""
+    """Returns the draws of each dimension and sample, shape (D, S)."""
     out = wp.zeros((dimensions, samples), dtype=float, device=device)
     wp.launch(probes.draw_all, (dimensions, samples), [wp.uint32(seed), samples, out], device=device)
     return out.numpy().astype(float)
 
 
-def z_of_counts(values: np.ndarray, places: int) -> float:
-    """Chi-square of equal expectations, as a standard normal number (Wilson and Hilferty 1931)."""
-    counts = np.bincount(values.ravel(), minlength=places)
-    chi2 = ((counts - values.size / places) ** 2).sum() * places / values.size
-    variance = 2.0 / (9.0 * (places - 1))
-    return float((np.cbrt(chi2 / (places - 1)) - (1.0 - variance)) / math.sqrt(variance))
+def z_of_counts(values: np.ndarray, bins: int) -> float:
+    """Returns the z-score of a chi-square test for equal counts (Wilson and Hilferty 1931)."""
+    counts = np.bincount(values.ravel(), minlength=bins)
+    chi2 = ((counts - values.size / bins) ** 2).sum() * bins / values.size
+    variance = 2.0 / (9.0 * (bins - 1))
+    return float((np.cbrt(chi2 / (bins - 1)) - (1.0 - variance)) / math.sqrt(variance))
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_sixteen_samples_fall_into_sixteen_strata(device: str) -> None:
-    """From each multiple of 16 on, for every dimension; and all numbers are in 0..1, down to 2^-24."""
+def test_sixteen_samples_cover_sixteen_strata(device: str) -> None:
+    """Each aligned run of 16 samples has one draw per stratum in every dimension; draws are k 2^-24 in [0, 1)."""
     drawn = numbers(device, 500, 64)
     assert (drawn >= 0.0).all() and (drawn < 1.0).all()
     np.testing.assert_array_equal(drawn * 2.0**24 % 1.0, 0.0)
     strata = (16.0 * drawn).astype(int).reshape(500, 4, 16)
     np.testing.assert_array_equal(np.sort(strata, axis=-1), np.broadcast_to(np.arange(16), strata.shape))
-    assert (strata[:, 0] != strata[:, 1]).any(axis=-1).mean() > 0.99  # another order in each sixteen
+    assert (strata[:, 0] != strata[:, 1]).any(axis=-1).mean() > 0.99  # each run of 16 has its own order
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_a_sample_is_uniform_and_its_dimensions_are_independent(device: str) -> None:
-    """At each place of the sixteen, and for pairs of Gaussians, of samples and of seeds."""
+def test_stratified_draws_are_uniform_and_independent(device: str) -> None:
+    """Every sample is uniform over Gaussians; pairs of Gaussians, of samples and of seeds are independent."""
     drawn = numbers(device, 1 << 16, 32)
     cells = (16.0 * drawn).astype(int)
     fine = (4096.0 * drawn).astype(int) % 256
@@ -60,18 +60,18 @@ def test_a_sample_is_uniform_and_its_dimensions_are_independent(device: str) -> 
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_strata_of_two_gaussians_meet_at_random(device: str) -> None:
-    """Within sixteen samples, that two Gaussians both draw low numbers happens as often as for shuffled cards."""
+def test_strata_of_two_gaussians_are_independent(device: str) -> None:
+    """The number of samples where both Gaussians draw low numbers follows the hypergeometric distribution."""
     low = numbers(device, 1 << 15, 16) < 0.5
     both = (low[::2] & low[1::2]).sum(axis=1)
-    # Of 8 low ones among 16, twice: hypergeometric, mean 4, variance 16/15.
+    # Two draws of 8 out of 16 share a hypergeometric number: mean 4, variance 16/15.
     assert abs(both.mean() - 4.0) < LIMIT * math.sqrt(16.0 / 15.0 / len(both))
     assert both.var() == pytest.approx(16.0 / 15.0, rel=0.05)
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_one_triangle_owns_what_lies_on_edges(device: str) -> None:
-    """Around a corner that a ray goes through, and along its edges, from any side and however wound: exactly one."""
+def test_exactly_one_triangle_owns_an_edge_crossing(device: str) -> None:
+    """A ray through a shared corner or edge hits one triangle, from every side and for both windings."""
     rng = np.random.default_rng(1)
     angles = (np.arange(7) + rng.uniform(0.0, 0.5, 7)) * 2.0 * math.pi / 7.0
     rim = np.round(np.stack([4.0 * np.cos(angles), 4.0 * np.sin(angles), 0.0 * angles], axis=-1) * 8.0) / 8.0
@@ -79,16 +79,16 @@ def test_one_triangle_owns_what_lies_on_edges(device: str) -> None:
     fan = [(a, c, b) if i % 3 == 0 else (b, c, a) if i % 3 == 1 else (a, b, c) for i, (a, b, c) in enumerate(fan)]
     targets = np.concatenate([np.zeros((1, 3)), 0.5 * rim])
     for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
-        turned = np.roll(np.array(fan), axis, axis=-1)
+        rotated = np.roll(np.array(fan), axis, axis=-1)
         along = np.roll([0.0, 0.0, sign], axis)
         origins = np.roll(targets, axis, axis=-1) - 5.0 * along
         owned = wp.zeros((len(targets), 7), dtype=int, device=device)
         arrays = [
             wp.array(rows.astype(np.float32), dtype=wp.vec3, device=device)
-            for rows in (origins, np.broadcast_to(along, origins.shape).copy(), turned)
+            for rows in (origins, np.broadcast_to(along, origins.shape).copy(), rotated)
         ]
         wp.launch(probes.own_all, (len(targets), 7), [*arrays, owned], device=device)
-        met = owned.numpy()
-        assert met[0].sum() == 1
+        owners = owned.numpy()
+        assert owners[0].sum() == 1
         for i in range(7):
-            assert met[1 + i, [i - 1, i]].sum() == 1
+            assert owners[1 + i, [i - 1, i]].sum() == 1

@@ -1,4 +1,4 @@
-"""Smooth surfaces: what they mirror and what they scatter comes to all of the light that arrives, and to no more."""
+"""Tests that mirror reflection, refraction and diffuse reflection of smooth materials add up to the incident light."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 def direction(cosine: np.ndarray | float) -> np.ndarray:
-    """Unit vectors of those cosines with the normal, shape (..., 3)."""
+    """Returns unit vectors by their cosine with the normal, shape (..., 3)."""
     cosine = np.asarray(cosine)
     return np.stack([np.sqrt(1.0 - cosine**2), np.zeros_like(cosine), cosine], axis=-1)
 
 
 def mirrored(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> tuple[float, float]:
-    """Shares of the light that the reflected and the refracted ray bring."""
+    """Returns the weights of the reflected and the refracted ray (middle channel)."""
     smooth = SmoothData()
     smooth.smooth = 1
     for name in ("metallic", "specular", "ior", "transmission"):
@@ -38,7 +38,10 @@ def mirrored(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> t
 
 
 def scattered(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> float:
-    """Share of a white sky that the diffuse part reflects, by quadrature; nodes are dense where it begins to."""
+    """Returns the fraction of a constant environment's light that the diffuse part reflects (middle channel).
+
+    Gauss-Legendre quadrature with nodes concentrated at grazing angles or, inside, at the critical angle.
+    """
     mesh = ls.Mesh(np.eye(3), [[0, 1, 2]], material=material)
     table = material_table(ls.Scene(meshes=[mesh]), lambda _: 0, is_lit=True)
     launcher = Launcher("cpu", threads=1)
@@ -46,7 +49,7 @@ def scattered(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> 
     materials = wp.array(table, dtype=MaterialData, device="cpu")
     launcher.run(probe_light_kernels.probe_material, 1, materials, wp.vec3(1.0), inside, bsdf)
     nodes, weights = np.polynomial.legendre.leggauss(64)
-    root = 0.5 * (nodes + 1.0)  # of the cosine or, inside, of the cosine of the refracted ray, so that none is wasted
+    root = 0.5 * (nodes + 1.0)  # root of the cosine, or of the refracted cosine inside, so that no node is lost
     critical2 = 1.0 - 1.0 / material.ior**2 if inside else 0.0
     lights = direction(np.sqrt(critical2 + (1.0 - critical2) * root**4))
     count = len(lights)
@@ -55,14 +58,14 @@ def scattered(material: ls.MaterialPbr, cosine: float, inside: bool = False) -> 
     inputs = [wp.array(v, dtype=wp.vec3, device="cpu") for v in vectors]
     values, densities = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
     launcher.run(probe_light_kernels.probe_bsdf, count, bsdfs, *inputs, values, densities)
-    # Over the whole turn, with cosine d(cosine) = (1 - critical^2) 2 root^3 d(root).
+    # The azimuth gives 2 pi; cosine d(cosine) = (1 - critical^2) 2 root^3 d(root).
     return float((values.numpy()[:, 1] * 2.0 * np.pi * (1.0 - critical2) * root**3 * weights).sum())
 
 
 @pytest.mark.parametrize("degrees", DEGREES)
 @pytest.mark.parametrize("ior", [1.0, 1.05, 1.2, 1.5, 2.0, 3.0, 20.0])
-def test_white_reflects_all_light(ior: float, degrees: float) -> None:
-    """Of a white sky, at every angle and index of refraction, whatever of it is metal or a weak highlight."""
+def test_smooth_white_material_reflects_all_light(ior: float, degrees: float) -> None:
+    """The law holds at all angles and indices, for partial metals and for reduced specular reflection."""
     cosine = float(np.cos(np.radians(degrees)))
     for metallic, specular in ((0.0, 1.0), (0.5, 1.0), (0.0, 0.4), (0.3, 0.7)):
         material = ls.MaterialPbr(base_color=WHITE, roughness=0.0, metallic=metallic, specular=specular, ior=ior)
@@ -72,8 +75,8 @@ def test_white_reflects_all_light(ior: float, degrees: float) -> None:
 
 @pytest.mark.parametrize("degrees", DEGREES)
 @pytest.mark.parametrize("inside", [False, True])
-def test_half_transparent_white_loses_nothing(inside: bool, degrees: float) -> None:
-    """What glass refracts and what it scatters shares what it does not mirror, also where it mirrors all."""
+def test_partly_transmitting_white_conserves_energy(inside: bool, degrees: float) -> None:
+    """Refraction and diffuse reflection share the light that is not mirrored, also under total internal reflection."""
     cosine = float(np.cos(np.radians(degrees)))
     for specular in (1.0, 0.5):
         material = ls.MaterialPbr(base_color=WHITE, roughness=0.0, transmission=0.6, ior=1.7, specular=specular)

@@ -1,4 +1,4 @@
-"""Mirrors, Snell's law, Fresnel's equations, and how a material splits light."""
+"""Tests of mirror reflection, Snell's law, Fresnel's equations and the bounce weights of smooth materials."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ indices = st.floats(1.0, 3.0)
 
 
 def unit(vector: tuple[float, ...]) -> np.ndarray:
-    """The direction of a vector that is long enough to have one."""
+    """Returns the normalised vector; Hypothesis discards examples with vectors that are too short."""
     assume(np.linalg.norm(vector) > 0.1)
     return np.array(vector) / np.linalg.norm(vector)
 
 
 def facing(direction: tuple[float, ...], normal: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray, float]:
-    """A direction, a normal against it, and the cosine between them."""
+    """Returns a direction, a normal that faces it, and the cosine between them."""
     d, n = unit(direction), unit(normal)
     cosine = -float(d @ n)
     assume(abs(cosine) > 1e-3)
@@ -35,7 +35,7 @@ def facing(direction: tuple[float, ...], normal: tuple[float, ...]) -> tuple[np.
 
 
 def smooth(**changes: float) -> SmoothData:
-    """Clear glass, but for what is given."""
+    """Returns a smooth material: clear glass with the given values changed."""
     material = SmoothData()
     for name, value in (
         {"smooth": 1, "metallic": 0.0, "specular": 1.0, "ior": 1.5, "transmission": 1.0} | changes
@@ -51,7 +51,7 @@ def bounce(
     shading: np.ndarray | None = None,
     base: tuple[float, ...] = (1.0, 1.0, 1.0),
 ) -> Bounce:
-    """How a surface splits light; the shading normal is the triangle's unless given."""
+    """Returns how a surface splits light; the shading normal defaults to the geometric normal."""
     shading = face if shading is None else shading
     leaves = material.transmission > 0.0 and float(direction @ face) > 0.0
     eta = material.ior if leaves else 1.0 / material.ior
@@ -59,8 +59,8 @@ def bounce(
 
 
 @given(vectors, vectors)
-def test_reflection(direction: tuple[float, ...], normal: tuple[float, ...]) -> None:
-    """Unit length, the same angle on the other side, and no way out of the plane."""
+def test_reflection_keeps_angle_and_plane(direction: tuple[float, ...], normal: tuple[float, ...]) -> None:
+    """The reflected direction is a unit vector in the plane of incidence, at the same angle on the other side."""
     d, n, cosine = facing(direction, normal)
     mirrored = np.array(reflect(wp.vec3(*d), wp.vec3(*n)))
     assert np.linalg.norm(mirrored) == pytest.approx(1.0, abs=1e-6)
@@ -70,7 +70,7 @@ def test_reflection(direction: tuple[float, ...], normal: tuple[float, ...]) -> 
 
 @given(vectors, vectors, st.floats(0.3, 3.0))
 def test_refraction_obeys_snell(direction: tuple[float, ...], normal: tuple[float, ...], eta: float) -> None:
-    """Unit length, in the plane of incidence, and sines in the ratio of the indices."""
+    """The refracted direction is a unit vector in the plane of incidence; the sines have the ratio of the indices."""
     d, n, cosine = facing(direction, normal)
     assume(cosine2_beyond(cosine, eta) > 1e-4)
     beyond = np.array(refract(wp.vec3(*d), wp.vec3(*n), eta))
@@ -79,8 +79,8 @@ def test_refraction_obeys_snell(direction: tuple[float, ...], normal: tuple[floa
     np.testing.assert_allclose(np.cross(beyond, n), eta * np.cross(d, n), atol=2e-6)
 
 
-def test_refraction_by_hand() -> None:
-    """45 degrees into glass of 1.5 become 28.1255 degrees; straight on stays straight on."""
+def test_refraction_matches_known_angles() -> None:
+    """Rays at 45 degrees refract to 28.1255 degrees in glass of index 1.5; perpendicular rays continue straight."""
     d = wp.vec3(*(np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)))
     inside = np.array(refract(d, wp.vec3(0.0, 1.0, 0.0), 1.0 / 1.5))
     assert np.degrees(np.arctan2(inside[0], -inside[1])) == pytest.approx(28.12551, abs=1e-4)
@@ -104,14 +104,14 @@ def test_refraction_by_hand() -> None:
         (60.0, 1.5, 1.0),
     ],
 )
-def test_fresnel_by_the_book(degrees: float, eta: float, expected: float) -> None:
-    """Reflectance of unpolarised light, from outside and from inside."""
+def test_fresnel_matches_known_reflectances(degrees: float, eta: float, expected: float) -> None:
+    """The reflectances are those of unpolarised light from outside and from inside."""
     assert fresnel(float(np.cos(np.radians(degrees))), eta) == pytest.approx(expected, rel=1e-3, abs=1e-5)
 
 
 @given(st.floats(0.01, 1.5), st.floats(0.3, 3.0))
-def test_fresnel_by_angles(angle: float, eta: float) -> None:
-    """Fresnel's own form: squared sines and tangents of the difference over those of the sum of the angles."""
+def test_fresnel_matches_the_angle_form(angle: float, eta: float) -> None:
+    """Fresnel's form uses squared sines and tangents of the difference and the sum of the two angles."""
     assume(eta * np.sin(angle) < 0.99)
     beyond = np.arcsin(eta * np.sin(angle))
     assume(abs(angle + beyond - 0.5 * np.pi) > 1e-2)
@@ -119,8 +119,8 @@ def test_fresnel_by_angles(angle: float, eta: float) -> None:
     assert fresnel(float(np.cos(angle)), eta) == pytest.approx(0.5 * (sines**2 + tangents**2), abs=2e-5)
 
 
-def test_critical_angle() -> None:
-    """Total internal reflection begins where the sine of the angle is the ratio of the indices."""
+def test_total_internal_reflection_starts_at_the_critical_angle() -> None:
+    """The sine of the critical angle is the ratio of the indices."""
     critical = np.arcsin(1.0 / 1.5)
     assert fresnel(float(np.cos(critical + 1e-4)), 1.5) == 1.0
     assert fresnel(float(np.cos(critical - 1e-4)), 1.5) < 0.95
@@ -128,7 +128,7 @@ def test_critical_angle() -> None:
 
 @given(st.floats(1e-3, 1.0), st.floats(0.3, 3.0))
 def test_fresnel_is_reciprocal(cosine: float, eta: float) -> None:
-    """The same share is reflected the other way round, and it is between 0 and 1."""
+    """The reflectance is between 0 and 1 and the same for the reversed path."""
     beyond2 = cosine2_beyond(cosine, eta)
     assume(beyond2 > 1e-4)
     there, back = fresnel(cosine, eta), fresnel(float(np.sqrt(beyond2)), 1.0 / eta)
@@ -137,14 +137,14 @@ def test_fresnel_is_reciprocal(cosine: float, eta: float) -> None:
 
 
 @given(st.floats(0.0, 1.0))
-def test_equal_indices_are_no_surface(cosine: float) -> None:
-    """Nothing is reflected between equal indices, however flat the angle."""
+def test_equal_indices_reflect_nothing(cosine: float) -> None:
+    """The reflectance is 0 at grazing angles too."""
     assume(cosine > 1e-12)
     assert fresnel(cosine, 1.0) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_schlick() -> None:
-    """A metal's own colour head on, white at grazing angles, a 32nd of the way at 60 degrees."""
+def test_schlick_matches_known_values() -> None:
+    """The reflectance is the metal's colour at normal incidence, 1/32 closer to white at 60 degrees, white at 90."""
     gold = wp.vec3(1.0, 0.7, 0.3)
     np.testing.assert_allclose(np.array(schlick(gold, 1.0)), np.array(gold), atol=1e-7)
     np.testing.assert_allclose(np.array(schlick(gold, 0.0)), np.ones(3), atol=1e-6)
@@ -152,10 +152,10 @@ def test_schlick() -> None:
 
 
 @given(vectors, vectors, st.floats(1.0, 3.0), unit_floats)
-def test_white_dielectrics_lose_nothing(
+def test_white_dielectrics_conserve_energy(
     direction: tuple[float, ...], face: tuple[float, ...], ior: float, transmission: float
 ) -> None:
-    """Reflected, refracted and diffuse shares add up to one, from either side."""
+    """Reflected, refracted and diffuse weights add up to 1 from both sides."""
     d, n = unit(direction), unit(face)
     for side in (n, -n):
         result = bounce(smooth(ior=ior, transmission=transmission), d, side)
@@ -172,7 +172,7 @@ def test_no_material_adds_light(
     specular: float,
     transmission: float,
 ) -> None:
-    """Weights are at least zero, and together at most one in each channel."""
+    """Each weight is at least 0, and the sum is at most 1 in each channel."""
     material = smooth(metallic=metallic, specular=specular, transmission=transmission)
     result = bounce(material, unit(direction), unit(face), base=base)
     parts = np.array([result.reflected, result.refracted, result.color])
@@ -180,8 +180,8 @@ def test_no_material_adds_light(
     assert (parts.sum(axis=0) <= 1.0 + 1e-5).all()
 
 
-def test_materials_by_hand() -> None:
-    """Head on: mirrors show their colour, glass 4 % of the reflection, tints are encoded once a crossing."""
+def test_bounce_weights_at_normal_incidence() -> None:
+    """Mirrors reflect their colour and glass reflects 4 %; the tint of glass is applied once per crossing."""
     down, up = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0])
     tint = (0.2, 0.5, 0.9)
     gold = bounce(smooth(metallic=1.0), down, up, base=tint)
@@ -196,8 +196,8 @@ def test_materials_by_hand() -> None:
     np.testing.assert_array_equal(np.array([rough.reflected, rough.refracted]), np.zeros((2, 3)))
 
 
-def test_orientation_says_inside() -> None:
-    """Against the triangle's normal a ray enters, along it it leaves; what lets nothing through has no inside."""
+def test_triangle_orientation_determines_inside() -> None:
+    """A ray against the triangle's normal enters glass and a ray along it leaves; opaque materials have no inside."""
     along = np.array([0.0, 0.6, -0.8])
     up = np.array([0.0, 0.0, 1.0])
     assert bounce(smooth(), along, up).eta == pytest.approx(1.0 / 1.5)
@@ -208,22 +208,22 @@ def test_orientation_says_inside() -> None:
     assert bounce(smooth(transmission=0.0), along, -up).eta == pytest.approx(1.0 / 1.5)
 
 
-def test_total_internal_reflection_keeps_all() -> None:
-    """Beyond the critical angle all light stays inside, even where the material is set to reflect little."""
+def test_total_internal_reflection_reflects_all_light() -> None:
+    """All light stays inside beyond the critical angle, even if the material's specular value is low."""
     result = bounce(smooth(specular=0.1), np.array([0.0, 0.8, -0.6]), np.array([0.0, 0.0, -1.0]))
     np.testing.assert_allclose(np.array(result.reflected), np.ones(3), atol=1e-6)
     np.testing.assert_array_equal(result.refracted, np.zeros(3))
 
 
 @given(vectors, vectors, vectors, indices, unit_floats)
-def test_light_stays_on_its_side(
+def test_reflection_and_refraction_stay_on_their_sides(
     direction: tuple[float, ...],
     face: tuple[float, ...],
     shading: tuple[float, ...],
     ior: float,
     transmission: float,
 ) -> None:
-    """However far shading normals lean, reflections stay before the triangle and refractions go behind it."""
+    """Reflections stay in front of the triangle and refractions behind it, for any shading normal."""
     d, n, s = unit(direction), unit(face), unit(shading)
     assume(abs(d @ n) > 1e-3)
     result = bounce(smooth(ior=ior, transmission=transmission), d, n, s)
@@ -234,8 +234,8 @@ def test_light_stays_on_its_side(
         assert np.array(refract(wp.vec3(*d), normal, result.eta)) @ side < 0.0
 
 
-def test_shading_normals_are_used() -> None:
-    """A normal that leans a little bends the reflection, whichever way it points."""
+def test_reflection_uses_the_shading_normal() -> None:
+    """A tilted shading normal bends the reflection; its sign does not matter."""
     d, n, s = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.6, 0.8])
     for normal in (s, -s):
         np.testing.assert_allclose(np.array(bounce(smooth(), d, n, normal).normal), s, atol=1e-7)

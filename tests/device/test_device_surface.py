@@ -1,4 +1,4 @@
-"""Blending, rays and triangles, called from Python."""
+"""Tests of blending, pixel rays and triangle setup, called from Python."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ points = st.tuples(unit, unit, st.floats(0.5, 3.0))
 
 
 def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0.7) -> BlendState:
-    """A pixel after splats of those alphas, the i-th one of colour (i, 1, 0)."""
+    """Returns a pixel after blending splats with these alphas; splat i has colour (i, 1, 0)."""
     pixel = empty_pixel()
     for i, alpha in enumerate(alphas):
         splat = Splat()
@@ -34,8 +34,8 @@ def blended(alphas: list[float], transmittance_min: float = 1e-4, iso: float = 0
 
 
 @given(st.lists(st.floats(0.0, 0.99), max_size=12))
-def test_blend_conserves_light(alphas: list[float]) -> None:
-    """Colour of weight one plus transmittance is one; the transmittance never falls to the minimum."""
+def test_blend_weights_and_transmittance_sum_to_one(alphas: list[float]) -> None:
+    """The transmittance also stays above its minimum."""
     pixel = blended(alphas)
     green = np.array(pixel.color)[1]
     assert green + abs(pixel.transmittance) == pytest.approx(1.0, abs=1e-5)
@@ -44,8 +44,8 @@ def test_blend_conserves_light(alphas: list[float]) -> None:
 
 
 @given(st.lists(st.floats(0.0, 0.99), max_size=12), st.floats(0.0, 1.0))
-def test_blend_finds_the_surface(alphas: list[float], iso: float) -> None:
-    """The surface is the first accepted splat after which the transmittance is below the threshold, if there is one."""
+def test_blend_finds_the_iso_opacity_surface(alphas: list[float], iso: float) -> None:
+    """The surface is the first blended splat after which the transmittance is below the threshold, or -1."""
     pixel = blended(alphas, iso=iso)
     remaining, expected, first = np.float32(1.0), -1, -1
     for i, alpha in enumerate(alphas):
@@ -61,15 +61,15 @@ def test_blend_finds_the_surface(alphas: list[float], iso: float) -> None:
     assert (pixel.surface, pixel.first) == (expected, first)
 
 
-def test_blend_stops_and_says_so() -> None:
-    """The splat that would cross the minimum is dropped, and the transmittance becomes negative."""
+def test_blend_marks_a_finished_pixel_by_negative_transmittance() -> None:
+    """The splat that would bring the transmittance below its minimum is dropped."""
     pixel = blended([0.9, 0.9, 0.99, 0.5])
     assert pixel.transmittance == pytest.approx(-0.01, rel=1e-4)
     assert pixel.color[0] == pytest.approx(0.09, rel=1e-4)
 
 
-def test_rays_pass_through_pixel_centres() -> None:
-    """Rays have z = 1, and project back to the centre at +0.5."""
+def test_pixel_rays_pass_through_pixel_centres() -> None:
+    """Rays have z = 1 and project to the pixel's index plus 0.5."""
     camera = front_camera(cx=20.3, cy=31.7, fx=50.0, fy=75.0)
     data = CameraData()
     data.focal, data.raster_center = wp.vec2(50.0, 75.0), wp.vec2(20.3, 31.7)
@@ -82,10 +82,10 @@ def test_rays_pass_through_pixel_centres() -> None:
 
 @settings(max_examples=60)
 @given(points, points, points, st.tuples(*[st.floats(0.02, 1.0)] * 3))
-def test_barycentric_coordinates_find_the_point(
+def test_barycentric_coordinates_recover_the_point(
     v0: tuple[float, ...], v1: tuple[float, ...], v2: tuple[float, ...], mix: tuple[float, ...]
 ) -> None:
-    """A ray aimed at a point of the triangle gives that point's coordinates and depth, either way it is wound."""
+    """A ray at a point of the triangle returns its barycentric coordinates and depth for both windings."""
     corners = np.array([v0, v1, v2])
     if abs(corners[0] @ np.cross(corners[1], corners[2])) < 1e-2:
         return
@@ -102,8 +102,8 @@ def test_barycentric_coordinates_find_the_point(
 
 @settings(max_examples=60)
 @given(points, points)
-def test_shared_edges_are_watertight(a: tuple[float, ...], b: tuple[float, ...]) -> None:
-    """Two triangles on either side of an edge compute the same edge function, but for its sign, which differs."""
+def test_shared_edges_have_opposite_edge_functions(a: tuple[float, ...], b: tuple[float, ...]) -> None:
+    """Two triangles that share an edge compute edge functions of opposite sign and equal bits."""
     apart = wp.vec3(-3.0, 2.0, 1.0), wp.vec3(3.0, -2.0, 1.5)
     one = setup_triangle(apart[0], wp.vec3(*a), wp.vec3(*b))
     two = setup_triangle(apart[1], wp.vec3(*b), wp.vec3(*a))
@@ -112,6 +112,6 @@ def test_shared_edges_are_watertight(a: tuple[float, ...], b: tuple[float, ...])
 
 
 @given(st.floats(0.0, 4.0))
-def test_device_encodes_as_the_host_does(value: float) -> None:
-    """One sRGB curve everywhere."""
+def test_srgb_encoding_matches_the_host(value: float) -> None:
+    """The law holds for values from 0 to 4."""
     assert encode_srgb(value) == pytest.approx(float(encode_srgb_host(np.float64(value))), abs=1e-5)

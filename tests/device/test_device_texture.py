@@ -1,4 +1,4 @@
-"""Texture lookup on the device."""
+"""Tests of texture lookup on the device."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from support.probes import probe_texture_kernels
 
 DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 MODES = {"wrap": WRAP_REPEAT, "symmetric": WRAP_MIRROR, "edge": WRAP_CLAMP}
-"""By NumPy's names for how to pad."""
+"""Wrap modes by the names of ``numpy.pad``."""
 TILES = 4
-"""Copies of the texture on each side."""
+"""Copies of the texture that are padded on each side."""
 
 
 def expected(image: np.ndarray, uvs: np.ndarray, modes: tuple[Any, Any]) -> np.ndarray:
-    """Bilinear lookup in a picture that is padded beyond all coordinates."""
+    """Returns bilinear lookups in an image that is padded beyond all coordinates."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((0, 0), (TILES * width, TILES * width), (0, 0)), mode=modes[0])
     padded = np.pad(padded, ((TILES * height, TILES * height), (0, 0), (0, 0)), mode=modes[1])
@@ -38,8 +38,8 @@ def expected(image: np.ndarray, uvs: np.ndarray, modes: tuple[Any, Any]) -> np.n
 
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("modes", list(itertools.product(MODES, MODES)), ids="-".join)
-def test_wrapping_is_padding(modes: tuple[str, str], device: str) -> None:
-    """Each mode and axis shows what a picture that goes on that way would; alpha like colours."""
+def test_texture_wrapping_matches_numpy_padding(modes: tuple[str, str], device: str) -> None:
+    """The law holds for each wrap mode on each axis, and for alpha as for colours."""
     rng = np.random.default_rng(4)
     image = rng.integers(0, 256, (3, 5, 4)).astype(np.uint8)
     uvs = rng.uniform(-2.9, 3.9, (400, 2)).astype(np.float32)
@@ -56,8 +56,8 @@ def test_wrapping_is_padding(modes: tuple[str, str], device: str) -> None:
     np.testing.assert_allclose(found, expected(image / 255.0, uvs.astype(np.float64), modes), atol=2e-5)
 
 
-def test_hosts_wrap_alike() -> None:
-    """What samples textures on the host has the same coordinates."""
+def test_host_texture_wrapping_is_the_same() -> None:
+    """The host's ``wrapped`` maps coordinates outside 0..1 as the device does."""
     x = np.array([-1.75, -0.25, 0.25, 1.0, 1.25, 2.5])
     np.testing.assert_allclose(wrapped(x, TextureWrap.REPEAT), [0.25, 0.75, 0.25, 0.0, 0.25, 0.5])
     np.testing.assert_allclose(wrapped(x, TextureWrap.MIRROR), [0.25, 0.25, 0.25, 1.0, 0.75, 0.5])

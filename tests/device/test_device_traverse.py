@@ -1,6 +1,6 @@
-"""Where packets of rays enter boxes: against float64, ray by ray, at all scales and in the spaces of instances.
+"""Tests of the distances at which ray packets enter boxes, against float64 for each ray.
 
-The bounds must hold for the rays as they are followed: rounded to float32 in the instance's space.
+The bounds must hold for the rays that are traced, which are rounded to float32 in the instance's space.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ NEVER = 2.0 * np.float64(np.float32(FAR))
 
 @dataclass
 class Packets:
-    """Rays of packets, which of them are alive, and the transforms of instances."""
+    """Rays in packets, flags of rays that are alive, and the instances' transforms."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -45,7 +45,7 @@ class Packets:
 
 @dataclass
 class Found:
-    """Results of the device: packets in object space, and distances to boxes."""
+    """Device results: the packets in object space and their entry distances into boxes."""
 
     origins: np.ndarray  # (B, L, 3)
     directions: np.ndarray  # (B, L, 3)
@@ -53,8 +53,8 @@ class Found:
     entries: np.ndarray  # (B, C)
 
 
-def placed(world_from_object: np.ndarray) -> np.ndarray:
-    """Rows of SplatInstanceData as the scene writes them, shape (B,)."""
+def instance_rows(world_from_object: np.ndarray) -> np.ndarray:
+    """Returns rows of ``SplatInstanceData`` for world_from_object transforms, shape (B,)."""
     table = np.zeros(len(world_from_object), table_dtype(SplatInstanceData))
     object_from_world = np.linalg.inv(world_from_object)
     table["object_from_world"] = object_from_world[:, :3, :3]
@@ -63,13 +63,13 @@ def placed(world_from_object: np.ndarray) -> np.ndarray:
 
 
 def random_packets(seed: int, spread: float, far: float = 0.0, count: int = COUNT) -> Packets:
-    """Packets of every kind: axis-parallel or not, from a point or not, some rays dead; instances of all sizes.
+    """Returns random packets: axis-parallel or not, one origin or many, some dead rays, instances of all sizes.
 
     Args:
-        seed: Of the random numbers.
-        spread: How far directions differ from that of their packet; 0: one ray each.
-        far: How far instances and rays are from the world's origin, in lengths of the scene.
-        count: How many.
+        seed: Seed of the random numbers.
+        spread: Largest deviation of a direction from that of its packet; 0 makes packets of a single ray.
+        far: Distance of instances and rays from the world's origin, in scene sizes.
+        count: Number of packets.
     """
     random = np.random.default_rng(seed)
     size = 10.0 ** random.uniform(-3.0, 6.0, (count, 1, 1))
@@ -83,9 +83,9 @@ def random_packets(seed: int, spread: float, far: float = 0.0, count: int = COUN
     directions = normalized(normalized(axes) + 0.9 * spread * random.uniform(-0.57, 0.57, (count, LANES, 3)))
     parallel = np.arange(count) % 7 == 0
     directions[parallel] = normalized(axes)[parallel]
-    place = far * size * normalized(random.normal(size=(count, 1, 3)))
+    offset = far * size * normalized(random.normal(size=(count, 1, 3)))
     wide = random.choice([0.0, 0.1, 1.0], (count, 1, 1)) * (spread > 0.0)
-    origins = place + size * (random.normal(size=(count, 1, 3)) + wide * random.normal(size=(count, LANES, 3)))
+    origins = offset + size * (random.normal(size=(count, 1, 3)) + wide * random.normal(size=(count, LANES, 3)))
     alive = random.random((count, LANES)) < 0.8
     alive[:, 0] = True
     if spread == 0.0:
@@ -94,13 +94,15 @@ def random_packets(seed: int, spread: float, far: float = 0.0, count: int = COUN
     for i in range(0, count, 2):
         world_from_object[i] = rotation(tuple(random.normal(size=3)), random.uniform(0.0, 3.0))
         world_from_object[i, :3, :3] *= 10.0 ** random.uniform(-3.0, 3.0)
-        world_from_object[i, :3, 3] = place[i, 0] + size[i, 0] * random.normal(size=3)
+        world_from_object[i, :3, 3] = offset[i, 0] + size[i, 0] * random.normal(size=3)
     begins = np.zeros(count, np.float32)
-    return Packets(origins.astype(np.float32), directions.astype(np.float32), alive, placed(world_from_object), begins)
+    return Packets(
+        origins.astype(np.float32), directions.astype(np.float32), alive, instance_rows(world_from_object), begins
+    )
 
 
 def boxes_around(packets: Packets, found: Found, seed: int) -> np.ndarray:
-    """Rows of Node in object space: flat, thin, small and large boxes, before, behind, around and beside the rays."""
+    """Returns rows of ``Node`` in object space with flat, thin, small and large boxes on all sides of the rays."""
     random = np.random.default_rng(seed)
     count = len(packets.begins)
     rows = np.arange(count)[:, None]
@@ -144,9 +146,9 @@ def probe(packets: Packets, nodes: np.ndarray, device: str = "cpu") -> Found:
 
 
 def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Distances at which lines are inside boxes, in float64: first and last; the last below the first where never.
+    """Returns the first and last distance at which each line is inside each box, in float64.
 
-    No line is ever inside an inverted box.
+    The last distance is below the first for lines that miss the box and for inverted boxes.
     """
     origins, directions = origins.astype(np.float64), directions.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -161,13 +163,13 @@ def crossings(origins: np.ndarray, directions: np.ndarray, low: np.ndarray, high
 
 
 def corners(nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corners of the children's boxes, float64, shape (B, 1, C, 3)."""
+    """Returns the lower and upper corners of the children's boxes, float64, shape (B, 1, C, 3)."""
     low, high = (np.stack([nodes[f"{side}_{axis}"] for axis in "xyz"], axis=-1) for side in ("low", "high"))
     return low[:, None].astype(np.float64), high[:, None].astype(np.float64)
 
 
 def setting(spread: float, far: float = 0.0, device: str = "cpu") -> tuple[Packets, np.ndarray, Found]:
-    """Packets, boxes around them, and what the device finds. Half of the packets begin in the middle of some box."""
+    """Returns packets, boxes around them and the device's results; half of the packets begin inside a box."""
     packets = random_packets(int(1e4 * spread), spread, far)
     alone = probe(packets, np.concatenate([empty_node()] * COUNT))
     nodes = boxes_around(packets, alone, 1)
@@ -183,8 +185,8 @@ SPREADS = [0.0, 1e-6, 1e-3, 0.05, COHERENT_SPREAD]
 
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
-def test_slabs_hold_the_rays(spread: float, far: float) -> None:
-    """At any distance, every ray alive lies between the planes of its packet, in the instance's space."""
+def test_slabs_contain_the_rays(spread: float, far: float) -> None:
+    """At any distance, each live ray lies between the planes of its packet in the instance's space."""
     packets, _, found = setting(spread, far)
     up, down = (
         1.0 / (found.slabs[f"{side}_far"] + found.slabs[f"{side}_near"]).astype(np.float64)[:, None]
@@ -201,17 +203,17 @@ def test_slabs_hold_the_rays(spread: float, far: float) -> None:
 @pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("far", [0.0, 1e3])
 @pytest.mark.parametrize("spread", SPREADS)
-def test_no_ray_is_in_a_box_before_its_packet(spread: float, far: float, device: str) -> None:
-    """Neither from outside, nor for rays that start inside, where the entry lies behind them; nor is a box lost."""
+def test_box_entry_is_a_lower_bound_for_every_ray(spread: float, far: float, device: str) -> None:
+    """The law holds for rays that start outside and inside a box, and no box that a ray hits is missed."""
     packets, nodes, found = setting(spread, far, device)
     low, high = corners(nodes)
     first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
-    meets = (first <= last) & (last >= packets.begins[:, None, None]) & packets.alive[:, :, None]
-    entries = np.broadcast_to(found.entries.astype(np.float64)[:, None], meets.shape)
+    hits = (first <= last) & (last >= packets.begins[:, None, None]) & packets.alive[:, :, None]
+    entries = np.broadcast_to(found.entries.astype(np.float64)[:, None], hits.shape)
     for name, where in {
-        "ahead": meets & (first > packets.begins[:, None, None]),
-        "around the origin": meets & (first < 0.0),
-        "ahead of the origin, around the begin": meets & (first >= 0.0) & (first <= packets.begins[:, None, None]),
+        "ahead": hits & (first > packets.begins[:, None, None]),
+        "around the origin": hits & (first < 0.0),
+        "ahead of the origin, around the begin": hits & (first >= 0.0) & (first <= packets.begins[:, None, None]),
     }.items():
         assert where.sum() > 30, f"too few boxes {name}: {where.sum()}"
         early = where & ~(entries <= first)
@@ -219,8 +221,8 @@ def test_no_ray_is_in_a_box_before_its_packet(spread: float, far: float, device:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_single_rays_are_tight(device: str) -> None:
-    """Entries into boxes are at most a few roundings too early; boxes missed by more than that are missed."""
+def test_box_entries_of_single_rays_are_tight(device: str) -> None:
+    """Entry distances are too small by a few roundings at most; boxes that are missed by more are not entered."""
     packets, nodes, found = setting(0.0, device=device)
     low, high = corners(nodes)
     origins, directions = found.origins[:, :1, None], found.directions[:, :1, None]
@@ -240,12 +242,12 @@ def test_single_rays_are_tight(device: str) -> None:
     missed = (almost > until) | (until < begins * (1.0 - 1e-4))
     assert missed.sum() > 1000
     assert (found.entries[missed] == NEVER).all()
-    met = (first <= last) & (last >= begins)
-    assert (found.entries[met] != NEVER).all() and met.sum() > 2000
+    hit = (first <= last) & (last >= begins)
+    assert (found.entries[hit] != NEVER).all() and hit.sum() > 2000
 
 
 def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Where the means in the children of nodes begin, by the device."""
+    """Returns the device's least distances of Gaussian means in the children of nodes."""
     entries = wp.zeros(len(nodes), dtype=Children)
     inputs = (wp.array(found.slabs, dtype=Slabs), wp.array(nodes, dtype=Node))
     inputs += (wp.array(begins, dtype=float), wp.array(ends, dtype=float))
@@ -254,8 +256,11 @@ def mean_entries(found: Found, nodes: np.ndarray, begins: np.ndarray, ends: np.n
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-def test_means_project_behind_the_entries_of_their_boxes(spread: float) -> None:
-    """On every ray alive; boxes that are entered before the end, with means behind the begin, are not lost."""
+def test_mean_entries_are_lower_bounds_of_projections(spread: float) -> None:
+    """The distance is at most the projection of any point of the box on any live ray.
+
+    Boxes that are entered before the packet's end, with means beyond its begin, are not missed.
+    """
     packets, nodes, found = setting(spread)
     low, high = corners(nodes)
     first, last = crossings(found.origins[:, :, None], found.directions[:, :, None], low, high)
@@ -282,19 +287,19 @@ def test_means_project_behind_the_entries_of_their_boxes(spread: float) -> None:
         assert (here[counts] >= (nearest - 10.0 * room)[counts]).all()
 
 
-def test_empty_children_are_never_met() -> None:
-    """No packet of any spread and scale enters empty boxes or the inverted boxes of Gaussians that never count."""
+def test_empty_children_are_never_entered() -> None:
+    """Packets of any spread and scale miss empty boxes and the inverted boxes of ignored Gaussians."""
     for spread in SPREADS:
         packets = random_packets(5, spread)
         found = probe(packets, np.concatenate([empty_node()] * COUNT))
         assert (found.entries == NEVER).all()
 
 
-def test_packets_are_not_boundless() -> None:
-    """A packet of half a degree, from the origin towards +z, does not meet a box ten degrees off, only one ahead."""
+def test_packets_miss_boxes_off_their_direction() -> None:
+    """A packet of half a degree towards +z hits a box ahead and misses boxes 10 degrees off and behind."""
     random = np.random.default_rng(0)
     directions = normalized(np.array([0.0, 0.0, 1.0]) + 0.009 * random.uniform(-0.57, 0.57, (1, LANES, 3)))
-    instance = placed(np.eye(4)[None])
+    instance = instance_rows(np.eye(4)[None])
     packets = Packets(
         np.zeros((1, LANES, 3), np.float32),
         directions.astype(np.float32),
@@ -313,8 +318,8 @@ def test_packets_are_not_boundless() -> None:
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_packets_take_what_is_near_the_first(device: str) -> None:
-    """Of the waiting rays, in any lane, it takes the first and those within the radius and the spread of it."""
+def test_packets_take_rays_close_to_the_first(device: str) -> None:
+    """A packet takes the first waiting ray and those within the radius and the angular spread of it, from any lane."""
     random = np.random.default_rng(3)
     count, radius = 500, 0.1
     origins = random.normal(0.0, 0.06, (count, LANES, 3)).astype(np.float32)
@@ -332,8 +337,8 @@ def test_packets_take_what_is_near_the_first(device: str) -> None:
         np.linalg.norm(values - np.take_along_axis(values, first[..., None], axis=1), axis=-1)
         for values in (origins.astype(np.float64), directions.astype(np.float64))
     )
-    unsure = (np.abs(apart - radius) < 1e-6) | (np.abs(bend - COHERENT_SPREAD) < 1e-6)
+    near_limit = (np.abs(apart - radius) < 1e-6) | (np.abs(bend - COHERENT_SPREAD) < 1e-6)
     expected = np.where((waiting > 0.0) & (apart <= radius) & (bend <= COHERENT_SPREAD), waiting, np.float32(-FAR))
-    assert 0.05 < (expected > 0.0).mean() < 0.5 and unsure.mean() < 0.01
-    np.testing.assert_array_equal(taken.numpy()[~unsure], expected[~unsure])
+    assert 0.05 < (expected > 0.0).mean() < 0.5 and near_limit.mean() < 0.01
+    np.testing.assert_array_equal(taken.numpy()[~near_limit], expected[~near_limit])
     np.testing.assert_array_equal(left.numpy(), np.where(taken.numpy() > 0.0, np.float32(-FAR), waiting))

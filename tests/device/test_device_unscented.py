@@ -1,4 +1,4 @@
-"""Sigma points and projections through lenses, against float64 and in closed form."""
+"""Tests of unscented projections through lenses, against float64 and closed forms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STILL = [name for name, camera in LENSES.items() if camera.camera_from_world_end
 
 
 def moments_of(camera: ls.Camera, points: np.ndarray, axes: np.ndarray, scales: np.ndarray) -> np.ndarray:
-    """Rows of ``ImageMoments``, of Gaussians whose means are given from the eye."""
+    """Returns the image moments of Gaussians as rows of ``ImageMoments``; means are relative to the eye."""
     gaussians = wp.zeros(len(points), dtype=WorldGaussian, device="cpu")
     rows = np.zeros(len(points), table_dtype(WorldGaussian))
     rows["point"], rows["axes"], rows["scale"] = points, axes, scales
@@ -34,15 +34,15 @@ def moments_of(camera: ls.Camera, points: np.ndarray, axes: np.ndarray, scales: 
 
 
 def pixels_of(camera: ls.Camera, points: np.ndarray) -> np.ndarray:
-    """Where the image has points of the world, (N, 3) from the eye."""
+    """Projects points relative to the eye; returns x, y and the change of the last iteration, shape (N, 3)."""
     found = wp.zeros(len(points), dtype=wp.vec3, device="cpu")
     given = wp.array(points.astype(np.float32), dtype=wp.vec3, device="cpu")
     wp.launch(probes.probe_points, len(points), [image_field(camera), camera_rows(camera), given, found], device="cpu")
     return found.numpy()
 
 
-def before(camera: ls.Camera, seed: int, count: int = 200) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Small Gaussians in the image: points from the eye, axes, scales."""
+def gaussians_in_view(camera: ls.Camera, seed: int, count: int = 200) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns small Gaussians inside the image: means relative to the eye, axes and scales."""
     rng = np.random.default_rng(seed)
     rays = camera.ray_directions().reshape(-1, 3)
     rays = rays[np.any(rays, axis=-1)][rng.integers(0, np.any(rays, axis=-1).sum(), count)]
@@ -53,8 +53,8 @@ def before(camera: ls.Camera, seed: int, count: int = 200) -> tuple[np.ndarray, 
 
 
 @pytest.mark.parametrize("spread", [(1.0, 2.0, 0.0), (0.1, 2.0, 0.0), (1.0, 0.0, 1.0), (0.5, 2.0, -1.0)])
-def test_moments_of_the_twin_are_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
-    """For every spread, also where the weight of the mean is negative."""
+def test_oracle_moments_are_exact_for_linear_maps(spread: tuple[float, float, float]) -> None:
+    """The law holds for every spread of the sigma points, also if the mean's weight is negative."""
     rng = np.random.default_rng(1)
     matrix, offset = rng.normal(size=(2, 3)), rng.normal(size=2)
     axes = rotation_from_quaternion((q := rng.normal(size=(1, 4))) / np.linalg.norm(q))[0]
@@ -64,8 +64,8 @@ def test_moments_of_the_twin_are_exact_for_linear_maps(spread: tuple[float, floa
     np.testing.assert_allclose(covariance, matrix @ (axes * scales**2) @ axes.T @ matrix.T, rtol=1e-8, atol=1e-10)
 
 
-def test_moments_are_exact_where_a_pinhole_is_linear() -> None:
-    """On discs across its axis."""
+def test_moments_are_exact_for_disks_facing_a_pinhole() -> None:
+    """Disks perpendicular to the optical axis have constant depth, so their projection is linear."""
     camera = replace(lens(45.0), camera_from_world=np.eye(4))
     rng = np.random.default_rng(2)
     points = np.column_stack([rng.uniform(-1.0, 1.0, (50, 2)), rng.uniform(2.0, 5.0, 50)])
@@ -84,10 +84,10 @@ def test_moments_are_exact_where_a_pinhole_is_linear() -> None:
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_moments_are_those_of_the_twin(name: str) -> None:
-    """Through every lens."""
+def test_moments_match_the_oracle(name: str) -> None:
+    """The law holds for every lens."""
     camera = LENSES[name]
-    points, axes, scales = before(camera, 3)
+    points, axes, scales = gaussians_in_view(camera, 3)
     found = moments_of(camera, points, axes, scales)
     turn = camera.camera_from_world[:3, :3]
     for k in range(len(points)):
@@ -98,8 +98,8 @@ def test_moments_are_those_of_the_twin(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_points_on_the_rays_of_pixels_are_in_these(name: str) -> None:
-    """The projection is the inverse of the rays."""
+def test_projection_inverts_pixel_rays(name: str) -> None:
+    """Points on a pixel's ray project back to the pixel's centre."""
     camera = LENSES[name]
     rays = camera.ray_directions()
     rows, columns = np.nonzero(np.any(rays, axis=-1) & (rays[..., 2] > -0.999))
@@ -112,8 +112,8 @@ def test_points_on_the_rays_of_pixels_are_in_these(name: str) -> None:
 @pytest.mark.parametrize(
     "camera", [rolling(lens(45.0)), rolling(lens(18.0, model=FISHEYE))], ids=["pinhole", "fisheye"]
 )
-def test_rows_of_a_rolling_shutter_see_what_is_on_their_rays(camera: ls.Camera) -> None:
-    """Points at any distance on the rays of rows, which start elsewhere each, are found in these rows."""
+def test_rolling_shutter_projection_inverts_row_rays(camera: ls.Camera) -> None:
+    """Points at any distance on the rays of a row project to this row, although rows differ in pose."""
     rays = rays_of(camera)
     rng = np.random.default_rng(4)
     y, x = rng.integers(0, camera.height, 300), rng.integers(0, camera.width, 300)
@@ -124,22 +124,24 @@ def test_rows_of_a_rolling_shutter_see_what_is_on_their_rays(camera: ls.Camera) 
 
 
 @pytest.mark.parametrize("name", STILL)
-def test_what_is_not_seen_is_not_in_the_image(name: str) -> None:
-    """Points behind a pinhole, beside the image, beyond the fold of a lens: none lands inside."""
+def test_invisible_points_do_not_project_into_the_image(name: str) -> None:
+    """The points lie behind a pinhole, beside the image or beyond the monotonic radius of a lens."""
     camera = LENSES[name]
     rng = np.random.default_rng(5)
-    ways = rng.normal(size=(4000, 3))
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    random_directions = rng.normal(size=(4000, 3))
+    random_directions /= np.linalg.norm(random_directions, axis=1, keepdims=True)
     rays = camera.ray_directions().reshape(-1, 3)
     rays = rays[np.any(rays, axis=-1)]
-    nearest = np.array([(rays @ way).max() for way in ways])
-    unseen = ways[nearest < np.cos(0.2)]
-    if not len(unseen):
-        pytest.skip("this lens sees everything")
-    found = pixels_of(camera, unseen @ camera.world_from_camera[:3, :3].T)
-    seen = np.isin(np.floor(found[:, 0]), range(camera.width)) & np.isin(np.floor(found[:, 1]), range(camera.height))
+    nearest = np.array([(rays @ direction).max() for direction in random_directions])
+    invisible = random_directions[nearest < np.cos(0.2)]
+    if not len(invisible):
+        pytest.skip("this lens has no invisible directions")
+    found = pixels_of(camera, invisible @ camera.world_from_camera[:3, :3].T)
+    in_image = np.isin(np.floor(found[:, 0]), range(camera.width)) & np.isin(
+        np.floor(found[:, 1]), range(camera.height)
+    )
     directions = camera.ray_directions()[
-        np.clip(found[seen, 1], 0, camera.height - 1).astype(int),
-        np.clip(found[seen, 0], 0, camera.width - 1).astype(int),
+        np.clip(found[in_image, 1], 0, camera.height - 1).astype(int),
+        np.clip(found[in_image, 0], 0, camera.width - 1).astype(int),
     ]
-    assert not np.any(directions), "only where the lens shows nothing"
+    assert not np.any(directions), "a point outside the view projects to a pixel that has a ray"

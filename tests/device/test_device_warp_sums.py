@@ -1,4 +1,4 @@
-"""Sums over warps without barriers, against sums of whole numbers, which are exact."""
+"""Tests of sums over thread blocks by warps without barriers; whole numbers make the sums exact."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ DEVICES = ["cpu", *(device.alias for device in wp.get_cuda_devices())]
 
 
 @pytest.mark.parametrize("device", DEVICES)
-def test_all_threads_with_a_part_are_added_up_once(device: str) -> None:
-    """Rows in which all threads, some, or the threads of some warps only have a part; parts of the others are left."""
+def test_warp_sums_add_each_part_exactly_once(device: str) -> None:
+    """In some rows all threads have a part, in others some threads or warps; parts of the other threads are ignored."""
     random, blocks, threads = np.random.default_rng(5), 3, 32 * WARPS
     shape = (blocks, ROWS, threads)
     has_part = random.random(shape) < random.choice([0.02, 0.5, 1.0], size=(blocks, ROWS, 1))
