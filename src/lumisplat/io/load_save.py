@@ -42,19 +42,19 @@ class _LoadOptions(NamedTuple):
     """Options of `load` that only some readers take."""
 
     drop_invalid: bool
-    """For glTF and OpenUSD; other captures are checked after reading."""
+    """Drops invalid Gaussians of glTF and OpenUSD files; other captures are checked after reading."""
     crease_angle: float | None
-    """For OBJ."""
+    """Smoothing angle of OBJ files in radians; None uses the reader's default."""
     up: str | npt.ArrayLike | None
-    """For scene files."""
+    """Up direction of scene files that do not state it."""
     progress: Callable[[float], None] | None
-    """For PLY."""
+    """Progress callback of the PLY reader."""
     incident: bool
-    """For PLY."""
+    """Reads the incident light that a PLY may store."""
     lod: int | None
-    """For streamed SOGs and captures in blocks."""
+    """Level of detail of streamed SOGs and captures in blocks, 0 the finest."""
     budget: int | None
-    """For streamed SOGs and captures in blocks: largest number of Gaussians."""
+    """Largest number of Gaussians to load from streamed SOGs and captures in blocks."""
 
 
 USD = (".usd", ".usda", ".usdc", ".usdz")

@@ -102,7 +102,7 @@ def test_document_animation_equals_the_files(file: Path) -> None:
 
 
 def test_documents_of_animations_keep_lighting_and_cameras(file: Path) -> None:
-    """Also for an animation that was loaded; the moving camera is not listed twice."""
+    """The same holds for a loaded animation; the moving camera is not listed twice."""
     animation = ls.load_animation(file)
     document = ls.io.SceneDocument.of(animation)
     assert not document.problems
@@ -142,7 +142,7 @@ CAMERAS = st.builds(
 
 @given(CAMERAS)
 def test_camera_table_round_trip(values: dict[str, Any]) -> None:
-    """All camera models; the focus matters only with an aperture."""
+    """Cameras of all models are restored; the focus matters only with an aperture."""
     camera = ls.Camera.look_at(**values)
     animation = ls.Animation(ls.Scene(), (), [camera])
     (found,) = ls.io.SceneDocument.of(animation).cameras

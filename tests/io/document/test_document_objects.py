@@ -63,7 +63,7 @@ def test_moved_entries_keep_their_objects(kind: EntryKind, table: dict[str, obje
 
 @pytest.mark.usefixtures("folder")
 def test_editing_other_entries_keeps_actor_poses() -> None:
-    """At the same time; another time gives another pose."""
+    """The same time gives the same objects; another time gives another pose."""
     document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     pose = document.scene(0.5).splats[0]
@@ -93,9 +93,9 @@ def test_edits_do_not_recheck_large_arrays(monkeypatch: pytest.MonkeyPatch) -> N
     changed = document.changed(0, material={"roughness": 0.1}).changed(1, rotation_wxyz=[0.0, 1.0, 0.0, 0.0])
     assert max(checked, default=0) <= 16  # a matrix, not the 96 numbers of the image
     assert changed.entry(0).meshes[0].mesh.positions is scene.meshes[0].mesh.positions
-    sky = changed.entry(1).lights[0]
-    assert isinstance(sky, ls.LightEnvironment) and sky.rotation_wxyz == (0.0, 1.0, 0.0, 0.0)
-    assert sky.image is scene.lights[0].image  # pyright: ignore[reportAttributeAccessIssue]
+    environment = changed.entry(1).lights[0]
+    assert isinstance(environment, ls.LightEnvironment) and environment.rotation_wxyz == (0.0, 1.0, 0.0, 0.0)
+    assert environment.image is scene.lights[0].image  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_shapes_have_no_parts(tmp_path: Path) -> None:

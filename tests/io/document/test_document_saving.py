@@ -48,7 +48,7 @@ def scattered(**changes: Any) -> ls.Mesh:
 
 @pytest.mark.parametrize("without", [(), ("normals",), ("uvs",), ("colors",), ("normals", "uvs", "colors")])
 def test_saved_meshes_are_exact(without: tuple[str, ...]) -> None:
-    """With only the arrays that they had; unused vertices stay."""
+    """No arrays are added, and unused vertices stay."""
     mesh = scattered(**dict.fromkeys(without))
     found = round_trip(mesh).meshes[0].mesh
     for name in ("positions", "indices", "normals", "uvs", "colors"):
@@ -103,7 +103,7 @@ def test_saved_mesh_materials_are_complete() -> None:
 
 
 def test_edited_materials_are_saved_as_shown() -> None:
-    """Also if the edit changes the material's type."""
+    """The edit may change the material's type."""
     mesh = ls.Mesh(TRIANGLE, [[0, 1, 2]], material=ls.MaterialPbr(roughness=0.1, base_color=(0.1, 0.2, 0.3)))
     document = ls.io.SceneDocument.of(mesh).changed(0, material={"type": "simple", "diffuse": 0.5})
     seen = expect_kind(ls.MaterialSimple, document.scene().meshes[0].mesh.material)
@@ -112,26 +112,26 @@ def test_edited_materials_are_saved_as_shown() -> None:
 
 
 def test_saved_environment_images_are_exact() -> None:
-    """As floats."""
+    """The image is stored as floats."""
     image = np.random.default_rng(1).uniform(0.0, 1e5, (4, 8, 3)).astype(np.float32)
-    (sky,) = round_trip(ls.Scene(lights=[ls.LightEnvironment(image, intensity=0.1)])).lights
-    np.testing.assert_array_equal(present(expect_kind(ls.LightEnvironment, sky).image), image)
+    (environment,) = round_trip(ls.Scene(lights=[ls.LightEnvironment(image, intensity=0.1)])).lights
+    np.testing.assert_array_equal(present(expect_kind(ls.LightEnvironment, environment).image), image)
 
 
 def test_existing_asset_files_are_not_overwritten() -> None:
     """Unless overwriting is allowed; files that the scene refers to are never overwritten."""
     ls.io.SceneDocument.of(random_gaussians(1, count=20)).save("scene.toml")
-    there, kept = Path("scene.assets/capture_0.ply"), Path("scene.assets/capture_0.ply").read_bytes()
+    there, saved_bytes = Path("scene.assets/capture_0.ply"), Path("scene.assets/capture_0.ply").read_bytes()
     Path("scene.toml").unlink()
     assert round_trip(random_gaussians(2, count=7)).splats[0].gaussians.count == 7
-    assert there.read_bytes() == kept
+    assert there.read_bytes() == saved_bytes
     document, _ = ls.io.SceneDocument.of(random_gaussians(3, count=5)).added("splats", {"path": str(there)})
     document.save("scene.toml", overwrite=True)
     scene = expect_kind(ls.Scene, ls.load("scene.toml"))
     assert [splat.gaussians.count for splat in scene.splats] == [5, 20]
     ls.io.SceneDocument.of(random_gaussians(3, count=3)).save("scene.toml", overwrite=True)
     assert expect_kind(ls.Scene, ls.load("scene.toml")).splats[0].gaussians.count == 3
-    assert there.read_bytes() != kept
+    assert there.read_bytes() != saved_bytes
 
 
 def test_unsavable_actor_is_refused_before_writing() -> None:
@@ -143,7 +143,7 @@ def test_unsavable_actor_is_refused_before_writing() -> None:
 
 
 def test_relative_paths_work_through_linked_folders() -> None:
-    """In a linked folder, ``..`` leads to the parent of the link's target."""
+    """The path ``..`` leads from a linked folder to the parent of the link's target."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     Path("far/away").mkdir(parents=True)
     os.symlink("far/away", "near", target_is_directory=True)

@@ -64,7 +64,7 @@ LIGHTS: st.SearchStrategy[Any] = st.one_of(
 
 @given(LIGHTS)
 def test_light_table_round_trip_is_exact(light: Any) -> None:
-    """All light types, through text; angles, which are written in degrees, to the next float."""
+    """Lights of all types are exact through text; angles, written in degrees, to the next float."""
     table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
     found = read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table)
     assert type(found) is type(light)
@@ -83,7 +83,7 @@ def test_normalized_up_stays_equal(direction: tuple[float, float, float]) -> Non
 
 
 def test_numpy_numbers_are_written_as_numbers() -> None:
-    """In a light, and in a spot slightly wider than a hemisphere."""
+    """The light has NumPy numbers; a spot slightly wider than a hemisphere is written, too."""
     light = ls.LightPoint(np.zeros(3), intensity=cast(Any, np.float32(0.1)), enabled=cast(Any, np.bool_(False)))
     wide = ls.LightSpot((0, 0, 0), (0, 0, 1), outer_angle=math.pi / 2 + 5e-7)
     first, second = ls.io.SceneDocument.of(ls.Scene(lights=[light, wide])).scene().lights
@@ -94,11 +94,11 @@ def test_numpy_numbers_are_written_as_numbers() -> None:
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_the_enabled_environment_is_kept(order: tuple[int, int], tmp_path: Path) -> None:
     """A scene may have several environments, a scene file only one."""
-    skies = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
-    document = ls.io.SceneDocument.of(ls.Scene(lights=[skies[k] for k in order]))
+    environments = [ls.LightEnvironment(intensity=1.0, enabled=False), ls.LightEnvironment(intensity=5.0)]
+    document = ls.io.SceneDocument.of(ls.Scene(lights=[environments[k] for k in order]))
     document.save(tmp_path / "scene.toml")
     for scene in (document.scene(), expect_kind(ls.Scene, ls.load(tmp_path / "scene.toml"))):
-        assert [(sky.intensity, sky.enabled) for sky in scene.lights] == [(5.0, True)]
+        assert [(environment.intensity, environment.enabled) for environment in scene.lights] == [(5.0, True)]
 
 
 def test_edits_accept_arrays_tuples_and_paths() -> None:
@@ -118,7 +118,7 @@ def test_edits_accept_arrays_tuples_and_paths() -> None:
 
 @pytest.mark.parametrize("matrix", [np.eye(3), np.zeros((4, 4)), np.full((4, 4), np.nan), "here"])
 def test_invalid_transforms_are_refused(matrix: Any) -> None:
-    """In one line, whatever the value is."""
+    """The error is one line, whatever the value is."""
     document = ls.io.SceneDocument.of(ls.Scene(meshes=[ls.box(1.0)]))
     with pytest.raises(ls.SceneError, match="world_from_file"):
         document.placed(0, matrix)

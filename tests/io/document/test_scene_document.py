@@ -121,7 +121,7 @@ def test_document_equals_the_loaded_file(folder: Path) -> None:
 
 
 def test_saved_document_loads_as_the_edited_scene(folder: Path) -> None:
-    """After an edit of each kind, in another folder; the opened file is unchanged."""
+    """The document has an edit of each kind and is saved in another folder; the opened file is unchanged."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     document = document.placed(0, np.diag([2.0, 2.0, 2.0, 1.0])).changed(1, material={"roughness": 0.7})
     document = document.changed(2, target=None, direction=[0.0, 1.0, -1.0], intensity=7.0)
@@ -196,7 +196,7 @@ def test_hidden_entries_are_skipped_in_instance_numbers(folder: Path) -> None:
 
 
 def test_split_entry_renders_the_same(folder: Path) -> None:
-    """Each mesh of the file has its transform and material."""
+    """The meshes of the file keep their transforms and materials."""
     document = ls.io.SceneDocument.open(folder / "scene.toml")
     split = document.split(1)
     assert [entry.name for entry in split.entries if entry.kind == "meshes"] == ["red", "blue"]
@@ -308,7 +308,7 @@ LIGHTS = st.one_of(
 
 @given(LIGHTS)
 def test_light_table_round_trip(light: Any) -> None:
-    """All light types, through text."""
+    """Lights of all types are restored from text."""
     table = TomlTable.of(Path("scene.toml"), tomllib.loads(toml_text(light_table(light))))
     assert_same(read_environment(table) if isinstance(light, ls.LightEnvironment) else read_light(table), light)
 
@@ -322,7 +322,7 @@ VALUES = st.recursive(
 
 @given(st.dictionaries(st.text(), VALUES, max_size=4))
 def test_toml_round_trip_is_exact(values: dict[str, Any]) -> None:
-    """For any keys, text and nesting."""
+    """Keys, text and nesting are arbitrary."""
     assert tomllib.loads(toml_text(values)) == values
 
 
@@ -383,12 +383,12 @@ def test_upright_objects_stay_upright_when_up_changes(tmp_path: Path) -> None:
 
 
 def test_meshes_without_captures_stay_when_up_changes(tmp_path: Path) -> None:
-    """Their named placement keys are replaced by numbers, which do not depend on up."""
+    """Named placement keys are replaced by numbers, which do not depend on up."""
     (tmp_path / "scene.toml").write_text('[[meshes]]\nshape = "box"\nupright = true\nground = 1.0\n')
     before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
     after = before.with_up("z-up")
-    places = [np.asarray(document.entries[0].world_from_file) for document in (before, after)]
-    np.testing.assert_allclose(places[1], places[0], atol=1e-9)
+    placements = [np.asarray(document.entries[0].world_from_file) for document in (before, after)]
+    np.testing.assert_allclose(placements[1], placements[0], atol=1e-9)
     after.save(tmp_path / "saved.toml")
     saved = ls.load(tmp_path / "saved.toml")
     assert isinstance(saved, ls.Scene) and saved.up_direction == (0.0, 0.0, 1.0)
@@ -404,14 +404,14 @@ def test_upright_environment_rotates_with_up(tmp_path: Path) -> None:
         (tmp_path / "scene.toml").write_text(text.format(w))
         before = ls.io.SceneDocument.open(tmp_path / "scene.toml")
         after = before.with_up(tilted(25.0))
-        skies: list[Any] = [document.scene().lights[0] for document in (before, after)]
-        rotations = [rotation_matrix(sky.rotation_wxyz) for sky in skies]
+        environments: list[Any] = [document.scene().lights[0] for document in (before, after)]
+        rotations = [rotation_matrix(environment.rotation_wxyz) for environment in environments]
         np.testing.assert_allclose(rotations[1][:, 1], rotations[0][:, 1] if expected is None else expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("up", ["upwards", (0.0, 0.0, 0.0), (math.nan, 0.0, 1.0)])
 def test_invalid_up_is_refused(up: Any) -> None:
-    """In one line; the document is unchanged."""
+    """The error is one line, and the document is unchanged."""
     document = ls.io.SceneDocument.of(ls.Scene())
     with pytest.raises(ls.SceneError, match="up is"):
         document.with_up(up)

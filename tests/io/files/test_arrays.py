@@ -35,7 +35,7 @@ def archive(path: Path, *members: tuple[str, bytes], method: int = zipfile.ZIP_S
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_array_round_trip_is_exact(tmp_path: Path, save: Any) -> None:
-    """All number types, empty arrays, scalars, Fortran order and text."""
+    """The arrays have all number types, empty and scalar shapes, Fortran order and text."""
     written = {
         "a": np.arange(6, dtype=np.float32).reshape(2, 3),
         "b": np.asfortranarray(np.arange(6.0).reshape(2, 3)),
@@ -102,7 +102,7 @@ def test_overlapping_archive_members_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
 def test_pipes_folders_and_missing_files_are_named(tmp_path: Path) -> None:
-    """None of them is opened."""
+    """The reader opens none of them."""
     os.mkfifo(tmp_path / "pipe.npz")
     with pytest.raises(ls.FormatError, match=r"pipe\.npz: is a device, a pipe or a socket"):
         read_arrays(tmp_path / "pipe.npz", KIND)

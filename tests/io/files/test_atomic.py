@@ -67,7 +67,7 @@ def test_failed_multi_file_write_leaves_no_file(tmp_path: Path, monkeypatch: pyt
 
 
 def test_write_errors_without_errno_suggest_a_full_disk(tmp_path: Path) -> None:
-    """Such as NumPy's for an array that a full disk cuts off."""
+    """NumPy raises such an error for an array that a full disk cuts off."""
     message = "cannot be written: 400 requested and 16 written: is the disk full"
     with pytest.raises(FormatError, match=message), atomic_write(tmp_path / "a.npy"):
         raise OSError("400 requested and 16 written")
@@ -82,8 +82,8 @@ def test_file_is_synced_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest
     fsync, replace = os.fsync, os.replace
 
     def syncing(descriptor: int) -> None:
-        told = os.fstat(descriptor)
-        done.append(("sync", told.st_ino, told.st_size if stat.S_ISREG(told.st_mode) else -1))
+        status = os.fstat(descriptor)
+        done.append(("sync", status.st_ino, status.st_size if stat.S_ISREG(status.st_mode) else -1))
         fsync(descriptor)
 
     def replacing(source: Path, to: Path) -> None:
@@ -100,7 +100,7 @@ def test_file_is_synced_before_it_is_renamed(tmp_path: Path, monkeypatch: pytest
 
 @pytest.mark.parametrize("failure", [ValueError, KeyboardInterrupt, OSError])
 def test_failed_write_keeps_the_old_file(tmp_path: Path, failure: type[BaseException]) -> None:
-    """For any exception in the block; the temporary file is removed."""
+    """Any exception in the block keeps it; the temporary file is removed."""
     target = tmp_path / "file.ply"
     target.write_text("old")
     with pytest.raises((failure, FormatError)), atomic_write(target) as temporary:
@@ -111,7 +111,7 @@ def test_failed_write_keeps_the_old_file(tmp_path: Path, failure: type[BaseExcep
 
 
 def test_writing_to_a_folder_path_is_refused(tmp_path: Path) -> None:
-    """Before a file is written."""
+    """No file is written before the refusal."""
     (tmp_path / "out.ply").mkdir()
     with pytest.raises(FormatError, match=r"out\.ply: is a folder"):
         ls.save(tmp_path / "out.ply", capture(3))
@@ -127,7 +127,7 @@ def test_unwritable_parent_gives_one_error_in_every_writer(tmp_path: Path, name:
 
 
 def test_unknown_output_extension_lists_the_known_ones(tmp_path: Path) -> None:
-    """For ``save``."""
+    """The error of ``save`` lists the extensions."""
     with pytest.raises(FormatError, match=r"unknown extension '\.xyz', expected \.ply"):
         ls.save(tmp_path / "out.xyz", capture(3))
     assert not list(tmp_path.iterdir())
@@ -140,7 +140,7 @@ def test_saving_a_scene_as_ply_lists_the_scene_formats(tmp_path: Path) -> None:
 
 
 def test_symbolic_links_are_kept_and_their_target_written(tmp_path: Path) -> None:
-    """In the target's own folder, whether the target exists or not."""
+    """The target is written in its own folder, whether it exists or not."""
     shelf, link = tmp_path / "shelf", tmp_path / "link.ply"
     shelf.mkdir()
     link.symlink_to(shelf / "real.ply")
@@ -165,7 +165,7 @@ def test_writing_to_a_pipe_is_refused(tmp_path: Path) -> None:
 
 
 def test_leftovers_of_killed_processes_are_removed(tmp_path: Path) -> None:
-    """By the next process that writes into the folder; files that are still being written stay."""
+    """The next process that writes into the folder removes them, except files still being written."""
     program = """
 import os, signal, sys, time
 from lumisplat.io.files.atomic import atomic_write

@@ -44,7 +44,7 @@ ROUND_TRIPS: dict[str, tuple[Callable[[Path], object], Callable[[Path], object]]
 @pytest.mark.parametrize("stem", [FOREIGN, FACES, "plain"], ids=["latin-1", "emoji", "plain"])
 @pytest.mark.parametrize("suffix", ROUND_TRIPS)
 def test_every_format_accepts_any_file_name(tmp_path: Path, stem: str, suffix: str) -> None:
-    """Also in a folder whose name is not UTF-8; no other file is left."""
+    """The folder's name is not UTF-8 either, and no other file is left."""
     write, read = ROUND_TRIPS[suffix]
     path = tmp_path / FOREIGN / f"{stem}{suffix}"
     write(path)
@@ -54,7 +54,7 @@ def test_every_format_accepts_any_file_name(tmp_path: Path, stem: str, suffix: s
 
 @pytest.mark.parametrize("name", ["null\0.ply", "half\ud800.ply"], ids=["null", "surrogate"])
 def test_impossible_file_names_give_a_clear_error(tmp_path: Path, name: str) -> None:
-    """For writing and reading."""
+    """Writing and reading give the same error."""
     with pytest.raises(FormatError, match="no file can have this name"):
         ls.save(tmp_path / name, capture(3))
     with pytest.raises(FormatError):

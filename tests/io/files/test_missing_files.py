@@ -48,7 +48,7 @@ def test_unreadable_files_are_not_reported_as_missing(tmp_path: Path) -> None:
 
 
 def test_file_errors_can_be_pickled(tmp_path: Path) -> None:
-    """With their path: worker processes raise them, too."""
+    """Worker processes raise these errors, too; the path is kept."""
     with pytest.raises(ls.errors.MissingFileError) as raised:
         ls.load(tmp_path / "none.ply")
     error = pickle.loads(pickle.dumps(raised.value))

@@ -98,7 +98,7 @@ def test_backslashes_are_slashes_unless_a_file_has_the_name(tmp_path: Path, name
 
 
 def test_scene_file_paths_may_have_backslashes(tmp_path: Path) -> None:
-    """As written on Windows."""
+    """Scene files written on Windows have such paths."""
     (tmp_path / "parts").mkdir()
     _obj_library(tmp_path / "parts", "none.mtl")
     (tmp_path / "scene.toml").write_text("[[meshes]]\npath = 'parts\\tri.obj'\n")
@@ -158,7 +158,7 @@ def test_referenced_pipes_and_devices_are_refused(tmp_path: Path, namer, kind: s
 )
 @pytest.mark.parametrize("suffix", [".ply", ".spz", ".obj", ".glb", ".toml", ".json", ".exr"])
 def test_named_pipes_are_refused_by_every_reader(tmp_path: Path, read: Callable[[Path], object], suffix: str) -> None:
-    """Also if the user names the pipe."""
+    """The user names the pipe directly."""
     os.mkfifo(tmp_path / f"pipe{suffix}")
     with pytest.raises(FormatError, match="is a device, a pipe or a socket"):
         read(tmp_path / f"pipe{suffix}")
@@ -177,7 +177,7 @@ def test_named_pipes_are_refused_by_every_reader(tmp_path: Path, read: Callable[
 )
 @pytest.mark.parametrize("name", ["/dev/zero", "pipe"])
 def test_scene_files_refuse_pipes(tmp_path: Path, text: str, read, name: str) -> None:
-    """In every entry with a path."""
+    """Every kind of entry with a path refuses a pipe."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "scene.toml").write_text(text.replace("{}", name))
     with pytest.raises(FormatError, match=r"scene\.toml: line \d.* is '.*': a device, a pipe or a socket"):
@@ -223,6 +223,6 @@ def _bombs(folder: Path, count: int) -> Path:
 
 
 def test_total_texture_size_is_limited(tmp_path: Path) -> None:
-    """Each image is small enough alone."""
+    """A single image is small enough, but not all of them together."""
     with pytest.raises(FormatError, match=r"quad\.gltf: textures up to \d\.png would take 1,\d+,\d+,\d+ bytes"):
         ls.load(_bombs(tmp_path, 10))

@@ -53,7 +53,7 @@ def _gltf(folder: Path, encoding: str) -> Path:
 def test_mesh_files_may_have_a_byte_order_mark(
     tmp_path: Path, write: Callable[[Path, str], Path], encoding: str
 ) -> None:
-    """Before the first line of an OBJ, MTL, STL or glTF."""
+    """OBJ, MTL, STL and glTF files begin with a mark."""
     mesh = _mesh(write(tmp_path, encoding))
     np.testing.assert_array_equal(mesh.positions[mesh.indices], QUAD[QUAD_TRIANGLES])
     if write is not _stl:

@@ -109,32 +109,32 @@ def instanced(gltf: Gltf, **arrays: np.ndarray) -> Gltf:
 
 def test_instances_have_their_transforms(tmp_path: Path) -> None:
     """Translation, rotation and scale apply below the node's transform; the mesh is stored once."""
-    places = np.array([(0, 0, 0), (3, 0, 0), (0, 5, 0)], np.float32)
-    turns = np.array([(0, 0, 0, 1), (0, 0, HALF, HALF), (0, 0, 0, 1)], np.float32)
+    positions = np.array([(0, 0, 0), (3, 0, 0), (0, 5, 0)], np.float32)
+    rotations = np.array([(0, 0, 0, 1), (0, 0, HALF, HALF), (0, 0, 0, 1)], np.float32)
     sizes = np.array([(1, 1, 1), (2, 2, 2), (1, 3, 1)], np.float32)
-    gltf = instanced(quad_gltf(translation=[0, 0, 7]), TRANSLATION=places, ROTATION=turns, SCALE=sizes)
+    gltf = instanced(quad_gltf(translation=[0, 0, 7]), TRANSLATION=positions, ROTATION=rotations, SCALE=sizes)
     scene = loaded(tmp_path, gltf)
     assert len(scene.meshes) == 3 and len({id(one.mesh) for one in scene.meshes}) == 1
-    for one, place, turn, size in zip(scene.meshes, places, turns, sizes, strict=True):
-        stood = (QUAD * size) @ rotation_matrix(turn[[3, 0, 1, 2]].astype(np.float64)).T + place + (0, 0, 7)
+    for one, position, rotation, size in zip(scene.meshes, positions, rotations, sizes, strict=True):
+        stood = (QUAD * size) @ rotation_matrix(rotation[[3, 0, 1, 2]].astype(np.float64)).T + position + (0, 0, 7)
         np.testing.assert_allclose(QUAD @ one.transform[:3, :3].T + one.transform[:3, 3], stood, atol=1e-6)
 
 
 def test_instance_attributes_are_optional(tmp_path: Path) -> None:
     """Rotations as normalized integers, or scales only; instances of scale 0 are hidden."""
-    turns = np.array([(0, 0, 0, 127), (0, 127, 0, 0)], np.int8)
-    scene = loaded(tmp_path, instanced(quad_gltf(), ROTATION=turns))
+    rotations = np.array([(0, 0, 0, 127), (0, 127, 0, 0)], np.int8)
+    scene = loaded(tmp_path, instanced(quad_gltf(), ROTATION=rotations))
     np.testing.assert_allclose(scene.meshes[1].transform[:3, :3], np.diag([-1.0, 1.0, -1.0]), atol=1e-6)
     scene = loaded(tmp_path, instanced(quad_gltf(), SCALE=np.array([(0, 0, 0), (2, 2, 2)], np.float32)))
     assert len(scene.meshes) == 1 and scene.meshes[0].transform[0, 0] == 2.0
 
 
 def test_captures_and_animated_meshes_can_be_instanced(tmp_path: Path) -> None:
-    """Each instance of an animated mesh moves."""
-    places = np.array([(0, 0, 0), (3, 0, 0)], np.float32)
-    scene = loaded(tmp_path, instanced(splat_gltf(), TRANSLATION=places))
+    """Every instance of an animated mesh moves."""
+    positions = np.array([(0, 0, 0), (3, 0, 0)], np.float32)
+    scene = loaded(tmp_path, instanced(splat_gltf(), TRANSLATION=positions))
     assert [tuple(one.transform[:3, 3]) for one in scene.splats] == [(0.0, 0.0, 0.0), (3.0, 0.0, 0.0)]
-    gltf = instanced(quad_gltf(), TRANSLATION=places)
+    gltf = instanced(quad_gltf(), TRANSLATION=positions)
     times, moved = np.array([0, 1], np.float32), np.array([(0, 0, 0), (0, 0, 4)], np.float32)
     sampler = {"input": gltf.accessor(times), "output": gltf.accessor(moved)}
     channel = {"sampler": 0, "target": {"node": 0, "path": "translation"}}
@@ -193,8 +193,8 @@ def test_unsupported_texture_formats_are_dropped_and_named(
 def test_unknown_extensions_are_logged(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
     """Wherever they are used, listed or not; extensions that cannot change the image are not logged."""
     gltf = quad_gltf()
-    place = gltf.json["materials"][0] if "materials" in name else gltf.json["nodes"][0]
-    place["extensions"] = {name: {}, "KHR_xmp_json_ld": {}}
+    item = gltf.json["materials"][0] if "materials" in name else gltf.json["nodes"][0]
+    item["extensions"] = {name: {}, "KHR_xmp_json_ld": {}}
     loaded(tmp_path, gltf)
     assert caplog.messages == [f"{tmp_path / 'a.glb'}: extensions not read, though they may change the image: {name}"]
 

@@ -44,13 +44,13 @@ const data = fs.readFileSync(process.argv[2]);
 const buffer = data.buffer.slice(data.byteOffset, data.byteOffset + data.byteLength);
 const gltf = await new Promise((resolve, reject) => loader.parse(buffer, "", resolve, reject));
 gltf.scene.updateMatrixWorld(true);
-const things = [];
+const objects = [];
 gltf.scene.traverse((object) => {
-  const place = new Vector3().setFromMatrixPosition(object.matrixWorld).toArray();
-  const thing = {type: object.type, name: object.name, place};
-  if (object.isLight) Object.assign(thing, {intensity: object.intensity, color: object.color.toArray()});
-  if (object.isCamera) Object.assign(thing, {fov: object.fov, aspect: object.aspect, near: object.near});
-  things.push(thing);
+  const position = new Vector3().setFromMatrixPosition(object.matrixWorld).toArray();
+  const item = {type: object.type, name: object.name, position};
+  if (object.isLight) Object.assign(item, {intensity: object.intensity, color: object.color.toArray()});
+  if (object.isCamera) Object.assign(item, {fov: object.fov, aspect: object.aspect, near: object.near});
+  objects.push(item);
 });
 const splats = [];
 for (const index of [0]) {
@@ -60,7 +60,7 @@ for (const index of [0]) {
       Array.from({length: attribute.itemSize}, (_, k) => attribute.getComponent(i, k)))]);
   }
 }
-console.log(JSON.stringify({things, splats: Object.fromEntries(splats)}));
+console.log(JSON.stringify({objects, splats: Object.fromEntries(splats)}));
 """
 
 
@@ -138,7 +138,7 @@ def test_khronos_validator_accepts_written_files(tmp_path: Path, extension: str)
 
 
 def test_files_of_splat_transform_are_read(tmp_path: Path) -> None:
-    """Its GLB is the PLY rotated by a half turn about z, ours by one about x: a half turn about y between."""
+    """splat-transform rotates a PLY by a half turn about z, Lumisplat about x: they differ by one about y."""
     needed("@playcanvas/splat-transform")
     given = capture(50, 3)
     ls.save(tmp_path / "a.ply", given)
@@ -169,14 +169,14 @@ def test_three_js_reads_written_files(tmp_path: Path) -> None:
     given = ls.Scene(splats=scene.splats, meshes=plain, lights=scene.lights, up="y-up")
     ls.save(tmp_path / "scene.glb", given, cameras=[camera])
     found = script(tmp_path, READ_BY_THREE, tmp_path / "scene.glb")
-    things = {thing["type"]: thing for thing in found["things"]}
-    np.testing.assert_allclose(things["GaussianSplat"]["place"], (1, 2, 3), atol=1e-6)
-    np.testing.assert_allclose(things["Mesh"]["place"], (4, 5, 6), atol=1e-6)
-    np.testing.assert_allclose(things["PointLight"]["place"], (1, 2, 3), atol=1e-6)
-    assert (things["PointLight"]["intensity"], things["PointLight"]["color"]) == (5, [0.25, 0.5, 1])
-    seen = things["PerspectiveCamera"]
-    np.testing.assert_allclose(seen["place"], (0, 1, 6), atol=1e-6)
-    np.testing.assert_allclose([seen["fov"], seen["aspect"]], [np.degrees(0.7), 1.6], rtol=1e-6)
+    objects = {item["type"]: item for item in found["objects"]}
+    np.testing.assert_allclose(objects["GaussianSplat"]["position"], (1, 2, 3), atol=1e-6)
+    np.testing.assert_allclose(objects["Mesh"]["position"], (4, 5, 6), atol=1e-6)
+    np.testing.assert_allclose(objects["PointLight"]["position"], (1, 2, 3), atol=1e-6)
+    assert (objects["PointLight"]["intensity"], objects["PointLight"]["color"]) == (5, [0.25, 0.5, 1])
+    found_camera = objects["PerspectiveCamera"]
+    np.testing.assert_allclose(found_camera["position"], (0, 1, 6), atol=1e-6)
+    np.testing.assert_allclose([found_camera["fov"], found_camera["aspect"]], [np.degrees(0.7), 1.6], rtol=1e-6)
     read = expect_kind(ls.Scene, ls.load(tmp_path / "scene.glb")).splats[0].gaussians
     names = {name.lower(): np.array(values) for name, values in found["splats"].items()}
     np.testing.assert_array_equal(names["position"], read.means * np.array([1, -1, -1], np.float32))

@@ -24,7 +24,7 @@ from support.files.gltf_splats import (
 from support.files.gltf_writer import Gltf
 from support.files.mesh_files import QUAD, QUAD_TRIANGLES
 
-TURN_SIGNS = np.array([1, -1, -1], np.float32)
+HALF_TURN_SIGNS = np.array([1, -1, -1], np.float32)
 HALF_TURN = np.diag([1.0, -1.0, -1.0])
 """Half turn about x between glTF, which is y up, and captures."""
 DIRECTIONS = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, -0.8, 0.0), (-0.48, 0.6, 0.64)])
@@ -56,7 +56,7 @@ def test_values_match_the_file_up_to_a_half_turn(tmp_path: Path) -> None:
     """Positions, ellipsoids, opacities and colours, after a half turn about x."""
     values = stored_values(degree=3)
     read = loaded_gaussians(tmp_path, splat_gltf(values))
-    np.testing.assert_array_equal(read.means, values["POSITION"] * TURN_SIGNS)
+    np.testing.assert_array_equal(read.means, values["POSITION"] * HALF_TURN_SIGNS)
     np.testing.assert_array_equal(read.scales, values["SCALE"])
     np.testing.assert_array_equal(read.opacities, values["OPACITY"])
     np.testing.assert_array_equal(read.sh[:, 0], values["SH_DEGREE_0_COEF_0"])
@@ -127,7 +127,7 @@ def test_negative_scales_mean_logarithms(tmp_path: Path, caplog: pytest.LogCaptu
 
 
 def test_opacities_outside_0_to_1_are_logits(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Also if the scales are logarithms; a log line says so."""
+    """Opacities are also logits if the scales are logarithms; a log line says so."""
     logits = np.array([-3.0, 0.0, 0.5, 2.0, 4.0], np.float32)
     read = loaded_gaussians(tmp_path, splat_gltf(stored_values() | {"OPACITY": logits}))
     np.testing.assert_allclose(read.opacities, 1.0 / (1.0 + np.exp(-logits)), rtol=1e-6)
@@ -201,15 +201,15 @@ def test_node_transform_applies_to_single_capture(tmp_path: Path) -> None:
     q /= np.linalg.norm(q)
     gltf.json["nodes"][0] |= {"rotation": q.tolist(), "scale": [2.0] * 3, "translation": [1.0, 2.0, 3.0]}
     read = loaded_gaussians(tmp_path, gltf)
-    turn = matrices(q[None])[0]
-    world = 2.0 * values["POSITION"] @ turn.T + (1.0, 2.0, 3.0)
+    rotation = matrices(q[None])[0]
+    world = 2.0 * values["POSITION"] @ rotation.T + (1.0, 2.0, 3.0)
     np.testing.assert_allclose(read.means, world @ HALF_TURN, rtol=0, atol=1e-5)
-    expected = covariances(values["ROTATION"], values["SCALE"], 2.0 * HALF_TURN @ turn)
+    expected = covariances(values["ROTATION"], values["SCALE"], 2.0 * HALF_TURN @ rotation)
     np.testing.assert_allclose(capture_covariances(read, np.eye(3)), expected, rtol=1e-5, atol=1e-7)
     still = loaded_gaussians(tmp_path, splat_gltf(values))
     for direction in DIRECTIONS:
         before = colors_along(still, np.tile(HALF_TURN @ direction, (5, 1)))
-        after = colors_along(read, np.tile(HALF_TURN @ turn @ direction, (5, 1)))
+        after = colors_along(read, np.tile(HALF_TURN @ rotation @ direction, (5, 1)))
         np.testing.assert_allclose(after, before, rtol=0, atol=1e-5)
 
 
@@ -284,14 +284,14 @@ def test_stretched_copies_are_limited(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_captures_beside_meshes_or_lights_give_a_scene(tmp_path: Path) -> None:
-    """In the axes of the file, y up; cameras are loaded as usual."""
+    """The scene has the axes of the file, y up; cameras are loaded as usual."""
     values = stored_values()
     gltf = with_camera(splat_gltf(values))
     gltf.json |= {"extensions": {"KHR_lights_punctual": {"lights": [{"type": "point", "intensity": 7.0}]}}}
     attributes = {"POSITION": gltf.accessor(QUAD)}
     gltf.add("meshes", primitives=[{"attributes": attributes, "indices": gltf.accessor(QUAD_TRIANGLES.ravel())}])
-    lamp = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 3, 0]}
-    gltf.json["scenes"][0]["nodes"] += [gltf.add("nodes", mesh=1), gltf.add("nodes", **lamp)]
+    light = {"extensions": {"KHR_lights_punctual": {"light": 0}}, "translation": [0, 3, 0]}
+    gltf.json["scenes"][0]["nodes"] += [gltf.add("nodes", mesh=1), gltf.add("nodes", **light)]
     scene = loaded_scene(tmp_path, gltf)
     assert (len(scene.splats), len(scene.meshes), len(scene.lights)) == (1, 1, 1)
     assert scene.up == (0.0, 1.0, 0.0)
@@ -371,7 +371,7 @@ def test_gaussians_need_point_primitives(tmp_path: Path) -> None:
 
 
 def test_invalid_gaussians_are_dropped_on_request(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """As for every other format."""
+    """The option drop_invalid works as for every other format."""
     values = stored_values()
     values["POSITION"][2, 1] = np.inf
     gltf = splat_gltf(values)

@@ -58,7 +58,7 @@ def corners(animation: ls.Animation, time: float) -> np.ndarray:
 
 
 def test_linear_step_and_cubic_translations(tmp_path: Path) -> None:
-    """From x = 0 at 0 s to x = 1 at 2 s; the cubic spline has tangents 2 and 0."""
+    """The node moves from x = 0 at 0 s to x = 1 at 2 s; the cubic spline has tangents 2 and 0."""
     keys = [0.0, 2.0]
     ends = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
     zero = (0.0, 0.0, 0.0)
@@ -108,7 +108,7 @@ def test_static_nodes_form_the_scene(tmp_path: Path) -> None:
 
 
 def test_step_camera_does_not_overshoot(tmp_path: Path) -> None:
-    """At any frame rate the camera is at one of its keys, before and after a STEP."""
+    """The camera is at one of its keys at any frame rate, before and after a STEP."""
     jumps = ("translation", [0.0, 1.0, 2.0], [(0, 0, 5), (4, 0, 5), (0, 3, 5)], "STEP")
     path = written(tmp_path / "a.glb", [{"camera": 0}], [(0, jumps)]).camera_path
     assert path is not None
@@ -118,7 +118,7 @@ def test_step_camera_does_not_overshoot(tmp_path: Path) -> None:
 
 
 def test_very_long_camera_and_capture_animations_are_refused(tmp_path: Path) -> None:
-    """These need many samples; animations of meshes do not."""
+    """Cameras and captures need many samples; animations of meshes do not."""
     turn = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(
         ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras and captures"
@@ -155,7 +155,7 @@ def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
 
 @pytest.mark.parametrize("way", ["LINEAR", "STEP"])
 def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
-    """With uniform scale, at each frame."""
+    """The node has a uniform scale; the capture matches its node at each frame."""
     moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], way))
     assert not moving.scene.splats
     for time in moving.times:

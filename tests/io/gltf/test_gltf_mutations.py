@@ -69,12 +69,12 @@ def containers(value: Any, found: list[tuple[Any, Any]]) -> list[tuple[Any, Any]
 def mutated(document: dict[str, Any], rng: np.random.Generator) -> None:
     """Removes or replaces a value somewhere in a document, or changes a number a little."""
     container, key = (found := containers(document, []))[rng.integers(len(found))]
-    way = rng.integers(4)
-    if way == 0:
+    kind = rng.integers(4)
+    if kind == 0:
         del container[key]
-    elif way == 1 and isinstance(container[key], int | float) and not isinstance(container[key], bool):
+    elif kind == 1 and isinstance(container[key], int | float) and not isinstance(container[key], bool):
         container[key] += int(rng.integers(-3, 4))
-    elif way == 2:
+    elif kind == 2:
         other, source = found[rng.integers(len(found))]
         container[key] = json.loads(json.dumps(other[source])) if source in other or isinstance(other, list) else None
     else:
@@ -105,15 +105,15 @@ def moving(whole: bytes) -> bytes:
         data += packed_values
         return len(document["accessors"]) - 1
 
-    ways, samplers, channels = ("LINEAR", "STEP", "CUBICSPLINE"), [], []
+    interpolations, samplers, channels = ("LINEAR", "STEP", "CUBICSPLINE"), [], []
     for index, node in enumerate(document["nodes"]):
         if "matrix" in node:
             continue
-        way = ways[index % 3]
-        values = [(0.1 * row, 1.0, 0.0) for row in range(9 if way == "CUBICSPLINE" else 3)]
+        interpolation = interpolations[index % 3]
+        values = [(0.1 * row, 1.0, 0.0) for row in range(9 if interpolation == "CUBICSPLINE" else 3)]
         keys = {"input": stored([0.0, 0.1, 0.2], "SCALAR"), "output": stored(values, "VEC3")}
         channels.append({"sampler": len(samplers), "target": {"node": index, "path": "translation"}})
-        samplers.append({**keys, "interpolation": way})
+        samplers.append({**keys, "interpolation": interpolation})
     document["animations"] = [{"samplers": samplers, "channels": channels}]
     document["buffers"][0]["byteLength"] = len(data)
     data += b"\0" * (-len(data) % 4)

@@ -40,16 +40,16 @@ def random_rig(seed: int) -> TubeRig:
     tracks = []
     for node in (1, 2, 3, 4):
         for path, width in (("translation", 3), ("rotation", 4), ("scale", 3)):
-            way = str(rng.choice(["LINEAR", "STEP", "CUBICSPLINE"]))
+            interpolation = str(rng.choice(["LINEAR", "STEP", "CUBICSPLINE"]))
             times = np.cumsum(rng.uniform(0.1, 0.6, 5)).astype(np.float32)
             values = rng.standard_normal((5, width))
             if path == "rotation":
                 values /= np.linalg.norm(values, axis=1, keepdims=True)
             elif path == "scale":
                 values = np.abs(values) + 0.3
-            if way == "CUBICSPLINE":
+            if interpolation == "CUBICSPLINE":
                 values = np.stack([rng.standard_normal((5, width)), values, rng.standard_normal((5, width))], 1)
-            tracks.append((node, path, times, values.reshape(-1, width).astype(np.float32), way))
+            tracks.append((node, path, times, values.reshape(-1, width).astype(np.float32), interpolation))
     rig.clips["all"] = tracks
     return rig
 
@@ -67,7 +67,7 @@ def test_bind_pose_reproduces_the_mesh(tmp_path: Path) -> None:
 
 
 def test_moving_only_the_root_is_a_rigid_motion(tmp_path: Path) -> None:
-    """All vertices and normals move along."""
+    """Vertices and normals move with the root."""
     rig = TubeRig(clips={"carry": CARRY})
     loaded = load(rig, tmp_path)
     for time in (0.3, 1.0, 1.9):
@@ -79,7 +79,7 @@ def test_moving_only_the_root_is_a_rigid_motion(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_poses_match_a_float64_reference(seed: int, tmp_path: Path) -> None:
-    """All interpolations and channels, eight influences per vertex, before, during and after the clip."""
+    """The rig has all interpolations and channels, and eight influences per vertex."""
     rig = random_rig(seed)
     loaded = load(rig, tmp_path)
     for time in (-1.0, 0.0, *np.linspace(0.05, loaded.duration("all"), 13), 99.0):
@@ -91,7 +91,7 @@ def test_poses_match_a_float64_reference(seed: int, tmp_path: Path) -> None:
 
 
 def test_rest_pose_equals_the_loaded_mesh(tmp_path: Path) -> None:
-    """Also where a node mirrors."""
+    """The poses are also equal where a node mirrors."""
     rig = random_rig(7)
     rig.nodes[1]["scale"] = [-1.0, 1.0, 1.0]
     loaded = load(rig, tmp_path)
@@ -222,7 +222,7 @@ def test_clips_are_chosen_by_name(tmp_path: Path) -> None:
 
 
 def test_rigs_without_clips_stay_at_rest(tmp_path: Path) -> None:
-    """At any time, with no duration."""
+    """Any time gives the rest pose, and the duration is 0."""
     loaded = load(TubeRig(), tmp_path)
     np.testing.assert_array_equal(loaded.pose(5.0).positions, loaded.mesh.positions)
     with pytest.raises(ls.SceneError, match="the rig has no clips"):
@@ -235,9 +235,9 @@ def without_skin(rig: TubeRig) -> None:
     rig.joints = rig.weights = None
 
 
-def keys(rig: TubeRig, path: str, times: list, values: list, way: str = "LINEAR", node: int = 3) -> None:
+def keys(rig: TubeRig, path: str, times: list, values: list, interpolation: str = "LINEAR", node: int = 3) -> None:
     """Returns a document with one track."""
-    rig.clips["clip"] = [(node, path, times, values, way)]
+    rig.clips["clip"] = [(node, path, times, values, interpolation)]
 
 
 def unweighted(rig: TubeRig, value: float) -> None:
@@ -309,7 +309,7 @@ def test_damaged_rigs_are_refused_or_read(tmp_path: Path) -> None:
 
 
 def test_rigs_are_refused_by_extension(tmp_path: Path) -> None:
-    """Before the content is parsed; upper-case extensions are allowed."""
+    """The content is not parsed; upper-case extensions are allowed."""
     (tmp_path / "spot.obj").write_text("v 0 0 0\n")
     with pytest.raises(
         ls.FormatError, match=r"spot\.obj: unknown extension '\.obj' of a rig, expected \.glb or \.gltf$"

@@ -22,7 +22,7 @@ from support.files.splat_files import capture
 from support.kinds import expect_kind, present
 
 QUAD_MESH = ls.Mesh(QUAD, QUAD_TRIANGLES, uvs=QUAD_UVS, name="quad")
-TURN = np.array([[0.36, 0.48, -0.8, 1.0], [-0.8, 0.6, 0.0, -2.0], [0.48, 0.64, 0.6, 3.0], [0.0, 0.0, 0.0, 1.0]])
+TRANSFORM = np.array([[0.36, 0.48, -0.8, 1.0], [-0.8, 0.6, 0.0, -2.0], [0.48, 0.64, 0.6, 3.0], [0.0, 0.0, 0.0, 1.0]])
 """A rotation with a translation."""
 
 
@@ -62,7 +62,7 @@ def mesh_round_trip(path: Path, material: ls.MaterialPbr | ls.MaterialSimple, **
 @pytest.mark.parametrize("extension", ["glb", "gltf"])
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_capture_round_trip_is_exact(tmp_path: Path, degree: int, extension: str) -> None:
-    """All fields, bit by bit."""
+    """Every field is restored bit by bit."""
     rng = np.random.default_rng(5)
     extras = {"normals": rng.normal(size=(40, 3)), "albedo": rng.random((40, 3)), "metallic": rng.random(40)}
     if degree % 2:
@@ -113,7 +113,7 @@ def test_repeated_captures_are_instances(path: Path) -> None:
     given = capture(20)
     material = ls.MaterialPbr(roughness=0.25, sheen_color=(0.1, 0.2, 0.3), name="cloth")
     simple = ls.MaterialSimple(ambient=(0.5, 0.5, 0.5), shininess=9.0)
-    placed = 0.5 * TURN
+    placed = 0.5 * TRANSFORM
     placed[3, 3] = 1.0
     scene = ls.Scene(
         splats=[
@@ -136,7 +136,7 @@ def test_repeated_captures_are_instances(path: Path) -> None:
 
 
 def test_single_capture_with_settings_stays_a_scene(path: Path) -> None:
-    """Its material and its shadow catcher flag are not lost."""
+    """The material and the shadow catcher flag are not lost."""
     relit = ls.SplatInstance(capture(5), material=ls.MaterialPbr(roughness=0.25))
     assert expect_kind(ls.MaterialPbr, round_trip(path, ls.Scene(splats=[relit])).splats[0].material).roughness == 0.25
     assert not holds_one_capture(path)
@@ -152,17 +152,17 @@ def test_single_capture_with_settings_stays_a_scene(path: Path) -> None:
     [("y-down", (1, -2, -3)), ("y-up", (1, 2, 3)), ("z-up", (1, 3, -2)), ("x-up", None), ((0.0, -1.0, 0.2), None)],
 )
 def test_scene_up_becomes_y(path: Path, up: Any, to_file: tuple[int, ...] | None) -> None:
-    """By a rotation; the usual axes are exchanged exactly."""
+    """The scene is rotated; the usual up axes are exchanged exactly."""
     given = capture(4)
     scene = ls.Scene(splats=[given], meshes=[QUAD_MESH], up=up)
     read = round_trip(path, scene)
-    turn = read.splats[0].transform
-    np.testing.assert_allclose(turn[:3, :3] @ turn[:3, :3].T, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(turn[:3, :3] @ scene.up_direction, (0.0, 1.0, 0.0), atol=1e-12)
-    np.testing.assert_array_equal(read.meshes[0].transform, turn)
+    rotation = read.splats[0].transform
+    np.testing.assert_allclose(rotation[:3, :3] @ rotation[:3, :3].T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(rotation[:3, :3] @ scene.up_direction, (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_array_equal(read.meshes[0].transform, rotation)
     assert read.up == (0.0, 1.0, 0.0)
     if to_file is not None:
-        np.testing.assert_array_equal(turn[:3, :3] @ (1.0, 2.0, 3.0), to_file)
+        np.testing.assert_array_equal(rotation[:3, :3] @ (1.0, 2.0, 3.0), to_file)
 
 
 # --- Meshes ---
@@ -173,7 +173,7 @@ def test_mesh_round_trip_is_exact(path: Path) -> None:
     rng = np.random.default_rng(2)
     normals = rng.normal(size=(4, 3))
     mesh = replace(QUAD_MESH, normals=normals, colors=rng.random((4, 3)))
-    moved = TURN @ np.diag([2.0, -1.0, 3.0, 1.0])
+    moved = TRANSFORM @ np.diag([2.0, -1.0, 3.0, 1.0])
     read = round_trip(path, ls.Scene(meshes=[mesh, ls.MeshInstance(mesh, moved, name="copy")]))
     assert len(document(path)["meshes"]) == 1
     first, second = read.meshes
@@ -311,7 +311,7 @@ LIGHTS = [
 
 
 def test_punctual_light_round_trip(path: Path) -> None:
-    """In a y-up scene, with the sizes that only Lumisplat reads."""
+    """The scene is y up; light sizes are stored in extras."""
     read = round_trip(path, ls.Scene(lights=LIGHTS, up="y-up"))
     for light, found in zip(LIGHTS, read.lights, strict=True):
         assert type(found) is type(light)
@@ -330,7 +330,7 @@ def test_light_colours_above_one_scale_the_intensity(path: Path) -> None:
 
 
 def test_sphere_lights_become_point_lights(path: Path) -> None:
-    """With the intensity of radiance times disk area, and with the radius for Lumisplat."""
+    """The intensity is radiance times disk area, and extras store the radius."""
     (light,) = round_trip(path, ls.Scene(lights=[ls.LightSphere((1, 2, 3), 0.5, intensity=8.0)], up="y-up")).lights
     point = expect_kind(ls.LightPoint, light)
     assert point.intensity == pytest.approx(8.0 * math.pi * 0.25)
@@ -374,7 +374,7 @@ def test_lossless_scenes_are_written_silently(path: Path, caplog: pytest.LogCapt
 
 
 def test_losses_are_listed_in_one_line(path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Each feature that other programs will not see, with its count."""
+    """The warning lists every lost feature with its count."""
     camera = next(cameras())
     scene = ls.Scene(
         splats=[

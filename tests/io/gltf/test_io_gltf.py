@@ -93,7 +93,7 @@ def test_only_the_default_scene_is_read(tmp_path: Path) -> None:
     [(5, [0, 1, 3, 2], [(0, 1, 3), (1, 2, 3)]), (6, [0, 1, 2, 3], [(0, 1, 2), (0, 2, 3)])],
 )
 def test_strips_and_fans_become_triangles(tmp_path: Path, mode: int, corners: list, triangles: list) -> None:
-    """All triangles have the same winding."""
+    """The triangles all have the same winding."""
     gltf = quad_gltf(textured=False)
     gltf.json["meshes"][0]["primitives"][0] |= {"mode": mode, "indices": gltf.accessor(np.array(corners, np.uint8))}
     mesh = only_mesh(read(tmp_path, gltf)).mesh
@@ -192,7 +192,7 @@ def test_transmissive_solid_is_read_silently(tmp_path: Path, caplog: pytest.LogC
 
 
 def test_thickness_makes_a_solid_with_absorption(tmp_path: Path) -> None:
-    """Without a thickness the material is thin-walled."""
+    """A transmissive material without thickness is thin-walled."""
     gltf = quad_gltf(textured=False)
     volume = {"thicknessFactor": 1, "attenuationDistance": 2, "attenuationColor": [0.5, 0.25, 1]}
     gltf.json["materials"][0]["extensions"] = GLASS | {"KHR_materials_volume": volume}
@@ -218,7 +218,7 @@ def with_alpha(gltf: Gltf, alpha: int = 7) -> Gltf:
 
 
 def test_alpha_mode_cutoff_and_factor_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With the texture's fourth channel; also for unlit materials."""
+    """The texture's alpha channel is kept, also for unlit materials."""
     for extensions in ({}, {"KHR_materials_unlit": {}}):
         gltf = with_alpha(quad_gltf())
         material = gltf.json["materials"][0]
@@ -270,7 +270,7 @@ def test_unused_alpha_channels_are_dropped(tmp_path: Path) -> None:
 
 
 def test_texture_without_uvs_is_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With a log line."""
+    """A log line reports the dropped texture."""
     gltf = quad_gltf()
     del gltf.json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]
     with caplog.at_level(logging.WARNING, "lumisplat"):
@@ -301,7 +301,7 @@ def test_skin_ignores_the_transform_of_its_mesh_node(tmp_path: Path) -> None:
 
 
 def test_morph_targets_have_default_weights(tmp_path: Path) -> None:
-    """Their offsets are added with the mesh's weights."""
+    """Morph offsets are added with the mesh's weights."""
     gltf = quad_gltf(textured=False)
     offsets = gltf.accessor(np.array([(0, 0, 4)] * 4, np.float32))
     gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": offsets}]

@@ -14,7 +14,7 @@ from support.files.mesh_files import Gltf, quad_gltf
 from support.kinds import expect_kind
 
 HALF = math.sqrt(0.5)
-TURN_DOWN = [-HALF, 0.0, 0.0, HALF]
+LOOK_DOWN = [-HALF, 0.0, 0.0, HALF]
 """Quaternion x, y, z, w of a quarter turn about x that maps -z to -y."""
 
 
@@ -60,7 +60,7 @@ def test_light_defaults_are_those_of_the_extension(tmp_path: Path) -> None:
 def test_spot_shines_along_minus_z_of_its_node(tmp_path: Path, scale: list[float]) -> None:
     """Node scales move the spot, but change neither intensity nor range."""
     light = {"type": "spot", "intensity": 9.0, "range": 4.0, "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.5}}
-    gltf = light_gltf(light, translation=[0, 1, 0], rotation=TURN_DOWN, name="over the table")
+    gltf = light_gltf(light, translation=[0, 1, 0], rotation=LOOK_DOWN, name="over the table")
     gltf.add("nodes", children=[0], translation=[10, 0, 0], scale=scale, rotation=[0, 0, 1, 0])
     (spot,) = read(tmp_path, gltf).lights
     assert isinstance(spot, ls.LightSpot)
@@ -72,8 +72,8 @@ def test_spot_shines_along_minus_z_of_its_node(tmp_path: Path, scale: list[float
 
 
 def test_directional_light_is_in_lux(tmp_path: Path) -> None:
-    """It has a direction and no position."""
-    (sun,) = read(tmp_path, light_gltf({"type": "directional", "intensity": 5.0}, rotation=TURN_DOWN)).lights
+    """A directional light has a direction and no position."""
+    (sun,) = read(tmp_path, light_gltf({"type": "directional", "intensity": 5.0}, rotation=LOOK_DOWN)).lights
     assert isinstance(sun, ls.LightDirectional)
     np.testing.assert_allclose(sun.direction, (0.0, -1.0, 0.0), atol=1e-12)
     assert sun.intensity == 5.0
@@ -164,7 +164,7 @@ def test_invalid_nodes_are_refused(tmp_path: Path, node: dict[str, Any], message
 
 
 def test_file_without_content_is_refused(tmp_path: Path) -> None:
-    """It has neither mesh, light nor camera."""
+    """The file has neither mesh, light nor camera."""
     gltf = Gltf()
     gltf.add("nodes", name="empty")
     with pytest.raises(ls.FormatError, match="no Gaussians, triangle mesh, light or camera"):

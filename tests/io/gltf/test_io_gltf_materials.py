@@ -38,7 +38,7 @@ def read(tmp_path: Path, gltf: Gltf) -> ls.Mesh:
 
 
 def test_all_textures_and_factors_are_read_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """As stored, without a log line."""
+    """Textures and factors are as stored, without a log line."""
     gltf = textured(
         normalTexture={"index": 2, "scale": 0.5},
         occlusionTexture={"index": 3, "strength": 0.25},
@@ -61,7 +61,7 @@ def test_all_textures_and_factors_are_read_silently(tmp_path: Path, caplog: pyte
 
 
 def test_missing_values_have_the_defaults_of_gltf(tmp_path: Path) -> None:
-    """Without emission, its strength has no effect."""
+    """An emissive strength without an emissive factor has no effect."""
     gltf = quad_gltf(textured=False)
     gltf.json["materials"][0]["extensions"] = {"KHR_materials_emissive_strength": {"emissiveStrength": 8.0}}
     material = read(tmp_path, gltf).material
@@ -131,7 +131,7 @@ def test_textures_with_equal_transforms_are_kept(tmp_path: Path, caplog: pytest.
 
 
 def test_first_texture_sets_the_coordinates(tmp_path: Path) -> None:
-    """For example the normal texture, if there is no base colour texture."""
+    """The normal texture sets the coordinates if there is no base colour texture."""
     gltf = textured(normalTexture={"index": 2, "texCoord": 1}, occlusionTexture={"index": 3})
     del gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
@@ -171,7 +171,7 @@ def test_invalid_materials_are_refused_by_name(tmp_path: Path, material: dict[st
 
 
 def test_transmission_clearcoat_and_sheen_are_read(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With factors and textures, without a log line."""
+    """Factors and textures are read without a log line."""
     glass = {"transmissionFactor": 0.75, "transmissionTexture": {"index": 4}}
     coat: dict[str, Any] = {"clearcoatFactor": 0.5, "clearcoatRoughnessFactor": 0.25}
     sheen: dict[str, Any] = {"sheenColorFactor": [0.1, 0.2, 0.3], "sheenRoughnessFactor": 0.75}

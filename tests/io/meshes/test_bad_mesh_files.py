@@ -78,7 +78,7 @@ def test_formats_with_sizes_refuse_half_a_file(tmp_path: Path, kind: str) -> Non
 
 @pytest.mark.parametrize("kind", VALID)
 def test_random_bytes_load_or_are_refused(tmp_path: Path, kind: str) -> None:
-    """In random positions."""
+    """Bytes are replaced in random positions."""
     extension, make = VALID[kind]
     data = make(tmp_path)
     rng = np.random.default_rng(11)
@@ -162,7 +162,7 @@ def test_binary_faces_without_lists_are_refused_at_once(tmp_path: Path, properti
 
 
 def test_stl_count_must_match_its_length(tmp_path: Path) -> None:
-    """For binary files."""
+    """A binary STL stores the number of its triangles."""
     data = bytearray(stl_bytes(CORNERS).replace(b"solid", b"other"))
     data[80:84] = (4_000_000_000).to_bytes(4, "little")
     refuses(tmp_path / "a.stl", bytes(data), "expected 200,000,000,084 for an STL of 4,000,000,000 triangles")
@@ -257,7 +257,7 @@ def test_bad_gltf_is_refused_by_item(tmp_path: Path, damage: Callable[[Gltf], ob
 
 
 def test_obj_faces_with_missing_vertices_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Their triangles are counted, and the rest is read."""
+    """The dropped triangles are counted, and the rest is read."""
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 1 2 4 9\nf 2 4 3\n")
     mesh = ls.load(path)
@@ -267,7 +267,7 @@ def test_obj_faces_with_missing_vertices_are_dropped(tmp_path: Path, caplog: pyt
 
 
 def test_mesh_with_only_out_of_range_triangles_is_refused(tmp_path: Path) -> None:
-    """Its only triangle uses a missing vertex."""
+    """The only triangle uses a missing vertex."""
     gltf = quad_gltf()
     primitive(gltf)["indices"] = gltf.accessor(np.array([0, 1, 4], np.uint32))
     refuses(tmp_path / "a.glb", gltf.glb(), "has no usable triangles: 1 with")
@@ -337,7 +337,7 @@ def test_strip_restarts_are_not_unusable_triangles(tmp_path: Path, caplog: pytes
 
 
 def test_nan_positions_are_counted_and_refused(tmp_path: Path) -> None:
-    """In a glTF accessor."""
+    """A glTF accessor holds the NaN."""
     gltf = quad_gltf()
     positions = QUAD.copy()
     positions[1, 2] = np.nan

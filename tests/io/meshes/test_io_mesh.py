@@ -94,7 +94,7 @@ def test_obj_black_kd_without_texture_stays_black(tmp_path: Path) -> None:
 
 
 def test_obj_with_several_materials_is_a_scene(tmp_path: Path) -> None:
-    """Each material becomes a mesh instance with only the vertices that it uses."""
+    """Every material becomes a mesh instance with only the vertices that it uses."""
     write_obj(tmp_path)
     (tmp_path / "two.obj").write_text(OBJ + "usemtl plain\nf 1 2 3\nusemtl painted\nf 1/1/1 2/2/1 3/3/1\n")
     scene = ls.load(tmp_path / "two.obj")
@@ -150,7 +150,7 @@ def test_obj_texture_errors_name_the_texture_file(tmp_path: Path, damage: str) -
 
 @pytest.mark.parametrize("space", [b"end solid", b"END  SOLID", b"end\tsolid"])
 def test_ascii_stl_may_have_spaces_in_end_keywords(tmp_path: Path, space: bytes) -> None:
-    """Such as "end facet" and "end loop"."""
+    """Some writers put "end facet" and "end loop"."""
     text = stl_text(QUAD[QUAD_TRIANGLES])
     for name in (b"facet", b"loop"):
         text = text.replace(b"end" + name, space.replace(b"solid", name).replace(b"SOLID", name))
@@ -168,7 +168,7 @@ def test_bytes_after_a_binary_stl_are_ignored(tmp_path: Path, extra: int, caplog
 
 @pytest.mark.parametrize("extension", ["obj", "ply"])
 def test_texture_without_uvs_is_dropped(tmp_path: Path, extension: str, caplog: pytest.LogCaptureFixture) -> None:
-    """With one log line; the mesh keeps its colour."""
+    """One log line reports it; the mesh keeps its colour."""
     path = write_obj(tmp_path) if extension == "obj" else tmp_path / "a.ply"
     if extension == "obj":
         path.write_text("mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nusemtl painted\nf 1 2 3\n")

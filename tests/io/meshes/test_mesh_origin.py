@@ -44,7 +44,7 @@ def loaded(path: Path) -> ls.Mesh:
 
 @pytest.mark.parametrize("kind", ["obj", "ply"])
 def test_map_coordinates_get_an_origin(tmp_path: Path, kind: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Without loss of precision, and with a log line; meshes near zero are unchanged."""
+    """No precision is lost, and a log line says so; meshes near zero are unchanged."""
     mesh = loaded(written(tmp_path, kind, UTM))
     assert any(mesh.origin) and "positions are relative to the origin" in caplog.text
     np.testing.assert_allclose(in_world(mesh), CORNERS + UTM, atol=2e-7, rtol=0)
@@ -57,7 +57,7 @@ def test_map_coordinates_get_an_origin(tmp_path: Path, kind: str, caplog: pytest
 
 @pytest.mark.parametrize("end", ["glb", "usdc", "ply"])
 def test_saved_meshes_keep_the_origin(tmp_path: Path, end: str) -> None:
-    """As the node's transform, also if it shears, or as doubles."""
+    """The origin is stored in the node's transform, also if it shears, or positions are doubles."""
     if end == "usdc":
         pytest.importorskip("pxr")
     mesh = loaded(written(tmp_path, "obj", UTM))

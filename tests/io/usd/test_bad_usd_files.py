@@ -158,7 +158,7 @@ def test_many_mutated_binary_animations_load_or_are_refused(tmp_path: Path) -> N
 
 @pytest.mark.parametrize("step", [148, pytest.param(37, marks=pytest.mark.deep)])
 def test_wrong_bytes_in_binary_tables_do_not_crash(tmp_path: Path, step: int) -> None:
-    """Each byte in the tables after the values is changed: the file is refused or read."""
+    """A file with a changed byte in the tables after its values is refused or read."""
     usd_core()
     path = tmp_path / "a.usdc"
     ls.save(path, moving_scene())
@@ -315,7 +315,7 @@ def working(path: Path) -> process.Remote:
 
 
 def test_each_remote_call_has_its_own_time_limit(tmp_path: Path) -> None:
-    """All frames of a long animation may exceed a file's limit together; a single frame may not."""
+    """The frames of a long animation may exceed a file's limit together; a single frame may not."""
     usd_core()
     work = process.read_in_child(tmp_path / "a.usda", working)
     assert sum(work(0.5) for _ in range(4)) == 2.0
@@ -395,7 +395,7 @@ def test_layers_named_by_expressions_are_refused(tmp_path: Path, body: str) -> N
 
 
 def test_layers_named_with_arguments_are_refused(tmp_path: Path) -> None:
-    """With arguments, a pipe looked like a missing file, and the library waited for its writer."""
+    """A pipe named with arguments looked like a missing file, and the library waited for its writer."""
     usd_core()
     os.mkfifo(tmp_path / "pipe.usda")
     body = 'def "a" ( references = @./pipe.usda:SDF_FORMAT_ARGS:target=x@ ) {\n}'
@@ -421,19 +421,19 @@ def test_textures_in_packages_outside_the_folder_are_refused(tmp_path: Path) -> 
     (tmp_path / "in").mkdir()
     with zipfile.ZipFile(tmp_path / "out.usdz", "w") as package:
         package.writestr("sky.hdr", b"secret")
-    sky = 'def DomeLight "sky" {{\n asset inputs:texture:file = @{}@\n}}'
-    path = write_usda(tmp_path / "in" / "a.usda", sky.format("../out.usdz[sky.hdr]"))
+    dome = 'def DomeLight "sky" {{\n asset inputs:texture:file = @{}@\n}}'
+    path = write_usda(tmp_path / "in" / "a.usda", dome.format("../out.usdz[sky.hdr]"))
     assert "which is not in its folder" in refused(path)
     os.mkfifo(tmp_path / "in" / "pipe.usdz")
-    path = write_usda(tmp_path / "in" / "b.usda", sky.format("./pipe.usdz[sky.hdr]"))
+    path = write_usda(tmp_path / "in" / "b.usda", dome.format("./pipe.usdz[sky.hdr]"))
     with pytest.raises(FormatError, match=r"pipe\.usdz: is a device, a pipe or a socket"):
         ls.load(path)
-    path = write_usda(tmp_path / "in" / "c.usda", sky.format('`"./pipe.usdz[sky.hdr]"`'))
+    path = write_usda(tmp_path / "in" / "c.usda", dome.format('`"./pipe.usdz[sky.hdr]"`'))
     assert "names a file by the expression" in refused(path)
 
 
 def test_layers_outside_the_folder_need_permission(tmp_path: Path) -> None:
-    """This covers references, payloads, sublayers and value clips."""
+    """References, payloads, sublayers and value clips are refused without allow_outside."""
     home = tmp_path / "home"
     home.mkdir()
     write_usda(tmp_path / "secret.usda", f'def Xform "in" {{\n{field()}\n}}', 'upAxis = "Y"\ndefaultPrim = "in"')
@@ -462,11 +462,11 @@ def test_images_outside_the_folder_and_pipes_are_refused(tmp_path: Path) -> None
     usd_core()
     home = tmp_path / "home"
     home.mkdir()
-    sky = 'def DomeLight "sky" {{\n asset inputs:texture:file = @{}@\n}}'
-    assert "which is not in its folder" in refused(write_usda(home / "a.usda", sky.format("../sky.hdr")))
+    dome = 'def DomeLight "sky" {{\n asset inputs:texture:file = @{}@\n}}'
+    assert "which is not in its folder" in refused(write_usda(home / "a.usda", dome.format("../sky.hdr")))
     os.mkfifo(home / "pipe.hdr")
-    assert "is a device, a pipe or a socket" in refused(write_usda(home / "b.usda", sky.format("./pipe.hdr")))
-    assert "no such file" in refused(write_usda(home / "c.usda", sky.format("./gone.hdr")))
+    assert "is a device, a pipe or a socket" in refused(write_usda(home / "b.usda", dome.format("./pipe.hdr")))
+    assert "no such file" in refused(write_usda(home / "c.usda", dome.format("./gone.hdr")))
 
 
 def test_layers_that_are_pipes_are_refused(tmp_path: Path) -> None:
@@ -505,11 +505,11 @@ def test_recursive_point_instancers_end(tmp_path: Path, monkeypatch: pytest.Monk
 def test_nested_instances_of_hidden_prims_are_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty instancers each instance the one before ten times; the first instances a hidden prim."""
     monkeypatch.setattr("lumisplat.io.usd.stage.USD_INSTANCES_MAX", 1000)
-    places = ", ".join(f"({k}, 0, 0)" for k in range(10))
+    positions = ", ".join(f"({k}, 0, 0)" for k in range(10))
     body = 'def "a0" {\n}\n' + "".join(
         f"""def PointInstancer "a{k}" {{
             int[] protoIndices = {[0] * 10}
-            point3f[] positions = [{places}]
+            point3f[] positions = [{positions}]
             rel prototypes = </a{k - 1}>
         }}
         """

@@ -49,16 +49,16 @@ def test_animation_round_trip(tmp_path: Path, extension: str, up: str) -> None:
     ls.save(path, saved)
     loaded = ls.load_animation(path)
     assert (loaded.fps, loaded.frame_count) == (10.0, 11)
-    turn = np.eye(4)
-    turn[:3, :3] = y_up_from(saved.scene.up_direction)  # the loaded scene has y up
+    rotation = np.eye(4)
+    rotation[:3, :3] = y_up_from(saved.scene.up_direction)  # the loaded scene has y up
     assert [actor.name for actor in loaded.actors] == ["flies", "slides"]
     assert [one.name for one in loaded.scene.splats] == ["still"] and not loaded.scene.meshes
     assert loaded.camera_path is not None and saved.camera_path is not None
     for time in saved.times:
         for before, after in zip(saved.actors_at(time), loaded.actors_at(time), strict=True):
-            np.testing.assert_allclose(after.transform, turn @ before.transform, atol=1e-12)
+            np.testing.assert_allclose(after.transform, rotation @ before.transform, atol=1e-12)
         one, other = saved.camera_path.at(time), loaded.camera_path.at(time)
-        np.testing.assert_allclose(other.camera_from_world @ turn, one.camera_from_world, atol=1e-12)
+        np.testing.assert_allclose(other.camera_from_world @ rotation, one.camera_from_world, atol=1e-12)
         assert other.fx == pytest.approx(one.fx, rel=2e-7)
     flies = expect_kind(ls.Gaussians, loaded.actors[0].subject)
     np.testing.assert_array_equal(flies.means, capture(4, seed=3).means)
@@ -70,8 +70,8 @@ def test_time_samples_are_written_only_where_values_change(tmp_path: Path) -> No
     ls.save(tmp_path / "walk.usdc", animation())
     stage = usd_core().Stage.Open(str(tmp_path / "walk.usdc"))
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetTimeCodesPerSecond()) == (0.0, 10.0, 10.0)
-    place = stage.GetPrimAtPath("/World/slides").GetAttribute("xformOp:transform")
-    assert place.GetTimeSamples() == [0.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
+    transform = stage.GetPrimAtPath("/World/slides").GetAttribute("xformOp:transform")
+    assert transform.GetTimeSamples() == [0.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0]
     still = stage.GetPrimAtPath("/World/still").GetAttributes()
     assert not any(attribute.GetNumTimeSamples() for attribute in still)
     assert not stage.GetPrimAtPath("/World/flies").GetAttribute("positions").GetNumTimeSamples()
@@ -213,7 +213,7 @@ def test_load_shows_the_first_time_code(tmp_path: Path) -> None:
 
 
 def test_time_samples_of_a_parent_move_its_children(tmp_path: Path) -> None:
-    """Without an authored range, the time samples define it."""
+    """Time samples define the time range if none is authored."""
     body = """def Xform "p" {
         double xformOp:rotateY.timeSamples = { 0: 0, 24: 90 }
         uniform token[] xformOpOrder = ["xformOp:rotateY"]

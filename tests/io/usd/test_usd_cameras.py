@@ -72,7 +72,7 @@ def test_written_cameras_match_the_frustum_of_usd_core(tmp_path: Path) -> None:
 
 
 def test_f_stop_focus_and_exposure(tmp_path: Path) -> None:
-    """In metres, focal length 0.5 (tenths) at f-stop 2.5 is an aperture radius of 0.01 m; exposures add up in stops."""
+    """Focal length 0.5 (tenths of a metre) at f-stop 2.5 is an aperture radius of 0.01 m; exposures add up."""
     thin = """float focalLength = 0.5
         float fStop = 2.5
         float focusDistance = 4
@@ -84,7 +84,7 @@ def test_f_stop_focus_and_exposure(tmp_path: Path) -> None:
 
 
 def test_orthographic_apertures_are_tenths_of_a_unit(tmp_path: Path) -> None:
-    """Also where the stage unit is a centimetre."""
+    """A stage in centimetres has apertures in millimetres."""
     (camera,) = cameras(tmp_path, f'{LENS}\ntoken projection = "orthographic"', 'upAxis = "Y"\nmetersPerUnit = 0.01')
     assert camera.model is ls.CameraModel.ORTHOGRAPHIC
     assert camera.width / camera.fx == pytest.approx(4.0 * 0.01) and camera.height / camera.fy == pytest.approx(0.02)

@@ -81,8 +81,8 @@ def test_coefficient_count_and_colour_space_are_written(tmp_path: Path) -> None:
     stage = usd.Stage.Open(str(tmp_path / "a.usdc"))
     (prim,) = (one for one in stage.Traverse() if one.GetTypeName() == "ParticleField3DGaussianSplat")
     attribute = prim.GetAttribute("radiance:sphericalHarmonicsCoefficients")
-    said = attribute.GetMetadata("elementSize"), attribute.GetMetadata("interpolation"), attribute.GetColorSpace()
-    assert said == (9, "vertex", "srgb_rec709_scene")
+    authored = attribute.GetMetadata("elementSize"), attribute.GetMetadata("interpolation"), attribute.GetColorSpace()
+    assert authored == (9, "vertex", "srgb_rec709_scene")
 
 
 def test_written_captures_stand_upright_in_other_programs(tmp_path: Path) -> None:
@@ -98,9 +98,9 @@ def test_written_captures_stand_upright_in_other_programs(tmp_path: Path) -> Non
 
 def test_quaternions_are_scalar_first_in_text_and_last_in_memory(tmp_path: Path) -> None:
     """The text (0.6, 0, 0, 0.8) is w, x, y, z, a rotation about z; y up adds a half turn about x."""
-    turn = "[(0.6, 0, 0, 0.8), (1, 0, 0, 0)]"
+    rotation = "[(0.6, 0, 0, 0.8), (1, 0, 0, 0)]"
     path = write_usda(
-        tmp_path / "a.usda", field({"quatf[] orientations": turn, "float3[] scales": "[(1,2,3),(1,1,1)]"})
+        tmp_path / "a.usda", field({"quatf[] orientations": rotation, "float3[] scales": "[(1,2,3),(1,1,1)]"})
     )
     loaded = load_gaussians(path)
     expected = np.diag([1.0, -1.0, -1.0]) @ matrices_from_quaternions(np.array([[0.6, 0.0, 0.0, 0.8]]))[0]
@@ -170,7 +170,7 @@ def test_log_scales_and_logit_opacities_are_detected(tmp_path: Path, caplog: pyt
 
 
 def test_sh_above_degree_three_are_dropped(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Of 25 coefficients of degree 4, the first 16 are kept."""
+    """The first 16 of 25 coefficients of degree 4 are kept."""
     values = "[" + ", ".join(f"({k}, 0, 0)" for k in range(50)) + "]"
     four = {
         "uniform int radiance:sphericalHarmonicsDegree": "4",
@@ -196,7 +196,7 @@ def test_unsupported_kernels_are_refused_by_name(tmp_path: Path, caplog: pytest.
 
 @pytest.mark.parametrize("where", ["field", "attribute"])
 def test_linear_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
-    """Whether the prim or the attribute states the colour space: 0.5 becomes 0.735."""
+    """The prim or the attribute may state the linear colour space: 0.5 becomes 0.735."""
     dc = (0.5 - 0.5) / 0.28209479177387814
     grey = f"[({dc}, {dc}, {dc}), ({dc}, {dc}, {dc})]"
     space = ' ( colorSpace = "lin_rec709_scene" )' if where == "attribute" else ""
@@ -210,8 +210,8 @@ def test_linear_sh_are_encoded_as_srgb(tmp_path: Path, where: str) -> None:
     np.testing.assert_allclose(0.5 + 0.28209479177387814 * found.sh[:, 0], 0.7353569, atol=1e-6)
     values["float3[] radiance:sphericalHarmonicsCoefficients"] = grey
     shown = own.format("srgb_rec709_display")
-    kept = load_gaussians(write_usda(tmp_path / "b.usda", field(values, schemas='"ColorSpaceAPI"', place=shown)))
-    np.testing.assert_array_equal(kept.sh, 0.0)
+    unchanged = load_gaussians(write_usda(tmp_path / "b.usda", field(values, schemas='"ColorSpaceAPI"', place=shown)))
+    np.testing.assert_array_equal(unchanged.sh, 0.0)
 
 
 def test_foreign_materials_of_captures_are_ignored_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -29,7 +29,7 @@ def light(path: Path, kind: str, inputs: str, head: str = 'upAxis = "Y"', schema
 
 def test_sphere_intensity_and_exposure_give_radiance(tmp_path: Path) -> None:
     """Intensity 3 with exposure 2 is a radiance of 12."""
-    lamp = expect_kind(
+    loaded = expect_kind(
         ls.LightSphere,
         light(
             tmp_path,
@@ -37,15 +37,15 @@ def test_sphere_intensity_and_exposure_give_radiance(tmp_path: Path) -> None:
             f"{AT}\nfloat inputs:intensity = 3\nfloat inputs:exposure = 2\nfloat inputs:radius = 0.25",
         ),
     )
-    assert (lamp.intensity, lamp.radius, lamp.position) == (12.0, 0.25, (1.0, 2.0, 3.0))
+    assert (loaded.intensity, loaded.radius, loaded.position) == (12.0, 0.25, (1.0, 2.0, 3.0))
 
 
 def test_normalized_sphere_gives_candela_at_any_radius(tmp_path: Path) -> None:
     """Radiance 8 / (4 pi r^2) on a visible disk of pi r^2 is 2 candela."""
     inputs = "float inputs:intensity = 8\nbool inputs:normalize = 1\nfloat inputs:radius = {}"
     for radius in (0.1, 2.0):
-        lamp = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs.format(radius)))
-        assert lamp.intensity == pytest.approx(2.0) and lamp.radius == radius
+        loaded = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs.format(radius)))
+        assert loaded.intensity == pytest.approx(2.0) and loaded.radius == radius
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.01])
@@ -63,8 +63,8 @@ def test_normalized_lights_are_equally_bright_in_any_unit(tmp_path: Path, unit: 
 def test_treat_as_point_gives_a_point_light(tmp_path: Path) -> None:
     """Radiance 2 at radius 0.5 is 2 pi 0.25 candela; in centimetres, a ten-thousandth of that."""
     inputs = "float inputs:intensity = 2\nfloat inputs:radius = 0.5\nbool treatAsPoint = 1"
-    lamp = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs))
-    assert lamp.intensity == pytest.approx(2.0 * math.pi * 0.25) and lamp.radius == 0.0
+    loaded = expect_kind(ls.LightPoint, light(tmp_path, "SphereLight", inputs))
+    assert loaded.intensity == pytest.approx(2.0 * math.pi * 0.25) and loaded.radius == 0.0
     small = light(tmp_path, "SphereLight", inputs, 'upAxis = "Y"\nmetersPerUnit = 0.01')
     assert small.intensity == pytest.approx(2.0 * math.pi * 0.25e-4)
 
@@ -77,11 +77,11 @@ def test_cone_gives_a_spot_light(tmp_path: Path) -> None:
         bool inputs:normalize = 1
         float3 xformOp:rotateXYZ = (-90, 0, 0)
         uniform token[] xformOpOrder = ["xformOp:rotateXYZ"]"""
-    lamp = expect_kind(ls.LightSpot, light(tmp_path, "SphereLight", inputs, schemas='"ShapingAPI"'))
-    np.testing.assert_allclose(lamp.direction, (0.0, -1.0, 0.0), atol=1e-7)
-    assert lamp.outer_angle == pytest.approx(math.radians(30.0))
-    assert lamp.inner_angle == pytest.approx(math.radians(18.0))
-    assert lamp.intensity == pytest.approx(1.0)
+    loaded = expect_kind(ls.LightSpot, light(tmp_path, "SphereLight", inputs, schemas='"ShapingAPI"'))
+    np.testing.assert_allclose(loaded.direction, (0.0, -1.0, 0.0), atol=1e-7)
+    assert loaded.outer_angle == pytest.approx(math.radians(30.0))
+    assert loaded.inner_angle == pytest.approx(math.radians(18.0))
+    assert loaded.intensity == pytest.approx(1.0)
 
 
 def test_distant_light_gives_lux(tmp_path: Path) -> None:
@@ -100,11 +100,11 @@ def test_distant_light_gives_lux(tmp_path: Path) -> None:
 def test_rect_light_radiance_and_direction(tmp_path: Path) -> None:
     """Normalized radiance is divided by the world area. The light shines along -z, also if mirrored."""
     inputs = "float inputs:width = 2\nfloat inputs:height = 3\nfloat inputs:intensity = 12"
-    lamp = expect_kind(ls.LightRect, light(tmp_path, "RectLight", inputs))
-    assert lamp.intensity == 12.0
-    np.testing.assert_allclose(np.cross(lamp.edge_u, lamp.edge_v), (0.0, 0.0, -6.0))
-    place = '\ndouble3 xformOp:scale = (-2, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
-    mirrored = expect_kind(ls.LightRect, light(tmp_path, "RectLight", f"{inputs}\nbool inputs:normalize = 1{place}"))
+    loaded = expect_kind(ls.LightRect, light(tmp_path, "RectLight", inputs))
+    assert loaded.intensity == 12.0
+    np.testing.assert_allclose(np.cross(loaded.edge_u, loaded.edge_v), (0.0, 0.0, -6.0))
+    scaled = '\ndouble3 xformOp:scale = (-2, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    mirrored = expect_kind(ls.LightRect, light(tmp_path, "RectLight", f"{inputs}\nbool inputs:normalize = 1{scaled}"))
     np.testing.assert_allclose(np.cross(mirrored.edge_u, mirrored.edge_v), (0.0, 0.0, -12.0))
     assert mirrored.intensity == pytest.approx(1.0)
 
@@ -112,20 +112,20 @@ def test_rect_light_radiance_and_direction(tmp_path: Path) -> None:
 def test_disk_light_radiance_and_direction(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Normalized radiance is divided by the world area. The light shines along -z, also if mirrored."""
     inputs = "float inputs:radius = 2\nfloat inputs:intensity = 12"
-    lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", inputs))
-    assert (lamp.radius, lamp.intensity, lamp.direction) == (2.0, 12.0, (0.0, 0.0, -1.0))
-    place = '\ndouble3 xformOp:scale = (-3, 3, 3)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
-    mirrored = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"{inputs}\nbool inputs:normalize = 1{place}"))
+    loaded = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", inputs))
+    assert (loaded.radius, loaded.intensity, loaded.direction) == (2.0, 12.0, (0.0, 0.0, -1.0))
+    scaled = '\ndouble3 xformOp:scale = (-3, 3, 3)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    mirrored = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"{inputs}\nbool inputs:normalize = 1{scaled}"))
     assert (mirrored.radius, mirrored.direction) == (pytest.approx(6.0), (0.0, 0.0, -1.0))
     assert mirrored.intensity == pytest.approx(12.0 / (math.pi * 36.0))
     assert not caplog.text
 
 
 def test_stretched_disks_become_round_with_equal_area(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """With a remark."""
-    place = '\ndouble3 xformOp:scale = (4, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
-    lamp = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"float inputs:radius = 2{place}"))
-    assert lamp.radius == pytest.approx(4.0)
+    """A remark reports the change."""
+    scaled = '\ndouble3 xformOp:scale = (4, 1, 1)\nuniform token[] xformOpOrder = ["xformOp:scale"]'
+    loaded = expect_kind(ls.LightDisk, light(tmp_path, "DiskLight", f"float inputs:radius = 2{scaled}"))
+    assert loaded.radius == pytest.approx(4.0)
     assert "stretched disk lights, read as round disks of the same area (/lamp)" in caplog.text
 
 
@@ -158,10 +158,10 @@ def test_dome_light_image_orientation(
     image[1:3, 3:5] = 5.0
     write_exr(tmp_path / "sky.exr", {name: image[:, :, k] for k, name in enumerate("RGB")})
     inputs = f"asset inputs:texture:file = @./sky.exr@\nfloat inputs:intensity = 2\n{extra}"
-    sky = expect_kind(ls.LightEnvironment, light(tmp_path, kind, inputs, head))
-    assert sky.image is not None and sky.intensity == 2.0
-    np.testing.assert_array_equal(sky.image, image)
-    w, x, y, z = np.asarray(sky.rotation_wxyz)
+    environment = expect_kind(ls.LightEnvironment, light(tmp_path, kind, inputs, head))
+    assert environment.image is not None and environment.intensity == 2.0
+    np.testing.assert_array_equal(environment.image, image)
+    w, x, y, z = np.asarray(environment.rotation_wxyz)
     forward = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     np.testing.assert_allclose(-forward, expected, atol=1e-6)  # images of LightEnvironment have -z in the middle
 
@@ -172,8 +172,9 @@ def test_quarter_of_dome_image_is_plus_x(tmp_path: Path) -> None:
     image = np.zeros((2, 4, 3), np.float32)
     image[:, :2] = 1.0  # the left half of the image
     write_exr(tmp_path / "sky.exr", {name: image[:, :, k] for k, name in enumerate("RGB")})
-    sky = expect_kind(ls.LightEnvironment, light(tmp_path, "DomeLight", "asset inputs:texture:file = @./sky.exr@"))
-    w, x, y, z = np.asarray(sky.rotation_wxyz)
+    dome = light(tmp_path, "DomeLight", "asset inputs:texture:file = @./sky.exr@")
+    environment = expect_kind(ls.LightEnvironment, dome)
+    w, x, y, z = np.asarray(environment.rotation_wxyz)
     right = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
     np.testing.assert_allclose(
         -right, (1.0, 0.0, 0.0), atol=1e-6

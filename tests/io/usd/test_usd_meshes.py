@@ -236,7 +236,7 @@ def test_uv_transform_scales_rotates_then_translates(tmp_path: Path) -> None:
     """(1, 0) doubled and rotated by 90 degrees is (0, 2), translated (0.5, 2)."""
     usd_core()
     Image.new("RGB", (4, 4)).save(tmp_path / "t.png")
-    turn = """def Shader "r" {
+    nodes = """def Shader "r" {
             uniform token info:id = "UsdTransform2d"
             float2 inputs:in.connect = </mat/p.outputs:result>
             float2 inputs:scale = (2, 2)
@@ -247,7 +247,7 @@ def test_uv_transform_scales_rotates_then_translates(tmp_path: Path) -> None:
         """ + READER.replace('"r"', '"p"')
     applied, binding = bound()
     inputs = "color3f inputs:diffuseColor.connect = </mat/c.outputs:rgb>"
-    body = mesh(f"{ST}\n{binding}", applied=applied) + material(inputs, turn + texture("c", "float3 outputs:rgb"))
+    body = mesh(f"{ST}\n{binding}", applied=applied) + material(inputs, nodes + texture("c", "float3 outputs:rgb"))
     found = load_scene(tmp_path, body).meshes[0].mesh
     assert found.uvs is not None
     np.testing.assert_allclose(found.uvs[1], (0.5, 1.0 - 2.0), atol=1e-6)

@@ -52,27 +52,27 @@ def assert_same(saved: Any, loaded: Any, label: str, moved: float) -> None:
             assert a is b or a == b, where
 
 
-def rotated_light(light: Light, turn: npt.NDArray[np.float64]) -> Light:
+def rotated_light(light: Light, rotation: npt.NDArray[np.float64]) -> Light:
     """Returns a light under a rotation, shape (3, 3)."""
     changed: dict[str, Any] = {
-        name: tuple(turn @ getattr(light, name))
+        name: tuple(rotation @ getattr(light, name))
         for name in ("position", "direction", "edge_u", "edge_v")
         if name in {field.name for field in fields(light)}
     }
     if isinstance(light, ls.LightEnvironment):
-        world_from_sky = turn @ rotation_matrix(np.asarray(light.rotation_wxyz))
-        changed["rotation_wxyz"] = quaternions_from_matrices(world_from_sky[None])[0]
+        world_from_environment = rotation @ rotation_matrix(np.asarray(light.rotation_wxyz))
+        changed["rotation_wxyz"] = quaternions_from_matrices(world_from_environment[None])[0]
     return replace(light, **changed)
 
 
 def upright_scene(scene: ls.Scene) -> ls.Scene:
     """Returns the scene rotated so that y is up and its front faces +z."""
-    turn = np.eye(4)
-    turn[:3, :3] = y_up_from(scene.up_direction)
+    rotation = np.eye(4)
+    rotation[:3, :3] = y_up_from(scene.up_direction)
     return ls.Scene(
-        [replace(one, world_from_object=turn @ one.transform) for one in scene.splats],
-        [replace(one, world_from_object=turn @ one.transform) for one in scene.meshes],
-        [rotated_light(light, turn[:3, :3]) for light in scene.lights],
+        [replace(one, world_from_object=rotation @ one.transform) for one in scene.splats],
+        [replace(one, world_from_object=rotation @ one.transform) for one in scene.meshes],
+        [rotated_light(light, rotation[:3, :3]) for light in scene.lights],
         up="y-up",
     )
 
@@ -167,7 +167,7 @@ def test_round_trip_renders_the_same_image(tmp_path: Path) -> None:
 
 
 def test_single_mesh_is_written_as_a_scene(tmp_path: Path) -> None:
-    """With y up."""
+    """The loaded scene has y up and one mesh."""
     usd_core()
     ls.save(tmp_path / "a.usdc", full_scene("y-up").meshes[0].mesh)
     loaded = expect_kind(ls.Scene, ls.load(tmp_path / "a.usdc"))

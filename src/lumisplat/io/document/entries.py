@@ -66,7 +66,7 @@ class SceneEntry:
 
     @property
     def hidden(self) -> bool:
-        """Whether the entry is left out of the scene; for lights and environments, whether it is disabled."""
+        """True if the entry is left out of the scene, or, for lights and environments, disabled."""
         if self.kind in ("lights", "environment"):
             return not self.table.get("enabled", True)
         return bool(self.table.get("hidden", False))

@@ -462,8 +462,8 @@ def _listed_files(files: Sequence[Path], *, keep_coordinates: bool = False) -> _
         if file not in scene_files:
             path = str(file) if file.is_absolute() else relative_path(file, listing.file.absolute().parent)
             kind = _heading_of(file)
-            kept = {"upright": False} if keep_coordinates and kind == "meshes" else {}
-            listing.tables.append((kind, {"path": path, **kept}))
+            keys = {"upright": False} if keep_coordinates and kind == "meshes" else {}
+            listing.tables.append((kind, {"path": path, **keys}))
     return listing
 
 

@@ -68,7 +68,7 @@ class Hierarchy:
     parents: tuple[int | None, ...]
     """Parent index of each node; None for a root."""
     order: tuple[int, ...]
-    """All node indices, parents first."""
+    """Indices of all nodes, parents first."""
 
 
 def hierarchy(file: GltfFile) -> Hierarchy:

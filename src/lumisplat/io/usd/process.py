@@ -63,7 +63,7 @@ _START = "import sys; sys.path[:] = sys.argv[1:]; from lumisplat.io.usd.process 
 """Program of the child. The child imports modules from the parent's path, never from the working folder."""
 
 _FORKS = hasattr(os, "fork") and sys.platform != "darwin"
-"""Whether children fork for each request. Libraries of macOS do not survive a fork."""
+"""True if children fork for each request; libraries of macOS do not survive a fork."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -410,9 +410,9 @@ _session: _Session | None = None
 
 
 def request_access(file: Path) -> None:
-    """In a child, asks the parent for permission to open a layer, and applies the new limits.
+    """Asks the parent process for permission to open a layer, and applies the new limits.
 
-    Does nothing in other processes.
+    Does nothing outside of the child process that reads OpenUSD files.
 
     Args:
         file: A file that the stage is composed of.
@@ -424,9 +424,9 @@ def request_access(file: Path) -> None:
 
 
 def raise_limit_for_asset(size: int) -> None:
-    """In a child, raises the limits before a texture or an environment image is decoded.
+    """Raises the child process's limits before it decodes a texture or an environment image.
 
-    Does nothing in other processes.
+    Does nothing outside of the child process that reads OpenUSD files.
 
     Args:
         size: Size of the encoded file in bytes.

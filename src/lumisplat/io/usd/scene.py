@@ -105,7 +105,7 @@ class StageReader:
     file: UsdFile
     drop_invalid: bool = False
     for_animation: bool = False
-    """Whether deforming prims will also be read at other time codes."""
+    """True if deforming prims will also be read at other time codes."""
     splats: list[SplatInstance] = field(default_factory=list[SplatInstance])
     meshes: list[MeshInstance] = field(default_factory=list[MeshInstance])
     lights: list[Light] = field(default_factory=list[Light])
@@ -145,9 +145,9 @@ class StageReader:
             elif prim.IsA(pxr().UsdGeom.Gprim):
                 file.remarks.add(f"prims of type {kind}", str(prim.GetPath()))
         if not (self.splats or self.meshes or self.lights or self.has_cameras or sieve.problems):
-            said = "; ".join(file.remarks.names)
+            messages = "; ".join(file.remarks.names)
             raise FormatError(
-                file.path, "contains no particle field, mesh, light or camera" + (f" ({said})" if said else "")
+                file.path, "contains no particle field, mesh, light or camera" + (f" ({messages})" if messages else "")
             )
         sieve.report(any_usable=bool(self.splats or self.meshes or self.lights or self.has_cameras))
         return self

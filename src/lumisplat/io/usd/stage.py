@@ -76,9 +76,9 @@ class Remarks:
         """Logs all remarks as one warning; logs nothing if there are none."""
         if not self.names:
             return
-        said = [remark + _listed(names) for remark, names in self.names.items()]
-        more = f"; and {len(said) - _REMARKS_LISTED} more" if len(said) > _REMARKS_LISTED else ""
-        _log.warning("%s: %s: %s%s", os.fspath(self.path), self.head, "; ".join(said[:_REMARKS_LISTED]), more)
+        messages = [remark + _listed(names) for remark, names in self.names.items()]
+        more = f"; and {len(messages) - _REMARKS_LISTED} more" if len(messages) > _REMARKS_LISTED else ""
+        _log.warning("%s: %s: %s%s", os.fspath(self.path), self.head, "; ".join(messages[:_REMARKS_LISTED]), more)
 
 
 def _listed(names: list[str]) -> str:
@@ -160,8 +160,8 @@ def _world_from_stage(path: Path, stage: Any, remarks: Remarks) -> Doubles:
 
 def _first_line(text: str, path: Path) -> str:
     """Returns a message of the USD library on one line of at most 120 characters, without the file's path."""
-    said = " ".join(text.replace(os.fspath(path), "it").split())
-    return said[:120]
+    text_line = " ".join(text.replace(os.fspath(path), "it").split())
+    return text_line[:120]
 
 
 def value(file: UsdFile, prim: Any, name: str, default: Any = None) -> Any:
@@ -384,12 +384,12 @@ class PlacedPrim(NamedTuple):
     """Transform from the prim's space to the world, shape (4, 4)."""
     name: str
     visible: bool
-    """Whether visibility and purpose show the prim. Invisible lights are read as disabled; cameras ignore visibility.
+    """True if visibility and purpose show the prim. Invisible lights are read as disabled; cameras ignore visibility.
     """
     animated: bool = False
-    """Whether the prim's transform has time samples."""
+    """True if the prim's transform has time samples."""
     instanced: bool = False
-    """Whether a point instancer provides the transform."""
+    """True if a point instancer provides the transform."""
 
     @property
     def asset(self) -> str:
@@ -399,7 +399,7 @@ class PlacedPrim(NamedTuple):
 
     @property
     def is_degenerate(self) -> bool:
-        """Whether the transform is singular or not finite. Files hide prims by scaling them to zero."""
+        """True if the transform is singular or not finite. Files hide prims by scaling them to zero."""
         linear = self.world_from_prim[:3, :3]
         size = np.abs(linear).max()
         return not np.isfinite(size) or size == 0.0 or abs(np.linalg.det(linear / size)) < 1e-9
