@@ -366,7 +366,7 @@ def test_gaussians_need_point_primitives(tmp_path: Path) -> None:
     """A triangle primitive with the extension is refused."""
     gltf = splat_gltf()
     primitive_of(gltf)["mode"] = 4
-    with pytest.raises(ls.FormatError, match="has Gaussians and mode 4, expected 0"):
+    with pytest.raises(ls.FormatError, match="has Gaussians in mode 4, expected mode 0"):
         loaded(tmp_path, gltf)
 
 

@@ -259,7 +259,7 @@ def test_samplers_set_wrap_modes(tmp_path: Path, caplog: pytest.LogCaptureFixtur
     assert (material.wrap_u, material.wrap_v) == (ls.TextureWrap.CLAMP, ls.TextureWrap.MIRROR)
     assert material.texture_wraps == {"emissive_texture": (ls.TextureWrap.REPEAT, ls.TextureWrap.REPEAT)}
     gltf.json["samplers"][0]["wrapS"] = 9
-    with pytest.raises(ls.FormatError, match=r"samplers\[0\] wraps by 9, expected one of 10497, 33071, 33648"):
+    with pytest.raises(ls.FormatError, match=r"samplers\[0\] has wrap mode 9, expected one of 10497, 33071, 33648"):
         read(tmp_path, gltf)
 
 

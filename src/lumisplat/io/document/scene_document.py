@@ -411,12 +411,12 @@ class SceneDocument:
         return replace(self, entries=entries, _scenes={})
 
     def _at(self, time: float) -> tuple[Scene, list[SceneEntry]]:
-        held = self._scenes.get(time)
-        if held is None:
-            held = visible_scene(self.entries, up_vector(self.top["up"]), time)
+        cached = self._scenes.get(time)
+        if cached is None:
+            cached = visible_scene(self.entries, up_vector(self.top["up"]), time)
             self._scenes.clear()
-            self._scenes[time] = held
-        return held
+            self._scenes[time] = cached
+        return cached
 
 
 _MESHES = (".obj", ".stl")

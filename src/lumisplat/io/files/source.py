@@ -197,7 +197,7 @@ def parsing(path: PathLike, kind: str) -> Generator[None]:
     except LumisplatError:
         raise
     except MemoryError:
-        raise FormatError(path, "asks for more memory than there is: damaged, or too large for this machine") from None
+        raise FormatError(path, "needs more memory than is available: damaged, or too large for this machine") from None
     except (ValueError, KeyError, IndexError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
         raise FormatError(path, f"damaged, or not {kind}{_reason(error)}") from error
     except (struct.error, EOFError) as error:

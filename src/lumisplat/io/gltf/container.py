@@ -233,7 +233,11 @@ def _extensions(item: object) -> set[str]:
         part = pending.pop()
         if isinstance(part, dict):
             values = cast("dict[str, object]", part)
-            found |= set(cast("dict[str, object]", own)) if isinstance(own := values.get("extensions"), dict) else set()
+            found |= (
+                set(cast("dict[str, object]", extensions))
+                if isinstance(extensions := values.get("extensions"), dict)
+                else set()
+            )
             pending += values.values()
         elif isinstance(part, list):
             pending += cast("list[object]", part)

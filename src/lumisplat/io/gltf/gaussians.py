@@ -146,7 +146,7 @@ def _check_extension(primitive: GltfPrimitive) -> bool:
     item: Any = primitive.item
     extension: dict[str, Any] = item.extensions[_EXTENSION]
     if primitive.item.mode != 0:
-        raise primitive.error(f"has Gaussians and mode {primitive.item.mode}, expected 0, points")
+        raise primitive.error(f"has Gaussians in mode {primitive.item.mode}, expected mode 0 (points)")
     for name in cast("dict[str, object]", extension.get("extensions") or {}):
         if "compression" in str(name):
             raise primitive.error(f"has Gaussians compressed by {name}, which is not supported: export it without")

@@ -84,10 +84,10 @@ def warn_unread(file: GltfFile) -> None:
     materials = file.model.materials or []
     if others := sorted(name for name in file.extensions - _READ if not name.startswith(_WITHOUT_EFFECT)):
         _log.warning("%s: extensions not read, though they may change the image: %s", file.path, ", ".join(others))
-    held = [name for texture in file.model.textures or () if (name := texture_extension(texture))]
-    if held:
-        count = f"{len(held):,} texture{'s' * (len(held) > 1)}"
-        _log.warning("%s: %s left out: %s is not read", file.path, count, ", ".join(sorted(set(held))))
+    unsupported = [name for texture in file.model.textures or () if (name := texture_extension(texture))]
+    if unsupported:
+        count = f"{len(unsupported):,} texture{'s' * (len(unsupported) > 1)}"
+        _log.warning("%s: %s left out: %s is not read", file.path, count, ", ".join(sorted(set(unsupported))))
     misplaced = {_label(k, material): _textures(material).left_out for k, material in enumerate(materials)}
     named = [f"{', '.join(textures)} of {label}" for label, textures in misplaced.items() if textures]
     if named:

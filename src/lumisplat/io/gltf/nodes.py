@@ -155,7 +155,7 @@ def instance_transforms(file: GltfFile, index: int) -> list[Matrix]:
     values = {name: file.floats(given[name], kind, label) for name, kind in kinds.items() if name in given}
     counts = sorted({len(rows) for rows in values.values()})
     if len(counts) > 1:
-        raise FormatError(file.path, f"{label} has attributes of {counts[0]:,} and {counts[-1]:,} rows")
+        raise FormatError(file.path, f"{label} has attributes of different lengths, {counts[0]:,} and {counts[-1]:,}")
     count = counts[0] if counts else 1
     check_expansion(file.path, f"{label}: its instances", count * _INSTANCE_BYTES, file.stored_bytes)
     transforms = np.tile(np.eye(4), (count, 1, 1))
@@ -223,13 +223,13 @@ def lumisplat_extras(item: Any) -> dict[str, Any] | None:
         item: An object of pygltflib, or a part of the JSON.
     """
     extras: object = cast("dict[str, object]", item).get("extras") if isinstance(item, dict) else item.extras
-    own = cast("dict[str, object]", extras).get(EXTRAS_KEY) if isinstance(extras, dict) else None
-    return cast("dict[str, Any]", own) if isinstance(own, dict) else None
+    stored = cast("dict[str, object]", extras).get(EXTRAS_KEY) if isinstance(extras, dict) else None
+    return cast("dict[str, Any]", stored) if isinstance(stored, dict) else None
 
 
-def with_extras(item: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+def with_extras(item: dict[str, Any], stored: dict[str, Any]) -> dict[str, Any]:
     """Returns a JSON item with Lumisplat's settings in its extras."""
-    return item | ({"extras": {EXTRAS_KEY: own}} if own else {})
+    return item | ({"extras": {EXTRAS_KEY: stored}} if stored else {})
 
 
 def light_extras(light: Light) -> dict[str, Any]:
@@ -237,30 +237,30 @@ def light_extras(light: Light) -> dict[str, Any]:
     return _non_default_fields(light, LIGHT_EXTRAS)
 
 
-def light_settings(own: dict[str, Any] | None, kind: type[Any]) -> dict[str, Any]:
+def light_settings(stored: dict[str, Any] | None, kind: type[Any]) -> dict[str, Any]:
     """Returns constructor arguments for a light class from extras; the inverse of `light_extras`."""
     known = {field.name for field in fields(kind)}
-    return {name: value for name, value in _known_settings(own, LIGHT_EXTRAS).items() if name in known}
+    return {name: value for name, value in _known_settings(stored, LIGHT_EXTRAS).items() if name in known}
 
 
 def instance_extras(splat: SplatInstance) -> dict[str, Any]:
     """Returns the capture instance's fields to store in extras: material, SH degree and shadow catcher flag."""
-    own = _non_default_fields(splat, INSTANCE_EXTRAS)
+    stored = _non_default_fields(splat, INSTANCE_EXTRAS)
     material = splat.material
     if material is not None:
         kind = next(name for name, cls in _MATERIALS.items() if isinstance(material, cls))
-        own["material"] = {"type": kind, **_non_default_fields(material, _material_fields(type(material)))}
-    return own
+        stored["material"] = {"type": kind, **_non_default_fields(material, _material_fields(type(material)))}
+    return stored
 
 
-def instance_settings(own: dict[str, Any] | None) -> dict[str, Any]:
+def instance_settings(stored: dict[str, Any] | None) -> dict[str, Any]:
     """Returns constructor arguments for a `SplatInstance` from extras; the inverse of `instance_extras`.
 
     Raises:
         SceneError: A value is out of range, or the material type is unknown.
     """
-    settings = _known_settings(own, INSTANCE_EXTRAS)
-    given = (own or {}).get("material")
+    settings = _known_settings(stored, INSTANCE_EXTRAS)
+    given = (stored or {}).get("material")
     if given is not None:
         settings["material"] = _material(given)
     return settings
@@ -278,17 +278,17 @@ def _material_fields(kind: type[Material]) -> list[str]:
     return [field.name for field in fields(kind) if not field.name.endswith(_MESH_ONLY_SUFFIXES)]
 
 
-def _known_settings(own: dict[str, Any] | None, names: Iterable[str]) -> dict[str, Any]:
-    given = with_current_keys(own or {})
+def _known_settings(stored: dict[str, Any] | None, names: Iterable[str]) -> dict[str, Any]:
+    given = with_current_keys(stored or {})
     return {name: given[name] for name in names if name in given}
 
 
 def _non_default_fields(item: Any, names: Iterable[str]) -> dict[str, Any]:
     """Returns the named fields that differ from their defaults, as JSON values."""
     wanted = set(names)
-    held = {field: getattr(item, field.name) for field in fields(item) if field.name in wanted}
+    values = {field: getattr(item, field.name) for field in fields(item) if field.name in wanted}
     return {
         field.name: list(cast("tuple[Any, ...]", value)) if isinstance(value, tuple) else value
-        for field, value in held.items()
+        for field, value in values.items()
         if field.default is MISSING or value != field.default
     }

@@ -156,7 +156,7 @@ def _wrap(file: GltfFile, index: int, referrer: str) -> WrapPair:
     modes = [10497 if mode is None else mode for mode in (sampler.wrapS, sampler.wrapT)]
     if unknown := [mode for mode in modes if mode not in _WRAPS]:
         known = ", ".join(map(str, _WRAPS))
-        raise FormatError(file.path, f"samplers[{number}] wraps by {unknown[0]!r}, expected one of {known}")
+        raise FormatError(file.path, f"samplers[{number}] has wrap mode {unknown[0]!r}, expected one of {known}")
     return _WRAPS[modes[0]], _WRAPS[modes[1]]
 
 

@@ -113,10 +113,10 @@ def _transform_time_codes(prim: Any) -> Doubles:
     """Returns the time codes with samples of a prim's transform or an ancestor's, shape (K,)."""
     xformable, found = pxr().UsdGeom.Xformable, set[float]()
     while prim and not prim.IsPseudoRoot():
-        own = xformable(prim)
-        if own:
-            found.update(own.GetTimeSamples())
-            if own.GetResetXformStack():
+        xform = xformable(prim)
+        if xform:
+            found.update(xform.GetTimeSamples())
+            if xform.GetResetXformStack():
                 break
         prim = prim.GetParent()
     return np.array(sorted(found))

@@ -36,7 +36,7 @@ USD_LAYERS_MAX = 10_000
 
 _MODULES = ("Ar", "Gf", "Sdf", "Tf", "Usd", "UsdGeom", "UsdLux", "UsdRender", "UsdShade", "UsdVol", "Vt")
 _REASON_MAX = 160
-"""Longest part of a library error that a message quotes, in characters."""
+"""Largest number of characters of a library error that a message quotes."""
 
 _INTERNAL = re.compile(r"pxrInternal_\w+?__(::)?")
 """Internal namespace prefixes in the library's error messages."""
@@ -106,10 +106,10 @@ def _reason(error: Exception, path: PathLike) -> str:
 @contextmanager
 def _log_deferred() -> Generator[None]:
     """Defers log records until the end of the block."""
-    held: list[logging.LogRecord] = []
+    records: list[logging.LogRecord] = []
 
     def hold(record: logging.LogRecord) -> bool:
-        held.append(record)
+        records.append(record)
         return False
 
     _log.addFilter(hold)
@@ -117,7 +117,7 @@ def _log_deferred() -> Generator[None]:
         yield
     finally:
         _log.removeFilter(hold)
-        for record in held:
+        for record in records:
             _log.handle(record)
 
 
@@ -136,7 +136,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
             named by an expression or with arguments, so that the file it means is unknown.
     """
     px, home = pxr(), path.parent
-    waiting, checked, held = [path], {os.path.abspath(path)}, list[Any]()
+    waiting, checked, layers = [path], {os.path.abspath(path)}, list[Any]()
     while waiting:
         if len(checked) > USD_LAYERS_MAX:
             raise FormatError(path, f"is composed of more than {USD_LAYERS_MAX:,} layers")
@@ -147,7 +147,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
         request_access(file)
         name = text if file is path else os.fspath(file)
         if (layer := _marked_layer(file, name)) is not None:
-            held.append(layer)
+            layers.append(layer)
         else:
             layer = px.Sdf.Layer.FindOrOpen(name)
         if not layer:
@@ -161,7 +161,7 @@ def check_layers(path: Path, text: str) -> list[Any]:
             package = _named_file(path, layer, name, home)
             if package.exists():
                 check_regular(package, package.stat())
-    return held
+    return layers
 
 
 def _marked_layer(file: Path, name: str) -> Any | None:
@@ -199,7 +199,11 @@ def _named_file(path: Path, layer: Any, name: str, home: Path) -> Path:
 
 
 def check_loaded(path: Path) -> None:
-    """Checks that the library has opened no layer outside of the file's folder, not even while reading values."""
+    """Checks that the library has opened no layer outside of the file's folder, not even while reading values.
+
+    Raises:
+        FormatError: The library has opened such a layer without permission.
+    """
     px = pxr()
     for layer in px.Sdf.Layer.GetLoadedLayers():
         name = str(layer.realPath)

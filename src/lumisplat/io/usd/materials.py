@@ -96,15 +96,15 @@ class _PreviewSurface:
     def number(self, name: str, default: float, low: float = 0.0, high: float = 1.0) -> float:
         """Returns the constant of an input, clipped to ``low``..``high``; ``default`` if the input has no constant."""
         found = self.read(name).value
-        held = finite_numbers(found, ())
-        return default if held is None else float(np.clip(shortest(float(held)), low, high))
+        numbers = finite_numbers(found, ())
+        return default if numbers is None else float(np.clip(shortest(float(numbers)), low, high))
 
     def color(self, name: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
         """Returns the constant colour of an input, at least 0; ``default`` if the input has no constant."""
-        held = finite_numbers(self.read(name).value, (3,))
-        if held is None:
+        numbers = finite_numbers(self.read(name).value, (3,))
+        if numbers is None:
             return default
-        red, green, blue = (max(shortest(float(one)), 0.0) for one in held)
+        red, green, blue = (max(shortest(float(one)), 0.0) for one in numbers)
         return red, green, blue
 
 
@@ -148,8 +148,8 @@ def _read_texture(file: UsdFile, shader: Any, output: str) -> _TextureInput | No
         return None
 
     def four(key: str, default: float) -> Doubles:
-        held = finite_numbers(_read_input(file, shader.GetInput(key)).value, (4,))
-        return np.full(4, default) if held is None else np.array([shortest(float(one)) for one in held])
+        numbers = finite_numbers(_read_input(file, shader.GetInput(key)).value, (4,))
+        return np.full(4, default) if numbers is None else np.array([shortest(float(one)) for one in numbers])
 
     def wrap(key: str) -> TextureWrap:
         return _WRAP_MODES.get(str(_read_input(file, shader.GetInput(key)).value), TextureWrap.REPEAT)
@@ -178,8 +178,8 @@ def _read_uv_transform(file: UsdFile, st: Any) -> UvTransform:
     primvar = _read_uv_transform(file, shader.GetInput("in")).primvar
 
     def pair(key: str, default: float) -> tuple[float, float]:
-        held = finite_numbers(_read_input(file, shader.GetInput(key)).value, (2,))
-        return (default, default) if held is None else (float(held[0]), float(held[1]))
+        numbers = finite_numbers(_read_input(file, shader.GetInput(key)).value, (2,))
+        return (default, default) if numbers is None else (float(numbers[0]), float(numbers[1]))
 
     rotation = finite_numbers(_read_input(file, shader.GetInput("rotation")).value, ())
     return UvTransform(
@@ -240,12 +240,12 @@ class UsdMaterials:
         if not material:
             return None
         # A material of a prototype has a different path in each instance.
-        own = material.GetPrim()
-        key = str((own.GetPrimInPrototype() if own.IsInstanceProxy() else own).GetPath())
+        material_prim = material.GetPrim()
+        key = str((material_prim.GetPrimInPrototype() if material_prim.IsInstanceProxy() else material_prim).GetPath())
         if key not in self._cache:
             surface = _surface_of(self._file, material, remark)
             try:
-                self._cache[key] = surface and _Decoder(self, surface).decode(prim_name(own))
+                self._cache[key] = surface and _Decoder(self, surface).decode(prim_name(material_prim))
             except FormatError:
                 raise
             except SceneError as error:
@@ -366,8 +366,8 @@ class _Decoder:
             planes[plane] = texels
             self._wraps["metallic_roughness_texture"] = texture.wraps
         if planes:
-            held = list(planes.values())
-            both = held[0] if len(held) == 1 or held[0] is held[1] else np.full_like(held[0], 255)
+            textures = list(planes.values())
+            both = textures[0] if len(textures) == 1 or textures[0] is textures[1] else np.full_like(textures[0], 255)
             for plane, texels in planes.items():
                 if both is not texels:
                     both[:, :, plane] = texels[:, :, plane]
@@ -517,8 +517,8 @@ class _Network:
 
     def _write_pbr(self, material: MaterialPbr, has_colors: bool) -> None:
         for name, (remark, neutral) in _UNSUPPORTED_FIELDS.items():
-            held = getattr(material, name)
-            if held is not neutral and held != neutral:
+            field_value = getattr(material, name)
+            if field_value is not neutral and field_value != neutral:
                 self._writer.remarks.add(remark, self._name)
         self._write_color(material, material.base_color, has_colors)
         self._write_plane(

@@ -32,7 +32,8 @@ class Attribute:
     values: FloatArray
     """Values as float32, shape (N, C)."""
     interpolation: str
-    """One value each for: constant (the mesh), uniform (faces), vertex or varying (vertices), faceVarying (corners)."""
+    """USD interpolation: constant (one value), uniform (per face), vertex or varying (per vertex), faceVarying (per
+    corner)."""
     label: str
 
 
@@ -181,8 +182,8 @@ class UsdMeshes:
         polygons.add("normals", _normals(file, prim))
         polygons.add("uvs", _primvar(file, prim, "st" if read is None else read.uv_transform.primvar, 2))
         # Meshes that Lumisplat wrote multiply textures by vertex colours, which UsdPreviewSurface cannot express.
-        own = custom_data_of(prim).get("multipliesColors", False)
-        colored = "displayColor" if read is None or own else read.color_primvar
+        multiplies_colors = custom_data_of(prim).get("multipliesColors", False)
+        colored = "displayColor" if read is None or multiplies_colors else read.color_primvar
         polygons.add("colors", _primvar(file, prim, colored, 3) if colored else None)
         corner_vertex, arrays = polygons.vertices()
         triangles = fan_triangles(polygons.counts)
@@ -220,11 +221,11 @@ class UsdMeshes:
                 mesh = sphere(number(file, prim, "radius", 1.0), material=material)
             case _:
                 width, length = number(file, prim, "width", 2.0), number(file, prim, "length", 2.0)
-                mesh = _turned(plane(width, length, material=material), str(value(file, prim, "axis", "Z")))
+                mesh = _rotated_plane(plane(width, length, material=material), str(value(file, prim, "axis", "Z")))
         return drop_textures_without_uvs(file.path, replace(mesh, name=placed.name))
 
 
-def _turned(mesh: Mesh, axis: str) -> Mesh:
+def _rotated_plane(mesh: Mesh, axis: str) -> Mesh:
     """Rotates a plane that faces +y to another axis; its width lies along x, or along z if the plane faces x."""
     order, signs = {"X": ([1, 2, 0], (1, 1, 1)), "Z": ([0, 2, 1], (1, -1, 1))}.get(axis, ([0, 1, 2], (1, 1, 1)))
     assert mesh.normals is not None

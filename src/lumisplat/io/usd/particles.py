@@ -21,7 +21,7 @@ _TYPES = ("ParticleField3DGaussianSplat", "ParticleField", "ParticleField_3DGaus
 _KERNEL = "ParticleFieldKernel"
 _ELLIPSOID, _SURFLET = "ParticleFieldKernelGaussianEllipsoidAPI", "ParticleFieldKernelGaussianSurfletAPI"
 _PRIMVARS = {"normals": 3, "albedo": 3, "roughness": 1, "metallic": 1}
-"""Primvars of relightable captures with one value per particle, named after the `Gaussians` fields: column counts."""
+"""Number of columns of each primvar of relightable captures, named after the `Gaussians` field that it stores."""
 _COLOR_SPACE = "srgb_rec709_scene"
 """OpenUSD name of the colour space of captures. Other programs write srgb_rec709_display."""
 _LINEAR = ("lin_rec709", "lin_srgb", "lin_rec709_scene", "lin_rec709_display")
@@ -47,10 +47,10 @@ def read_particles(file: UsdFile, prim: Any) -> SplatColumns | None:
         FormatError: An attribute has the wrong type or shape.
     """
     kernels = [str(name) for name in prim.GetAppliedSchemas() if str(name).startswith(_KERNEL)]
-    own = [name for name in kernels if name != "ParticleFieldKernelBaseAPI"]
-    flat = own == [_SURFLET]
-    if not flat and own not in ([], [_ELLIPSOID]):
-        shapes = " and ".join(name.removeprefix(_KERNEL).removesuffix("API") for name in own)
+    kernel_apis = [name for name in kernels if name != "ParticleFieldKernelBaseAPI"]
+    flat = kernel_apis == [_SURFLET]
+    if not flat and kernel_apis not in ([], [_ELLIPSOID]):
+        shapes = " and ".join(name.removeprefix(_KERNEL).removesuffix("API") for name in kernel_apis)
         file.remarks.add(f"particles of kernel {shapes}, expected GaussianEllipsoid", str(prim.GetPath()))
         return None
     means = _float_or_half(file, prim, "positions", 3)
@@ -136,8 +136,8 @@ def _color_space(prim: Any) -> str:
     """Returns the colour space of the SH coefficients, from their metadata or the prim; empty if neither states one."""
     attributes = (prim.GetAttribute(f"radiance:sphericalHarmonicsCoefficients{end}") for end in ("", "h"))
     authored = [str(one.GetColorSpace()) for one in attributes if one and one.HasColorSpace()]
-    own = prim.GetAttribute("colorSpace:name")
-    return authored[0] if authored else str(own.Get() or "") if own else ""
+    attribute = prim.GetAttribute("colorSpace:name")
+    return authored[0] if authored else str(attribute.Get() or "") if attribute else ""
 
 
 def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
@@ -145,9 +145,9 @@ def _materials(file: UsdFile, prim: Any, count: int) -> dict[str, Any]:
     primvars, found = pxr().UsdGeom.PrimvarsAPI(prim), dict[str, Floats]()
     for name, columns in _PRIMVARS.items():
         primvar = primvars.GetPrimvar(name)
-        held = array(file, prim, f"primvars:{name}", columns) if primvar and primvar.HasAuthoredValue() else None
-        if held is not None and len(held) >= count and not primvar.IsIndexed():
-            found[name] = held[:count]
+        values = array(file, prim, f"primvars:{name}", columns) if primvar and primvar.HasAuthoredValue() else None
+        if values is not None and len(values) >= count and not primvar.IsIndexed():
+            found[name] = values[:count]
     return found
 
 

@@ -83,8 +83,8 @@ def _holds_one_capture(path: Path) -> bool:
 
 def _settings(prim: Any) -> dict[str, Any]:
     """Returns the sh_degree and shadow_catcher of a field or mesh that Lumisplat wrote."""
-    own = with_current_keys(custom_data_of(prim))
-    return {name: own[name] for name in ("sh_degree", "shadow_catcher") if name in own}
+    custom_data = with_current_keys(custom_data_of(prim))
+    return {name: custom_data[name] for name in ("sh_degree", "shadow_catcher") if name in custom_data}
 
 
 def shape_time_codes(prim: Any) -> Doubles:

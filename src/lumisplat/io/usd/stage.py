@@ -98,7 +98,7 @@ class UsdFile:
     world_from_stage: Doubles
     """Transform from stage space to the world, which has y up and metres, shape (4, 4)."""
     remarks: Remarks
-    held: list[Any]
+    layers: list[Any]
     """Layers that must stay referenced, because the USD library drops layers that nobody holds."""
 
     @property
@@ -123,14 +123,14 @@ def open_usd(path: Path) -> UsdFile:
     if not path.exists():
         raise MissingFileError(path, "no such file")
     with utf8_path(path) as text:
-        held = check_layers(path, text)
+        layers = check_layers(path, text)
         stage = px.Usd.Stage.Open(text)
     if not stage:
         raise FormatError(path, "damaged, or not a USD file")
     remarks = Remarks(path, "not read, or read differently")
     for error in stage.GetCompositionErrors():
         remarks.add("layers that cannot be composed", _first_line(str(error), path))
-    return UsdFile(path, stage, _first_time(stage), _world_from_stage(path, stage, remarks), remarks, held)
+    return UsdFile(path, stage, _first_time(stage), _world_from_stage(path, stage, remarks), remarks, layers)
 
 
 def _first_time(stage: Any) -> Any:
@@ -197,7 +197,11 @@ def number(file: UsdFile, prim: Any, name: str, default: float) -> float:
 
 
 def array(file: UsdFile, prim: Any, name: str, columns: int) -> npt.NDArray[np.float32] | None:
-    """Reads an array attribute as float32, shape (N, columns), or (N,) for one column; None if it is empty."""
+    """Reads an array attribute as float32, shape (N, columns), or (N,) for one column; None if it is empty.
+
+    Raises:
+        FormatError: The rows have another number of columns, or hold no numbers.
+    """
     found = value(file, prim, name)
     return None if found is None else rows(file, f"{prim.GetPath()}.{name}", found, columns)
 
@@ -205,14 +209,14 @@ def array(file: UsdFile, prim: Any, name: str, columns: int) -> npt.NDArray[np.f
 def rows(file: UsdFile, label: str, found: Any, columns: int) -> npt.NDArray[np.float32] | None:
     """Converts an attribute value to float32 rows, as `array` does; ``label`` names the attribute in errors."""
     try:
-        held = np.array(found, dtype=np.float32)
+        values = np.array(found, dtype=np.float32)
     except (TypeError, ValueError):
         raise FormatError(file.path, f"{label} is not an array of numbers") from None
-    if held.size == 0:
+    if values.size == 0:
         return None
-    if held.shape[1:] != ((columns,) if columns > 1 else ()):
-        raise FormatError(file.path, f"{label} has rows of shape {held.shape[1:]}, expected {columns} numbers")
-    return held
+    if values.shape[1:] != ((columns,) if columns > 1 else ()):
+        raise FormatError(file.path, f"{label} has rows of shape {values.shape[1:]}, expected {columns} numbers")
+    return values
 
 
 def whole_numbers(file: UsdFile, prim: Any, name: str) -> npt.NDArray[np.int64]:
@@ -265,11 +269,11 @@ def _stored_bytes(file: UsdFile, asset: Any, label: str) -> bytes:
     try:
         check_regular(package_path, package_path.stat())
         # Packages inside packages are not supported; USD advises against them.
-        with zipfile.ZipFile(package_path) as held:
-            entry = held.getinfo(inner)
+        with zipfile.ZipFile(package_path) as archive:
+            entry = archive.getinfo(inner)
             if entry.file_size > FILE_BYTES_MAX or entry.compress_type != zipfile.ZIP_STORED:
                 raise FormatError(file.path, f"{label} names {name[:200]!r}, which is compressed or too large")
-            return held.read(entry)
+            return archive.read(entry)
     except FormatError:
         raise
     except (KeyError, OSError, zipfile.BadZipFile):
@@ -328,10 +332,10 @@ class StageWriter:
             pxr().UsdGeom.Scope.Define(self.stage, path)
         return path
 
-    def set_custom_data(self, prim: Any, **noted: Any) -> None:
+    def set_custom_data(self, prim: Any, **settings: Any) -> None:
         """Stores Lumisplat settings in a prim's customData, which only Lumisplat reads."""
-        for key, held in noted.items():
-            prim.SetCustomDataByKey(f"{_CUSTOM_DATA_KEY}:{key}", held)
+        for key, setting in settings.items():
+            prim.SetCustomDataByKey(f"{_CUSTOM_DATA_KEY}:{key}", setting)
 
     def name(self, prim: Any, name: str) -> None:
         """Sets a prim's displayName if its path cannot spell the name."""

@@ -139,9 +139,9 @@ class AssetWriter:
         if key not in self._prototypes:
             if not self._prototypes:
                 stage.CreateClassPrim(_PROTOTYPES)
-            held = px.UsdGeom.Xform.Define(stage, self.writer.path_of(_name(instance), _PROTOTYPES))
-            self._prototypes[key] = str(held.GetPath())
-            self.define(f"{held.GetPath()}/asset", instance)
+            prototype = px.UsdGeom.Xform.Define(stage, self.writer.path_of(_name(instance), _PROTOTYPES))
+            self._prototypes[key] = str(prototype.GetPath())
+            self.define(f"{prototype.GetPath()}/asset", instance)
         prim = px.UsdGeom.Xform.Define(stage, path).GetPrim()
         prim.GetReferences().AddInternalReference(self._prototypes[key])
         prim.SetInstanceable(True)
@@ -295,9 +295,9 @@ def _with_keys(instances: Iterable[Instance]) -> Iterator[tuple[_Key, Instance]]
     """Yields instances with keys that match from frame to frame: kind, material, and index within that group."""
     counts: Counter[tuple[str, int]] = Counter()
     for instance in instances:
-        own = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
-        yield (own[0], own[1], counts[own]), instance
-        counts[own] += 1
+        group = ("mesh", id(instance.mesh.material)) if isinstance(instance, MeshInstance) else ("splats", 0)
+        yield (group[0], group[1], counts[group]), instance
+        counts[group] += 1
 
 
 def _varying_values(instance: Instance) -> dict[str, Any]:
