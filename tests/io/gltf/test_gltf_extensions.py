@@ -150,7 +150,10 @@ def test_captures_and_animated_meshes_can_be_instanced(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arrays", "problem"),
     [
-        ({"TRANSLATION": np.zeros((2, 3), np.float32), "SCALE": np.ones((3, 3), np.float32)}, "attributes of different lengths, 2 and 3"),
+        (
+            {"TRANSLATION": np.zeros((2, 3), np.float32), "SCALE": np.ones((3, 3), np.float32)},
+            "attributes of different lengths, 2 and 3",
+        ),
         ({"ROTATION": np.zeros((2, 4), np.float32)}, "has a rotation of zero length"),
         ({"TRANSLATION": np.zeros((2, 4), np.float32)}, "has type VEC4"),
     ],

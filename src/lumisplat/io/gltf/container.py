@@ -53,13 +53,13 @@ class GltfFile:
         self.path = path
         data = read_bytes(path)
         self.stored_bytes = len(data)
-        """Size of the file, and of the buffers that were read of those that it names."""
+        """Size in bytes of the file and of its external buffers read so far."""
         self._decoded_bytes = 0
         text, self._binary_chunk = _split_glb(path, data) if data[:4] == b"glTF" else (data, None)
         try:
             document: dict[str, Any] = json.loads(decode_text(text))
             self.extensions = _extensions(document)
-            """Names of the extensions that something in the file has."""
+            """Names of all extensions used in the file."""
             nodes: list[dict[str, Any]] | None = document.pop("nodes", None)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", RuntimeWarning)  # warnings about missing values, which are checked here

@@ -381,15 +381,14 @@ def _png_bytes(texels: Texture) -> bytes:
 
 
 class PlacedPrim(NamedTuple):
-    """A prim with one of its world transforms. A prim of a prototype gives one of these per instance."""
+    """A prim with one of its world transforms. A prim inside a prototype yields one `PlacedPrim` per instance."""
 
     prim: Any
     world_from_prim: Doubles
     """Transform from the prim's space to the world, shape (4, 4)."""
     name: str
     visible: bool
-    """True if visibility and purpose show the prim. Invisible lights are read as disabled; cameras ignore visibility.
-    """
+    """True if visibility and purpose show the prim. Hidden lights are read as disabled; hidden cameras are read."""
     animated: bool = False
     """True if the prim's transform has time samples."""
     instanced: bool = False
