@@ -256,19 +256,19 @@ def cases(count: int) -> dict[str, Callable[[], Case]]:
 def room(ball: ls.MaterialPbr, count: int) -> Case:
     """Returns a closed room with a ball and a box; all surfaces but the light in the ceiling are Gaussians."""
     meshes = [*closed_room(), faceted_ball(0.0, ball), turned_box(matte(0.2, 0.5, 0.8))]
-    lamps = [mesh for mesh in meshes if mesh.material.is_emissive]
+    lights = [mesh for mesh in meshes if mesh.material.is_emissive]
     splats = [
         as_splats(mesh, 3 * count if mesh is meshes[-2] else count) for mesh in meshes if not mesh.material.is_emissive
     ]
-    things = np.array([(1.15, 0.7, 2.1), (2.75, 0.85, 1.3)])
+    obstacles = np.array([(1.15, 0.7, 2.1), (2.75, 0.85, 1.3)])
 
     def camera(rng: np.random.Generator) -> ls.Camera:
         while True:
             eye, target = rng.uniform((0.4, 0.4, 0.4), (3.6, 2.6, 4.6), (2, 3))
-            if np.linalg.norm(things - eye, axis=1).min() > 1.2 and np.linalg.norm(target - eye) > 1.5:
+            if np.linalg.norm(obstacles - eye, axis=1).min() > 1.2 and np.linalg.norm(target - eye) > 1.5:
                 return ls.Camera.look_at(eye, target, (0.1, 1.0, 0.0), width=WIDTH, height=HEIGHT, fov_y=0.9)
 
-    return Case(ls.Scene(splats, lamps), camera)
+    return Case(ls.Scene(splats, lights), camera)
 
 
 def statue(count: int) -> Case:

@@ -49,7 +49,7 @@ class Case:
     truth: ls.Gaussians
     """Gaussians with true albedo and normals."""
     captured: ls.Gaussians
-    """The same Gaussians with light baked into their colours, followed by those of the lights."""
+    """Gaussians with light baked into their colours, followed by those of the lights."""
     cameras: list[ls.Camera]
     floor: slice | None = None
     """Gaussians on which a shadow falls."""

@@ -84,10 +84,10 @@ def bunny_in(capture: ls.Gaussians, bunny: ls.Mesh) -> ls.Scene:
     size = 0.5 / float(np.ptp(bunny.positions, axis=0).max())
     position = (0.42, size * float(bunny.positions[:, 1].min()), -0.62)
     placed = ls.MeshInstance(clay, position=position, rotation_degrees=(180, 0, 0), scale_by=size)
-    kept = ls.SplatInstance(capture, shadow_catcher=True, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)))
+    unlit = ls.SplatInstance(capture, shadow_catcher=True, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)))
     light = ls.LightPoint((-0.6, -1.6, -1.4), (1.0, 0.85, 0.7), intensity=5.0, radius=0.15)
     sky = ls.LightEnvironment(color=(0.6, 0.7, 1.0), intensity=0.35, visible=False)
-    return ls.Scene([kept], [placed], [light, sky])
+    return ls.Scene([unlit], [placed], [light, sky])
 
 
 def measured(case: Case, device: str, pictures: Path | None) -> list[Row]:

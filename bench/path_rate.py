@@ -96,8 +96,8 @@ def room() -> list[ls.Mesh]:
         ls.Mesh(np.array(position) + radius * ball.positions, ball.indices, material=matte(color))
         for position, radius, color in balls
     ]
-    lamp = grid((0.35, 0.99, 0.35), (0.3, 0, 0), (0, 0, 0.3), 4, matte((0.0, 0.0, 0.0), (15.0, 12.0, 9.0)))
-    return [*walls, *round_ones, lamp]
+    light = grid((0.35, 0.99, 0.35), (0.3, 0, 0), (0, 0, 0.3), 4, matte((0.0, 0.0, 0.0), (15.0, 12.0, 9.0)))
+    return [*walls, *round_ones, light]
 
 
 def with_gaussians(count: int) -> ls.Scene:

@@ -25,17 +25,17 @@ class Preset:
     count: int = 0
     """Gaussians of a synthetic capture; 0 for the biker."""
     peer: bool = False
-    """Whether Mitsuba renders it in the same run."""
+    """True if Mitsuba renders it in the same run."""
     trace: tuple[str, float] | None = None
     """Strategy and smallest transmittance of the ray tracer; None for the rasteriser."""
     as_trained: bool = False
-    """Whether rays have footprints and sort hits by Gaussian means, as by default.
+    """True if rays have footprints and sort hits by Gaussian means, as by default.
 
     Otherwise rays follow the peer: without footprint, and sorted by the peak of the response."""
 
     @property
     def available(self) -> bool:
-        """Whether this machine has the capture."""
+        """True if this machine has the capture."""
         return self.count > 0 or BIKER.is_file()
 
     @property

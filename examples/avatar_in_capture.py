@@ -24,8 +24,8 @@ def lathed(outline: tuple[tuple[float, float], ...], sides: int = 48) -> ls.Mesh
         ends, starts = points[:-1], points[1:]
         cut = np.stack([0.75 * ends + 0.25 * starts, 0.25 * ends + 0.75 * starts], axis=1)
         points = np.concatenate([points[:1], cut.reshape(-1, 2), points[-1:]])
-    turns = 2.0 * np.pi * np.arange(sides) / sides
-    rings = [[(r * np.sin(a), y, r * np.cos(a)) for a in turns] for r, y in points]
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    rings = [[(r * np.sin(a), y, r * np.cos(a)) for a in angles] for r, y in points]
     low = np.arange(sides * (len(points) - 1)).reshape(-1, sides)
     right, up = np.roll(low, -1, axis=1), sides
     faces = [(low, right, right + up), (low, right + up, low + up)]

@@ -33,11 +33,11 @@ def main(width: int = 200, count: int = 3000, samples: int = 4) -> None:
             material=WALL,
         ),
     ]
-    lamp = ls.LightPoint(
+    light = ls.LightPoint(
         middle + size * np.array((1.1, 1.6, 0.9)), (1.0, 0.9, 0.75), intensity=9.0 * size**2, radius=0.1 * size
     )
-    sky = ls.LightEnvironment(color=(0.25, 0.35, 0.5), intensity=0.5, visible=False)
-    scene = ls.Scene(splats=objects, lights=[lamp, sky])
+    environment = ls.LightEnvironment(color=(0.25, 0.35, 0.5), intensity=0.5, visible=False)
+    scene = ls.Scene(splats=objects, lights=[light, environment])
 
     paths = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples)
     baked = ls.bake(scene, paths)

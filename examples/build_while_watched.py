@@ -30,15 +30,15 @@ def light(number: int) -> ls.LightPoint:
 
 def main(steps: int = 24, pause: float = 0.5, stays: bool = True) -> None:
     """Shows the stair step by step, saves out/build_while_watched/stair.toml, and keeps the viewer open if `stays`."""
-    sky = ls.LightEnvironment(color=(0.6, 0.75, 1.0), intensity=0.5)
+    environment = ls.LightEnvironment(color=(0.6, 0.75, 1.0), intensity=0.5)
     floor = ls.MeshInstance(ls.plane(4.0, 4.0), name="floor")
     meshes = [floor, step(0)]
-    viewer = ls.view(ls.Scene(meshes=meshes, lights=[light(0), sky], up="y-up"))
+    viewer = ls.view(ls.Scene(meshes=meshes, lights=[light(0), environment], up="y-up"))
     print(f"open {viewer.url}", flush=True)
     for number in range(1, steps):
         time.sleep(pause)
         meshes.append(step(number))
-        viewer.show(ls.Scene(meshes=meshes, lights=[light(number), sky], up="y-up"))
+        viewer.show(ls.Scene(meshes=meshes, lights=[light(number), environment], up="y-up"))
     viewer.document.save("out/build_while_watched/stair.toml", overwrite=True)
     if stays:
         viewer.wait()

@@ -22,8 +22,8 @@ def main(width: int = 320, samples: int = 4) -> None:
     demo = ls.demo_scene()
     capture = demo.splats[0].gaussians
     knot = next(added(one.mesh, (-0.35, 0.34, 0.35), 1.2) for one in demo.meshes if one.name == "brass")
-    lamp = ls.LightPoint((-1.1, 1.9, 1.0), (1.0, 0.75, 0.5), intensity=26.0, radius=0.12)
-    sky = ls.LightEnvironment(color=(0.8, 0.9, 1.0), intensity=0.3)
+    point_light = ls.LightPoint((-1.1, 1.9, 1.0), (1.0, 0.75, 0.5), intensity=26.0, radius=0.12)
+    environment = ls.LightEnvironment(color=(0.8, 0.9, 1.0), intensity=0.3)
     eye, target = (0.55, 1.9, 2.1), (0.12, 0.1, 0.12)
     camera = ls.Camera.look_at(eye, target, width=width, height=round(0.5625 * width), fov_y=0.55)
     config = ls.RenderConfig(pipeline=ls.Pipeline.HYBRID, shadows=ls.Shadows.SOFT, samples=samples)
@@ -31,13 +31,13 @@ def main(width: int = 320, samples: int = 4) -> None:
 
     # As captured: the capture contains its light already and only receives shadows. They are as deep as if that light
     # came from the lamp, the sky, and ``ambient``.
-    kept = ls.SplatInstance(capture, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)), shadow_catcher=True)
-    scene = ls.Scene(splats=[kept], meshes=[knot], lights=[lamp, sky])
+    unlit = ls.SplatInstance(capture, material=ls.MaterialSimple(ambient=(0.3, 0.3, 0.3)), shadow_catcher=True)
+    scene = ls.Scene(splats=[unlit], meshes=[knot], lights=[point_light, environment])
     renderer.render(scene, camera).save("out/light_a_capture/kept.png")
 
     # Relit: a material makes the capture reflect. This capture stores its albedo; without one, its colour is used.
     relit = ls.SplatInstance(capture, material=ls.MaterialPbr())
-    scene = ls.Scene(splats=[relit], meshes=[knot], lights=[lamp, sky])
+    scene = ls.Scene(splats=[relit], meshes=[knot], lights=[point_light, environment])
     renderer.render(scene, camera).save("out/light_a_capture/relit.png")
 
 

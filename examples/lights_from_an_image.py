@@ -39,18 +39,18 @@ def rendered(scene: ls.Scene, camera: ls.Camera, samples: int) -> np.ndarray:
 
 def main(width: int = 240, samples: int = 64, size: int = 64) -> None:
     """Writes out/lights_from_an_image.png: image, initial scene, fitted scene, and fitted scene with an object."""
-    lamps = [
+    lights = [
         ls.LightPoint((-1.3, 2.2, 0.6), (1.0, 0.62, 0.3), 2.6, radius=0.06, name="warm"),
         ls.LightPoint((1.4, 1.2, 0.9), (0.35, 0.55, 1.0), 1.1, radius=0.06, name="cool"),
     ]
-    sky = ls.LightEnvironment(color=(0.5, 0.6, 0.8), intensity=0.25, visible=False)
-    truth = ls.Scene(meshes=room(), lights=[*lamps, sky])
+    environment = ls.LightEnvironment(color=(0.5, 0.6, 0.8), intensity=0.25, visible=False)
+    truth = ls.Scene(meshes=room(), lights=[*lights, environment])
     camera = ls.Camera.look_at((0.2, 1.5, 4.6), (0, 1.15, 0), width=width, height=round(0.7 * width), fov_y=0.72)
     noise = np.random.default_rng(0).normal(0.0, 2.0, (camera.height, camera.width, 3))
     image = np.clip(rendered(truth, camera, samples) + noise, 0, 255).astype(np.uint8)
 
     # The positions of the lights are known; their brightness and the environment are not.
-    initial = replace(truth, lights=[replace(lamp, color=(1, 1, 1), intensity=1.0) for lamp in lamps])
+    initial = replace(truth, lights=[replace(light, color=(1, 1, 1), intensity=1.0) for light in lights])
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=samples)
     fit = ls.fit_lights(initial, camera, image, environment_degree=1, size=size, config=config)
     for light, error in zip(fit.lights, fit.standard_errors, strict=True):

@@ -26,9 +26,9 @@ LIMBS = {
 
 def limb(size: tuple[float, float, float], material: ls.MaterialPbr, *, hangs: bool) -> ls.Gaussians:
     """Returns a rounded body of Gaussians around the origin, or hanging down from it."""
-    round_one = ls.sphere(0.5, rows=24)
-    points = np.asarray(round_one.positions) * size - (0.0, 0.5 * size[1] * hangs, 0.0)
-    return ls.gaussians_from_mesh(ls.Mesh(points, round_one.indices, material=material), 2_000)
+    ball = ls.sphere(0.5, rows=24)
+    points = np.asarray(ball.positions) * size - (0.0, 0.5 * size[1] * hangs, 0.0)
+    return ls.gaussians_from_mesh(ls.Mesh(points, ball.indices, material=material), 2_000)
 
 
 def room() -> list[ls.MeshInstance]:
@@ -64,7 +64,7 @@ def walker(limbs: dict[str, ls.Gaussians], time: float) -> list[ls.SplatInstance
     return figure
 
 
-def lamp(time: float) -> tuple[ls.LightSpot, ls.MeshInstance]:
+def swinging_light(time: float) -> tuple[ls.LightSpot, ls.MeshInstance]:
     """Returns a light swinging on its cord, and the sphere above it."""
     angle = 0.6 * np.sin(2.0 * np.pi * 0.5 * time)
     down = np.array([np.sin(angle), -np.cos(angle), 0.0])
@@ -87,7 +87,7 @@ def main(width: int = 320, frames: int = 48, warm_up: int = 24, video: str = "wa
     pictures = []
     for number in range(-warm_up, frames):
         time = max(number, 0) / fps  # everything stands still until the light has converged
-        light, shade = lamp(time)
+        light, shade = swinging_light(time)
         scene = ls.Scene(splats=walker(limbs, time), meshes=[*walls, shade], lights=[light])
         frame = renderer.render(scene, camera)
         if number >= 0:

@@ -11,10 +11,10 @@ SH_C0 = 0.28209479177387814  # the constant basis function: colour = 0.5 + SH_C0
 
 def spiral(count: int = 2000) -> ls.Gaussians:
     """Returns a helix of flat, coloured discs that climbs along y."""
-    turn = np.linspace(0.0, 8.0 * np.pi, count)
+    angle = np.linspace(0.0, 8.0 * np.pi, count)
     height = np.linspace(-1.0, 1.0, count)
-    means = np.stack([np.cos(turn), height, np.sin(turn)], axis=1)
-    half = -0.5 * turn  # half the angle of a rotation about y, as a quaternion (w, x, y, z)
+    means = np.stack([np.cos(angle), height, np.sin(angle)], axis=1)
+    half = -0.5 * angle  # half the angle of a rotation about y, as a quaternion (w, x, y, z)
     rotations = np.stack([np.cos(half), np.zeros(count), np.sin(half), np.zeros(count)], axis=1)
     scales = np.broadcast_to([0.004, 0.03, 0.03], (count, 3))  # thin along the radius
     colors = 0.5 + 0.5 * np.cos(np.pi * height[:, None] + np.array([0.0, 2.1, 4.2]))

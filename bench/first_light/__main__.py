@@ -81,7 +81,7 @@ STEPS = (
     Step("sorts, times", f"{TIMES}:sort_times", 60.0),
     Step("copies, times", f"{TIMES}:copy_times", 60.0),
 )
-"""All steps: correctness before speed, and small before large."""
+"""Steps in order: correctness before speed, and small before large."""
 
 
 def main() -> int:

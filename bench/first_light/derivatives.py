@@ -126,5 +126,5 @@ def _ours(
         renderer.render(scene, camera)
         found = [*renderer.gradients(pixel_weights).sets]
         rows.append(dict(renderer._launcher.stage_ms))
-    kept = [name for name in rows[-1] if name not in ("sync", "download")]
-    return {name: statistics.median(row[name] for row in rows[WARM:]) for name in kept}, found[0]
+    stage_names = [name for name in rows[-1] if name not in ("sync", "download")]
+    return {name: statistics.median(row[name] for row in rows[WARM:]) for name in stage_names}, found[0]

@@ -86,11 +86,11 @@ def row(name: str, values: Sequence[float], bar: str) -> None:
 def lamps(given: argparse.Namespace) -> None:
     """Measures a light that is switched off."""
     print_head("gone after frames", *(str(count) for count in AFTER), "bar")
-    lamp = ls.LightPoint((2.0, 2.5, 2.5), intensity=10.0)
+    light = ls.LightPoint((2.0, 2.5, 2.5), intensity=10.0)
     other = ls.LightPoint((0.8, 1.0, 4.2), intensity=3.0)
     for name, rest in {"alone": (), "beside another lamp": (other,)}.items():
-        lit = View(name, ls.Scene((), dark_room(), [lamp, *rest]), camera_of(given))
-        out = replace(lit, scene=replace(lit.scene, lights=(replace(lamp, intensity=0.0), *rest)))
+        lit = View(name, ls.Scene((), dark_room(), [light, *rest]), camera_of(given))
+        out = replace(lit, scene=replace(lit.scene, lights=(replace(light, intensity=0.0), *rest)))
         renderer = ls.create_renderer(realtime(), given.device)
         before = [last_of(renderer, lit, STEADY)]
         frames = list(frames_of(renderer, out, AFTER[-1]))

@@ -84,8 +84,8 @@ def dark_room() -> list[ls.MeshInstance]:
 def with_ball_at(offset: float) -> ls.Scene:
     """Returns the closed room under a small light, with its ball moved to the right, scene units."""
     *walls, ball, tall = (instance for instance in dark_room())
-    lamp = ls.LightPoint((2.0, 2.8, 2.5), intensity=6.0)
-    return ls.Scene((), [*walls, tall, replace(ball, world_from_object=moved(offset) @ ball.transform)], [lamp])
+    light = ls.LightPoint((2.0, 2.8, 2.5), intensity=6.0)
+    return ls.Scene((), [*walls, tall, replace(ball, world_from_object=moved(offset) @ ball.transform)], [light])
 
 
 def moved(x: float) -> np.ndarray:

@@ -195,7 +195,7 @@ def test_ids_of_more_than_255_objects_are_16_bit(tmp_path) -> None:
 
 
 def test_real_time_frames_and_unlit_albedo_are_refused(tmp_path) -> None:
-    """Each in one line."""
+    """The error has one line."""
     with pytest.raises(ls.ConfigError, match=r"Pipeline\.REALTIME renders frames that depend on earlier frames"):
         ls.dataset.render_dataset(
             block_scene(), tmp_path, small_config(), render=ls.RenderConfig(pipeline=ls.Pipeline.REALTIME), device="cpu"
@@ -207,7 +207,7 @@ def test_real_time_frames_and_unlit_albedo_are_refused(tmp_path) -> None:
 
 
 def test_data_set_settings_are_read(tmp_path) -> None:
-    """All groups, words for None, and paths relative to the file's folder."""
+    """The file has all groups, words for None, and paths relative to its folder."""
     (tmp_path / "duck.obj").write_text("v 0 0 0\n")
     file = tmp_path / "set.toml"
     file.write_text(

@@ -93,7 +93,7 @@ def test_cameras_in_free_space_keep_their_clearance() -> None:
 
 
 def test_cameras_near_given_ones_move_within_their_limits() -> None:
-    """Without given cameras, an error of one line."""
+    """An empty list of cameras is an error of one line."""
     given = [ls.Camera.look_at((x, 2.0, 4.0), (0.0, 0.5, 0.0)) for x in (-1.0, 1.0)]
     poses = ls.config.DatasetPoses(where=ls.config.PosePlaces.CAMERAS, shift=0.02, turn=4.0)
     used = set()
@@ -109,7 +109,7 @@ def test_cameras_near_given_ones_move_within_their_limits() -> None:
 
 
 def test_objects_stand_on_the_ground_without_contact(object_file) -> None:
-    """On the floor or the block, upright, of the right size, with free space around; cameras look at one object."""
+    """Objects stand upright on the floor or the block with the right size and free space; cameras look at one."""
     objects = ls.config.DatasetObjects(files=(object_file,), count=(2, 4), size=(0.05, 0.1))
     poses = ls.config.DatasetPoses(at_objects=1.0, object_distance=(3.0, 5.0))
     turns, looked_at = set(), 0
@@ -221,7 +221,7 @@ def test_lights_are_within_their_ranges() -> None:
 
 
 def test_environments_are_rotated_about_the_vertical() -> None:
-    """Also the scene's own; brightness is within its range, and other lights are unchanged."""
+    """The scene's own environment is rotated, too; brightness is within its range, and other lights are unchanged."""
     own = (ls.LightEnvironment(intensity=2.0), ls.LightPoint((0.0, 3.0, 0.0)))
     angles = set()
     for view in views_of(

@@ -15,19 +15,19 @@ SKY_ONLY = Daylight(
 
 
 def grid(half: float, y: float) -> np.ndarray:
-    """Points every 1.5 cm of a level square of side ``2 * half`` at height ``y``."""
+    """Returns points every 1.5 cm of a level square of side ``2 * half`` at height ``y``."""
     line = np.arange(-half, half, 0.015)
     x, z = np.meshgrid(line, line)
     return np.stack([x.ravel(), np.full(x.size, y), z.ravel()], axis=1)
 
 
 def lit(casters: np.ndarray, points: np.ndarray, normal: tuple[float, float, float], light: Daylight) -> np.ndarray:
-    """Irradiance at points that share a normal."""
+    """Returns the irradiance at points that share a normal."""
     return irradiance(casters, points, np.tile(normal, (len(points), 1)), light)
 
 
 def test_sun_follows_the_cosine_and_does_not_shadow_its_own_surface() -> None:
-    """On a free plane, sun times cosine, everywhere; from behind, nothing."""
+    """A free plane gets sun times cosine everywhere, and nothing from behind."""
     plane = grid(0.5, 0.0)
     for tilt in (0.0, 0.5, 1.0):
         light = Daylight(

@@ -111,7 +111,7 @@ def test_relit_demo_has_the_same_capture_and_meshes(demo: ls.Scene, lit: ls.Scen
 
 
 def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
-    """With all lights off, the room is black, and the garden emits its captured radiance."""
+    """The room is black with all lights off, and the garden emits its captured radiance."""
     camera = ls.demo_cameras(160, 90, count=1)[0]
     off = replace(lit, lights=(ls.LightPoint((0.0, 1.0, 0.0), intensity=0.0),))
     dark = ls.render(off, camera, ls.RenderConfig(shadows=ls.Shadows.OFF), device="cpu")
@@ -128,7 +128,7 @@ def test_no_daylight_is_left_in_the_relit_demo(lit: ls.Scene) -> None:
 
 
 def test_relit_demo_is_well_exposed(lit: ls.Scene) -> None:
-    """From every camera, most pixels are neither black nor white, and both warm and cool light are visible."""
+    """Most pixels are neither black nor white from every camera, and both warm and cool light are visible."""
     config = ls.RenderConfig(shadows=ls.Shadows.OFF, tone_map=ls.ToneMap.NEUTRAL, samples=2)
     renderer = ls.create_renderer(config, "cpu")
     for camera in ls.demo_cameras(160, 90):

@@ -218,7 +218,7 @@ def broken_imports(path: Path) -> Iterator[str]:
 
 
 def test_modules_import_only_their_own_and_lower_layers() -> None:
-    """Also inside functions; ``lumisplat/__init__.py`` imports lazily."""
+    """The rule covers imports inside functions; ``lumisplat/__init__.py`` imports lazily."""
     inner = [path for path in FILES if module_name(path)]
     assert not [line for path in inner for line in broken_imports(path)]
     front = tree(PACKAGE / "__init__.py")
@@ -295,7 +295,7 @@ ALLOCATORS |= {f"wp.{name}_like" for name in ("zeros", "empty", "full", "ones")}
 
 
 def test_device_memory_is_allocated_only_in_its_files() -> None:
-    """These are buffers.py, assets.py, struct_tables.py, and downloads.py for host copies."""
+    """Allocations are in buffers.py, assets.py, struct_tables.py, and downloads.py for host copies."""
     offenders = []
     for path in FILES:
         # In device code, wp.array(dtype=...) is the type of a parameter.

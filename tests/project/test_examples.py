@@ -48,7 +48,7 @@ def demo_is_ready(demo, monkeypatch):
 
 @pytest.mark.parametrize("name", LONG)
 def test_long_example_runs_small(name, tmp_path, monkeypatch, demo_is_ready):
-    """With small frames and few Gaussians, an example ends without an error and writes a file to out/."""
+    """An example with small frames and few Gaussians ends without an error and writes a file to out/."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(ls, "gaussians_from_mesh", lambda mesh, count: gaussians_from_mesh(mesh, min(count, 500)))
     (example,) = (path for path in EXAMPLES if path.stem == name)
@@ -72,7 +72,7 @@ def test_example_runs(example, tmp_path, monkeypatch, demo_is_ready):
 
 
 def test_lowest_point_of_a_rig_is_on_the_floor(tmp_path, monkeypatch):
-    """Its height is 0 at time 0."""
+    """The lowest point of a rig has height 0 at time 0."""
     rig = TubeRig(clips={"bend": BEND})
     path = rig.write(tmp_path / "tube.glb")
     (example,) = (path for path in EXAMPLES if path.stem == "avatar_in_capture")

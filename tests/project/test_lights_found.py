@@ -12,7 +12,7 @@ import lumisplat as ls
 from support.scenes.lit_captures import LitCapture
 
 FOUND = [(0.0, 2.0, 0.0), (3.0, 2.0, 0.0)]
-"""Where a search says that there are lamps."""
+"""Positions of the estimated lights."""
 
 
 def searched(monkeypatch: pytest.MonkeyPatch, lamps: list[tuple[float, float, float]], unit: float) -> dict:

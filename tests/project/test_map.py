@@ -36,6 +36,6 @@ def test_the_map_names_every_folder() -> None:
 
 
 def test_map_reader_finds_nested_folders() -> None:
-    """Also several folders on one line, but not the text after them."""
+    """The reader finds several folders on one line, but not the text after them."""
     page = "io/        files\n  gltf/ usd/\n  ply.py    a module\n           and usd/ again\nmath/   numbers\n"
     assert folders_of_map(page) == {"io/", "io/gltf/", "io/usd/", "math/"}

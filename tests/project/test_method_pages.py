@@ -50,7 +50,7 @@ def test_cited_method_pages_and_anchors_exist() -> None:
 
 
 def test_named_files_exist() -> None:
-    """Each path of a page, test, benchmark or tool in sources and docs exists."""
+    """Every path of a page, test, benchmark or tool in sources and docs exists."""
     named = [(path, name) for path, text in texts() for name in NAMED.findall(text)]
     assert len(named) > 50
     assert not [f"{path.relative_to(ROOT)}: {name}" for path, name in named if not any(ROOT.glob(name))]
@@ -60,7 +60,7 @@ def test_named_files_exist() -> None:
     "page", [*METHOD, ROOT / "CONTRIBUTING.md", ROOT / "docs" / "architecture.md"], ids=lambda page: page.stem
 )
 def test_method_pages_name_existing_source_files(page: Path) -> None:
-    """Each page names its source files, relative to the package or the root."""
+    """Every page names its source files, relative to the package or the root."""
     named = re.findall(r"`((?:[\w-]+/)+[\w-]*(?:\.py|\.md)?)`", page.read_text())
     assert named
     places = [ROOT / "src" / "lumisplat", ROOT]

@@ -45,7 +45,7 @@ def test_top_level_has_few_sorted_names() -> None:
 
 @pytest.mark.parametrize(("module", "name"), PUBLIC)
 def test_every_name_resolves(module: str, name: str) -> None:
-    """Each public name exists, has this ``__name__``, and has a docstring."""
+    """Every public name exists, has this ``__name__``, and has a docstring."""
     value = getattr(getattr(ls, module) if module else ls, name)
     assert inspect.getdoc(value)
     assert callable(value)
@@ -65,7 +65,7 @@ def test_a_name_means_the_same_in_all_modules() -> None:
     "first", ["ls.Frame", "ls.load", "ls.render", "ls.create_renderer", "__import__('lumisplat.frame.frame')"]
 )
 def test_names_resolve_in_any_import_order(first: str) -> None:
-    """Each name may be the first one used; `render` also after the package of that name is loaded."""
+    """Every name may be the first one used; `render` also after the package of that name is loaded."""
     program = f"import lumisplat as ls; {first}; ls.create_renderer; assert callable(ls.render), ls.render"
     subprocess.run([sys.executable, "-c", program], check=True, capture_output=True)
 

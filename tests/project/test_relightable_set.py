@@ -101,7 +101,7 @@ def layer(folder: Path, name: str, index: int, channels: str) -> tuple[np.ndarra
 
 
 def test_views_are_held_out_between_the_others(tool: ModuleType, balls: Path) -> None:
-    """As many as requested, none at the ends; all cameras are at one distance and see the whole object."""
+    """The requested number is held out, none at the ends; all cameras are at one distance and see the whole object."""
     scene = tool.scene_of(balls)
     views = tool.views_around(scene, SIZE, 12, 4)
     assert [name.startswith("test") for name in views] == 4 * [False, False, True, False]

@@ -54,5 +54,5 @@ def test_held_out_images_are_evaluated_early(tmp_path: Path) -> None:
     """Evaluations are after 100 and 200 iterations, and at the end."""
     config = ls.TrainConfig(iterations=210, cap=80, initial=60, sh_degree=0)
     ls.train(folder_of(tmp_path / "set"), config, output=tmp_path / "a.ply", device="cpu")
-    told = json.loads((tmp_path / "a.training" / "curve.json").read_text())
-    assert [step for step, _ in told["measured"]] == [100, 200, 210]
+    stored = json.loads((tmp_path / "a.training" / "curve.json").read_text())
+    assert [step for step, _ in stored["measured"]] == [100, 200, 210]

@@ -77,7 +77,7 @@ def test_dead_gaussians_are_relocated_onto_living_ones() -> None:
 
 
 def test_number_of_gaussians_grows_up_to_the_cap() -> None:
-    """Each densification adds a twentieth."""
+    """One densification adds a twentieth."""
     rng = np.random.default_rng(0)
     assert grown(parameters([0.5] * 100), TrainConfig(cap=1000), rng).count == 105
     assert grown(parameters([0.5] * 100), TrainConfig(cap=102), rng).count == 102

@@ -50,18 +50,18 @@ def test_gradients_by_exposures_colors_and_alphas_match_central_differences() ->
 
     assert found.total == pytest.approx(total(color, alpha, exposure), abs=1e-6)
     given = color, alpha, exposure
-    for which, by, places in (
+    for which, by, indices in (
         (0, by_color.reshape(color.shape), [(0, 0, 0), (16, 22, 2), (8, 11, 1)]),
         (1, by_alpha.reshape(alpha.shape), [(0, 0), (16, 22), (8, 11), (3, 5)]),
         (2, by_exposure, [(row, column) for row in range(3) for column in range(4)]),
     ):
         scale = float(np.abs(by).mean())
-        for place in places:
+        for index in indices:
             moved = [[values.copy() for values in given] for _ in range(2)]
-            moved[0][which][place] += 1e-6
-            moved[1][which][place] -= 1e-6
+            moved[0][which][index] += 1e-6
+            moved[1][which][index] -= 1e-6
             slope = (total(*moved[0]) - total(*moved[1])) / 2e-6
-            assert by[place] == pytest.approx(slope, abs=1e-4 * scale), (which, place)
+            assert by[index] == pytest.approx(slope, abs=1e-4 * scale), (which, index)
 
 
 def test_mean_exposure_stays_the_identity() -> None:

@@ -54,7 +54,7 @@ def test_finished_training_resumes_with_more_iterations(tmp_path: Path, caplog: 
 
 
 def test_interrupted_extended_training_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same command resumes, wherever it was stopped."""
+    """Repeating the command resumes the training wherever it was stopped."""
     monkeypatch.setattr(train, "time", SimpleNamespace(monotonic=itertools.count().__next__))  # a second a step
     folder, whole, parts = folder_of(tmp_path / "set"), tmp_path / "whole.ply", tmp_path / "parts.ply"
     for output in (whole, parts):

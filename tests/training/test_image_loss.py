@@ -17,7 +17,7 @@ SIZE = 23, 17
 SSIM, ALPHA, ENTROPY = 0.3, 0.7, 0.4
 
 Wanted = tuple[np.ndarray, np.ndarray | None, np.ndarray | None]
-"""Colour, what counts, and alpha of a photograph."""
+"""Colour, pixel weights and alpha of a target image."""
 
 
 def images(seed: int = 0, channels: int | None = 3) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_frame_equal_to_its_image_has_no_loss_and_no_gradient() -> None:
 
 
 def test_loss_has_the_same_bits_on_any_number_of_threads() -> None:
-    """Each row is summed by one thread."""
+    """One thread sums each row."""
     results = [differentiate(images(1), images(2, None), (images(3), None, None), threads) for threads in (1, 2, 5)]
     for other in results[1:]:
         assert other[0] == results[0][0]
@@ -136,7 +136,7 @@ def test_loss_has_the_same_bits_on_any_number_of_threads() -> None:
 
 
 def test_loss_by_pixels_equals_loss_by_rows() -> None:
-    """On CUDA an item is a pixel, and the sums are added up afterwards."""
+    """CUDA kernels process single pixels and add the sums afterwards."""
     wanted = images(3), images(4, None), images(5, None)
     rows, pixels = (differentiate(images(1), images(2, None), wanted, parallel=parallel) for parallel in (False, True))
     for row, pixel in zip(rows[1:], pixels[1:], strict=True):

@@ -24,7 +24,7 @@ from support.scenes.training_scenes import folder_of
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 OPTIONS = ("--iterations", "260", "--cap", "150", "--sh-degree", "1", "--device", "cpu")
 RESULTS = ("curve.json", "curve.png", "metrics.json", "settings.toml", "held out/00.png", "held out/08.png")
-"""Of the result folder, but for the checkpoint, whose settings of compression are NumPy's."""
+"""Files of the training folder that are compared; the compression of the checkpoint depends on NumPy."""
 
 
 def command(folder: Path, output: Path, moment: str, number: int, *more: str) -> list[str]:

@@ -90,7 +90,7 @@ def test_interrupted_material_search_resumes_to_the_same_bits(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """After several deaths, no ray is traced again; incident radiance is stored only as long as it is needed."""
+    """A resumed search traces no ray again; incident radiance is stored only as long as it is needed."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=0)
@@ -187,7 +187,7 @@ def test_environment_and_capture_are_written_both_or_neither(
 
 
 def test_overwriting_a_training_removes_its_material_files(capture: ls.Gaussians, folder: Path, tmp_path: Path) -> None:
-    """Also if the folder holds nothing else."""
+    """The folder may hold nothing but material files."""
     output = tmp_path / "a.ply"
     with pytest.raises(Killed):
         found(capture, folder, output, dies_at=1)

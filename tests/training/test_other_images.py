@@ -39,7 +39,7 @@ def changed_cameras(camera: ls.Camera) -> dict[str, Any]:
 
 @pytest.mark.parametrize("lens", [{}, {"projection": ls.config.Projection.UNSCENTED}], ids=["straightened", "as it is"])
 def test_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: Path) -> None:
-    """Also if the images are undistorted and the pinhole stays the same."""
+    """Undistorted images with the same pinhole are refused, too."""
     folder = write_nerfstudio_images(tmp_path / "set", ring_cameras(3, distortion=BEFORE))
     config = replace(CONFIG, **lens)
     ls.train(folder, config, output=tmp_path / "a.ply", device="cpu")
@@ -55,7 +55,7 @@ def test_training_with_another_lens_is_refused(lens: dict[str, Any], tmp_path: P
 
 
 def test_fingerprint_depends_on_every_camera_field(tmp_path: Path) -> None:
-    """Each field is changed alone."""
+    """The test changes one field at a time."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     images = ls.io.load_training_images(folder)
     one = images.training[0]
@@ -85,7 +85,7 @@ def test_other_images_of_the_same_names_and_sizes_are_refused(tmp_path: Path) ->
 
 
 def test_fingerprint_depends_on_masks_and_point_colours(tmp_path: Path) -> None:
-    """Also if the files have the same size."""
+    """Changed files of the same size are found, too."""
     folder = write_nerfstudio_images(tmp_path, ring_cameras(3))
     found = [ls.io.load_training_images(folder).fingerprint]
     (folder / "masks").mkdir()

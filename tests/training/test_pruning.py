@@ -20,7 +20,7 @@ from support.scenes.training_scenes import BACKGROUND, folder_of, known, known_l
 
 @pytest.mark.parametrize("threads", [1, 5])
 def test_largest_weights_match_rendered_frames(threads: int) -> None:
-    """Each Gaussian has a feature channel of its own; one that no camera sees has weight 0."""
+    """The reference renders one feature channel per Gaussian; a Gaussian that no camera sees has weight 0."""
     given = views(3, 45)
     parameters = known_learnt().rows(np.arange(30))
     parameters.values["means"][4] = (0.0, 50.0, 0.0)

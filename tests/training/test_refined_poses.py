@@ -47,13 +47,13 @@ def started(given: list[TrainingView], config: ls.TrainConfig) -> Trainer:
 def errors(poses: np.ndarray, true: list[TrainingView]) -> np.ndarray:
     """Returns root mean square errors of rotation, degrees, and eye position, scene units."""
     truth = np.stack([view.camera.camera_from_world for view in true])
-    turns = [twist_from_rigid(pose @ np.linalg.inv(one))[:3] for pose, one in zip(poses, truth, strict=True)]
+    rotations = [twist_from_rigid(pose @ np.linalg.inv(one))[:3] for pose, one in zip(poses, truth, strict=True)]
     eyes = np.linalg.inv(poses)[:, :3, 3] - np.linalg.inv(truth)[:, :3, 3]
-    return np.sqrt([np.sum(np.square(np.degrees(turns)), axis=1).mean(), np.sum(eyes**2, axis=1).mean()])
+    return np.sqrt([np.sum(np.square(np.degrees(rotations)), axis=1).mean(), np.sum(eyes**2, axis=1).mean()])
 
 
 def test_perturbed_poses_are_recovered() -> None:
-    """With known Gaussians, rotations of a degree and shifts of a hundredth of the distance shrink to a fifth."""
+    """Rotations of a degree and shifts of a hundredth of the distance shrink to a fifth, with known Gaussians."""
     true = views(12)
     one = started(moved(true, 1.0, 0.03), CONFIG)
     assert one.poses is not None
@@ -105,8 +105,10 @@ def test_mean_motion_of_cameras_stays_zero() -> None:
     twists = np.array([twist_from_rigid(motion) for motion in motions])
     np.testing.assert_allclose(twists.mean(axis=0), 0.0, atol=1e-4 * np.abs(twists).max())
     assert np.abs(twists).max() > 1e-3
-    turns = poses.values[:, :3, :3]
-    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.repeat(np.eye(3)[None], 5, axis=0), atol=1e-12)
+    rotations = poses.values[:, :3, :3]
+    np.testing.assert_allclose(
+        rotations @ rotations.transpose(0, 2, 1), np.repeat(np.eye(3)[None], 5, axis=0), atol=1e-12
+    )
 
 
 def test_poses_and_exposures_resume_and_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -157,7 +159,7 @@ def test_cameras_without_a_single_pose_are_refused(change: dict[str, Any], what:
 
 
 def test_training_with_all_terms_has_the_same_bits_on_any_number_of_threads() -> None:
-    """All optional parameters and loss terms are on."""
+    """The training uses all optional parameters and loss terms."""
     config = ls.TrainConfig(
         iterations=40,
         cap=60,

@@ -20,9 +20,9 @@ RELIGHTABLE = {"flatness": 0.3, "normals": 0.05, "depth_spread": 0.3}
 
 def camera(number: float) -> ls.Camera:
     """Returns a camera near a wall that looks across the box."""
-    turn = 2.399963 * number
-    eye = 0.8 * HALF * (np.cos(turn), np.sin(5.0 * number), np.sin(turn))
-    at = -0.6 * HALF * (np.cos(turn + 0.5), np.sin(3.0 * number), np.sin(turn + 0.5))
+    angle = 2.399963 * number
+    eye = 0.8 * HALF * (np.cos(angle), np.sin(5.0 * number), np.sin(angle))
+    at = -0.6 * HALF * (np.cos(angle + 0.5), np.sin(3.0 * number), np.sin(angle + 0.5))
     return ls.Camera.look_at(eye, at, (0.0, -1.0, 0.0), width=SIZE[0], height=SIZE[1], fov_y=1.0)
 
 

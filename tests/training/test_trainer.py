@@ -71,7 +71,7 @@ def test_known_gaussians_are_recovered() -> None:
 
 @pytest.mark.parametrize("kind", list(ls.config.Densification))
 def test_training_has_the_same_bits_on_any_number_of_threads(kind: ls.config.Densification) -> None:
-    """Also across densifications; another seed gives another result."""
+    """The compared iterations include densifications; another seed gives another result."""
     config = replace(CONFIG, densification=kind, iterations=700)
     made = [trainer(config, threads) for threads in (1, 2, 5)] + [trainer(replace(config, seed=4))]
     for one in made:
@@ -97,7 +97,7 @@ def test_non_finite_loss_ends_training() -> None:
 def test_stopped_training_resumes_to_the_same_bits(
     kind: ls.config.Densification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Also across densifications; the training folder has all documented files."""
+    """The iterations include densifications; the training folder has all documented files."""
     folder = folder_of(tmp_path / "set")
     config = replace(CONFIG, iterations=260 if kind is ls.config.Densification.MCMC else 420, densification=kind)
     color = "#1a334d"

@@ -52,7 +52,7 @@ def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
 
 
 def test_training_frame_equals_the_renderer_frame() -> None:
-    """Also after the Gaussians have moved or been replaced: the BVH is refitted."""
+    """The frames agree after the Gaussians have moved or been replaced, when the BVH is refitted."""
     one, camera = trainer(CONFIG, cameras(4, 20)), cameras(6)[5]
     for _ in range(30):
         one.step()
@@ -128,7 +128,7 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
 
 
 def test_incompatible_settings_are_refused(tmp_path: Path) -> None:
-    """Each in one line."""
+    """The error has one line."""
     refused: list[tuple[dict[str, Any], str]] = [
         ({"kernel_degree": 4}, "kernel_degree is 4, which needs rays: use Pipeline.TRACE"),
         ({"kernel_degree": 6, "pipeline": "trace"}, "kernel_degree is 6, expected"),

@@ -59,7 +59,7 @@ def held_out_psnr(of: Trainer, some: list[ls.Camera]) -> float:
 
 
 def test_training_frame_equals_the_renderer_frame() -> None:
-    """Also after the Gaussians have moved or been replaced."""
+    """The frames agree after the Gaussians have moved or been replaced."""
     one, camera = trainer(CONFIG, lenses(4)), lenses(6)[5]
     for _ in range(30):
         one.step()
@@ -141,17 +141,17 @@ def test_fisheye_images_are_trained_without_undistortion(tmp_path: Path) -> None
     black = replace(FRAMES, background=(0.0, 0.0, 0.0))
     asset = ls.load(tmp_path / "a.ply")
     assert isinstance(asset, ls.Gaussians)
-    shown, photograph = (
+    shown, held_out_image = (
         seen(asset, some[:1], black)[0],
         ls.io.load_training_images(folder, straighten=False).held_out[0],
     )
-    assert photograph.camera.is_distorted
-    found = ls.metrics.psnr(np.clip(shown, 0.0, 1.0), photograph.pixels())
-    assert result.score.of_views[photograph.name] == pytest.approx(found, abs=0.05)
+    assert held_out_image.camera.is_distorted
+    found = ls.metrics.psnr(np.clip(shown, 0.0, 1.0), held_out_image.pixels())
+    assert result.score.of_views[held_out_image.name] == pytest.approx(found, abs=0.05)
 
 
 def test_incompatible_settings_are_refused() -> None:
-    """Each in one line."""
+    """The error has one line."""
     refused: list[tuple[dict[str, Any], str]] = [
         ({"pipeline": "trace"}, r"projection is unscented, which is for Pipeline\.RASTER"),
         ({"kernel_degree": 4}, "kernel_degree is 4, which needs rays"),

@@ -17,17 +17,17 @@ CONFIG = ls.TrainConfig(iterations=60, cap=200, initial=120, sh_degree=1, coarse
 POINTS = np.random.default_rng(3).normal(size=(90, 3)) + np.array([1.0, 2.0, 3.0])
 
 
-def moved(camera: ls.Camera, unit: float, place: np.ndarray) -> ls.Camera:
+def moved(camera: ls.Camera, unit: float, origin: np.ndarray) -> ls.Camera:
     """Returns the camera in another unit and at another origin."""
     pose = np.array(camera.camera_from_world)
-    pose[:3, 3] = unit * pose[:3, 3] - pose[:3, :3] @ place
+    pose[:3, 3] = unit * pose[:3, 3] - pose[:3, :3] @ origin
     return replace(camera, camera_from_world=pose)
 
 
-def images(folder: Path, unit: float, place: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
+def images(folder: Path, unit: float, origin: np.ndarray, *, points: bool = True) -> ls.io.TrainingImages:
     """Returns a ring of cameras around points, as COLMAP would write them."""
-    cameras = [moved(camera, unit, place) for camera in ring_cameras(6, 32, 24)]
-    known = unit * POINTS + place if points else POINTS[:0]
+    cameras = [moved(camera, unit, origin) for camera in ring_cameras(6, 32, 24)]
+    known = unit * POINTS + origin if points else POINTS[:0]
     return ls.io.load_training_images(write_colmap_images(folder, cameras, known), hold_out=3)
 
 
@@ -38,19 +38,19 @@ def trained(images: ls.io.TrainingImages, config: ls.TrainConfig = CONFIG) -> ls
 
 @pytest.mark.parametrize("points", [True, False])
 @pytest.mark.parametrize(
-    ("unit", "place"), [(1000.0, 0.0 * UTM), (1e-3, 0.0 * UTM), (1.0, UTM), (1000.0, 1000.0 * UTM)]
+    ("unit", "origin"), [(1000.0, 0.0 * UTM), (1e-3, 0.0 * UTM), (1.0, UTM), (1000.0, 1000.0 * UTM)]
 )
 def test_training_is_independent_of_unit_and_origin(
-    tmp_path: Path, unit: float, place: np.ndarray, points: bool
+    tmp_path: Path, unit: float, origin: np.ndarray, points: bool
 ) -> None:
     """Gaussians are scaled and moved up to rounding, from millimetres to UTM coordinates."""
     first = trained(images(tmp_path / "a", 1.0, 0.0 * UTM, points=points))
-    other = trained(images(tmp_path / "b", unit, place, points=points))
+    other = trained(images(tmp_path / "b", unit, origin, points=points))
     assert first.score is not None and other.score is not None
     assert other.score.psnr == pytest.approx(first.score.psnr, abs=0.05)
     before, after = first.gaussians, other.gaussians
-    assert any(after.origin) is bool(place.any())
-    means = (after.means - (place - np.array(after.origin))) / unit
+    assert any(after.origin) is bool(origin.any())
+    means = (after.means - (origin - np.array(after.origin))) / unit
     np.testing.assert_allclose(np.median(np.abs(means - before.means)), 0.0, atol=1e-5)
     np.testing.assert_allclose(np.median(after.scales / before.scales), unit, rtol=1e-3)
     np.testing.assert_allclose(np.median(np.abs(after.sh - before.sh)), 0.0, atol=1e-4)
@@ -58,12 +58,12 @@ def test_training_is_independent_of_unit_and_origin(
 
 @pytest.mark.parametrize("pipeline", ["trace", "unscented"])
 def test_training_by_rays_is_independent_of_unit(tmp_path: Path, pipeline: str) -> None:
-    """For the ray tracer and the unscented transform."""
-    way = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
-    config = replace(CONFIG, iterations=20, **way)
+    """Checks the ray tracer and the unscented transform."""
+    backend = {"pipeline": ls.Pipeline.TRACE} if pipeline == "trace" else {"projection": ls.config.Projection.UNSCENTED}
+    config = replace(CONFIG, iterations=20, **backend)
     scores = [
-        trained(images(tmp_path / str(unit), unit, place), config).score
-        for unit, place in ((1.0, 0.0 * UTM), (1000.0, 1000.0 * UTM))
+        trained(images(tmp_path / str(unit), unit, origin), config).score
+        for unit, origin in ((1.0, 0.0 * UTM), (1000.0, 1000.0 * UTM))
     ]
     assert scores[0] is not None and scores[1] is not None
     assert scores[1].psnr == pytest.approx(scores[0].psnr, abs=0.05)
@@ -87,8 +87,8 @@ def test_training_at_a_far_origin_is_written_and_resumes(tmp_path: Path) -> None
 def test_camera_extent_is_the_same_in_any_unit(tmp_path: Path) -> None:
     """Scale regularisation and noise therefore have the same effect."""
     extents = []
-    for unit, place in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
-        found = images(tmp_path / str(unit), unit, place)
+    for unit, origin in ((1.0, 0.0 * UTM), (1e-3, 1e-3 * UTM), (1e5, 1e5 * UTM)):
+        found = images(tmp_path / str(unit), unit, origin)
         extents.append(found.extent / training_frame(found).unit)
     np.testing.assert_allclose(extents, extents[0], rtol=1e-6)
 
@@ -96,4 +96,4 @@ def test_camera_extent_is_the_same_in_any_unit(tmp_path: Path) -> None:
 def test_positions_at_a_far_origin_are_distinct(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Cameras five units apart, five million units from the origin, are not at one position."""
     trained(images(tmp_path, 1.0, UTM), replace(CONFIG, iterations=1))
-    assert "place" not in caplog.text and "pose of another" not in caplog.text
+    assert "camera position" not in caplog.text and "same pose" not in caplog.text

@@ -73,7 +73,7 @@ def split_of(seed: int, view: int, shares: tuple[float, float, float]) -> str:
 
     A Kronecker sequence divides any number of consecutive views nearly in the given fractions.
     """
-    place = (Draws(seed, 0, Purpose.SPLIT).unit() + view * _GOLDEN) % 1.0
-    if place < shares[0]:
+    fraction = (Draws(seed, 0, Purpose.SPLIT).unit() + view * _GOLDEN) % 1.0
+    if fraction < shares[0]:
         return "train"
-    return "val" if place < shares[0] + shares[1] else "test"
+    return "val" if fraction < shares[0] + shares[1] else "test"

@@ -124,7 +124,7 @@ def id_images(
         instance_index: Instance index of a frame, shape (H, W); -1 for the background.
         things: Labels of the view.
     """
-    last = max((place for thing in things for place in thing.instances), default=-1)
+    last = max((index for thing in things for index in thing.instances), default=-1)
     ids, categories = np.zeros(last + 2, np.uint16), np.zeros(last + 2, np.uint16)  # index -1 is the last entry
     for thing in things:
         ids[list(thing.instances)] = thing.id

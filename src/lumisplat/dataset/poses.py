@@ -147,8 +147,8 @@ class PoseSampler:
         poses = self._poses
         given = self._cameras[draws.below(len(self._cameras))].world_from_camera
         shift = poses.shift * self._space.diagonal * draws.unit() * draws.direction()
-        turn = axis_rotation(draws.direction(), math.radians(poses.turn) * draws.unit())
-        return given[:3, 3] + shift, turn @ given[:3, 0], turn @ given[:3, 2]
+        rotation = axis_rotation(draws.direction(), math.radians(poses.turn) * draws.unit())
+        return given[:3, 3] + shift, rotation @ given[:3, 0], rotation @ given[:3, 2]
 
     def _is_free(self, eye: Doubles, objects: Sequence[PlacedObject]) -> bool:
         """Returns whether there is enough free space around an eye."""

@@ -236,14 +236,14 @@ def render_dataset(
     frame_config = _frame_config(checked_config(render), config or DatasetConfig())
     views = DatasetViews(scene, config, cameras=cameras, device=device)
     renderer = create_renderer(frame_config, device)
-    place = Path(folder)
+    root = Path(folder)
     for index in range(views.config.views):
-        if not (place / view_file(index)).is_file():
+        if not (root / view_file(index)).is_file():
             view = views.view(index)
-            views.save(view, renderer.render(view.scene, view.camera), place)
+            views.save(view, renderer.render(view.scene, view.camera), root)
         if progress:
             progress((index + 1) / views.config.views)
-    return finish_dataset(place, views.config)
+    return finish_dataset(root, views.config)
 
 
 def _frame_config(render: RenderConfig, config: DatasetConfig) -> RenderConfig:
