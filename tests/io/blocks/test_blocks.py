@@ -139,14 +139,14 @@ def test_visible_blocks_render_like_the_whole_capture(name: str, antialiased: bo
     config = ls.RenderConfig(aovs=("sample_count",), samples=3)
     renderer = ls.create_renderer(config, "cpu")
     whole = renderer.render(ls.Scene([all_of(index)]), camera)
-    seen = ls.io.visible_blocks(index, camera)
-    assert 0 < len(seen) < 0.8 * len(index.blocks)
-    frame = renderer.render(ls.Scene([ls.io.load_blocks(index, seen)]), camera)
+    visible = ls.io.visible_blocks(index, camera)
+    assert 0 < len(visible) < 0.8 * len(index.blocks)
+    frame = renderer.render(ls.Scene([ls.io.load_blocks(index, visible)]), camera)
     for image in ("color", "alpha", "depth", "normal"):
         np.testing.assert_array_equal(getattr(frame, image), getattr(whole, image), image)
     window = camera.windows(2, 2)[3]
     fewer = ls.io.visible_blocks(index, window)
-    assert set(fewer) <= set(seen)
+    assert set(fewer) <= set(visible)
     if fewer:
         part = renderer.render(ls.Scene([ls.io.load_blocks(index, fewer)]), window)
         left, top = window.image_corner
@@ -181,12 +181,12 @@ def test_worker_plans_load_blocks_once_if_memory_allows(tmp_path: Path) -> None:
     cameras = [VIEWS["from inside"], VIEWS["wide"], VIEWS["from inside"], VIEWS["narrow"]]
     size = index.row_bytes * index.count
     (one,) = ls.io.plan_views(index, cameras, 1, size)
-    seen = {part for camera in cameras for part in ls.io.visible_blocks(index, camera)}
+    visible = {part for camera in cameras for part in ls.io.visible_blocks(index, camera)}
     assert one.tiles == 4 and one.too_large == 0
     assert (
         one.held_bytes
         == one.moved_bytes
-        == index.row_bytes * sum(index.blocks[part.block].levels[0].count for part in seen)
+        == index.row_bytes * sum(index.blocks[part.block].levels[0].count for part in visible)
     )
     two = ls.io.plan_views(index, cameras, 2, size)
     assert [plan.views for plan in two] == [range(2), range(2, 4)]
@@ -213,7 +213,7 @@ def test_invalid_arguments_are_refused(tmp_path: Path) -> None:
         ls.io.write_blocks(tmp_path / "a", [], 1.0)
     with pytest.raises(ls.SceneError, match="differ in SH degree"):
         ls.io.write_blocks(tmp_path / "a", [capture, street(50, degree=0)], 1.0)
-    assert not (tmp_path / "a").exists()  # nothing is left of what failed
+    assert not (tmp_path / "a").exists()  # a failed write leaves nothing behind
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "cell0_0_0.part").write_bytes(b"left by a run that was killed")
     index = ls.io.write_blocks(tmp_path / "a", [capture], 1.0)

@@ -62,10 +62,10 @@ def test_gif_dithering_preserves_the_mean_colour(tmp_path: Path) -> None:
     """Neighbouring pixels average to colours between those of the palette, without banding."""
     rows = np.linspace(0.2, 0.4, 240)[:, None, None]
     other = np.random.default_rng(1).uniform(0.0, 1.0, (240, 240, 3))
-    picture = np.concatenate([np.broadcast_to(rows * (1.0, 0.8, 0.9), (240, 120, 3)), other], axis=1)
-    save_animation(tmp_path / "a.gif", [picture, picture[:, ::-1]])
+    frame = np.concatenate([np.broadcast_to(rows * (1.0, 0.8, 0.9), (240, 120, 3)), other], axis=1)
+    save_animation(tmp_path / "a.gif", [frame, frame[:, ::-1]])
     (found, _), _ = read(tmp_path / "a.gif")
-    error = (found - 255.0 * picture)[:, :120]
+    error = (found - 255.0 * frame)[:, :120]
     blocks = error.reshape(20, 12, 10, 12, 3).mean(axis=(1, 3))
     assert np.abs(blocks).mean() < 0.5 * np.abs(error).mean()
 

@@ -24,7 +24,7 @@ APPENDED = b"\x00\xff\xda\x00\x07" * 9
 """Data of a video as phones append it, in which a JPEG seems to begin."""
 
 
-def picture(size: int = 48) -> Image.Image:
+def image(size: int = 48) -> Image.Image:
     """Returns an image that compresses badly."""
     return Image.fromarray(np.random.default_rng(1).integers(0, 256, (size, size, 3), np.uint8))
 
@@ -32,14 +32,14 @@ def picture(size: int = 48) -> Image.Image:
 def encoded(kind: str, **more: Any) -> bytes:
     """Encodes an image to the bytes of a file."""
     file = io.BytesIO()
-    picture().save(file, **KINDS[kind], **more)
+    image().save(file, **KINDS[kind], **more)
     return file.getvalue()
 
 
 def with_thumbnail(data: bytes) -> bytes:
     """Returns a JPEG with a thumbnail, which has an end marker of its own, before its pixels."""
     small = io.BytesIO()
-    picture(8).save(small, format="JPEG")
+    image(8).save(small, format="JPEG")
     part = b"Exif\x00\x00" + small.getvalue()
     return data[:2] + b"\xff\xe1" + (len(part) + 2).to_bytes(2) + part + data[2:]
 
@@ -64,7 +64,7 @@ def test_truncated_images_are_refused(kind: str, tmp_path: Path) -> None:
         try:
             with Image.open(io.BytesIO(data[:size])) as image:
                 image.load()
-            decodes = True  # a PNG whose pixels are all there lacks its end only
+            decodes = True  # a PNG with all pixels lacks only its end chunk
         except Exception:
             decodes = False
         assert is_whole(path, data[:size]) == decodes, size

@@ -22,11 +22,11 @@ def decoded(path) -> tuple[list[np.ndarray], av.VideoStream]:
 
 def patches(width: int = 64, height: int = 48) -> np.ndarray:
     """Returns a frame of four flat colours."""
-    picture = np.zeros((height, width, 3))
+    frame = np.zeros((height, width, 3))
     colors = [[1, 0, 0], [0, 0.5, 0], [0.1, 0.2, 0.9], [0.75, 0.75, 0.75]]
     for index, color in enumerate(colors):
-        picture[:, index * width // 4 : (index + 1) * width // 4] = color
-    return picture
+        frame[:, index * width // 4 : (index + 1) * width // 4] = color
+    return frame
 
 
 def test_video_preserves_colours(tmp_path):

@@ -105,7 +105,7 @@ def configs(kind: type) -> st.SearchStrategy[Any]:
             chosen[name] = st.booleans()
         elif hint in SETTINGS:
             chosen[name] = configs(hint)
-    assert set(chosen) == {field.name for field in fields(kind)}  # a setting that is added is tested, too
+    assert set(chosen) == {field.name for field in fields(kind)}  # new settings are tested, too
     return st.builds(kind, **chosen)
 
 

@@ -57,7 +57,7 @@ def test_all_keys_of_an_actor_are_read(folder: Path) -> None:
     assert len(animation.cameras) == 1
     assert len(animation.scene.splats) == 1
     (shown,) = animation.actors_at(2.0)
-    # Doubled and turned by 90 degrees about z, then moved; doubled again by the keyframes, and carried.
+    # Scaled by 2, rotated by 90 degrees about z, translated; the keyframes scale by 2 again, and translate.
     np.testing.assert_allclose(shown.transform @ [1, 0, 0, 1], [2.0 * 1.0, 2.0 * 2.0, 2.0, 1.0], atol=1e-12)
     gaussians = expect_kind(ls.SplatInstance, shown).gaussians
     assert gaussians.count == 300
@@ -110,7 +110,7 @@ def test_keyframes_inherit_missing_values(folder: Path) -> None:
         ("fps = 10\nframes = 7", 7),
         ("fps = 10\nduration = 1.5", 15),
         ("duration = 2", 50),
-        ("fps = 10", 10),  # once through the clip
+        ("fps = 10", 10),  # one pass through the clip
         ("fps = 0.1", 1),
     ],
 )

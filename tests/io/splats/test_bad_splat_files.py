@@ -294,7 +294,7 @@ def test_folder_that_is_no_sog_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / name).mkdir()
     assert "is a folder without a meta.json" in refused(tmp_path / name)
     (tmp_path / name / "transforms.json").write_text("{}")
-    assert "is a folder of images, not a capture: lumisplat train" in refused(tmp_path / name)
+    assert "is a folder of images, not a capture: train one from them" in refused(tmp_path / name)
 
 
 def test_point_cloud_has_its_own_error(tmp_path: Path) -> None:

@@ -179,9 +179,9 @@ def test_rotated_capture_rotates_up_and_first_view() -> None:
 
     np.testing.assert_allclose(seen(view, moved.means), 3.0 * seen(VIEW, one.means), atol=1e-5)
     assert view.focus_distance == pytest.approx(3.0 * VIEW.focus_distance)
-    turned = ls.transform(one, rotation_degrees=(20.0, 130.0, 70.0))
-    np.testing.assert_allclose(present(moved.up), present(turned.up))
-    assert np.dot(present(turned.up), present(one.up)) < 0.9
+    rotated = ls.transform(one, rotation_degrees=(20.0, 130.0, 70.0))
+    np.testing.assert_allclose(present(moved.up), present(rotated.up))
+    assert np.dot(present(rotated.up), present(one.up)) < 0.9
 
 
 def test_json_values_are_plain_numbers(tmp_path: Path) -> None:

@@ -222,9 +222,9 @@ def flat_row(x: float, rotation: tuple[float, ...], log_scales: tuple[float, flo
 def test_2d_gaussians_get_a_tiny_third_scale(tmp_path: Path) -> None:
     """The third axis, along which the scale is tiny, is the normal."""
     upright = flat_row(-1.0, (1, 0, 0, 0), (-2.0, -4.0))
-    turned = flat_row(1.0, (1, 1, 0, 0), (-5.0, -3.0))  # a quarter about x: z to -y
+    rotated = flat_row(1.0, (1, 1, 0, 0), (-5.0, -3.0))  # a quarter about x: z to -y
     assert len(upright) == 61
-    loaded = load_gaussians(write(tmp_path / "surfels.ply", upright, turned))
+    loaded = load_gaussians(write(tmp_path / "surfels.ply", upright, rotated))
     np.testing.assert_allclose(loaded.scales[:, :2], np.exp([[-2.0, -4.0], [-5.0, -3.0]]), rtol=1e-6)
     assert (loaded.scales[:, 2] <= 0.02 * loaded.scales[:, :2].min(axis=1)).all()
     assert (loaded.scales[:, 2] > 0.0).all()

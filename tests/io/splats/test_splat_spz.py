@@ -304,7 +304,7 @@ def test_spz_and_compressed_ply_of_one_capture_agree(data_dir: Path) -> None:
     np.testing.assert_allclose(spz.means, ply.means, rtol=0, atol=2**-13 + 1e-6)
     np.testing.assert_allclose(spz.opacities, ply.opacities, rtol=0, atol=2e-6)
     np.testing.assert_allclose(spz.sh, ply.sh, rtol=0, atol=1 / (2 * 255 * 0.15) + 1e-5)
-    inside = np.log(ply.scales) > -10.0  # SPZ ends there
+    inside = np.log(ply.scales) > -10.0  # the smallest scale of SPZ
     np.testing.assert_allclose(np.log(spz.scales)[inside], np.log(ply.scales)[inside], rtol=0, atol=1 / 32 + 1e-5)
     cosines = np.abs(np.einsum("ij,ij->i", spz.rotations_wxyz, ply.rotations_wxyz))
     assert (

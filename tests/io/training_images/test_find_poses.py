@@ -64,8 +64,8 @@ def test_images_without_parallax_have_no_poses(tmp_path):
     wide = Image.fromarray(noise).resize((480, 480), Image.Resampling.NEAREST)
     (tmp_path / "images").mkdir()
     for k in range(4):
-        turned = wide.rotate(7.0 * k, Image.Resampling.BICUBIC).crop((80, 120, 400, 360))
-        turned.save(tmp_path / "images" / f"{k}.png")
+        rotated = wide.rotate(7.0 * k, Image.Resampling.BICUBIC).crop((80, 120, 400, 360))
+        rotated.save(tmp_path / "images" / f"{k}.png")
     with pytest.raises(ls.FormatError, match="there is no parallax: move around the objects"):
         ls.io.find_poses(tmp_path, ordered=True)
     assert {path.name for path in tmp_path.iterdir()} == {"images"}

@@ -96,7 +96,7 @@ def test_model_with_most_images_is_used(tmp_path: Path, caplog: pytest.LogCaptur
     assert "has 3 models: 2 with 3 images is used; 0 with 2, 10 with 2 are not used" in caplog.text
     assert "4 of 7 images have no pose (view_0.png, view_1.png, view_2.png, ...)" in caplog.text
     assert [camera.name for camera in ls.load_cameras(tmp_path)] == ["view_4", "view_5", "view_6"]
-    (tmp_path / "sparse/2/images.txt").write_bytes(b"\x00\xff")  # a damaged model is none to take
+    (tmp_path / "sparse/2/images.txt").write_bytes(b"\x00\xff")  # a damaged model is not chosen
     assert len(ls.io.load_training_images(tmp_path, hold_out=0).training) == 2
 
 

@@ -216,7 +216,7 @@ def test_image_cache_stays_within_its_limit(tmp_path, monkeypatch):
     cache = found.training[0]._cache
     first = [view.pixels() for view in found.training]
     assert len(read) == 5 and cache.held == 2 * size
-    for k in (3, 0, 3):  # 4, which was used before 3, makes room for 0
+    for k in (3, 0, 3):  # image 4, used before 3, is evicted for 0
         found.training[k].pixels()
     assert read[5:] == ["view_0"]
     for view, before in zip(found.training, first, strict=True):

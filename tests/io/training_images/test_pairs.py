@@ -45,7 +45,7 @@ def test_loop_of_a_video_is_closed() -> None:
     assert near <= {*pairs}
     far = {*pairs} - near
     assert {(i, i + period) for i in range(count - period)} <= far
-    for i, j in far:  # what frames 8 or more apart show has nothing in common
+    for i, j in far:  # frames 8 or more apart show different objects
         apart = (j - i) % period
         assert min(apart, period - apart) < 8
     assert len(far) <= count * SIMILAR_IMAGES

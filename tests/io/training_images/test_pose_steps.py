@@ -87,7 +87,7 @@ def test_largest_model_is_used_and_logged(colmap: ColmapStub, tmp_path: Path, ca
     """The log counts images without a pose by their original names."""
     colmap.models = [(0, 1, 2), (3, 4, 5, 6, 7)]
     reported: list[tuple[str, float]] = []
-    model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda what, share: reported.append((what, share)))
+    model = ls.io.find_poses(write_images(tmp_path, 9), progress=lambda step, share: reported.append((step, share)))
     assert (model / "names.txt").read_text().splitlines() == [f"of day {k}.png" for k in range(3, 8)]
     assert "2 separate models, of 5 and 3 images: the largest is used" in caplog.text
     assert "no pose was found for 4 of 9 images (of day 0.png, of day 1.png, of day 2.png, ...)" in caplog.text
@@ -107,7 +107,7 @@ def test_progress_reports_bundle_adjustment(colmap: ColmapStub, tmp_path: Path) 
     """The last adjustment of many images takes long, and the progress bar at 99 % says why."""
     colmap.models = [range(5)]
     reported: list[tuple[str, float]] = []
-    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda what, share: reported.append((what, share)))
+    ls.io.find_poses(write_images(tmp_path, 5), progress=lambda step, share: reported.append((step, share)))
     assert reported[-2:] == [("finding poses, bundle adjustment", 0.99), ("finding poses", 1.0)]
 
 

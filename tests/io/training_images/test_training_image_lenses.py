@@ -35,7 +35,7 @@ def test_undistorted_images_match_pinhole_rays(tmp_path, lens, scale):
         error = np.abs(view.pixels() - render_image(view.camera))[counts]
         assert error.max() < 4.0 / 255.0 / scale and error.mean() < 0.6 / 255.0
         assert not view.pixels()[~counts].any()
-        # The pixels as they are are far off: the test sees what it is about.
+        # Without undistortion the error is large, so the test is sensitive to it.
         assert np.abs(render_image(cameras[0]) - render_image(_pinhole(cameras[0]))).max() > 3.0 * error.max()
 
 

@@ -22,41 +22,41 @@ SIZE = 96, 64
 def scene(seed: int, blur: float = 0.0) -> Image.Image:
     """Returns a detailed image, red at the left, blurred by ``blur``."""
     noise = np.random.default_rng(seed).uniform(60, 200, (SIZE[1] // 4, SIZE[0] // 4, 3)).astype(np.uint8)
-    picture = Image.fromarray(noise).resize(SIZE, Image.Resampling.NEAREST)
-    picture.paste((230, 20, 20), (0, 0, SIZE[0] // 4, SIZE[1]))
-    return picture.filter(ImageFilter.GaussianBlur(blur))
+    image = Image.fromarray(noise).resize(SIZE, Image.Resampling.NEAREST)
+    image.paste((230, 20, 20), (0, 0, SIZE[0] // 4, SIZE[1]))
+    return image.filter(ImageFilter.GaussianBlur(blur))
 
 
-def write_video(path: Path, pictures: list[Image.Image], fps: int = 10, **coding: int) -> Path:
+def write_video(path: Path, images: list[Image.Image], fps: int = 10, **coding: int) -> Path:
     """Writes images as a video."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(fps), options={"crf": "8"})
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
         for name, value in coding.items():
             setattr(stream.codec_context, name, value)
-        for picture in pictures:
-            container.mux(stream.encode(av.VideoFrame.from_image(picture)))
+        for image in images:
+            container.mux(stream.encode(av.VideoFrame.from_image(image)))
         container.mux(stream.encode())
     return path
 
 
 def pixels(path: Path) -> np.ndarray:
     """Reads the pixels of an image."""
-    with Image.open(path) as picture:
-        return np.asarray(picture, np.float64)
+    with Image.open(path) as image:
+        return np.asarray(image, np.float64)
 
 
 def test_sharpest_frame_of_each_interval_is_extracted(tmp_path: Path) -> None:
     """Of ten frames per second, one in five is not blurred."""
     sharp = [3, 5, 14]
-    pictures = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
+    images = [scene(number, 0.0 if number in sharp else 3.0) for number in range(15)]
     reported: list[float] = []
     files = ls.io.extract_frames(
-        write_video(tmp_path / "a.mp4", pictures), tmp_path / "walk", progress=lambda _, share: reported.append(share)
+        write_video(tmp_path / "a.mp4", images), tmp_path / "walk", progress=lambda _, share: reported.append(share)
     )
     assert [file.relative_to(tmp_path).as_posix() for file in files] == [f"walk/images/{n:04}.jpg" for n in (1, 2, 3)]
     for file, number in zip(files, sharp, strict=True):
-        assert np.abs(pixels(file) - np.asarray(pictures[number], np.float64)).mean() < 8.0
+        assert np.abs(pixels(file) - np.asarray(images[number], np.float64)).mean() < 8.0
     assert reported == sorted(reported) and reported[-1] > 0.9
 
 
@@ -81,8 +81,8 @@ def test_rotated_frames_are_made_upright(tmp_path: Path) -> None:
     """Phones store portrait videos rotated: red at the left comes from the bottom or top of the stored frame."""
     video = write_video(tmp_path / "a.mp4", [scene(0)] * 3)
     for angle, where in ((90, np.s_[-20:]), (-90, np.s_[:20]), (180, np.s_[:, -20:])):
-        turned = rotated_video(video, tmp_path / f"{angle}.mp4", angle)
-        (file,) = ls.io.extract_frames(turned, tmp_path / f"turned {angle}")
+        rotated = rotated_video(video, tmp_path / f"{angle}.mp4", angle)
+        (file,) = ls.io.extract_frames(rotated, tmp_path / f"turned {angle}")
         red = pixels(file)[where].reshape(-1, 3).mean(axis=0)
         assert red[0] > 200.0 and red[1] < 60.0, angle
         assert pixels(file).shape[:2] == (SIZE[::-1] if angle == 180 else SIZE)
@@ -120,18 +120,18 @@ def test_black_and_still_videos_are_refused(tmp_path: Path) -> None:
     """Black videos may have sensor noise; nothing is left behind."""
     rng = np.random.default_rng(0)
 
-    def noisy(picture: Image.Image, level: float) -> Image.Image:
-        values = np.asarray(picture, np.float64) + rng.normal(0.0, level, (*SIZE[::-1], 3))
+    def noisy(image: Image.Image, level: float) -> Image.Image:
+        values = np.asarray(image, np.float64) + rng.normal(0.0, level, (*SIZE[::-1], 3))
         return Image.fromarray(values.clip(0, 255).astype(np.uint8))
 
     black, still = Image.new("RGB", SIZE), scene(0)
-    for name, pictures, message in (
+    for name, images, message in (
         ("black", [noisy(black, 4.0) for _ in range(12)], "black.mp4: is black throughout"),
         ("one", [black], "one.mp4: is black throughout"),
         ("still", [noisy(still, 2.0) for _ in range(12)], "still.mp4: shows no motion"),
     ):
         with pytest.raises(ls.FormatError, match=message):
-            ls.io.extract_frames(write_video(tmp_path / f"{name}.mp4", pictures), tmp_path / "walk")
+            ls.io.extract_frames(write_video(tmp_path / f"{name}.mp4", images), tmp_path / "walk")
         assert not list(tmp_path.glob("walk/*"))
     wide = scene(1).resize((2 * SIZE[0], SIZE[1]))
     slow = [wide.crop((k // 4, 0, k // 4 + SIZE[0], SIZE[1])) for k in range(12)]

@@ -189,7 +189,7 @@ class Assets:
         scene = self._part(table, given, assets[-1])
         if existing is not None and (scene.meshes or scene.splats) and not is_placed(given):
             world_from_file = insert_entry(table, existing, (*scene.meshes, *scene.splats), scene.up)
-        wanted = scene.lights if given.get("lights", True) else ()
+        lights = scene.lights if given.get("lights", True) else ()
         try:
             meshes = [
                 MeshInstance(
@@ -208,7 +208,7 @@ class Assets:
             return PlacedEntry(
                 splats=tuple(replace(splat, world_from_object=lift @ splat.transform) for splat in splats),
                 meshes=tuple(replace(mesh, world_from_object=lift @ mesh.transform) for mesh in meshes),
-                lights=tuple(move_light(light, lift @ world_from_file) for light in wanted),
+                lights=tuple(move_light(light, lift @ world_from_file) for light in lights),
                 world_from_file=lift @ world_from_file,
                 assets=assets,
             )

@@ -173,9 +173,9 @@ def placement(table: TomlTable, up: Vector = (0.0, 1.0, 0.0)) -> npt.NDArray[np.
                 f"rotation_wxyz and {rotation_keys[0]} are both given: choose one of them", rotation_keys[0]
             )
         given = {key: table.values.get(key) for key in ("position", "rotation_degrees", "scale", "look_at", "front")}
-        stands = table.values.get("upright", "front" in table.values) or "look_at" in table.values
+        is_upright = table.values.get("upright", "front" in table.values) or "look_at" in table.values
         try:
-            return placed(None, Placement(**given, up=up if stands else None))
+            return placed(None, Placement(**given, up=up if is_upright else None))
         except SceneError as error:
             raise table.failed(error) from None
     scale = table.values.get("scale", 1.0)
@@ -303,9 +303,9 @@ def _stated(table: TomlTable) -> Vector | None:
 
     An entry with ``upright`` or ``look_at`` is rotated to the scene's up direction, so it is ignored.
     """
-    stands = table.values.get("upright", False) or "look_at" in table.values
+    is_upright = table.values.get("upright", False) or "look_at" in table.values
     path = table.values.get("path")
-    if stands or not isinstance(path, str) or (up := stated_up(table.path.parent / path)) is None:
+    if is_upright or not isinstance(path, str) or (up := stated_up(table.path.parent / path)) is None:
         return None
     keys = {key: kind for key, kind in (PLACEMENT | STANDING).items() if key.startswith("rotation")}
     rotation = {key: value for key, value in table.values.items() if key in keys and keys[key].accepts(value)}

@@ -246,8 +246,8 @@ def _report_missing(path: Path, missing: Sequence[str], count: int, expected: st
 def some_names(names: Sequence[str]) -> str:
     """Joins the first few names for a message, with "..." if there are more."""
     # File names may contain bytes that are not valid text and could not be printed.
-    shown = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_NAMES_LISTED])
-    return ", ".join(shown) + (", ..." if len(names) > _NAMES_LISTED else "")
+    printable = (" ".join(name.split()).encode(errors="replace").decode() for name in names[:_NAMES_LISTED])
+    return ", ".join(printable) + (", ..." if len(names) > _NAMES_LISTED else "")
 
 
 @dataclass(frozen=True, slots=True)

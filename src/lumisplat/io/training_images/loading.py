@@ -373,17 +373,17 @@ def find_model(folder: Path) -> Path | None:
         counts = [count_colmap_images(path) for path in models]
         best = counts.index(max(counts))
         others = [f"{path.name} with {count}" for path, count in zip(models, counts, strict=True)]
-        taken = models[best]
+        chosen = models[best]
         del others[best]
         _log.warning(
             "%s has %d models: %s with %d images is used; %s not used, as each model has its own coordinate system",
             sparse,
             len(models),
-            taken.name,
+            chosen.name,
             counts[best],
             f"{some_names(others)} {'is' if len(others) == 1 else 'are'}",
         )
-        return taken
+        return chosen
     return next((path for path in (*models, sparse, folder) if is_colmap(path)), None)
 
 
@@ -402,8 +402,8 @@ def _views(
     for camera, entry in zip(cameras, ordered, strict=True):
         lens = _scaled(camera, settings.scale)
         source = ImageSource(lens, entry.image, entry.mask, straightens=settings.straighten)
-        shown = pinhole_of(lens) if settings.straighten else lens
-        views.append(TrainingImage(camera.name, shown, entry.image, settings.background, source, cache))
+        view_camera = pinhole_of(lens) if settings.straighten else lens
+        views.append(TrainingImage(camera.name, view_camera, entry.image, settings.background, source, cache))
     return views
 
 
