@@ -102,7 +102,7 @@ def test_document_animation_equals_the_files(file: Path) -> None:
 
 
 def test_documents_of_animations_keep_lighting_and_cameras(file: Path) -> None:
-    """The same holds for a loaded animation; the moving camera is not listed twice."""
+    """Loaded animations keep them, too; the moving camera is not listed twice."""
     animation = ls.load_animation(file)
     document = ls.io.SceneDocument.of(animation)
     assert not document.problems

@@ -63,7 +63,7 @@ def test_moved_entries_keep_their_objects(kind: EntryKind, table: dict[str, obje
 
 @pytest.mark.usefixtures("folder")
 def test_editing_other_entries_keeps_actor_poses() -> None:
-    """The same time gives the same objects; another time gives another pose."""
+    """Poses at one time stay the same objects; another time gives another pose."""
     document, _ = ls.io.SceneDocument.of(ls.Scene()).added("actors", {"path": "walker.glb", "count": 100})
     document, light = document.added("lights", {"type": "point", "position": [0.0, 0.0, 0.0]})
     pose = document.scene(0.5).splats[0]

@@ -155,7 +155,7 @@ def test_relative_paths_work_through_linked_folders() -> None:
 
 
 def test_only_path_values_are_relocated() -> None:
-    """``texture_wraps`` has texture names as keys, but its values are not paths."""
+    """A ``texture_wraps`` table has texture names as keys, but its values are not paths."""
     ls.save("capture.ply", random_gaussians(1, count=4))
     material = 'material = { texture_wraps = { normal_texture = "clamp" } }'
     Path("scene.toml").write_text(f'[[splats]]\npath = "capture.ply"\n{material}\n')

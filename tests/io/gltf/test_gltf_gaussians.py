@@ -140,7 +140,7 @@ def test_opacities_outside_0_to_1_are_logits(tmp_path: Path, caplog: pytest.LogC
 
 @pytest.mark.parametrize("space", ["srgb_rec709_display", "BT.709-sRGB", "BT.709-srgb"])
 def test_srgb_colours_keep_their_sh(tmp_path: Path, space: str) -> None:
-    """Under all names of the colour space that drafts used."""
+    """The colour space may have any name that drafts of the extension used."""
     values = stored_values()
     read = loaded_gaussians(tmp_path, splat_gltf(values, colorSpace=space))
     np.testing.assert_array_equal(read.sh[:, 0], values["SH_DEGREE_0_COEF_0"])

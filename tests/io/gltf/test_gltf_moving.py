@@ -36,10 +36,10 @@ def gltf_of(nodes: list[dict[str, Any]], clips: dict[str, list[tuple[int, Sample
     for name, samplers in clips.items():
         channels: list[dict[str, Any]] = []
         stored: list[dict[str, Any]] = []
-        for number, (node, (path, times, values, way)) in enumerate(samplers):
+        for number, (node, (path, times, values, mode)) in enumerate(samplers):
             channels.append({"sampler": number, "target": {"node": node, "path": path}})
             keys = gltf.accessor(np.array(times, np.float32))
-            stored.append({"input": keys, "output": gltf.accessor(np.array(values, np.float32)), "interpolation": way})
+            stored.append({"input": keys, "output": gltf.accessor(np.array(values, np.float32)), "interpolation": mode})
         gltf.add("animations", name=name, channels=channels, samplers=stored)
     return gltf
 
@@ -64,8 +64,8 @@ def test_linear_step_and_cubic_translations(tmp_path: Path) -> None:
     zero = (0.0, 0.0, 0.0)
     spline = [zero, ends[0], (2.0, 0.0, 0.0), zero, ends[1], zero]
     # At a quarter: h00 = 0.84375, h10 = 0.140625, h01 = 0.15625; 2 s * 2 / s * 0.140625 + 0.15625.
-    for way, values, expected in (("LINEAR", ends, 0.25), ("STEP", ends, 0.0), ("CUBICSPLINE", spline, 0.71875)):
-        moving = written(tmp_path / f"{way}.glb", [{"mesh": 0}], [(0, ("translation", keys, values, way))])
+    for mode, values, expected in (("LINEAR", ends, 0.25), ("STEP", ends, 0.0), ("CUBICSPLINE", spline, 0.71875)):
+        moving = written(tmp_path / f"{mode}.glb", [{"mesh": 0}], [(0, ("translation", keys, values, mode))])
         assert (moving.fps, moving.frame_count) == (25.0, 51)
         np.testing.assert_allclose(corners(moving, 0.5)[0], (expected, 0.0, 0.0), atol=1e-6)
         np.testing.assert_allclose(corners(moving, 2.0)[0], (1.0, 0.0, 0.0), atol=1e-6)
@@ -74,13 +74,13 @@ def test_linear_step_and_cubic_translations(tmp_path: Path) -> None:
 
 def test_animated_parent_and_child_compose(tmp_path: Path) -> None:
     """The parent rotates 90 degrees about z in 1 s, while its child at x = 1 grows to 3; checked halfway."""
-    turn = [(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))]
+    rotation = [(0.0, 0.0, 0.0, 1.0), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))]
     nodes = [{"children": [1]}, {"mesh": 0, "translation": [1.0, 0.0, 0.0]}]
     moving = written(
         tmp_path / "a.glb",
         nodes,
         [
-            (0, ("rotation", [0.0, 1.0], turn, "LINEAR")),
+            (0, ("rotation", [0.0, 1.0], rotation, "LINEAR")),
             (1, ("scale", [0.0, 1.0], [(1.0, 1.0, 1.0), (3.0, 1.0, 1.0)], "LINEAR")),
         ],
     )
@@ -119,12 +119,12 @@ def test_step_camera_does_not_overshoot(tmp_path: Path) -> None:
 
 def test_very_long_camera_and_capture_animations_are_refused(tmp_path: Path) -> None:
     """Cameras and captures need many samples; animations of meshes do not."""
-    turn = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
+    slide = ("translation", [0.0, 30_000.0], [(0, 0, 5), (4, 0, 5)], "LINEAR")
     with pytest.raises(
         ls.FormatError, match="is animated for 30000 s, expected at most 4000 s for cameras and captures"
     ):
-        written(tmp_path / "a.glb", [{"camera": 0}], [(0, turn)])
-    assert written(tmp_path / "b.glb", [{"mesh": 0}], [(0, turn)]).frame_count == 750_001
+        written(tmp_path / "a.glb", [{"camera": 0}], [(0, slide)])
+    assert written(tmp_path / "b.glb", [{"mesh": 0}], [(0, slide)]).frame_count == 750_001
 
 
 def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
@@ -153,14 +153,14 @@ def moving_capture(folder: Path, sampler: Sampler, **rest: Any) -> ls.Animation:
     return ls.load_animation(folder / "a.gltf")
 
 
-@pytest.mark.parametrize("way", ["LINEAR", "STEP"])
-def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
+@pytest.mark.parametrize("mode", ["LINEAR", "STEP"])
+def test_captures_move_with_their_nodes(tmp_path: Path, mode: str) -> None:
     """The node has a uniform scale; the capture matches its node at each frame."""
-    moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], way))
+    moving = moving_capture(tmp_path, ("translation", [0.0, 1.0], [(0, 0, 0), (0, 3, 0)], mode))
     assert not moving.scene.splats
     for time in moving.times:
         (instance,) = moving.actors_at(float(time))
-        height = 3.0 * time if way == "LINEAR" else 3.0 * (time >= 1.0)
+        height = 3.0 * time if mode == "LINEAR" else 3.0 * (time >= 1.0)
         expected = np.eye(4)
         expected[1, 3] = height
         np.testing.assert_allclose(instance.transform, expected @ CAPTURE_FROM_FILE, atol=1e-5)
@@ -168,8 +168,8 @@ def test_captures_move_with_their_nodes(tmp_path: Path, way: str) -> None:
 
 def test_rotating_captures_may_have_a_constant_stretch(tmp_path: Path) -> None:
     """The stretch is applied to the Gaussians."""
-    turn = ("rotation", [0.0, 1.0], [(0.0, 0.0, 0.0, 1.0), (0.0, 0.6, 0.0, 0.8)], "LINEAR")
-    moving = moving_capture(tmp_path, turn, scale=[1.0, 2.0, 0.5])
+    rotation = ("rotation", [0.0, 1.0], [(0.0, 0.0, 0.0, 1.0), (0.0, 0.6, 0.0, 0.8)], "LINEAR")
+    moving = moving_capture(tmp_path, rotation, scale=[1.0, 2.0, 0.5])
     for time, degrees in ((0.0, 0.0), (1.0, 2.0 * math.degrees(math.asin(0.6)))):
         (instance,) = moving.actors_at(time)
         splat = expect_kind(ls.SplatInstance, instance)

@@ -147,7 +147,7 @@ def test_texture_transform_rotates_counter_clockwise() -> None:
 
 
 def test_texture_uses_its_texcoord_set(tmp_path: Path) -> None:
-    """The texCoord of the base colour texture selects it."""
+    """The texCoord of the base colour texture selects the set of coordinates."""
     gltf = quad_gltf()
     gltf.json["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]

@@ -160,7 +160,7 @@ def test_ascii_stl_may_have_spaces_in_end_keywords(tmp_path: Path, space: bytes)
 
 @pytest.mark.parametrize("extra", [1, 2, 50, 1000])
 def test_bytes_after_a_binary_stl_are_ignored(tmp_path: Path, extra: int, caplog: pytest.LogCaptureFixture) -> None:
-    """Padding by a writer or a download; a log line counts it."""
+    """Writers and downloads may pad a file; a log line counts the bytes."""
     (tmp_path / "quad.stl").write_bytes(stl_bytes(QUAD[QUAD_TRIANGLES]) + b"\0" * extra)
     assert read_one(tmp_path / "quad.stl").face_count == 2
     assert f"{extra:,} bytes after its last triangle are ignored" in caplog.text
