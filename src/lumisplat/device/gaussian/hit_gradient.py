@@ -177,9 +177,9 @@ def add_color(
     first = i * gaussians.sh_count
     by_open = open_channels(hit_color(view, instance, gaussians, i, eye), by_color)
     weights = sh_weights(gaussians.sh, first, degree, by_open)
-    by_mean, _eye, _degree, harmonics = wp.grad(color_dot)(gaussians.means[i], eye, degree, weights)
+    by_mean, _eye, _degree, sh_basis = wp.grad(color_dot)(gaussians.means[i], eye, degree, weights)
     for k in range((degree + 1) * (degree + 1)):
-        out.sh[first + k] = out.sh[first + k] + harmonics[k] * by_open
+        out.sh[first + k] = out.sh[first + k] + sh_basis[k] * by_open
     out.means[i] = out.means[i] + by_mean
     motion.shift -= by_mean
     motion.rotation -= wp.cross(eye, by_mean)

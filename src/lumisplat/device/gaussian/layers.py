@@ -18,7 +18,7 @@ LAYER_HEIGHT = 0.0625
 It is a quarter of a scale."""
 
 LAYER_RISE = 1.0
-"""Increase of that height with the cosine beyond ``LAYER_COSINE``: up to 2.85 scales between parallel layers."""
+"""Increase of ``LAYER_HEIGHT`` with the cosine beyond ``LAYER_COSINE``: up to 2.85 scales between parallel layers."""
 
 LAYER_LIFT = 0.0625
 """Height above a surface of Gaussians at which bounced rays start, in shadow offsets: a quarter of a scale.

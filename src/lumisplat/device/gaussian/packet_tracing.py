@@ -226,7 +226,7 @@ class RayProgress:
     hit_list: HitList
     """Hits that are not final yet."""
     next_t: float
-    """Distance of the first of these hits; FAR: there is none."""
+    """Distance of the first hit of ``hit_list``; FAR: the list is empty."""
     start_t: float
     """Hits up to (start_t, start_index) were blended in earlier passes."""
     start_index: int

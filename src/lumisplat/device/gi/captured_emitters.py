@@ -16,7 +16,7 @@ class EmitterBox:
 
     center: wp.vec3
     box_from_world: wp.mat33
-    """Rotation."""
+    """Rotation from the world's axes to those of the box."""
     half: wp.vec3
     """Half edge lengths, scene units."""
     power: float

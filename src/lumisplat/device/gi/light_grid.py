@@ -94,7 +94,7 @@ LEAST = wp.constant(wp.float32(1e-30))
 MOST = wp.constant(wp.float32(LIGHT_POWER_MAX))
 
 FEW = wp.constant(wp.float32(0.01))
-"""Limit below which logarithms and exponentials near 1 are evaluated as power series."""
+"""Magnitude below which logarithms and exponentials near 1 are evaluated as power series."""
 
 grid_values = wp.types.vector(length=GRID_LIGHTS + 1, dtype=wp.float32)
 """Vector type with one number for each light of a cell."""
@@ -185,7 +185,7 @@ def exponential_draw(word: wp.uint32, number: int) -> float:
 
 @wp.func
 def chance_below(limit: float) -> float:
-    """Returns the probability that such a number is below a limit: 1 - exp(-limit)."""
+    """Returns the probability that an exponentially distributed number of mean 1 is below a limit: 1 - exp(-limit)."""
     if limit < FEW:
         return limit * (1.0 - limit * (0.5 - limit * (1.0 / 6.0 - limit / 24.0)))
     return 1.0 - wp.exp(-limit)

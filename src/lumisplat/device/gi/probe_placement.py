@@ -133,7 +133,7 @@ SHARE_MIN = wp.constant(wp.float32(0.5))
 """Pixel coverage below which a surface gets a probe only if no better pixel exists."""
 
 POORER = wp.constant(wp.float32(1e12))
-"""Penalty added to the cost of such surfaces."""
+"""Penalty that makes pixels covered less than ``SHARE_MIN`` the last choice for a probe."""
 
 SECOND = wp.constant(wp.float32(1e6))
 """Penalty if a tile's own probe would continue an adaptive one, so that the two do not swap."""

@@ -63,7 +63,7 @@ COUNT_DROPPED: int = wp.constant(4)
 """Index of the number of tiles dropped for lack of room since the start."""
 
 COUNTS: int = wp.constant(5)
-"""Length of the array of these counts."""
+"""Length of the array of tile counts, ``CacheTiles.counts``."""
 
 
 @struct
@@ -166,11 +166,11 @@ class CacheTiles:
     updated: wp.array[int]
     """Last frame with samples, by slot and cell."""
     position: wp.array[wp.vec3]
-    """Position of one sample of that frame, world space, by slot and cell."""
+    """World-space position of one sample of the frame ``updated``, by slot and cell."""
     normal: wp.array[wp.vec3]
-    """Normal of that sample."""
+    """Normal of the sample whose position is stored."""
     extent: wp.array[float]
-    """Position uncertainty of that sample, scene units."""
+    """Position uncertainty of the sample whose position is stored, scene units."""
 
 
 @struct

@@ -58,7 +58,7 @@ class BouncedRays:
     share: wp.array[wp.vec3]
     """Weight of the hit surface in the ray's radiance; 0: no surface."""
     sampled: wp.array[wp.vec3]
-    """Radiance that this surface reflects of a sampled light, unshadowed; linear."""
+    """Unshadowed radiance that the hit surface reflects of a sampled light, linear."""
 
 
 @struct

@@ -92,7 +92,7 @@ class PixelLight:
     diffuse: wp.array[wp.vec3]
     """Unshadowed diffusely reflected radiance, as if the surface covered the whole pixel; linear."""
     glossy: wp.array[wp.vec3]
-    """Remaining reflected radiance."""
+    """Unshadowed radiance reflected by anything but the diffuse part, linear."""
 
 
 @struct
@@ -100,11 +100,11 @@ class SurfaceLight:
     """Reflected light of surfaces of one kind, one element for each pixel, in row order."""
 
     is_sampled: wp.array[wp.bool]
-    """Whether the pixel has a sample in this frame; if not, the other fields are undefined."""
+    """True if the pixel has a sample in this frame; if false, the other fields are undefined."""
     diffuse: wp.array[wp.vec3]
     """Diffusely reflected radiance over the albedo, linear."""
     glossy: wp.array[wp.vec3]
-    """Radiance reflected otherwise, linear."""
+    """Radiance reflected by anything but the diffuse part, linear."""
 
 
 @struct
@@ -141,7 +141,7 @@ class TemporalPixels:
     motion: wp.array[wp.vec3]
     """Motion in pixels and in distance of the surface that ends the pixel, or of the background; NaN: new surface."""
     instance: wp.array[int]
-    """Instance of that surface, as in ``FirstSurface``; -1: the background."""
+    """Instance of the surface that ends the pixel, as in ``FirstSurface``; -1: the background."""
     previous_pixel: wp.array[wp.vec2]
     """Position of the pixel in the previous frame, in pixels from the centre of the first pixel."""
     weight: wp.array[float]

@@ -57,7 +57,7 @@ class PathShadowRays:
     unshadowed: wp.array[wp.vec3]
     """Unshadowed contribution by light samples alone, without MIS; empty unless the frame has the ``lights`` layers."""
     reaching: wp.array[wp.vec3]
-    """As ``unshadowed``, minus absorption by the medium on a ray that glass ends; empty likewise."""
+    """Contribution ``unshadowed`` after absorption by the medium, on a ray that glass ends; empty likewise."""
 
 
 PART_DIRECT_DIFFUSE: int = wp.constant(0)
@@ -89,7 +89,7 @@ class PathImages:
     lights_unshadowed: wp.array[wp.vec3]
     """Unshadowed radiance of each light at the first surface, by light samples alone."""
     lights_shadowed: wp.array[wp.vec3]
-    """Shadowed radiance of these samples."""
+    """Shadowed radiance of each light at the first surface, by light samples alone."""
     lights_total: wp.array[wp.vec3]
     """Total radiance of each light; the last row is emission that is not a light."""
     received: wp.array[wp.vec3]

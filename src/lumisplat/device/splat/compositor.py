@@ -61,8 +61,7 @@ class Footprint(NamedTuple):
 
     A limit of 0 marks a pixel that sees nothing."""
     rows_of: Any
-    """``(splat, top, rows) -> vec2i``: returns the first tile row that a splat may touch, and the one after the last.
-    """
+    """``(splat, top, rows) -> vec2i``: returns the first tile row that a splat may touch and the row after the last."""
     row_of: Any
     """``(splat, view, left, top, y) -> row``: evaluates a splat's terms that the pixels of a row share."""
     touches_strip: Any

@@ -73,7 +73,7 @@ class EllipseRow:
     log_alpha: float
     """Logarithm of the largest alpha on the row."""
     center: float
-    """Position of that maximum, pixels from the tile's left edge."""
+    """Position of the row's largest alpha, pixels from the tile's left edge."""
 
 
 @struct
@@ -85,7 +85,7 @@ class EllipseAt:
     log_alpha: float
     """Logarithm of alpha before clamping."""
     dx: float
-    """Horizontal distance from the row's maximum, pixels."""
+    """Horizontal distance from the row's largest alpha, pixels."""
     dy: float
     """Vertical distance from the splat's centre, pixels."""
 

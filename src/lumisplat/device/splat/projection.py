@@ -95,7 +95,7 @@ def gaussian_normal(rotation: wp.mat33, scale: wp.vec3, to_eye: wp.vec3) -> wp.v
 def towards(normal: wp.vec3, to_eye: wp.vec3, beyond: float) -> wp.vec3:
     """Returns the unit normal, or its opposite if it faces away from the eye by more than the cosine ``beyond``.
 
-    Pixels see silhouettes, which show Gaussians with normals slightly beyond the horizon (BEYOND_MAX,
+    Pixels see silhouettes, which show Gaussians with normals slightly beyond the horizon (``BEYOND_MAX``,
     docs/method/gaussians.md#normals). Light arrives from anywhere, at sheets from either side (0).
     """
     return wp.where(wp.dot(normal, to_eye) < -beyond * wp.length(to_eye), -normal, normal)

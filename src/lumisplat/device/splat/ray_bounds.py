@@ -50,7 +50,7 @@ class ImageBounds:
 UNSCENTED_ALPHA = 1.0
 """Spread of the sigma points, as in 3DGUT.
 
-With the two values below, the points lie sqrt(3) standard deviations from the mean."""
+With ``UNSCENTED_BETA`` and ``UNSCENTED_KAPPA``, the points lie sqrt(3) standard deviations from the mean."""
 
 UNSCENTED_BETA = 2.0
 """Prior knowledge of the distribution; 2 is optimal for a Gaussian (Wan and van der Merwe 2000)."""
@@ -77,7 +77,7 @@ OUTLINE_POINTS = 16
 """Points around the outline of a large Gaussian."""
 
 OUTLINE_SLACK = 0.5
-"""Margin of its bounds as a fraction of the points' largest second difference.
+"""Margin of the outline's bounds as a fraction of the points' largest second difference.
 
 It is four times the deviation of a smooth curve from the chord between two points."""
 
@@ -139,7 +139,7 @@ HALF_RIGHT = wp.constant(wp.float32(math.sqrt(0.5)))
 STEP = wp.constant(wp.float32(2.0 * math.pi / OUTLINE_POINTS))
 
 WIDER = wp.constant(wp.float32(1.0 / math.cos(math.pi / OUTLINE_POINTS)))
-"""Factor of the polygon's circumradius for which the polygon contains the circle."""
+"""Ratio of circumradius to radius at which a polygon of ``OUTLINE_POINTS`` corners contains the circle."""
 
 AROUND = wp.constant(wp.float32((1.0 + OUTLINE_MARGIN) / math.cos(math.pi / OUTLINE_POINTS)))
 

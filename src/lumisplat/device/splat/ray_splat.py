@@ -158,7 +158,7 @@ class RayTile:
     """Rays of a tile's pixels."""
 
     limit_z: TileFloats
-    """inf where there is a ray: rays end at a distance (``t_max``), not at a depth."""
+    """Depth limit: inf for every pixel, because its Gaussians end at a distance (``t_max``) instead of a depth."""
     x: TileFloats
     """x of the ray directions, world space."""
     y: TileFloats
@@ -271,7 +271,7 @@ class RayPixel:
     x: int
     y: int
     limit_z: float
-    """inf; 0 if there is no ray."""
+    """Depth limit: inf for a pixel with a ray, 0 for one without."""
     time: float
     """Time of the shutter at which the pixel's row is exposed."""
     motion: wp.vec3

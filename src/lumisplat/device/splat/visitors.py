@@ -276,7 +276,7 @@ class SampleTile:
     """Randomly chosen splats of the pixels of a tile."""
 
     transmittance: TileFloats
-    """1: no pixel is finished before the last splat."""
+    """Always 1, so that no pixel is finished before the last splat."""
     nearest: TileFloats
     """View depth of the chosen splat."""
     winner: TileInts
@@ -606,7 +606,7 @@ class Sample:
     winner: int
     """Index of the chosen splat; -1: none, or the mesh."""
     transmittance: float
-    """1: every splat is visited."""
+    """Always 1, so that every splat is visited."""
 
 
 @wp.func

@@ -162,7 +162,7 @@ class ShadowData:
     offset: float
     """Distance, in scales of a Gaussian, within which the Gaussian casts no shadow on a surface of Gaussians."""
     offset_absolute: float
-    """Distance added to that offset, scene units."""
+    """Distance added to ``offset``, scene units."""
     seed: wp.uint32
     sample: int
     """Index of the sample, which selects the random numbers that rays share."""
@@ -197,7 +197,7 @@ class TraceData:
 
     With FAR, it never counts before ``t_min``."""
     offset_absolute: float
-    """Distance added to that offset, scene units."""
+    """Distance added to ``offset``, scene units."""
 
 
 # --- Packets: coherent rays, their bounds, traversal stacks and hit lists ---

@@ -139,8 +139,7 @@ class PixelSums:
     """Sum of captured weights; empty in an unlit frame, as ``light``."""
     light: wp.array[wp.vec3d]
     radiance: wp.array[wp.vec3d]
-    """Sum of the values whose variance is measured: linear radiance, or the display-referred colour of an unlit frame.
-    """
+    """Sum of the values whose variance is measured: linear radiance, or display-referred colour in an unlit frame."""
     squares: wp.array[wp.vec3d]
     """Sum of the squared deviations of ``radiance`` from its mean."""
 

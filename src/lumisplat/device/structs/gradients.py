@@ -45,9 +45,9 @@ class RaySplatGradient:
     """Sum of the Gaussian's blending weights."""
     point: wp.vec3
     squares: wp.vec3
-    """Sums of the squared coordinates of these points."""
+    """Sums of the squared coordinates of the rays' nearest points."""
     products: wp.vec3
-    """Sums of the products y z, z x and x y of their coordinates."""
+    """Sums of the products y z, z x and x y of the coordinates of the rays' nearest points."""
 
 
 @struct

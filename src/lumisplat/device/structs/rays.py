@@ -87,7 +87,7 @@ class GaussianHits:
 
     This and the field below are empty unless surfaces are computed as means."""
     mean_finish: wp.array[wp.vec2]
-    """Weighted mean roughness and metallic of that surface."""
+    """Weighted mean roughness and metallic of the Gaussians of relit sets."""
 
 
 @struct

@@ -242,7 +242,7 @@ class ShadingSettings:
     background: wp.vec3
     """Display-referred sRGB colour behind the scene; black if there is no background."""
     camera_sees: int
-    """What camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
+    """Light that camera rays see behind the scene: SEES_BACKGROUND, SEES_ENVIRONMENT or SEES_NOTHING."""
     light_count: int
     absorbs: int
     """1: a medium inside some mesh absorbs light."""
@@ -257,7 +257,7 @@ class ShadingSettings:
     shadow_offset: float
     """Shadow offset in scales of a Gaussian."""
     shadow_offset_absolute: float
-    """Shadow offset in scene units, added to that."""
+    """Shadow offset in scene units, added to ``shadow_offset``."""
 
 
 @struct
@@ -356,12 +356,16 @@ class Interactions:
     eta: wp.array[float]
     mean_mirrored: wp.array[float]
     transmitted: wp.array[wp.vec3]
-    """See `Bsdf`; this and the next three arrays are empty unless rough surfaces transmit."""
+    """``Bsdf.transmitted`` of each interaction.
+
+    This array and the next three are empty unless rough surfaces transmit."""
     thin_walled: wp.array[wp.bool]
     metallic: wp.array[float]
     metal: wp.array[wp.vec3]
     rescattered: wp.array[wp.vec3]
-    """See `Bsdf`; this and the next five arrays are empty unless there are layers or compensated rough metals."""
+    """``Bsdf.rescattered`` of each interaction.
+
+    This array and the next five are empty unless there are layers or compensated rough metals."""
     coat: wp.array[float]
     coat_alpha: wp.array[float]
     sheen: wp.array[wp.vec3]
@@ -375,7 +379,9 @@ class Interactions:
     spawn_t_min: wp.array[float]
     """Distance along shadow rays within which Gaussians of the same layer do not block, scene units."""
     geometric_normal: wp.array[wp.vec3]
-    """See `Interaction`; for Gaussians the normal of their layer, zero unless they are flat and seen from the front."""
+    """``Interaction.geometric_normal``, but for Gaussians the normal of their layer.
+
+    The normal is zero for Gaussians that are not flat or are seen from behind."""
     smooth_height: wp.array[float]
 
 
