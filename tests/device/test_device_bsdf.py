@@ -97,10 +97,10 @@ def unit(vectors: Array) -> Array:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def direction(cos: npt.ArrayLike, turn: npt.ArrayLike) -> Array:
+def direction(cos: npt.ArrayLike, azimuth: npt.ArrayLike) -> Array:
     """Returns directions by the cosine of the angle to ``NORMAL`` and the azimuth in radians."""
-    cos, turn = np.asarray(cos)[..., None], np.asarray(turn)[..., None]
-    return cos * NORMAL + np.sqrt(1.0 - cos * cos) * (np.cos(turn) * ALONG + np.sin(turn) * ACROSS)
+    cos, azimuth = np.asarray(cos)[..., None], np.asarray(azimuth)[..., None]
+    return cos * NORMAL + np.sqrt(1.0 - cos * cos) * (np.cos(azimuth) * ALONG + np.sin(azimuth) * ACROSS)
 
 
 def pairs(count: int, alpha: float, seed: int) -> tuple[Array, Array, Array]:
@@ -236,8 +236,8 @@ def reflected(material: Material, view: Array, steps: int = 96) -> float:
     Quadrature over the hemisphere of lights. GGX highlights are left out: they may be narrower than the steps.
     """
     centers = (np.arange(steps) + 0.5) / steps
-    cos, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
-    lights = direction(cos, turn).reshape(-1, 3)
+    cos, azimuth = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
+    lights = direction(cos, azimuth).reshape(-1, 3)
     values, _ = on_device(material, NORMAL, view[None], lights)
     if material["alpha"] > 0.0:
         values -= on_device(material | {"diffuse": np.zeros(3)}, NORMAL, view[None], lights)[0]
@@ -251,9 +251,9 @@ def highlighted(material: Material, view: Array, steps: int = 96) -> float:
     """
     alpha = material["alpha"]
     centers = (np.arange(steps) + 0.5) / steps
-    share, turn = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
+    share, azimuth = np.meshgrid(centers, 2.0 * np.pi * centers, indexing="ij")
     theta = np.arctan(alpha * np.sqrt(share / (1.0 - share)))
-    half = direction(np.cos(theta), turn).reshape(-1, 3)
+    half = direction(np.cos(theta), azimuth).reshape(-1, 3)
     to_half = half @ view
     lights = 2.0 * to_half[:, None] * half - view
     values, _ = on_device(material, NORMAL, view[None], lights)
@@ -336,14 +336,14 @@ def bins(axis: Array, alpha: float, rings: int, sectors: int, fine: int) -> tupl
     """
     count = rings * fine
     s = ((np.arange(count) + 0.5) / count).reshape(rings, 1, fine, 1)
-    turn = 2.0 * np.pi * ((np.arange(sectors * fine) + 0.5) / (sectors * fine)).reshape(1, sectors, 1, fine)
+    azimuth = 2.0 * np.pi * ((np.arange(sectors * fine) + 0.5) / (sectors * fine)).reshape(1, sectors, 1, fine)
     theta = 2.0 * np.arctan(alpha * s / (1.0 - s))
     slope = 2.0 * alpha / ((1.0 - s) ** 2 + (alpha * s) ** 2)
-    size = np.sin(theta) * slope / count * 2.0 * np.pi / (sectors * fine) + 0.0 * turn
+    size = np.sin(theta) * slope / count * 2.0 * np.pi / (sectors * fine) + 0.0 * azimuth
     first = unit(np.cross(axis, ALONG + 0.1 * NORMAL))
     second = np.cross(axis, first)
     vectors = np.cos(theta)[..., None] * axis + np.sin(theta)[..., None] * (
-        np.cos(turn)[..., None] * first + np.sin(turn)[..., None] * second
+        np.cos(azimuth)[..., None] * first + np.sin(azimuth)[..., None] * second
     )
     return vectors.reshape(rings * sectors, fine * fine, 3), size.reshape(rings * sectors, fine * fine)
 

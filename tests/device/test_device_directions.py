@@ -20,7 +20,8 @@ def test_around_returns_unit_directions_at_the_given_angles(axis: np.ndarray) ->
     """The azimuth runs counterclockwise about every axis, by the fraction of a full rotation that is passed."""
     angle = 0.7
     found = [
-        np.array(around(wp.vec3(*axis), math.cos(angle), math.sin(angle), turn)) for turn in (0.0, 0.25, 0.5, 0.75)
+        np.array(around(wp.vec3(*axis), math.cos(angle), math.sin(angle), azimuth))
+        for azimuth in (0.0, 0.25, 0.5, 0.75)
     ]
     for direction in found:
         assert direction @ axis == pytest.approx(math.cos(angle), abs=1e-6)

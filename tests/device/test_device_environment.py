@@ -125,8 +125,8 @@ def test_lookup_matches_the_oracle(shape: tuple[int, int], device: str) -> None:
 def test_lookup_is_continuous_at_seam_and_poles() -> None:
     """The lookup interpolates across the seam, and directions next to a pole reach all texels of its row."""
     environment = DeviceEnvironment(random_image(16, 32, dark=0.0))
-    turn = np.array([-1e-5, 1e-5])
-    seam = np.stack([np.sin(turn), np.full(2, 0.3), np.cos(turn)], axis=1)
+    azimuth = np.array([-1e-5, 1e-5])
+    seam = np.stack([np.sin(azimuth), np.full(2, 0.3), np.cos(azimuth)], axis=1)
     left, right = environment.evaluate(seam / np.linalg.norm(seam, axis=1, keepdims=True))[0]
     np.testing.assert_allclose(left, right, rtol=1e-2)
     for y in (1.0, -1.0):

@@ -83,8 +83,8 @@ def test_sampled_directions_follow_the_pdf(layers: dict[str, Any] | None, base: 
     column = (np.arctan2(d[:, 1], d[:, 0]) % (2.0 * np.pi) / (2.0 * np.pi) * columns).astype(int) % columns
     counts = np.bincount(ring * columns + column, minlength=rows * columns).astype(np.float64)
     z = (np.arange(rows * fine) + 0.5) / (rows * fine)
-    turn = 2.0 * np.pi * (np.arange(columns * fine) + 0.5) / (columns * fine)
-    pdfs = on_device(row, view, direction(z[:, None], turn[None]).reshape(-1, 3))[1]
+    azimuth = 2.0 * np.pi * (np.arange(columns * fine) + 0.5) / (columns * fine)
+    pdfs = on_device(row, view, direction(z[:, None], azimuth[None]).reshape(-1, 3))[1]
     size = 2.0 * np.pi / (rows * fine * columns * fine)
     expected = count * size * pdfs.reshape(rows, fine, columns, fine).sum(axis=(1, 3)).ravel()
     counts, expected = np.append(counts, count - valid.sum()), np.append(expected, max(count - expected.sum(), 0.0))

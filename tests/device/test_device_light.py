@@ -296,8 +296,8 @@ def test_disk_light_matches_lambert_formula(seed: int) -> None:
     normal /= np.linalg.norm(normal)
     u = np.cross(axis, (1.0, 0.0, 0.0))
     u /= np.linalg.norm(u)
-    v, turn = np.cross(axis, u), 2.0 * np.pi * np.arange(4000)[:, None] / 4000
-    corners = position + 0.7 * (np.cos(turn) * u + np.sin(turn) * v)
+    v, azimuth = np.cross(axis, u), 2.0 * np.pi * np.arange(4000)[:, None] / 4000
+    corners = position + 0.7 * (np.cos(azimuth) * u + np.sin(azimuth) * v)
     assert (corners @ normal > 0.0).all()
     table = light(LIGHT_DISK, position=position, direction=axis, radius=0.7)
     samples = sample_lights(table, (0.0, 0.0, 0.0), True, grid(128))
@@ -343,9 +343,9 @@ def test_ray_intersection_agrees_with_light_samples(kind: Any) -> None:
     np.testing.assert_allclose(crossings["t"], samples["distance"], rtol=1e-3 if kind == LIGHT_POINT else 1e-5)
     np.testing.assert_allclose(crossings["pdf"], samples["pdf"], rtol=1e-4)
     cells = grid(1200)
-    height, turn = 2.0 * cells[:, 0] - 1.0, 2.0 * math.pi * cells[:, 1]
+    height, azimuth = 2.0 * cells[:, 0] - 1.0, 2.0 * math.pi * cells[:, 1]
     around = np.stack(
-        [np.sqrt(1.0 - height**2) * np.cos(turn), height, np.sqrt(1.0 - height**2) * np.sin(turn)], axis=1
+        [np.sqrt(1.0 - height**2) * np.cos(azimuth), height, np.sqrt(1.0 - height**2) * np.sin(azimuth)], axis=1
     )
     pdfs = intersect(table, point, around)["pdf"].astype(np.float64)
     assert 4.0 * math.pi * pdfs.mean() == pytest.approx(1.0, rel=3e-3)
@@ -354,8 +354,8 @@ def test_ray_intersection_agrees_with_light_samples(kind: Any) -> None:
 
 def test_polygon_oracle_matches_the_closed_form_of_a_disk() -> None:
     """A disk on the axis gives pi times the squared sine of its angular radius."""
-    turn = 2.0 * np.pi * np.arange(4000) / 4000
-    corners = np.stack([0.7 * np.cos(turn), 0.7 * np.sin(turn), np.ones(4000)], axis=1)
+    azimuth = 2.0 * np.pi * np.arange(4000) / 4000
+    corners = np.stack([0.7 * np.cos(azimuth), 0.7 * np.sin(azimuth), np.ones(4000)], axis=1)
     disc = polygon_irradiance(corners, np.zeros(3), np.array([0.0, 0.0, 1.0]))
     assert abs(disc) == pytest.approx(math.pi * 0.49 / 1.49, rel=1e-5)
 

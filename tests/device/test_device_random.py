@@ -119,7 +119,7 @@ def test_kernels_numpy_and_python_give_the_same_bits(device: str) -> None:
 def test_draws_stay_below_one() -> None:
     """The largest word also gives a draw below 1, since float32 represents 24 bits exactly."""
     inverse = pow(0xD35A2D97, -1, 2**32), pow(0x21F0AAAD, -1, 2**32)
-    word = LAST  # the permutation backwards, to find what it turns into 0xFFFFFFFF
+    word = LAST  # the inverse permutation, which finds the word that it maps to 0xFFFFFFFF
     word ^= word >> 15 ^ word >> 30
     word = word * inverse[0] % 2**32
     word ^= word >> 15 ^ word >> 30

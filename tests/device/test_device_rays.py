@@ -265,7 +265,7 @@ def test_circle_of_confusion_matches_the_thin_lens(model: ls.CameraModel) -> Non
     camera = front_camera(64, 64, 64.0 / 1.2, model=model, aperture=0.2, focus_distance=2.0, near=1e-3)
     center, rays = device_rays(replace(camera, aperture=0.0)), device_rays(camera, 5, jitter=False)
     for depth in (1.0, 4.0):
-        if model is FISHEYE:  # on the plane that touches the sphere of that radius where the centre's ray meets it
+        if model is FISHEYE:  # on the plane tangent to the sphere of that radius at the central ray
             plane = np.einsum("yxi,yxi->yx", center["direction"], rays["direction"])
             start = np.einsum("yxi,yxi->yx", center["direction"], rays["origin"])
             points = rays["origin"] + ((depth - start) / plane)[..., None] * rays["direction"]
@@ -332,9 +332,9 @@ def test_rolling_shutter_rotates_linearly_over_rows(model: ls.CameraModel) -> No
     axis = rays["direction"][4, 4]
     np.testing.assert_allclose(axis, (np.sqrt(0.5), 0.0, np.sqrt(0.5)), atol=1e-6)
     for y in range(9):
-        turn = rotation((0.0, 1.0, 0.0), np.radians(10.0 * y + 5.0))[:3, :3]
+        row_rotation = rotation((0.0, 1.0, 0.0), np.radians(10.0 * y + 5.0))[:3, :3]
         for name in ("origin", "direction"):
-            np.testing.assert_allclose(rays[name][y], unrotated[name][y] @ turn.T, atol=2e-6)
+            np.testing.assert_allclose(rays[name][y], unrotated[name][y] @ row_rotation.T, atol=2e-6)
 
 
 def test_rotated_is_a_right_handed_rotation() -> None:

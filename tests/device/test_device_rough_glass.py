@@ -49,8 +49,8 @@ def on_device(table: npt.NDArray[Any], view: Doubles, lights: Doubles) -> tuple[
 def sphere(rows: int, columns: int) -> tuple[Doubles, float]:
     """Returns the centres of equal-area cells over the sphere, shape (rows, columns, 3), and their solid angle."""
     z = 1.0 - 2.0 * (np.arange(rows) + 0.5) / rows
-    turn = 2.0 * np.pi * (np.arange(columns) + 0.5) / columns
-    return direction(z[:, None], turn[None, :]), 4.0 * np.pi / (rows * columns)
+    azimuth = 2.0 * np.pi * (np.arange(columns) + 0.5) / columns
+    return direction(z[:, None], azimuth[None, :]), 4.0 * np.pi / (rows * columns)
 
 
 def walter(alpha: float, eta: float, view: Doubles, light: Doubles) -> float:

@@ -89,9 +89,11 @@ def test_moments_match_the_oracle(name: str) -> None:
     camera = LENSES[name]
     points, axes, scales = gaussians_in_view(camera, 3)
     found = moments_of(camera, points, axes, scales)
-    turn = camera.camera_from_world[:3, :3]
+    camera_rotation = camera.camera_from_world[:3, :3]
     for k in range(len(points)):
-        center, covariance = sigma_moments(lambda p: image_point(camera, turn @ p), points[k], axes[k], scales[k])
+        center, covariance = sigma_moments(
+            lambda p: image_point(camera, camera_rotation @ p), points[k], axes[k], scales[k]
+        )
         np.testing.assert_allclose(found["mean"][k], center, atol=1e-3)
         np.testing.assert_allclose(found["xx"][k], covariance[0, 0], rtol=2e-2, atol=1e-4)
         np.testing.assert_allclose(found["yy"][k], covariance[1, 1], rtol=2e-2, atol=1e-4)

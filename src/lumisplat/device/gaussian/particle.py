@@ -26,7 +26,7 @@ class ParticleHit:
     distance2: float
     """Squared canonical distance at the peak of the response."""
     is_near: bool
-    """Whether the hit lies within the ray's offset, where it counts only if the Gaussian is of another layer."""
+    """True if the hit lies within the ray's offset, where it counts only if the Gaussian is of another layer."""
 
 
 SURFACE_DEPTH_SCALES = 3.0

@@ -214,7 +214,7 @@ class CellLight:
     indirect: wp.vec3
     """Reflected light of other surfaces."""
     is_valid: bool
-    """Whether the indirect light is based on any rays."""
+    """True if the indirect light is based on any rays."""
 
 
 @wp.func

@@ -1,4 +1,4 @@
-"""All light types except the environment: samples from a surface point, ray intersection, and bounds for a cell.
+"""Light types except the environment: samples from a surface point, ray intersection, and bounds for a cell.
 
 A hard light is sampled at its centre. A soft light has an extent, and ``u`` samples a direction within it: the mean of
 irradiance times cosine over ``u`` is the irradiance by the whole light. The environment has its own module.

@@ -45,9 +45,9 @@ class PathShadowRays:
     contributions: wp.array[wp.vec3]
     """Unshadowed contributions."""
     opaque: wp.array[wp.bool]
-    """Whether glass blocks the ray, because path rays find the light through the glass."""
+    """True if glass blocks the ray, because path rays find the light through the glass."""
     skips: wp.array[wp.bool]
-    """Whether the ray passes shadow catchers, because it starts at one."""
+    """True if the ray passes shadow catchers, because it starts at one."""
     media: wp.array[wp.vec4i]
     """Media at the ray's origin, as in ``Boundary``, unless glass blocks it; empty if no medium absorbs."""
     lights: wp.array[int]

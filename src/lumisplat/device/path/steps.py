@@ -45,9 +45,9 @@ class PathData:
     normal: wp.array[wp.vec3]
     importance: wp.array[float]
     is_specular: wp.array[wp.bool]
-    """Whether all earlier surfaces were smooth, so that the path shows what the camera sees in mirrors."""
+    """True if all earlier surfaces were smooth, so that the path shows what the camera sees in mirrors."""
     for_catcher: wp.array[wp.bool]
-    """Whether the path measures the irradiance of a shadow catcher instead of the radiance of its root ray."""
+    """True if the path measures the irradiance of a shadow catcher instead of the radiance of its root ray."""
     diffuse: wp.array[wp.vec3]
     """Fraction of its contribution that the first surface scattered diffusely; empty in frames without light layers."""
     media: wp.array[wp.vec4i]

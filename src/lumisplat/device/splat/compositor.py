@@ -142,7 +142,7 @@ class TileVisitor(NamedTuple):
     end_pixel: Any
     """``(pixels, i, view, tile, x, y, settings, arrays)``: called after all splats."""
     is_sorted: bool = True
-    """Whether splats arrive sorted by depth."""
+    """True if splats arrive sorted by depth."""
 
 
 @wp.func
@@ -261,7 +261,7 @@ class PixelVisitor(NamedTuple):
     visit: Any
     """``(state, splat, log_alpha, settings, arrays)``: processes a visible splat."""
     ends_by_depth: bool
-    """Whether the list is sorted, so that the first splat at or beyond the pixel's ``limit_z`` ends it."""
+    """True if the list is sorted, so that the first splat at or beyond the pixel's ``limit_z`` ends it."""
 
 
 def pixel_walk(footprint: Footprint, visitor: PixelVisitor) -> Any:

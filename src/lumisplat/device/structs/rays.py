@@ -25,7 +25,7 @@ class RayData:
     """Rays as arrays, one element for each ray; fields as in ``Ray``."""
 
     is_active: wp.array[wp.bool]
-    """Whether the ray exists; if not, its other fields are undefined."""
+    """True if the ray exists; if not, its other fields are undefined."""
     origin: wp.array[wp.vec3]
     direction: wp.array[wp.vec3]
     t_min: wp.array[float]
@@ -92,7 +92,7 @@ class GaussianHits:
 
 @struct
 class HitProfiles:
-    """All Gaussians hit by rays, listed one by one in blending order; in a 1-element array.
+    """Gaussians hit by rays, listed one by one in blending order; in a 1-element array.
 
     Except for ``first``, there is one element for each hit.
     """
@@ -151,7 +151,7 @@ class Boundary:
     """Media on the ray's side: mesh instance indices plus one, in the order in which the ray entered them."""
     media_behind: wp.vec4i
     is_unentered: bool
-    """Whether the ray leaves a medium that it never entered."""
+    """True if the ray leaves a medium that it never entered."""
 
 
 @struct

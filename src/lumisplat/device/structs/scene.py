@@ -116,7 +116,7 @@ class VariedData:
 
 @struct
 class MeshData:
-    """All meshes of a scene in concatenated arrays, each mesh in its own object space."""
+    """Meshes of a scene in concatenated arrays, each mesh in its own object space."""
 
     positions: wp.array[wp.vec3]
     normals: wp.array[wp.vec3]

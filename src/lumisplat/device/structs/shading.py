@@ -141,7 +141,7 @@ class Bsdf:
 
     Zero means no transmission; the next three fields are then undefined."""
     thin_walled: bool
-    """Whether transmitted light passes straight; otherwise it is refracted."""
+    """True if transmitted light passes straight; otherwise it is refracted."""
     metallic: float
     metal: wp.vec3
     """Reflectance of the metal at normal incidence, times ``metallic``."""
@@ -289,7 +289,7 @@ class SplatSurface:
     depth: float
     """Distance of the surface along the ray, scene units."""
     is_mean: bool
-    """Whether the surface is the weighted mean of all relit Gaussians on the ray."""
+    """True if the surface is the weighted mean of all relit Gaussians on the ray."""
     transmittance: float
     captured: wp.vec3
     """Captured colour, display-referred sRGB, premultiplied by ``weight``.
@@ -310,7 +310,7 @@ class Interaction:
     """Interaction of a ray with a surface: everything that lighting reads of both."""
 
     exists: bool
-    """Whether there is a surface that reflects light."""
+    """True if there is a surface that reflects light."""
     position: wp.vec3
     """Position, world space."""
     normal: wp.vec3
@@ -331,7 +331,7 @@ class Interaction:
     occlusion: float
     """Fraction of the environment's light that arrives (ambient occlusion)."""
     shadow_only: bool
-    """Whether the surface is a shadow catcher: it reflects no light and is only darkened where lights are blocked."""
+    """True if the surface is a shadow catcher: it reflects no light and is only darkened where lights are blocked."""
 
 
 @struct
@@ -477,7 +477,7 @@ class WaveData:
     spawns_lobes: int
     """1: rough surfaces spawn one ray inside their highlight."""
     sees_environment: wp.array[wp.bool]
-    """Whether each ray sees the environment and the background; empty if all rays do."""
+    """True if the ray sees the environment and the background; empty if all rays do."""
     branches: wp.array[int]
     """Number of rays, 0 or 1, that each ray spawns: reflected, refracted, and in a highlight.
 
