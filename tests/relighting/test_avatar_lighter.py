@@ -1,4 +1,4 @@
-"""Actors in a captured scene, frame by frame: what they darken, what they leave, how they are lit."""
+"""Actors in a captured scene, frame by frame: their shadows on the scene, and their light."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ LIGHT = ls.LightPoint((0.0, 3.0, 0.0), intensity=9.0, name="bulb")
 
 @pytest.fixture(autouse=True)
 def few_discs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Meshes cast as 4,000 Gaussians: the maps here would not show more, and more take seconds a mesh."""
+    """Converts meshes to 4,000 Gaussians: the maps here show no more, and more take seconds per mesh."""
     monkeypatch.setattr(casters_and_receivers, "sample_surface", partial(sample_surface, count=4000))
 
 
@@ -42,7 +42,7 @@ def floor(x: float = 0.0, cells: int = 21) -> ls.Gaussians:
 
 
 def puppet(x: float = 0.0, count: int = 800) -> ls.SplatInstance:
-    """A ball of radius 0.4 at height 1, opaque."""
+    """An opaque ball of radius 0.4 at height 1."""
     rng = np.random.default_rng(1)
     points = rng.normal(size=(count, 3))
     points *= 0.4 / np.linalg.norm(points, axis=1, keepdims=True)
@@ -67,8 +67,8 @@ def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
     return new / old
 
 
-def test_the_floor_is_dark_behind_the_actor_only() -> None:
-    """Seen from the light, the ball covers a disc of radius 0.61 on the floor: black within, untouched without."""
+def test_floor_is_dark_only_in_the_actors_shadow() -> None:
+    """From the light, the ball covers a disc of radius 0.61 on the floor: black inside, unchanged outside."""
     ground = floor()
     scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
     left = light_left(ground, scene.splats[0].gaussians)
@@ -79,7 +79,7 @@ def test_the_floor_is_dark_behind_the_actor_only() -> None:
 
 
 def test_shadows_follow_the_actor() -> None:
-    """The next frame's shadow is where the actor is then, and nothing is left of the last one."""
+    """The next frame's shadow is at the actor's new position, and the previous one is gone."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]))
     stage.light([puppet(-1.0)])
@@ -88,8 +88,8 @@ def test_shadows_follow_the_actor() -> None:
     assert (left[ground.means[:, 0] < 0.0] == 1.0).all()
 
 
-def test_a_still_actor_gives_the_same_bits() -> None:
-    """Frame after frame, also after it has been elsewhere: no flicker, relit or not."""
+def test_static_actor_gives_equal_bits() -> None:
+    """Frames are equal, also after the actor has moved away and back, relit or not."""
     stage = lighter(ls.Scene(splats=[floor()]), lights=[LIGHT, replace(LIGHT, position=(1.0, 2.0, 1.0))], relight=True)
     first = stage.light([puppet()])
     stage.light([puppet(0.7)])
@@ -98,15 +98,15 @@ def test_a_still_actor_gives_the_same_bits() -> None:
         np.testing.assert_array_equal(one.gaussians.sh, other.gaussians.sh)
 
 
-def test_direct_is_what_shadows_take() -> None:
-    """The rest of the light is never in shadow."""
+def test_shadows_remove_only_the_direct_fraction() -> None:
+    """The other fraction of the light is never in shadow."""
     ground = floor()
     left = light_left(ground, lighter(ls.Scene(splats=[ground]), direct=0.6).light([puppet()]).splats[0].gaussians)
     assert left.min() == pytest.approx(0.4, abs=0.02)
 
 
-def test_several_lights_and_several_actors_combine() -> None:
-    """Two lights, two actors: factors are the mean of what each light's own map lets through all actors."""
+def test_shadows_of_several_lights_and_actors_combine() -> None:
+    """With two equal lights, factors are the mean of the transmittances of each light's own map through all actors."""
     ground = floor()
     lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
     actors = [puppet(-0.8), puppet(0.8)]
@@ -117,8 +117,8 @@ def test_several_lights_and_several_actors_combine() -> None:
     assert (left < 0.55).sum() > 20
 
 
-def test_each_set_takes_its_own_shadow() -> None:
-    """Of several captured sets, only the one that a shadow falls on becomes another object."""
+def test_only_shadowed_sets_become_new_objects() -> None:
+    """Of several captured sets, the others stay the same objects."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
     # The same bins for both, and no samples that would depend on a receiver's number.
     same = replace(SHADOW, max_distance=4.0, sampling=ls.config.ReceiverSampling.CENTER)
@@ -130,8 +130,8 @@ def test_each_set_takes_its_own_shadow() -> None:
     np.testing.assert_allclose(left[0], left[1], atol=0.01)
 
 
-def test_maps_are_built_once_a_light_then_rebuilt(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Memory of a frame is that of the first."""
+def test_maps_are_built_once_per_light_then_rebuilt(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Device memory is that of the first frame."""
     built = []
     build = DeepShadowMap.build.__func__
 
@@ -148,14 +148,14 @@ def test_maps_are_built_once_a_light_then_rebuilt(monkeypatch: pytest.MonkeyPatc
     assert len(built) == 2 and [shadow.bytes for shadow in built] == held
 
 
-def test_no_actors_leave_the_scene_as_it_is() -> None:
-    """Of an empty frame, all assets are the scene's own."""
+def test_frame_without_actors_keeps_the_scenes_assets() -> None:
+    """All assets are the scene's own objects."""
     scene = ls.Scene(splats=[floor()])
     assert lighter(scene).light([]).splats[0] is scene.splats[0]
 
 
-def test_flags_leave_actors_out() -> None:
-    """One casts no shadow, one keeps its colours; both are in the frame."""
+def test_flags_disable_shadows_and_relighting() -> None:
+    """One actor casts no shadow, one keeps its colours; both are in the frame."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), relight=True)
     scene = stage.light([puppet(-1.0), puppet(1.0)], casts_shadow=[False, True], relit=[True, False])
@@ -165,8 +165,8 @@ def test_flags_leave_actors_out() -> None:
     assert kept == [False, True]
 
 
-def test_actors_take_the_light_of_their_place() -> None:
-    """Over the floor and under nothing, the lower side gets its light, the upper none; off, all stays."""
+def test_actors_are_lit_by_the_light_at_their_position() -> None:
+    """Over the floor and under nothing, the lower side is lit, the upper is not; without relighting, all stays."""
     scene = ls.Scene(splats=[floor(cells=41)])
     normals = puppet().gaussians.means / 0.4
     actor = replace(puppet(), gaussians=replace(puppet().gaussians, normals=normals))
@@ -176,8 +176,8 @@ def test_actors_take_the_light_of_their_place() -> None:
     assert lighter(scene).light([actor]).splats[1] is actor
 
 
-def test_normals_are_estimated_once_and_probes_captured_once_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Normals belong to a set, probes to a place: a still actor asks for neither again, a moving one for a probe."""
+def test_normals_and_probes_are_cached(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Normals belong to a set, probes to a position: a static actor needs neither again, a moving one needs a probe."""
     calls: list[str] = []
     estimate, capture = avatar_lighter.estimate_normals, ls.avatars.EnvironmentProbe.capture
 
@@ -200,8 +200,8 @@ def test_normals_are_estimated_once_and_probes_captured_once_a_place(monkeypatch
     assert calls.count("normals") == 1 and calls.count("probe") == 2
 
 
-def test_meshes_cast_and_stay_meshes() -> None:
-    """A mesh actor darkens the floor, and the frame is lit for it; what was captured looks as in an unlit frame."""
+def test_mesh_actors_cast_shadows_and_stay_meshes() -> None:
+    """The frame is lit for the mesh; captured sets look as in an unlit frame."""
     ground = floor()
     pose = np.eye(4)
     pose[:3, 3] = (0.0, 1.0, 0.0)
@@ -222,7 +222,7 @@ def test_meshes_cast_and_stay_meshes() -> None:
 
 
 def test_captures_do_not_shadow_mesh_actors() -> None:
-    """Within a lamp's own Gaussians a light would reach nothing by rays, and a probe's through no wall that it saw."""
+    """Shadow rays from inside a lamp's own Gaussians, or through walls that a probe saw, would block all light."""
     shade = lamp(LIGHT.position, (0.9, 0.9, 0.9), radius=0.1, count=400)
     ceiling = captured(np.array([0.0, 4.0, 0.0]) + floor().means, np.full(3, 0.5), opacity=1.0, scale=0.2)
     pose = np.eye(4)
@@ -238,8 +238,8 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
     assert enclosed == pytest.approx(open_air, rel=1e-3) and open_air > 0.05
 
 
-def test_given_lights_all_light_meshes() -> None:
-    """One that casts no shadow and an environment are among the lights of the frame; no probe comes on top of that."""
+def test_given_lights_illuminate_meshes() -> None:
+    """A light without shadows and an environment are in the frame; no probe is added to them."""
     lamps = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
     stage = lighter(ls.Scene(splats=[floor()]), lamps, relight=True)
     assert stage.lights == (LIGHT,)
@@ -248,8 +248,8 @@ def test_given_lights_all_light_meshes() -> None:
     assert [light.intensity for light in frame.lights] == [9.0, 9.0, 1.0]
 
 
-def test_beside_mesh_actors_captures_stay_as_captured() -> None:
-    """Lights that come with them are for meshes: sets that would reflect them lose their materials, actors too."""
+def test_captures_beside_mesh_actors_are_unlit() -> None:
+    """The lights are for meshes: reflecting sets and actors lose their materials."""
     sets = [ls.SplatInstance(floor(), material=ls.MaterialPbr()), ls.SplatInstance(floor(9.0), shadow_catcher=True)]
     actors = [ls.MeshInstance(icosphere(0.4)), replace(puppet(2.0), material=ls.MaterialPbr())]
     stage = lighter(ls.Scene(splats=sets))
@@ -258,8 +258,8 @@ def test_beside_mesh_actors_captures_stay_as_captured() -> None:
     assert not alone.lights and alone.splats[0].material is not None and alone.splats[1].shadow_catcher
 
 
-def test_meshes_of_the_scene_cast_from_the_start() -> None:
-    """They were put there after the capture: their shadow is there without any actor, and multiplies with others."""
+def test_scene_meshes_cast_shadows_without_actors() -> None:
+    """They were placed after the capture; their shadow multiplies with those of actors."""
     ground = floor()
     pose = np.eye(4)
     pose[:3, 3] = (1.0, 1.0, 0.0)
@@ -271,8 +271,8 @@ def test_meshes_of_the_scene_cast_from_the_start() -> None:
     assert both[ground.means[:, 0] < 0.0].min() < 0.05
 
 
-def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFixture) -> None:
-    """Its own lights cast; what reflects them or only takes shadows gets those from rays, and a line says so."""
+def test_lit_scene_keeps_its_lights_and_ray_traced_shadows(caplog: pytest.LogCaptureFixture) -> None:
+    """Reflecting surfaces and shadow catchers get ray-traced shadows, and a warning says so."""
     sets = [
         ls.SplatInstance(floor(), material=ls.MaterialPbr()),
         ls.SplatInstance(floor(), shadow_catcher=True),
@@ -290,8 +290,8 @@ def test_a_scene_with_lights_keeps_them_and_its_rays(caplog: pytest.LogCaptureFi
     assert frame.splats[0] is sets[0] and frame.splats[1] is sets[1] and frame.splats[2] is not sets[2]
 
 
-def test_lights_are_found_about_the_first_actors() -> None:
-    """Without any given: the planted lamp, once, and as bright as the direct part of the place's light."""
+def test_lights_are_estimated_once_around_the_first_actors() -> None:
+    """The planted lamp is found, with the direct part of the irradiance at the position."""
     scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
     # The floor is not lit by it: by its looks alone.
     looks = ls.config.LightEstimationConfig(evidence=0.0)
@@ -313,8 +313,8 @@ def test_lights_are_found_about_the_first_actors() -> None:
     assert arriving == pytest.approx(0.8 * np.pi * mean, rel=0.03)
 
 
-def test_a_light_inside_an_actor_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    """It then shadows all around it; a light above a flat Gaussian, which is wide enough to reach it, is not inside."""
+def test_light_inside_an_actor_warns_once(caplog: pytest.LogCaptureFixture) -> None:
+    """The actor then shadows everything; a light above a flat Gaussian wide enough to reach it is not inside."""
     within = ls.LightPoint((0.1, 1.02, 0.0), name="torch")
     above = ls.LightPoint((0.0, 1.3, 0.0), name="lantern")
     # A disc that faces x, and stands turned by a quarter about z: it faces y.
@@ -327,7 +327,7 @@ def test_a_light_inside_an_actor_is_told_once(caplog: pytest.LogCaptureFixture) 
     assert caplog.text.count("is inside an actor") == 1 and "'torch'" in caplog.text
 
 
-def test_the_region_walks_with_the_actor() -> None:
+def test_region_radius_follows_the_actors() -> None:
     """``region_radius`` is about the actors of each frame, not of the first."""
     ground = floor()
     slanted = ls.LightDirectional((1.0, -1.0, 0.0))
@@ -339,8 +339,8 @@ def test_the_region_walks_with_the_actor() -> None:
     assert (left[ground.means[:, 0] > 0.5 + 0.4 + 0.8] == 1.0).all()
 
 
-def test_a_region_without_receivers_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    """Nothing is darkened, and a line says why."""
+def test_region_without_receivers_warns_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Nothing is darkened."""
     ground = floor()
     stage = lighter(ls.Scene(splats=[ground]), shadow_map=replace(SHADOW, region_radius=0.5))
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -349,8 +349,8 @@ def test_a_region_without_receivers_is_told_once(caplog: pytest.LogCaptureFixtur
     assert caplog.text.count("no receivers within 0.5 of the actors") == 1
 
 
-def test_shadows_can_be_switched_off() -> None:
-    """Then no lights are needed."""
+def test_disabled_shadows_need_no_lights() -> None:
+    """No light is estimated."""
     scene = ls.Scene(splats=[floor()])
     frame = ls.AvatarLighter(scene, None, config(shadows=False), device="cpu").light([puppet()])
     assert frame.splats[0] is scene.splats[0] and len(frame.splats) == 2
@@ -371,20 +371,20 @@ def test_shadows_can_be_switched_off() -> None:
         (ls.Scene(splats=[floor()]), None, [puppet()], "no light found"),
     ],
 )
-def test_bad_scenes_are_told(scene: Any, lights: Any, actors: Any, said: str) -> None:
-    """No captured sets, no lights, no actors of a kind that there is."""
+def test_invalid_scenes_lights_and_actors_are_refused(scene: Any, lights: Any, actors: Any, said: str) -> None:
+    """There are no captured sets, no lights, or actors of another type."""
     with pytest.raises(ls.SceneError, match=said):
         lighter(scene, lights).light(actors)
 
 
-def test_bad_flags_are_told() -> None:
-    """One an actor."""
+def test_invalid_actor_flags_are_refused() -> None:
+    """There must be one boolean per actor."""
     with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
         lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
 
 
-def test_lights_of_a_bare_capture_are_those_it_was_captured_in() -> None:
-    """Where nothing reflects a scene's lights, they are as if given: none is left to be blocked by captured walls."""
+def test_lights_of_an_unlit_scene_count_as_its_captured_light() -> None:
+    """Nothing reflects them, so they act as if given, and captured walls do not block them."""
     sky = ls.LightEnvironment(intensity=0.5, name="sky")
     bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
     for lights in ((LIGHT,), (LIGHT, sky), (sky,)):
@@ -401,8 +401,8 @@ def test_lights_of_a_bare_capture_are_those_it_was_captured_in() -> None:
     assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)
 
 
-def test_probes_see_the_background() -> None:
-    """A capture without surroundings is as bright around as what stands behind it."""
+def test_probes_include_the_background() -> None:
+    """An isolated capture is surrounded by the background's radiance."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     actor = puppet()
     colors = []
@@ -413,8 +413,8 @@ def test_probes_see_the_background() -> None:
     assert decode_srgb(np.array(colors[1])) == pytest.approx(0.6, abs=0.01)
 
 
-def test_actors_in_the_dark_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    """With what would brighten them; not where that is set already."""
+def test_dark_actors_warn_once_with_advice(caplog: pytest.LogCaptureFixture) -> None:
+    """The advice is a gamma; with such a gamma there is no warning."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
     for gamma, lines in ((1.0, 1), (2.0, 0)):
@@ -429,8 +429,8 @@ def test_actors_in_the_dark_are_told_once(caplog: pytest.LogCaptureFixture) -> N
         assert (advice in caplog.text) == bool(lines)
 
 
-def test_a_light_that_reaches_next_to_nothing_is_told_once(caplog: pytest.LogCaptureFixture) -> None:
-    """Inside of a hollow actor, say: nothing is inside of any Gaussian, and all of the room is dark."""
+def test_light_that_hardly_reaches_the_capture_warns_once(caplog: pytest.LogCaptureFixture) -> None:
+    """The light is inside a hollow actor: inside no Gaussian, but the whole room is dark."""
     stage = lighter(ls.Scene(splats=[floor()]), [replace(LIGHT, position=(0.0, 1.0, 0.0), name="torch")])
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         for x in (0.0, 0.1):
@@ -444,15 +444,15 @@ def sunny(direction: tuple[float, float, float], intensity: float = 0.5 * np.pi)
 
 
 def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarray:
-    """Light on the puppet's Gaussians in units of white surroundings, relit in a scene, shape (N,)."""
+    """Light on the puppet's Gaussians, relit in a scene, relative to a white environment, shape (N,)."""
     actor = puppet()
     actor = replace(actor, gaussians=replace(actor.gaussians, normals=actor.gaussians.means / np.float32(0.4)))
     white = ls.AvatarLighter(scene, lights, config(relight=True, **changes), background=(0.5, 0.5, 0.5), device="cpu")
     return light_left(actor.gaussians, white.light([actor]).splats[-1].gaussians)
 
 
-def test_a_given_sun_lights_actors() -> None:
-    """Half of white's irradiance, by the cosine, on top of the grey light around; off, or of lamps, nothing."""
+def test_given_sun_lights_actors() -> None:
+    """It adds half of white's irradiance times the cosine; disabled, or a local light, it adds nothing."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     sun = sunny((0.0, -1.0, 0.0))
     upwards = puppet().gaussians.means[:, 1] / 0.4
@@ -463,8 +463,8 @@ def test_a_given_sun_lights_actors() -> None:
     np.testing.assert_allclose(ball_in(scene, [LIGHT]), around, atol=5e-3)
 
 
-def test_what_the_scene_blocks_of_a_sun_does_not_arrive(caplog: pytest.LogCaptureFixture) -> None:
-    """Under a roof there is no sun, which is told; a roof that is elsewhere, or a captured sky, blocks none."""
+def test_sun_blocked_by_the_scene_does_not_light_actors(caplog: pytest.LogCaptureFixture) -> None:
+    """A roof blocks the sun with a warning; a roof elsewhere, or a sky beyond the shadow distance, does not."""
     roof = captured(np.array([0.0, 3.0, 0.0]) + floor(cells=41).means, np.zeros(3), opacity=1.0, scale=0.1)
     sun = sunny((0.0, -1.0, 0.0))
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
@@ -480,8 +480,8 @@ def test_what_the_scene_blocks_of_a_sun_does_not_arrive(caplog: pytest.LogCaptur
     assert (ball_in(ls.Scene(splats=[roof]), [slanted]) - without).max() > 0.4
 
 
-def test_a_sun_that_the_probe_holds_does_not_count_twice() -> None:
-    """What a probe gives beyond even light towards the sun is taken from it: all of a weak one, none where dark."""
+def test_sun_in_the_probe_does_not_count_twice() -> None:
+    """The probe's irradiance towards the sun beyond its mean is subtracted: all of a weak sun, none in the dark."""
     directions = np.random.default_rng(0).normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     spot = np.where(directions[:, 1:2] > 0.9, 5.0, 0.2) * np.ones(3)
@@ -493,8 +493,8 @@ def test_a_sun_that_the_probe_holds_does_not_count_twice() -> None:
     np.testing.assert_allclose(sun_beyond(probe, sunny((0, 1, 0), 1.0)), 1.0)
 
 
-def test_without_lamps_the_sun_casts(caplog: pytest.LogCaptureFixture) -> None:
-    """A capture in the sun: no lamp is guessed, its sun casts the shadow, as bright as the direct part of the light."""
+def test_estimated_sun_casts_shadows_where_no_lights_are_found(caplog: pytest.LogCaptureFixture) -> None:
+    """It has the direct part of the irradiance."""
     towards = np.array([0.5, 0.7, 0.4])
     scene = ls.Scene(splats=[meadow((0.5, 0.7, 0.4))])
     stage = lighter(scene, None, direct=0.8)
@@ -509,14 +509,14 @@ def test_without_lamps_the_sun_casts(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def points_of_sphere(center: tuple[float, float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """300 points of a sphere and its outward normals, shape (300, 3) each."""
+    """Returns 300 points of a sphere and its outward normals, shape (300, 3) each."""
     normals = np.random.default_rng(0).normal(size=(300, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return center + radius * normals, normals
 
 
-def test_relighting_brings_a_figure_nearer_to_its_surroundings() -> None:
-    """A figure lit bluish from the side, among matt balls below a reddish ceiling: PAA, APF and NCM fall by a fifth."""
+def test_relighting_reduces_paa_apf_and_ncm() -> None:
+    """A figure lit bluish from the side, among diffuse balls below a reddish ceiling: all fall by a fifth."""
     reddish, steps = np.array([1.0, 0.8, 0.6]), np.linspace(-8.0, 8.0, 33)
     ceiling = np.stack(np.meshgrid(steps, [2.5], steps, indexing="ij"), axis=-1).reshape(-1, 3)
     sets = [captured(ceiling, reddish, opacity=0.99, scale=0.4)]

@@ -1,4 +1,4 @@
-"""The gain of captured light, and the value of it that exposes an object as its surroundings."""
+"""The gain of captured light on objects, and its estimate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SH_C0 = 0.28209479177387814
 
 
 def shell(color: float, *, half: bool = False) -> ls.SplatInstance:
-    """A ball of captured Gaussians around the origin that shows a grey, display-referred; ``half``: its lower half."""
+    """A ball of captured Gaussians around the origin with a grey display value; ``half``: its lower half."""
     gaussians = ls.gaussians_from_mesh(ball(3.0, diffuse(0.5), hollow=True, rows=32), 6000)
     kept = gaussians.means[:, 1] < (0.0 if half else 9.0)
     sh = np.full((int(kept.sum()), 1, 3), (color - 0.5) / SH_C0, np.float32)
@@ -21,8 +21,8 @@ def shell(color: float, *, half: bool = False) -> ls.SplatInstance:
     return ls.SplatInstance(ls.Gaussians(**values, sh=sh))
 
 
-def shown(pipeline: ls.Pipeline, gain: float, material: ls.MaterialPbr, samples: int = 64) -> np.ndarray:
-    """The middle of a ball in the grey shell, linear."""
+def centre_radiance(pipeline: ls.Pipeline, gain: float, material: ls.MaterialPbr, samples: int = 64) -> np.ndarray:
+    """Radiance of the centre of a ball in the grey shell, linear."""
     scene = ls.Scene([shell(0.5)], [ball(0.5, material, rows=24)])
     camera = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=16, height=16, fov_y=0.2)
     frames = 32 if pipeline is ls.Pipeline.REALTIME else 1
@@ -34,17 +34,17 @@ def shown(pipeline: ls.Pipeline, gain: float, material: ls.MaterialPbr, samples:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.PATH, ls.Pipeline.REALTIME], ids=["path", "realtime"])
-def test_a_stop_of_gain_doubles_the_light_of_captures_on_objects(pipeline: ls.Pipeline) -> None:
-    """And a mirror shows the capture as it is, whatever the gain."""
-    plain, doubled = (shown(pipeline, gain, diffuse(0.4)) for gain in (0.0, 1.0))
+def test_one_stop_of_gain_doubles_captured_light_on_objects(pipeline: ls.Pipeline) -> None:
+    """A mirror shows the capture unchanged, whatever the gain."""
+    plain, doubled = (centre_radiance(pipeline, gain, diffuse(0.4)) for gain in (0.0, 1.0))
     np.testing.assert_allclose(doubled / plain, 2.0, rtol=0.03)
     chrome = ls.MaterialPbr(base_color=(1, 1, 1), metallic=1.0, roughness=0.0)
-    mirrored = [shown(pipeline, gain, chrome, 4) for gain in (0.0, 3.0)]
+    mirrored = [centre_radiance(pipeline, gain, chrome, 4) for gain in (0.0, 3.0)]
     np.testing.assert_allclose(mirrored[0], mirrored[1], rtol=1e-5)
 
 
-def test_rough_metal_takes_the_gain_in_hybrid_frames_as_in_paths() -> None:
-    """In a grey shell, both show as much of it."""
+def test_rough_metal_has_equal_gain_in_hybrid_and_path() -> None:
+    """Both pipelines show the same radiance in a grey shell."""
     metal = ls.MaterialPbr(base_color=(0.8, 0.6, 0.4), metallic=1.0, roughness=0.4)
     lamp = ls.LightPoint((0, 0, 2.5), intensity=1e-6)  # hybrid frames without any light are unlit
     camera = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=16, height=16, fov_y=0.2)
@@ -61,8 +61,8 @@ def test_rough_metal_takes_the_gain_in_hybrid_frames_as_in_paths() -> None:
     np.testing.assert_allclose(found[ls.Pipeline.HYBRID, 0.0], found[ls.Pipeline.PATH, 0.0], rtol=0.05)
 
 
-def test_the_gain_that_is_found_exposes_an_object_as_its_surroundings() -> None:
-    """Walls all around of albedo 0.5 received twice their radiance: a stop; of those of half the sphere, two."""
+def test_estimated_gain_exposes_an_object_as_its_environment() -> None:
+    """Walls of albedo 0.5 all around received twice their radiance: one stop; walls of half the sphere, two."""
     thing = ball(0.3, diffuse(0.5), rows=16)
     assert ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)], [thing]), device="cpu") == pytest.approx(
         1.0, abs=0.11
@@ -73,7 +73,7 @@ def test_the_gain_that_is_found_exposes_an_object_as_its_surroundings() -> None:
     half = ls.Scene([shell(0.5, half=True)], [thing])
     assert ls.avatars.estimate_capture_gain(half, device="cpu") == pytest.approx(2.0, abs=0.11)
     gain = ls.avatars.estimate_capture_gain(ls.Scene([shell(0.5)]), (0.5, 0.0, 0.2), "cpu")
-    lit = shown(ls.Pipeline.PATH, gain, diffuse(0.5))
+    lit = centre_radiance(ls.Pipeline.PATH, gain, diffuse(0.5))
     np.testing.assert_allclose(lit, ((0.5 + 0.055) / 1.055) ** 2.4, rtol=0.1)
 
 
@@ -85,6 +85,6 @@ def test_the_gain_that_is_found_exposes_an_object_as_its_surroundings() -> None:
     ],
 )
 def test_scenes_without_captured_light_are_refused(scene: ls.Scene, said: str) -> None:
-    """In one line that says what is missing."""
+    """The message is one line that says what is missing."""
     with pytest.raises(ls.SceneError, match=said):
         ls.avatars.estimate_capture_gain(scene, device="cpu")

@@ -1,4 +1,4 @@
-"""What is left of captured colours in the shadow of several lights, by hand."""
+"""Captured colours in the shadow of several lights, against hand-computed factors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.scenes.light_room import captured
 
 
 def receivers(points: npt.ArrayLike, linear: tuple[float, float, float] = (0.4, 0.4, 0.4)) -> ls.Gaussians:
-    """One colour at some points."""
+    """Gaussians of one colour at some points."""
     return captured(np.atleast_2d(points), np.array(linear))
 
 
@@ -27,8 +27,8 @@ def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.floating]:
     return decode_srgb(gaussians.sh[:, 0].astype(np.float64) * SH_C0 + 0.5)
 
 
-def test_one_light_leaves_its_transmittance() -> None:
-    """As in the paper: with nothing but that light, colours become T times as bright."""
+def test_shadow_of_one_light_multiplies_colors_by_transmittance() -> None:
+    """As in the paper, with no other light."""
     transmittance = np.array([0.0, 0.25, 0.5, 1.0])
     lit = receivers(np.eye(4)[:, :3])
     dark = ls.avatars.shadowed(lit, [ls.LightPoint((0, 0, 5))], transmittance[None])
@@ -36,8 +36,8 @@ def test_one_light_leaves_its_transmittance() -> None:
     np.testing.assert_array_equal(dark.sh[3], lit.sh[3])
 
 
-def test_lights_count_by_their_irradiance_in_each_channel() -> None:
-    """A red light at 2 and a white one at 1, both of 4 candela: red has shares 1/5 and 4/5, green only the white."""
+def test_lights_are_weighted_by_irradiance_per_channel() -> None:
+    """A red light at 2 and a white one at 1, both of 4 candela: red has fractions 1/5 and 4/5, green only the white."""
     red, white = ls.LightPoint((2, 0, 0), (1, 0, 0), 4.0), ls.LightPoint((0, 1, 0), (1, 1, 1), 4.0)
     lit = receivers((0.0, 0.0, 0.0))
     dark = linear(ls.avatars.shadowed(lit, [red, white], [[0.0], [1.0]]))[0] / 0.4
@@ -46,8 +46,8 @@ def test_lights_count_by_their_irradiance_in_each_channel() -> None:
     np.testing.assert_allclose(dark, 1.0 - 0.5 * np.array([0.2 * 0.5 + 0.8 * 0.9, 0.9, 0.9]), atol=1e-5)
 
 
-def test_where_no_light_arrives_nothing_is_taken() -> None:
-    """Behind a spot's cone there is no light of it to block; a channel that no light has keeps its bits."""
+def test_colors_without_light_are_unchanged() -> None:
+    """Outside a spot's cone no light can be blocked; a channel without light keeps its bits."""
     spot = ls.LightSpot((0, 0, 0), (0, 0, 1), color=(1, 1, 0), intensity=3.0)
     lit = receivers([(0, 0, -1), (0, 0, 1)])
     dark = ls.avatars.shadowed(lit, [spot], [[0.0, 0.0]])
@@ -56,8 +56,8 @@ def test_where_no_light_arrives_nothing_is_taken() -> None:
     assert linear(dark)[1, :2].max() < 1e-5
 
 
-def test_instances_are_where_they_stand() -> None:
-    """The shares of two lights follow an instance's transform; it keeps all but its colours."""
+def test_instance_transforms_are_respected() -> None:
+    """The fractions of two lights follow the transform; the instance keeps everything but its colours."""
     pose = np.diag([2.0, 2.0, 2.0, 1.0])
     pose[0, 3] = 1.0
     instance = ls.SplatInstance(receivers((1.0, 0.0, 0.0)), pose, name="floor", sh_degree=1)
@@ -68,8 +68,8 @@ def test_instances_are_where_they_stand() -> None:
     np.testing.assert_array_equal(dark.transform, pose)
 
 
-def test_nothing_in_the_way_is_the_same_object() -> None:
-    """However many lights: shares that sum to a rounding off 1 take nothing."""
+def test_unshadowed_set_is_the_same_object() -> None:
+    """With any number of lights, fractions that sum to 1 up to rounding change nothing."""
     rng = np.random.default_rng(0)
     lit = receivers(rng.random((1000, 3)))
     lights = [ls.LightPoint(tuple(rng.normal(size=3) * 3), tuple(rng.random(3)), 1.0 + rng.random()) for _ in range(7)]
@@ -95,8 +95,8 @@ def test_nothing_in_the_way_is_the_same_object() -> None:
          ((math.cos(math.pi / 4) - math.cos(1.0)) / (math.cos(0.5) - math.cos(1.0))) ** 2),
     ],
 )  # fmt: skip
-def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None:
-    """At the origin, by each light's definition."""
+def test_irradiance_of_each_light_type(light: ls.LightPoint, expected: float) -> None:
+    """The values at the origin follow each light's definition."""
     np.testing.assert_allclose(facing_irradiance(light, np.zeros((1, 3)))[0], np.array([1, 0.5, 0]) * expected)
 
 
@@ -114,8 +114,8 @@ def test_irradiance_of_each_light(light: ls.LightPoint, expected: float) -> None
         ({"direct": 1.5}, ls.ConfigError, "direct is 1.5"),
     ],
 )
-def test_bad_shadows_are_told(change: dict[str, Any], error: type[Exception], said: str) -> None:
-    """What does not fit."""
+def test_invalid_arguments_are_refused(change: dict[str, Any], error: type[Exception], said: str) -> None:
+    """The message names the argument."""
     arguments: dict[str, Any] = {
         "receivers": receivers([(0, 0, 0), (1, 0, 0)]),
         "lights": [ls.LightPoint((0, 0, 3))],
@@ -125,8 +125,8 @@ def test_bad_shadows_are_told(change: dict[str, Any], error: type[Exception], sa
         ls.avatars.shadowed(**arguments)
 
 
-def test_actors_far_from_zero_cast_the_shadows_that_they_cast_at_zero() -> None:
-    """At 5e6, where float32 is 0.5 apart: of a ball over a floor of Gaussians."""
+def test_shadows_far_from_the_origin_equal_those_at_the_origin() -> None:
+    """At 5e6, where float32 is 0.5 apart, a ball casts the same shadow on a floor of Gaussians."""
     rng = np.random.default_rng(6)
     floor = np.column_stack([rng.uniform(-1.0, 1.0, (300, 2)), np.zeros(300)])
     ball = 0.2 * rng.normal(size=(80, 3)) / 2.0

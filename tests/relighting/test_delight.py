@@ -1,4 +1,4 @@
-"""Light taken out of captures: its parts against mathematics, and small captures whose materials are known."""
+"""Material estimation: its parts against analytic results, and small captures with known materials."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ RNG = np.random.default_rng(5)
 
 
 def colored(gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
-    """The set with captured colours of a radiance, and nothing else."""
+    """The set with captured colours of a radiance, and no view dependence."""
     sh = (encode_srgb(linear) - 0.5) / SH_CONSTANT
     return replace(gaussians, sh=sh[:, None].astype(np.float32), albedo=None, roughness=None, normals=None)
 
@@ -37,21 +37,21 @@ def colored(gaussians: ls.Gaussians, linear: np.ndarray) -> ls.Gaussians:
 def incident_of(
     gaussians: ls.Gaussians, normals: np.ndarray, cells: EnvironmentCells, emitters: np.ndarray
 ) -> Irradiance:
-    """What shines on the Gaussians of a set."""
+    """Irradiance of the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, cells)
 
 
 @pytest.fixture(scope="module")
 def ball() -> tuple[ls.Gaussians, np.ndarray]:
-    """A ball of Gaussians with bands of albedo in the open, and that albedo."""
+    """A ball of Gaussians with bands of albedo, and that albedo."""
     plain = ls.gaussians_from_mesh(ls.sphere(1.0), 700)
     albedo = np.where((np.sin(6.0 * plain.means[:, 1]) > 0.0)[:, None], (0.8, 0.5, 0.3), (0.4, 0.25, 0.15))
     return plain, albedo
 
 
-def test_cells_of_the_sky_tile_it() -> None:
-    """Solid angles add up to the sphere's, also after some are divided, and integrate a cosine to pi."""
+def test_environment_cells_tile_the_sphere() -> None:
+    """Solid angles sum to 4 pi, also after some cells are divided, and the cells integrate a cosine to pi."""
     cells = EnvironmentCells.even(6)
     finer = cells.of(np.arange(2, 36)).joined(cells.of(np.arange(2)).parts(3))
     for some in (cells, finer):
@@ -66,14 +66,14 @@ def test_cells_of_the_sky_tile_it() -> None:
     assert not len(cells.of(np.empty(0, int)).neighbours)
 
 
-def test_a_room_whose_walls_leak_is_a_room() -> None:
-    """As trained ones do; and a ball in the open is none, nor one in haze."""
+def test_room_with_leaking_walls_is_a_room() -> None:
+    """Trained walls leak; a ball in the open, or in haze, is no room."""
     assert is_room(0.5) and is_room(1.0)
     assert not is_room(0.0) and not is_room(0.3)
 
 
 def is_room(opacity: float) -> bool:
-    """Whether a ball within walls of such an opacity, all around, is taken for a room."""
+    """Returns whether a ball inside walls of this opacity counts as a room."""
     walls = ls.gaussians_from_mesh(ls.sphere(3.0), 500)
     walls = replace(walls, opacities=np.full(walls.count, opacity, np.float32))
     capture = colored(ls.merge([ls.gaussians_from_mesh(ls.sphere(1.0), 200), walls]), np.full((700, 3), 0.4))
@@ -82,8 +82,8 @@ def is_room(opacity: float) -> bool:
     return rays.facing(ls.estimate_normals(capture).astype(np.float64), near, None, has_normals=False)[1]
 
 
-def test_sides_spread_over_a_surface_from_one_vote() -> None:
-    """One sure Gaussian turns all that lie in one plane, not those of the wall that stands on it."""
+def test_sides_spread_over_a_plane_from_one_vote() -> None:
+    """The wall that stands on the plane keeps its own."""
     floor = np.stack([*np.meshgrid(np.arange(20.0), np.arange(20.0)), np.zeros((20, 20))], axis=-1).reshape(-1, 3)
     wall = floor[:, [2, 1, 0]] + (-0.5, 0.0, 0.5)
     points = np.concatenate([floor, wall])
@@ -99,8 +99,8 @@ def test_sides_spread_over_a_surface_from_one_vote() -> None:
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
-def test_a_sheet_on_its_own_has_one_side() -> None:
-    """Nothing tells which: both see the open sky alone. Its Gaussians lie with either end of their axes up."""
+def test_isolated_sheet_has_one_consistent_side() -> None:
+    """Both sides are open, and the Gaussians' axes point either way."""
     sheet = ls.gaussians_from_mesh(ls.plane(2.0), 120)
     half_turn = np.array((0.0, 1.0, 0.0, 0.0), np.float32)  # about an axis within the sheet
     lying = np.where((np.arange(sheet.count) % 3 == 0)[:, None], half_turn, (1.0, 0.0, 0.0, 0.0))
@@ -110,8 +110,8 @@ def test_a_sheet_on_its_own_has_one_side() -> None:
     assert normals is not None and len(np.unique(np.sign(normals[:, 1]))) == 1
 
 
-def test_points_lie_on_gaussians() -> None:
-    """On average in their middle, as far out as they are wide, and at the peak along the normal."""
+def test_surface_points_are_distributed_over_gaussians() -> None:
+    """Their mean is the Gaussian's, their spread is its width, and they are at the peak along the normal."""
     turn = np.array((0.8, 0.0, 0.6, 0.0))
     one = ls.Gaussians(
         np.zeros((1, 3), np.float32), turn[None].astype(np.float32), np.array([[0.5, 0.3, 0.01]], np.float32),
@@ -124,8 +124,8 @@ def test_points_lie_on_gaussians() -> None:
     assert np.allclose(points.std(axis=0), (0.25, 0.15, 0.0), atol=0.005)
 
 
-def test_light_of_an_open_sky_and_of_a_white_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """All of the sky's cells light a ball by pi in total; from inside of a ball of one colour, that colour is seen."""
+def test_irradiance_of_open_environment_and_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """All cells together give a ball the irradiance pi; inside a ball of one colour, irradiance has that colour."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
     cells, no_lamps = EnvironmentCells.even(8), np.full(plain.count, -1)
@@ -141,8 +141,8 @@ def test_light_of_an_open_sky_and_of_a_white_furnace(ball: tuple[ls.Gaussians, n
     assert np.allclose(lit, inside.observed + inside.environment.sum(axis=1, keepdims=True), atol=1e-5)
 
 
-def test_a_lamp_lights_by_its_area_and_distance() -> None:
-    """A small lamp above a floor: cos cos area / (pi d^2), and what is below a screen is dark."""
+def test_emitter_irradiance_follows_area_and_distance() -> None:
+    """A small emitter above a floor gives cos cos area / (pi d^2); below a screen it is dark."""
     emitter = ls.transform(ls.gaussians_from_mesh(ls.plane(0.2), 60), _lifted(2.0))
     floor = ls.gaussians_from_mesh(ls.plane(2.0), 200)
     both = ls.merge([colored(emitter, np.ones((emitter.count, 3))), colored(floor, np.full((floor.count, 3), 0.3))])
@@ -164,8 +164,8 @@ def _lifted(height: float) -> np.ndarray:
     return matrix
 
 
-def test_the_light_of_which_albedos_agree_is_found() -> None:
-    """A sky and a lamp that are known, surfaces of two albedos: both are found, to what the prior leaves."""
+def test_light_is_recovered_from_albedo_similarity() -> None:
+    """Environment and emitter of known radiance over surfaces of two albedos are found, up to the prior."""
     cells = EnvironmentCells.even(4)
     sky = RNG.random((900, 16)) * cells.solid_angles
     emitters = RNG.random((900, 1))
@@ -185,8 +185,8 @@ def test_the_light_of_which_albedos_agree_is_found() -> None:
     )
 
 
-def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """A ball under a sky of one radiance shows its albedo: delighting changes it by one factor, in the same order."""
+def test_albedo_in_constant_light_is_recovered(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Delighting a ball in a constant environment changes its albedo by one factor, in the same order."""
     plain, albedo = ball
     captured = colored(plain, albedo)
     found = ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=8, matt=True), device="cpu")
@@ -200,8 +200,8 @@ def test_even_light_and_known_albedo_come_back(ball: tuple[ls.Gaussians, np.ndar
     assert np.allclose(found.sky_image().mean(axis=(0, 1)), found.sky.mean(axis=0), rtol=0.2)
 
 
-def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Light from above alone, by the cosine's closed form: the bands of albedo come back, captured colours do not."""
+def test_shading_is_removed_from_a_ball(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """The light comes from above, by the cosine's closed form: bands of albedo are recovered."""
     plain, albedo = ball
     up = np.asarray(plain.normals)[:, 1].astype(np.float64)
     captured = colored(plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None])  # half of the sky shines
@@ -215,8 +215,8 @@ def test_a_shaded_ball_loses_its_shade(ball: tuple[ls.Gaussians, np.ndarray]) ->
     assert spread(found) < 0.3 * spread(shown)
 
 
-def test_what_was_captured_comes_back_in_its_own_light() -> None:
-    """A dark ball, too, of which half is mirrored: relit by the light that was found, it is what it was."""
+def test_relighting_by_the_estimated_light_gives_the_capture() -> None:
+    """A dark ball, half of whose radiance is specular, is recovered, too."""
     one = ls.gaussians_from_mesh(ls.sphere(1.0), 150)
     both = ls.merge([one, ls.transform(one, translation=(6.0, 0.0, 0.0))])
     is_dark = both.means[:, 0] > 3.0
@@ -237,8 +237,8 @@ def test_what_was_captured_comes_back_in_its_own_light() -> None:
     assert apart[False] < 0.08 and apart[True] > 0.25
 
 
-def test_a_channel_that_would_be_mirrored_is_told(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Saturated colours are paler once they are relit: one dark channel is enough to be counted, unless all is matt."""
+def test_channel_darker_than_its_specular_part_is_flagged(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Saturated colours become paler when relit; one dark channel suffices, unless `matt` is set."""
     captured = colored(ball[0], np.tile((0.6, 0.3, 0.004), (ball[0].count, 1)))
     found, matt = (
         ls.inverse.estimate_materials(captured, ls.DelightConfig(cells=4, matt=matt), device="cpu")
@@ -249,8 +249,8 @@ def test_a_channel_that_would_be_mirrored_is_told(ball: tuple[ls.Gaussians, np.n
     assert not matt.is_too_dark.any()
 
 
-def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Harmonics of degree 1 that are zero: rough. Degree 0: 0.8 to the bit, and nothing is sure."""
+def test_capture_without_view_dependence_is_rough(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Zero SH of degree 1 give a rough surface; SH of degree 0 give 0.8 to the bit with confidence 0."""
     plain, albedo = ball
     flat = colored(plain, albedo)
     sh = np.concatenate([flat.sh, np.zeros((plain.count, 3, 3), np.float32)], axis=1)
@@ -263,8 +263,8 @@ def test_what_looks_the_same_from_all_sides_is_not_glossy(ball: tuple[ls.Gaussia
     assert not unknown.sureness.any()
 
 
-def test_normals_that_came_with_a_capture_stay(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Even where they point inwards, to the bit."""
+def test_given_normals_are_kept_to_the_bit(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """They may point inwards."""
     plain, albedo = ball
     inwards = -np.asarray(plain.normals)
     captured = replace(colored(plain, albedo), normals=inwards)
@@ -272,8 +272,8 @@ def test_normals_that_came_with_a_capture_stay(ball: tuple[ls.Gaussians, np.ndar
     assert np.array_equal(np.asarray(found.normals), inwards)
 
 
-def test_the_same_seed_gives_the_same_bits(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """For any number of threads; another seed differs a little."""
+def test_equal_seeds_give_equal_bits(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """The number of threads does not matter; another seed differs a little."""
     captured = colored(ball[0], ball[1])
     config = ls.DelightConfig(cells=4)
     one = np.asarray(ls.delight(captured, config, device="cpu", threads=1).albedo)
@@ -283,8 +283,8 @@ def test_the_same_seed_gives_the_same_bits(ball: tuple[ls.Gaussians, np.ndarray]
     assert 0.0 < np.abs(other - one).max() < 0.2
 
 
-def test_means_over_neighbours_keep_what_is_even(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """A constant stays; noise shrinks by about the root of the neighbours' number."""
+def test_smoothing_keeps_constants_and_reduces_noise(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Noise shrinks by about the square root of the number of neighbours."""
     plain, _ = ball
     near = neighbours_of(plain)
     smoother = Smoother.of(near, np.asarray(plain.normals, np.float64), np.full(plain.count, -1))
@@ -292,8 +292,8 @@ def test_means_over_neighbours_keep_what_is_even(ball: tuple[ls.Gaussians, np.nd
     assert smoother.mean(RNG.standard_normal((plain.count, 1))).std() < 0.45
 
 
-def test_dark_places_take_albedos_of_neighbours() -> None:
-    """Where no light is, what is beside says what the surface is made of."""
+def test_unlit_gaussians_take_the_albedo_of_neighbours() -> None:
+    """Without light, their own radiance does not determine it."""
     points = np.array([(x, 0.0, 0.0) for x in range(5)])
     albedo = np.array([[0.5] * 3, [0.5] * 3, [9.0] * 3, [0.5] * 3, [0.5] * 3])
     light = np.array([1.0, 1.0, 0.0, 1.0, 1.0])[:, None].repeat(3, axis=1)
@@ -301,10 +301,10 @@ def test_dark_places_take_albedos_of_neighbours() -> None:
     assert np.allclose(steps.filled(albedo, light, near), 0.5, atol=1e-4)
 
 
-def test_what_cannot_be_delighted_is_said(
+def test_captures_without_estimable_materials_are_refused(
     ball: tuple[ls.Gaussians, np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
-    """One line each: no surface, nothing but highlights, wrong kinds; that an albedo is replaced is said."""
+    """One line each: no surface, all white, wrong types. A replaced albedo is reported."""
     plain, albedo = ball
     with pytest.raises(ls.SceneError, match="no surface"):
         ls.delight(replace(colored(plain, albedo), opacities=np.full(plain.count, 0.05, np.float32)))
@@ -323,8 +323,8 @@ def test_what_cannot_be_delighted_is_said(
     assert "albedo of the capture is replaced" in caplog.text
 
 
-def fog(count: int, scale: float, opacity: float) -> ls.Gaussians:
-    """Round Gaussians of one size that fill a ball."""
+def haze(count: int, scale: float, opacity: float) -> ls.Gaussians:
+    """Isotropic Gaussians of one size that fill a ball."""
     rng = np.random.default_rng(3)
     ways = rng.standard_normal((count, 3))
     means = ways * (rng.random(count) ** (1.0 / 3.0) / np.linalg.norm(ways, axis=1))[:, None]
@@ -333,12 +333,12 @@ def fog(count: int, scale: float, opacity: float) -> ls.Gaussians:
 
 
 def flattened(gaussians: ls.Gaussians) -> ls.Gaussians:
-    """Discs that lie in any direction."""
+    """Discs of random orientation."""
     return replace(gaussians, scales=gaussians.scales * np.array([1.0, 1.0, 0.1], np.float32))
 
 
 def thick_wall() -> ls.Gaussians:
-    """Faint discs that all lie alike, spread over a tenth of the extent: what a short training leaves of a wall."""
+    """Faint parallel discs over a tenth of the extent, as a short training leaves of a wall."""
     rng = np.random.default_rng(4)
     means = rng.random((6000, 3)) * (2.0, 2.0, 0.3)
     turns = np.concatenate([np.ones((6000, 1)), 0.2 * rng.standard_normal((6000, 3))], axis=1)
@@ -347,53 +347,53 @@ def thick_wall() -> ls.Gaussians:
 
 
 @pytest.mark.parametrize(("count", "scale", "opacity"), [(3000, 0.03, 0.1), (3000, 0.03, 0.5), (20_000, 0.01, 0.5)])
-def test_fog_has_no_surface(count: int, scale: float, opacity: float) -> None:
-    """Thin, or of dense Gaussians, few or many: one line says so."""
+def test_haze_has_no_surface(count: int, scale: float, opacity: float) -> None:
+    """Thin or dense, of few or many Gaussians, it is refused in one line."""
     with pytest.raises(ls.SceneError, match="no surface to estimate materials of: Gaussians are isotropic"):
-        ls.delight(fog(count, scale, opacity), device="cpu")
+        ls.delight(haze(count, scale, opacity), device="cpu")
 
 
-def is_fog_to(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> bool:
-    """Whether it is refused."""
+def is_refused(gaussians: ls.Gaussians, renderer: ls.Renderer, seed: int) -> bool:
+    """Returns whether a set counts as haze."""
     return measure_surface(gaussians, renderer, seed).has_no_surface
 
 
-def test_what_stops_rays_at_once_is_no_fog(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Round Gaussians on a surface, large or small; a ball that is full of them, and dense; flat ones in any order."""
+def test_opaque_gaussians_are_no_haze(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Isotropic Gaussians on a surface, a dense ball full of them, and flat ones in any order."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     plain, _ = ball
     largest = float(plain.scales.max())
     for scale in (0.3 * largest, largest, 3.0 * largest):
-        assert not is_fog_to(replace(plain, scales=np.full_like(plain.scales, scale)), renderer, 0)
-    assert is_fog_to(fog(3000, 0.03, 0.5), renderer, 0)
-    assert not is_fog_to(fog(3000, 0.1, 0.5), renderer, 0)
-    thin = fog(3000, 0.03, 0.5)
-    assert not is_fog_to(replace(thin, scales=thin.scales * np.array([1.0, 1.0, 0.3], np.float32)), renderer, 0)
+        assert not is_refused(replace(plain, scales=np.full_like(plain.scales, scale)), renderer, 0)
+    assert is_refused(haze(3000, 0.03, 0.5), renderer, 0)
+    assert not is_refused(haze(3000, 0.1, 0.5), renderer, 0)
+    thin = haze(3000, 0.03, 0.5)
+    assert not is_refused(replace(thin, scales=thin.scales * np.array([1.0, 1.0, 0.3], np.float32)), renderer, 0)
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
-def test_captures_of_others_are_no_fog(data_dir: Path, name: str) -> None:
-    """Few of their Gaussians are round; if all were, half of the rays would still lose most of their light at once."""
+def test_external_captures_are_no_haze(data_dir: Path, name: str) -> None:
+    """Few of their Gaussians are isotropic; even if all were, half of the rays would end at once."""
     capture = ls.load(data_dir / "splats" / name)
     assert isinstance(capture, ls.Gaussians)
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     round_ones = replace(capture, scales=capture.scales.max(axis=1, keepdims=True).repeat(3, axis=1))
-    assert not is_fog_to(capture, renderer, 0) and not is_fog_to(round_ones, renderer, 0)
+    assert not is_refused(capture, renderer, 0) and not is_refused(round_ones, renderer, 0)
 
 
 @pytest.mark.parametrize(
     ("capture", "fault"),
     [
-        (fog(3000, 0.1, 0.9), "100% of its Gaussians, by area, are round"),
-        (fog(20_000, 0.02, 0.9), "100% of its Gaussians, by area, are round"),
-        (flattened(fog(3000, 0.1, 0.9)), "normals of neighbouring Gaussians differ as if they were random"),
-        (flattened(fog(3000, 0.03, 0.5)), "normals of neighbouring Gaussians differ as if they were random"),
+        (haze(3000, 0.1, 0.9), "100% of its Gaussians, by area, are round"),
+        (haze(20_000, 0.02, 0.9), "100% of its Gaussians, by area, are round"),
+        (flattened(haze(3000, 0.1, 0.9)), "normals of neighbouring Gaussians differ as if they were random"),
+        (flattened(haze(3000, 0.03, 0.5)), "normals of neighbouring Gaussians differ as if they were random"),
         (thick_wall(), "of their transmittance away from their depth"),
     ],
-    ids=["dense fog", "dense fog of many", "flat ones", "thin fog of flat ones", "a thick wall"],
+    ids=["dense haze", "dense haze of many", "flat ones", "thin haze of flat ones", "a thick wall"],
 )
-def test_what_has_no_clear_surface_is_announced(capture: ls.Gaussians, fault: str, caplog: Any) -> None:
-    """In one line that says what to do, before the work of `delight`; and when others light it."""
+def test_unclear_surface_is_reported_with_advice(capture: ls.Gaussians, fault: str, caplog: Any) -> None:
+    """The line comes before the work of `delight`, and when a light fit lights the capture."""
     remark = ls.inverse.surface_remark(capture, device="cpu")
     assert remark is not None and fault in remark and "--flatness 0.3" in remark
     stop: list[str] = []
@@ -407,8 +407,8 @@ def test_what_has_no_clear_surface_is_announced(capture: ls.Gaussians, fault: st
     assert [record.message for record in caplog.records] == [remark] and stop == ["delighting, finding sides"]
 
 
-def test_progress_is_one_line_over_all_stages(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """It never goes back, names each stage, and ends at 1."""
+def test_progress_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """It ends at 1."""
     reported: list[tuple[str, float]] = []
     ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
     ours = [(label, share) for label, share in reported if label.startswith("delighting")]
@@ -418,8 +418,8 @@ def test_progress_is_one_line_over_all_stages(ball: tuple[ls.Gaussians, np.ndarr
     assert list(stages)[:3] == ["finding sides", "tracing the light", "finding the light"]
 
 
-def test_the_light_is_found_by_one_thread_of_blas(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """More would change the last bits of the result, and wait for each other where cores are busy."""
+def test_light_is_fitted_with_one_blas_thread(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """More threads would change the last bits, and wait for each other on busy cores."""
     threads: set[object] = set()
 
     def report(label: str, share: float) -> None:
@@ -433,7 +433,7 @@ def test_the_light_is_found_by_one_thread_of_blas(ball: tuple[ls.Gaussians, np.n
 
 @pytest.mark.parametrize("count", [64, 300, 3000])
 def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
-    """Few or many, on bodies and thin sheets, with normals and without."""
+    """There are few or many, on bodies and thin sheets, with normals and without."""
     for mesh in (box(2.0), sphere(1.0, rows=12), plane(3.0, 2.0)):
         gaussians = ls.gaussians_from_mesh(mesh, count)
         for one in (gaussians, replace(gaussians, normals=None)):
@@ -441,21 +441,21 @@ def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
-def test_captures_of_others_have_a_surface(data_dir: Path, name: str) -> None:
-    """Nothing is said of them."""
+def test_external_captures_have_a_surface(data_dir: Path, name: str) -> None:
+    """There is no remark on them."""
     assert (
         ls.inverse.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
     )
 
 
 def scene_of(*meshes: ls.Mesh) -> ls.Gaussians:
-    """Grey Gaussians of meshes, whose normals have to be found."""
+    """Grey Gaussians of meshes without normals."""
     sets = [replace(ls.gaussians_from_mesh(mesh, 500), normals=None, albedo=None, roughness=None) for mesh in meshes]
     return ls.editing.limit_sh_degree(sets[0] if len(sets) == 1 else ls.merge(sets), 0)
 
 
 def walls(*leave_out: int) -> list[ls.Mesh]:
-    """The sides of a cube about the origin, but for some, as sheets."""
+    """The sides of a cube about the origin as sheets, except some."""
     x, y, z = np.eye(3)
     sides = [(axis, sign, u, v) for axis, u, v in ((y, z, x), (x, y, z), (z, x, y)) for sign in (-1.0, 1.0)]
     kept = [side for number, side in enumerate(sides) if number not in leave_out]
@@ -477,15 +477,15 @@ ALONE, GROUND, WALL = sphere(0.5), plane(6.0, 6.0), walls()[0]
     ],
     ids=["furnished room", "room without a side", "corner", "object", "object on the ground", "before a wall"],
 )
-def test_what_is_closed_is_a_room_and_all_else_open(meshes: list[ls.Mesh], inside: bool) -> None:
-    """A remark says which, and what is done about light from where the capture shows nothing."""
+def test_only_closed_captures_are_rooms(meshes: list[ls.Mesh], inside: bool) -> None:
+    """A remark says which, and how the light that the capture does not show was treated."""
     found = ls.inverse.estimate_materials(scene_of(*meshes), ls.DelightConfig(cells=4), device="cpu")
     assert found.is_inside is inside
     assert found.remarks[0].startswith("taken for a closed room" if inside else "taken for an open scene")
 
 
-def test_remarks_tell_what_is_out_of_range(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """Impossible albedos and unexplained colours are counted."""
+def test_remarks_count_impossible_albedos_and_unexplained_colors(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
+    """Each remark gives its fraction of the Gaussians."""
     plain, _ = ball
     n = plain.count
     half = np.arange(n) < n // 2

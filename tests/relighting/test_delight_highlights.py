@@ -1,4 +1,4 @@
-"""Roughness from highlights: tables against the books' equations, and surfaces whose roughness is known."""
+"""Roughness from highlights: tables against textbook equations, and surfaces of known roughness."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def lobes() -> Lobes:
     return Lobes.of(3)
 
 
-def test_tables_are_the_books_equations(lobes: Lobes) -> None:
-    """Both parts, each roughness: means over a bin's directions, weighted by cosines, in float64."""
+def test_lobe_tables_match_the_equations(lobes: Lobes) -> None:
+    """Both parts at each roughness are cosine-weighted means over a bin's directions, in float64."""
     samples = bin_samples()
     spread = SPREAD_SHARE**2 * 2.0 * np.pi / (samples.shape[0] * samples.shape[1])
     cosines = samples[..., 2]
@@ -58,12 +58,12 @@ def test_tables_are_the_books_equations(lobes: Lobes) -> None:
         wide = float(np.sqrt(roughness**4 + spread))
         highlight = np.pi * bsdf_oracle.pbr_specular(material(wide), Z, view, light)[..., 0]
         matt = np.pi * bsdf_oracle.pbr_diffuse(material(roughness**2), Z, view, light)[..., 0]
-        for found, values in ((lobes.highlight, highlight), (lobes.matt, matt)):
+        for table, values in ((lobes.highlight, highlight), (lobes.matt, matt)):
             expected = (values * cosines[rows]).sum(axis=-1) / cosines[rows].sum(axis=-1)
-            assert np.allclose(found[number, ::5][:, rows], expected, rtol=2e-4, atol=2e-5)
+            assert np.allclose(table[number, ::5][:, rows], expected, rtol=2e-4, atol=2e-5)
 
 
-def test_frames_and_bins_agree() -> None:
+def test_local_frames_and_bins_are_consistent() -> None:
     """Frames are rotations that take z to the normals; every sample of a bin is found in it."""
     normals = even_directions(50)
     frames = frames_of(normals)
@@ -75,8 +75,8 @@ def test_frames_and_bins_agree() -> None:
     assert np.array_equal(bins_of(samples.reshape(-1, 3)), numbers)
 
 
-def test_harmonics_keep_what_they_can_show(lobes: Lobes) -> None:
-    """Degree 1 comes through to the ridge; a function of degree 6 hardly does; degree 0 keeps the mean alone."""
+def test_sh_projection_keeps_representable_functions(lobes: Lobes) -> None:
+    """Degree 1 passes up to the ridge; a function of degree 6 hardly does; degree 0 keeps the mean only."""
     low = sh_basis(lobes.views, 1)[:, 1:]
     assert np.abs(sh_projection(lobes.views, 3) @ low - low).max() < 0.02
     high = np.cos(12.0 * np.arctan2(lobes.views[:, 1], lobes.views[:, 0]))
@@ -84,8 +84,8 @@ def test_harmonics_keep_what_they_can_show(lobes: Lobes) -> None:
     assert np.allclose(sh_projection(lobes.views, 0), 1.0 / len(lobes.views))
 
 
-def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
-    """From the sky and from the capture, each cell's irradiance in the bin of its direction; nothing is lost."""
+def test_irradiance_is_binned_by_direction() -> None:
+    """From environment and capture, each cell's irradiance is in the bin of its direction; nothing is lost."""
     normals = even_directions(9)
     cells = EnvironmentCells.even(4)
     rng = np.random.default_rng(2)
@@ -106,9 +106,9 @@ def test_light_is_sorted_into_the_bins_above_gaussians() -> None:
 def glossy(
     roughness: float, degree: int, noise: float = 0.0, turns: float = 0.0
 ) -> tuple[ls.Gaussians, np.ndarray, np.ndarray]:
-    """Gaussians of one material below a bright patch, as the float64 equations show them; normals, light of bins.
+    """Gaussians of one material below a bright patch by the float64 equations; their normals and binned light.
 
-    They lie on a ball that turns by so many radians, ``turns``, within a standard deviation of each; 0: far apart.
+    They lie on a ball whose normal turns by ``turns`` radians within a standard deviation of each; 0: far apart.
     """
     rng = np.random.default_rng(3)
     count = 30
@@ -146,7 +146,7 @@ def glossy(
 
 
 def turned_normals(spread: float) -> list[tuple[float, np.ndarray]]:
-    """Normals around z whose slopes are normally distributed, by Gauss and Hermite, and how much they count."""
+    """Normals around z with normally distributed slopes, by Gauss-Hermite quadrature, and their weights."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(5 if spread else 1)
     weights = weights / weights.sum()
     pairs = [(i, j) for i in range(len(nodes)) for j in range(len(nodes)) if weights[i] * weights[j] > 1e-3]
@@ -161,7 +161,7 @@ def turned_normals(spread: float) -> list[tuple[float, np.ndarray]]:
 def radiance_of(
     roughness: float, normal: np.ndarray, views: np.ndarray, light: np.ndarray, power: np.ndarray
 ) -> np.ndarray:
-    """What a brown surface shows to views, linear, (V, 3); nothing to those behind it."""
+    """Radiance of a brown surface towards views, linear, (V, 3); 0 for views behind it."""
     arriving = power * np.maximum(light @ normal, 0.0)
     lit, seen = arriving > 0.0, views @ normal > 0.0
     wide = float(np.sqrt(roughness**4 + SPREAD_SHARE**2 * 2.0 * np.pi / len(light)))
@@ -173,33 +173,31 @@ def radiance_of(
     return shown
 
 
-def found(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndarray, reach: float = 0.01) -> Roughness:
-    """What is found with neighbours so far away, in distances from the middle."""
+def fitted_roughness(plain: ls.Gaussians, normals: np.ndarray, arriving: np.ndarray, reach: float = 0.01) -> Roughness:
+    """Fits roughness with neighbours within this distance, relative to the distance from the centre."""
     means = plain.means.astype(np.float64)
     near = cross_pairs(means, means, reach * float(np.linalg.norm(means[0])))
     return RoughnessFit(plain, normals, near, Lobes.of(plain.sh_degree)).fitted(arriving)
 
 
 @pytest.mark.parametrize("roughness", [0.3, 0.5, 0.7])
-def test_a_known_roughness_is_found(roughness: float) -> None:
-    """From harmonics of degree 3 of what the equations show in any frame; with noise of 1 of 255, too."""
-    rough = found(*glossy(roughness, 3, 1.0 / 255.0))
+def test_known_roughness_is_recovered(roughness: float) -> None:
+    """SH of degree 3 represent the equations' radiance in any frame, also with noise of 1 of 255."""
+    rough = fitted_roughness(*glossy(roughness, 3, 1.0 / 255.0))
     assert np.abs(rough.value - roughness).max() < 0.05
     assert rough.confidence.min() > 0.8
 
 
 @pytest.mark.parametrize(("roughness", "turns", "near", "flat"), [(0.5, 0.15, 0.03, 0.06), (0.6, 0.2, 0.1, 0.11)])
-def test_what_curvature_blurs_is_not_taken_for_roughness(
-    roughness: float, turns: float, near: float, flat: float
-) -> None:
-    """What normals within a Gaussian show together: on balls, nearly the same roughness; as if flat, a rougher one."""
+def test_curvature_is_not_mistaken_for_roughness(roughness: float, turns: float, near: float, flat: float) -> None:
+    """On balls, roughness is nearly right; the same colours taken for a flat surface give a rougher one."""
     case = glossy(roughness, 3, 1.0 / 255.0, turns)
-    assert np.abs(found(*case, 0.9).value - roughness).max() < near
-    assert np.median(found(*case).value) > roughness + flat
+    assert np.abs(fitted_roughness(*case, 0.9).value - roughness).max() < near
+    assert np.median(fitted_roughness(*case).value) > roughness + flat
 
 
-def test_normals_vary_as_surfaces_turn() -> None:
-    """On a ball, by its curvature times the scale; on a plane, by the back of a sheet, and alone not at all."""
+def test_normal_variance_follows_curvature() -> None:
+    """On a ball, it is curvature times scale, squared; on a plane, beside a sheet's back, and in isolation it is 0."""
     ball = ls.gaussians_from_mesh(ls.sphere(2.0), 800)
     normals = np.asarray(ball.normals, np.float64)
     expected = np.square(ball.scales.max(axis=1) / 2.0)
@@ -211,8 +209,8 @@ def test_normals_vary_as_surfaces_turn() -> None:
     assert normal_variances(ball, normals, alone).max() < 1e-12
 
 
-def test_rougher_lobes_stand_for_curved_surfaces() -> None:
-    """Interpolated on the grid: shares add up, a plane keeps all, and variances add to those of slopes."""
+def test_widened_lobes_add_normal_variance() -> None:
+    """Weights sum to 1, a plane keeps its roughness, and variances add to those of the slopes."""
     grid = np.array(ROUGHNESS_GRID)
     variances = np.array((0.0, 0.005, 0.05))
     shares = widened(variances)
@@ -222,22 +220,25 @@ def test_rougher_lobes_stand_for_curved_surfaces() -> None:
     assert np.allclose(shares @ grid, expected)
 
 
-def test_what_harmonics_do_not_hold_is_not_claimed() -> None:
-    """Degree 0 leaves the prior, to the bit; the sharpest are only said to be sharp; lower degrees are less sure."""
-    unknown = found(*glossy(0.4, 0))
+def test_confidence_is_low_where_sh_cannot_show_highlights() -> None:
+    """Degree 0 leaves the prior to the bit; the sharpest roughness is only known to be small."""
+    unknown = fitted_roughness(*glossy(0.4, 0))
     assert (unknown.value == np.float32(ROUGHNESS_UNKNOWN)).all()
     assert unknown.confidence.max() < 1e-9
-    assert found(*glossy(0.15, 3)).value.max() < 0.35
-    assert found(*glossy(0.4, 1, 0.02)).confidence.mean() < found(*glossy(0.4, 3, 0.02)).confidence.mean()
+    assert fitted_roughness(*glossy(0.15, 3)).value.max() < 0.35
+    assert (
+        fitted_roughness(*glossy(0.4, 1, 0.02)).confidence.mean()
+        < fitted_roughness(*glossy(0.4, 3, 0.02)).confidence.mean()
+    )
 
 
-def test_noise_is_not_taken_for_highlights() -> None:
-    """Colours that change with the direction by chance alone make nothing sharp, and nothing sure."""
+def test_noise_is_not_mistaken_for_highlights() -> None:
+    """Random view dependence gives neither small roughness nor high confidence."""
     plain, normals, arriving = glossy(1.0, 3)
     rng = np.random.default_rng(8)
     sh = plain.sh.copy()
     sh[:, 1:] += 0.1 * rng.standard_normal(sh[:, 1:].shape)
     noisy = ls.Gaussians(plain.means, plain.rotations_wxyz, plain.scales, plain.opacities, sh)
-    rough = found(noisy, normals, arriving)
+    rough = fitted_roughness(noisy, normals, arriving)
     assert np.median(rough.value) > 0.65
     assert np.median(rough.confidence) < 0.6

@@ -1,4 +1,4 @@
-"""Light that is taken out of captures: lamps, how bright a sky is, its image, and what is seen from most sides."""
+"""Estimated light of captures: emitters, brightness of the environment, its image, and median radiance."""
 
 from __future__ import annotations
 
@@ -21,34 +21,34 @@ from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 LAMP, FLOOR = 60, 200
 
 
-def shown(gaussians: ls.Gaussians, linear: float) -> ls.Gaussians:
+def with_color(gaussians: ls.Gaussians, linear: float) -> ls.Gaussians:
     """The set with one captured colour."""
     sh = np.full((gaussians.count, 1, 3), (float(encode_srgb(np.array(linear))) - 0.5) / SH_C0, np.float32)
     return replace(gaussians, sh=sh, albedo=None, roughness=None, normals=None)
 
 
-def lamp_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
+def emitter_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
     """A white square that faces down, a dark floor, perhaps a black screen between them; and normals."""
     sets = [
         ls.transform(ls.gaussians_from_mesh(ls.plane(0.5, 0.5), LAMP), translation=(0.0, 1.0, 0.0)),
         ls.gaussians_from_mesh(ls.plane(2.0, 2.0), FLOOR),
         ls.transform(ls.gaussians_from_mesh(ls.plane(1.5, 1.5), FLOOR), translation=(0.0, 0.5, 0.0)),
     ]
-    colored = [shown(one, linear) for one, linear in zip(sets, (1.0, 0.001, 0.0), strict=True)]
+    colored = [with_color(one, linear) for one, linear in zip(sets, (1.0, 0.001, 0.0), strict=True)]
     both = ls.merge(colored if screen else colored[:2])
     down = np.arange(both.count)[:, None] < LAMP
     return both, np.where(down, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 
 
 def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray) -> Irradiance:
-    """What shines on the Gaussians of a set."""
+    """Irradiance of the Gaussians of a set."""
     renderer = ls.create_renderer(ls.RenderConfig(pipeline=ls.Pipeline.TRACE, lighting=False), "cpu")
     return IncidentRays(gaussians, renderer, 0).incident(normals, emitters, EnvironmentCells.even(8))
 
 
-def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
-    """What is a lamp is not seen as well: the floor sees it as white if it is none, and else nothing but the dark."""
-    both, normals = lamp_over_floor()
+def test_emitter_light_is_not_counted_twice() -> None:
+    """As an emitter, the square is not part of the observed irradiance; as a white surface, it is."""
+    both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
     assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
     as_white, as_lamp = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
@@ -60,9 +60,9 @@ def test_the_light_of_a_lamp_is_not_counted_twice() -> None:
     np.testing.assert_array_equal(as_lamp.environment, as_white.environment)
 
 
-def test_lamps_shine_on_one_side_and_cast_shadows() -> None:
-    """What is below a screen is dark; above a lamp that faces down, as well."""
-    both, normals = lamp_over_floor(screen=True)
+def test_emitters_are_one_sided_and_cast_shadows() -> None:
+    """It is dark below a screen, and above an emitter that faces down."""
+    both, normals = emitter_over_floor(screen=True)
     groups = emitters_of(both, is_white(both, normals))
     lit = incident(both, normals, groups).emitters[:, 0]
     floor, screen = lit[LAMP : LAMP + FLOOR], lit[LAMP + FLOOR :]
@@ -73,15 +73,15 @@ def test_lamps_shine_on_one_side_and_cast_shadows() -> None:
     assert not incident(above, facing_it, groups).emitters[LAMP:].any()
 
 
-def test_what_does_not_show_is_no_lamp() -> None:
-    """A white group of opacity 0, as formats with 8 bits have it, has no area from which light could come."""
-    both, normals = lamp_over_floor()
+def test_transparent_white_gaussians_are_no_emitter() -> None:
+    """With opacity 0, as 8-bit formats store it, they have no area."""
+    both, normals = emitter_over_floor()
     clear = replace(both, opacities=np.where(np.arange(both.count) < LAMP, 0.0, both.opacities))
     assert (emitters_of(clear, is_white(clear, normals)) == -1).all()
 
 
-def test_a_sun_is_found_where_it_stands() -> None:
-    """Cells that shine most are divided: a ball in the sun loses its shade, by a sky whose brightest cell is there."""
+def test_sun_is_located_by_refined_cells() -> None:
+    """The brightest cells are divided: a ball in the sun loses its shading, and the brightest cell is the sun's."""
     plain = ls.gaussians_from_mesh(ls.sphere(1.0), 400)
     albedo = np.where(np.sin(6.0 * plain.means[:, 1]) > 0.0, 0.8, 0.4)
     sun = np.array((0.3, 0.8, 0.52)) / np.linalg.norm((0.3, 0.8, 0.52))  # beside the middle of any of 16 cells
@@ -94,8 +94,8 @@ def test_a_sun_is_found_where_it_stands() -> None:
     assert np.log(np.asarray(found.gaussians.albedo).mean(axis=1) / albedo).std() < 0.1
 
 
-def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
-    """0.8 at the 95th percentile of the lightest channel, whatever else shines on them; the sky keeps its colours."""
+def test_lightest_surfaces_get_a_typical_albedo() -> None:
+    """It is 0.8 at the 95th percentile of the largest channel, whatever other light arrives."""
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
@@ -111,8 +111,8 @@ def test_the_lightest_surfaces_get_a_usual_albedo() -> None:
     assert np.quantile(lightest, 0.95) == pytest.approx(0.8, rel=0.01)
 
 
-def test_surfaces_that_are_hidden_from_a_lamp_do_not_tell_how_bright_it_is() -> None:
-    """Fog lets a tenth of the Gaussians have a fifth of a lamp's light, as it is found: it stays as bright as it is."""
+def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
+    """Haze leaves a tenth of the Gaussians a fifth of the light."""
     rng = np.random.default_rng(3)
     lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))  # 0.8: the 95th percentile
     outgoing = albedo * (0.2 + 30.0 * lit) * np.ones(3)
@@ -125,8 +125,8 @@ def test_surfaces_that_are_hidden_from_a_lamp_do_not_tell_how_bright_it_is() -> 
     assert np.quantile(wanted, 0.95) > 60.0
 
 
-def test_few_surfaces_beside_a_lamp_do_not_tell_how_bright_it_is() -> None:
-    """A dark shade of 1 % of the Gaussians has fifty times as much of its light as the walls, which decide."""
+def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
+    """A dark shade, 1 % of the Gaussians, gets fifty times the light of the walls, which decide."""
     rng = np.random.default_rng(4)
     lit, albedo = rng.uniform(0.02, 0.06, (4000, 1)), rng.uniform(0.1, 0.84, (4000, 1))
     lit[:40], albedo[:40] = 2.0, 0.05
@@ -135,10 +135,10 @@ def test_few_surfaces_beside_a_lamp_do_not_tell_how_bright_it_is() -> None:
     assert initial_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
 
 
-def test_the_image_of_a_sky_turns_with_its_light() -> None:
-    """However an image stands in the world, the same radiance comes from each direction."""
+def test_environment_image_respects_its_rotation() -> None:
+    """The same radiance comes from each direction, however the image is rotated."""
     cells, sky = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
-    floor = shown(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
+    floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
     found = replace(ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=sky)
     turn = np.array([0.8, 0.4, -0.2, 0.4])
     ways = panorama_directions(40, 80).reshape(-1, 3)
@@ -149,9 +149,9 @@ def test_the_image_of_a_sky_turns_with_its_light() -> None:
     assert np.median(np.abs(plain - sky[nearest])) < 0.01
 
 
-def test_highlights_are_not_what_is_seen_from_most_sides() -> None:
-    """A lobe of harmonics around one direction changes what a matt Gaussian sends by far less than it adds there."""
-    plain = shown(ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 20), 0.2)
+def test_median_radiance_excludes_highlights() -> None:
+    """An SH lobe around one direction changes the median far less than the radiance there."""
+    plain = with_color(ls.gaussians_from_mesh(ls.plane(1.0, 1.0), 20), 0.2)
     towards = np.array([0.5, 0.8, 0.2]) / np.linalg.norm([0.5, 0.8, 0.2])
     lobe = 0.1 * sh_basis(-towards, 3)[:, None] * np.ones(3)
     lobe[0] = 0.0

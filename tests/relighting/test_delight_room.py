@@ -1,4 +1,4 @@
-"""Light taken out of a closed box whose lamp, paints and light are known: what is told of it, and what is flagged."""
+"""Material estimation in a closed box with known emitter, colours and light: accuracy and flags."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ FACTOR = 3.0
 
 
 def too_light(box: CapturedBox) -> int:
-    """That one: of the lighter paint, where most light is the lamp's."""
+    """Index of a Gaussian of the lighter colour, where most light is the emitter's."""
     return int((box.by_lamp[:, 0] * (box.albedo[:, 0] == PAINTS[0, 0])).argmax())
 
 
 @pytest.fixture(scope="module")
 def box() -> CapturedBox:
-    """The box, one Gaussian of which is far too light."""
+    """The box, with one Gaussian that is far too light."""
     plain = captured_box()
     radiance = plain.albedo * plain.irradiance + plain.is_emitter[:, None] * LAMP
     radiance[too_light(plain)] *= FACTOR
@@ -31,47 +31,47 @@ def box() -> CapturedBox:
 
 
 @pytest.fixture(scope="module")
-def found(box: CapturedBox) -> MaterialEstimate:
-    """What is found of it."""
+def estimate(box: CapturedBox) -> MaterialEstimate:
+    """The estimate for the box."""
     config = ls.DelightConfig(cells=5, matt=True, inside=True)
     return ls.inverse.estimate_materials(box.gaussians, config, device="cpu")
 
 
-def test_a_room_has_a_lamp_and_no_sky(box: CapturedBox, found: MaterialEstimate) -> None:
-    """What no wall stops are gaps between Gaussians; the lamp is brighter than could be captured."""
-    assert found.is_inside and not len(found.cells) and found.sky.shape == (0, 3)
-    assert not found.sky_image().any()
-    np.testing.assert_array_equal(found.emitter_of == 0, box.is_emitter)
-    assert found.emitters.shape == (1, 3)
-    assert (found.emitters > 1.5).all() and (found.emitters < 2.0 * LAMP).all()
-    assert np.einsum("ij,ij->i", np.asarray(found.gaussians.normals), box.normals).min() > 0.9
+def test_room_has_an_emitter_and_no_environment(box: CapturedBox, estimate: MaterialEstimate) -> None:
+    """Rays that escape pass gaps between Gaussians; the emitter is brighter than could be recorded."""
+    assert estimate.is_inside and not len(estimate.cells) and estimate.sky.shape == (0, 3)
+    assert not estimate.sky_image().any()
+    np.testing.assert_array_equal(estimate.emitter_of == 0, box.is_emitter)
+    assert estimate.emitters.shape == (1, 3)
+    assert (estimate.emitters > 1.5).all() and (estimate.emitters < 2.0 * LAMP).all()
+    assert np.einsum("ij,ij->i", np.asarray(estimate.gaussians.normals), box.normals).min() > 0.9
 
 
-def test_paints_of_a_room_are_told_apart_from_its_light(box: CapturedBox, found: MaterialEstimate) -> None:
-    """Two paints differ by their ratio, where captured colours of one differ by more, from wall to wall."""
-    albedo, light = np.asarray(found.gaussians.albedo, np.float64), box.albedo[:, 0] == PAINTS[0, 0]
+def test_albedo_of_a_room_is_separated_from_its_light(box: CapturedBox, estimate: MaterialEstimate) -> None:
+    """Two colours differ by their ratio, while captured colours of one differ by more between walls."""
+    albedo, light = np.asarray(estimate.gaussians.albedo, np.float64), box.albedo[:, 0] == PAINTS[0, 0]
     medians = [np.median(albedo[rows & ~box.is_emitter], axis=0) for rows in (light, ~light)]
     np.testing.assert_allclose(medians[0] / medians[1], PAINTS[0] / PAINTS[1], rtol=0.07)
     spread = [np.log(values / box.albedo)[~box.is_emitter].std() for values in (albedo, box.albedo * box.irradiance)]
     assert spread[0] < 0.5 * spread[1]
 
 
-def test_confidence_is_the_share_of_light_that_was_seen(box: CapturedBox, found: MaterialEstimate) -> None:
-    """Beside a lamp that is not known, it is what walls bring: little right below it, all where it does not shine."""
+def test_confidence_is_the_observed_fraction_of_irradiance(box: CapturedBox, estimate: MaterialEstimate) -> None:
+    """Right below the unknown emitter it is small, and where the emitter does not shine it is 1."""
     seen = 1.0 - box.by_lamp.mean(axis=1) / box.irradiance.mean(axis=1)
     walls = ~box.is_emitter
-    assert np.corrcoef(found.confidence[walls], seen[walls])[0, 1] > 0.9
-    assert abs(float(found.confidence[walls].mean() - seen[walls].mean())) < 0.1
-    assert found.confidence[walls & (seen > 0.99)].min() > 0.9
+    assert np.corrcoef(estimate.confidence[walls], seen[walls])[0, 1] > 0.9
+    assert abs(float(estimate.confidence[walls].mean() - seen[walls].mean())) < 0.1
+    assert estimate.confidence[walls & (seen > 0.99)].min() > 0.9
 
 
-def test_what_is_not_explained_is_flagged(box: CapturedBox, found: MaterialEstimate) -> None:
-    """A Gaussian that is too light has albedo 1 and the hue of its paint; its residual is what is left."""
-    walls = ~box.is_emitter & ~found.out_of_range
-    assert found.residual[walls].max() < 1e-5
+def test_unexplained_gaussian_is_flagged(box: CapturedBox, estimate: MaterialEstimate) -> None:
+    """A Gaussian that is too light gets albedo 1 in its hue; its residual is the rest."""
+    walls = ~box.is_emitter & ~estimate.out_of_range
+    assert estimate.residual[walls].max() < 1e-5
     one = too_light(box)
-    assert found.out_of_range[one] and not found.out_of_range[box.is_emitter].any()
-    albedo = np.asarray(found.gaussians.albedo)[one]
+    assert estimate.out_of_range[one] and not estimate.out_of_range[box.is_emitter].any()
+    albedo = np.asarray(estimate.gaussians.albedo)[one]
     assert albedo.max() == 1.0
     np.testing.assert_allclose(albedo / albedo[0], PAINTS[0] / PAINTS[0, 0], rtol=0.1)  # clipped: 1, 1, 0.9
-    assert 0.3 < found.residual[one] < 0.8
+    assert 0.3 < estimate.residual[one] < 0.8

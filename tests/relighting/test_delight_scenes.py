@@ -1,4 +1,4 @@
-"""Captures with light baked in, whose albedo is known (deep): how much of it is found."""
+"""Accuracy of albedo for captures with baked light and known albedo (deep)."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ pytestmark = pytest.mark.deep
 
 @pytest.mark.usefixtures("data_dir")
 @pytest.mark.parametrize("name", ["room", "spot in the sun"])
-def test_albedo_and_new_light(name: str) -> None:
-    """Albedo of 25 dB, captured colours have less than 18; 28 dB in a new light; 60 % of shadows are gone."""
+def test_albedo_and_relit_accuracy(name: str) -> None:
+    """Albedo has 25 dB, where captured colours have less than 18; 28 dB in a new light; 60 % of shadows are removed."""
     figures, _ = measured(CASES[name]("cpu"), "cpu")
     assert figures["captured_db"] < 18.0
     assert figures["albedo_db"] > 25.0

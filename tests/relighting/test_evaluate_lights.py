@@ -1,4 +1,4 @@
-"""``evaluate_materials`` on sets that lamps light, and how relit pictures are made unless it is said."""
+"""``evaluate_materials`` on data sets with local lights, and the default settings of relit images."""
 
 from __future__ import annotations
 
@@ -39,29 +39,31 @@ PATH = ls.RenderConfig(pipeline=ls.Pipeline.PATH)
 
 @pytest.fixture(scope="module")
 def ball() -> ls.Gaussians:
-    """A capture that has all columns."""
+    """A capture with all material columns."""
     return painted_ball()
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory, ball: ls.Gaussians) -> Path:
-    """The set whose truth it is, by lamps; few paths, for no test needs more."""
+    """A data set with the capture as ground truth, lit by local lights, with few paths."""
     folder = write_relightable_set(tmp_path_factory.mktemp("sets") / "set", ball)
     (folder / "relit" / "dusk.exr").unlink()
     (folder / "environment.exr").rename(folder / "lamps.toml")
     (folder / "relit" / "dusk.toml").write_text(LAMPS)
-    show(folder, ball, LIGHTS, replace(PATH, samples=64, jitter=False))  # as captures are relit: by pixel centres
+    render_truth(
+        folder, ball, LIGHTS, replace(PATH, samples=64, jitter=False)
+    )  # as captures are relit: by pixel centres
     return folder
 
 
 @pytest.fixture
 def folder(tmp_path: Path, made: Path) -> Path:
-    """The same for a test to change."""
+    """A copy of the data set that a test may change."""
     return shutil.copytree(made, tmp_path / "set")
 
 
-def show(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfig) -> None:
-    """Makes the true pictures anew."""
+def render_truth(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfig) -> None:
+    """Renders the ground-truth images again."""
     renderer = ls.create_renderer(replace(config, background=None), "cpu")
     scene = relit_scene(ball, lights, (1.0, 1.0, 1.0), 0.5)
     for view in ls.io.load_training_images(folder).held_out:
@@ -69,12 +71,12 @@ def show(folder: Path, ball: ls.Gaussians, lights: tuple, config: ls.RenderConfi
 
 
 def relit(result: ls.inverse.MaterialEvaluation) -> np.ndarray:
-    """What is seen of the capture by the new light, view by view."""
+    """Relit images of the capture under the new light, view by view."""
     return np.stack([view.pictures["relit/dusk"][0] for view in result.views])
 
 
-def test_lamps_of_a_scene_file_relight(folder, ball):
-    """The lights of the file, by 64 paths a pixel unless it is said; another lamp is another picture."""
+def test_lights_of_a_scene_file_relight_the_capture(folder, ball):
+    """The default is 64 paths per pixel; another light gives another image."""
     assert ls.inverse.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
     direct = ls.inverse.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
     assert 20.0 < direct.relit["dusk"].psnr < 55.0
@@ -82,8 +84,8 @@ def test_lamps_of_a_scene_file_relight(folder, ball):
     assert ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
 
 
-def test_an_environment_in_a_room_is_not_compared(folder, ball):
-    """It is said why, and the other figures are there."""
+def test_environment_is_not_compared_under_local_lights(folder, ball):
+    """A remark gives the reason, and the other metrics exist."""
     result = ls.inverse.evaluate_materials(ball, folder, environment=sky(), samples=1, device="cpu")
     assert np.isnan(result.environment_psnr) and result.albedo_psnr > 100.0
     assert result.remarks == (f"the estimated environment is not compared: local lights lit the images of {folder}",)
@@ -97,8 +99,8 @@ def test_an_environment_in_a_room_is_not_compared(folder, ball):
         ("", "dusk.toml"),
     ],
 )
-def test_what_is_no_light_is_refused(folder, ball, text, problem):
-    """In one line that names the file."""
+def test_light_file_with_other_content_is_refused(folder, ball, text, problem):
+    """The message is one line that names the file."""
     ls.save(folder / "relit" / "ball.ply", ball)
     (folder / "relit" / "dusk.toml").write_text(text)
     with pytest.raises(ls.FormatError) as caught:
@@ -106,8 +108,8 @@ def test_what_is_no_light_is_refused(folder, ball, text, problem):
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_masks_leave_lamps_out(folder, ball):
-    """Nonsense where a mask is black changes no figure."""
+def test_masked_pixels_do_not_count(folder, ball):
+    """Nonsense where a mask is black changes no metric."""
     before = ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu")
     text = (folder / "transforms_test.json").read_text()
     for view in ls.io.load_training_images(folder).held_out:
@@ -132,13 +134,13 @@ def test_masks_leave_lamps_out(folder, ball):
     )
 
 
-def test_grain_is_a_small_part_of_the_error_unless_it_is_wanted(folder, ball):
-    """Three small lamps in a dark environment: 64 samples a pixel by default, also of a config that says nothing."""
+def test_default_samples_keep_noise_small(folder, ball):
+    """Three small lights in a dark environment: 64 samples per pixel, also with a config that sets none."""
     file = np.full((16, 32, 3), 0.05, np.float32)
     file[4, 3], file[6, 17], file[3, 25] = 60.0, 40.0, 50.0
     (folder / "relit" / "dusk.toml").unlink()
     write_radiance(folder / "relit" / "dusk.exr", file)
-    show(folder, ball, (ls.LightEnvironment(file, visible=False),), replace(HYBRID, samples=256))
+    render_truth(folder, ball, (ls.LightEnvironment(file, visible=False),), replace(HYBRID, samples=256))
     default = ls.inverse.evaluate_materials(ball, folder, device="cpu")
     few = ls.inverse.evaluate_materials(ball, folder, config=replace(HYBRID, samples=8), device="cpu")
     print("grain, 64 samples:", default.relit["dusk"].psnr, "dB; 8:", few.relit["dusk"].psnr, "dB")

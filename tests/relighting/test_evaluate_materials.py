@@ -1,4 +1,4 @@
-"""``evaluate_materials`` on a set that a capture itself has made, changed in known ways."""
+"""``evaluate_materials`` on a data set made from the capture itself, with known changes."""
 
 from __future__ import annotations
 
@@ -26,31 +26,31 @@ NAMES = ("r_002", "r_003")
 
 @pytest.fixture(scope="module")
 def ball() -> ls.Gaussians:
-    """A capture that has all columns."""
+    """A capture with all material columns."""
     return painted_ball()
 
 
 @pytest.fixture
 def folder(tmp_path: Path, ball: ls.Gaussians) -> Path:
-    """The set whose truth it is."""
+    """A data set with the capture as ground truth."""
     return write_relightable_set(tmp_path / "set", ball)
 
 
 def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = None) -> ls.inverse.MaterialEvaluation:
-    """On the CPU."""
+    """Evaluates on the CPU."""
     return ls.inverse.evaluate_materials(ball, folder, environment=environment, config=CONFIG, device="cpu")
 
 
 def region(folder: Path, view: str) -> np.ndarray:
-    """Where the ball is."""
+    """Pixels that the ball covers."""
     photographs = {photograph.name: photograph for photograph in ls.io.load_training_images(folder).held_out}
     alpha = photographs[view].alpha()
     assert alpha is not None
     return alpha >= 0.5
 
 
-def test_the_truth_is_found_without_error(folder, ball):
-    """All figures, and the pictures."""
+def test_ground_truth_has_no_error(folder, ball):
+    """All metrics and images are checked."""
     result = evaluate(ball, folder, sky())
     np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
     assert result.albedo_psnr > 100.0 and result.albedo_psnr_unscaled > 100.0 and result.albedo_psnr_linear > 100.0
@@ -68,15 +68,15 @@ def test_the_truth_is_found_without_error(folder, ball):
     assert "albedo_psnr=" in repr(result) and "dusk" in repr(result)
 
 
-def test_samples_do_not_blur_what_is_compared(folder, ball):
-    """They average light, and go through the centres of pixels, as Gaussians were learnt."""
+def test_samples_do_not_blur_relit_images(folder, ball):
+    """They average light, but go through pixel centres, as in training."""
     spread = replace(CONFIG, jitter=True)
     result = ls.inverse.evaluate_materials(ball, folder, config=spread, device="cpu")
     assert result.relit["dusk"].psnr > 55.0
 
 
-def test_rays_as_wide_as_pixels_go_through_their_centres(folder, ball):
-    """As splats do; those of antialiased captures are without width, and spread."""
+def test_rays_with_a_footprint_go_through_pixel_centres(folder, ball):
+    """So do splats; rays of antialiased captures have no footprint and are jittered."""
     spread = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=4)
     assert spread.jitter
     for capture, is_spread in ((ball, False), (replace(ball, antialiased=True), True)):
@@ -87,8 +87,8 @@ def test_rays_as_wide_as_pixels_go_through_their_centres(folder, ball):
         assert (by_default != central) == is_spread
 
 
-def test_a_scale_of_albedo_is_recovered(folder, ball):
-    """One a channel for all views; without it the error is that of the factors, as sRGB."""
+def test_albedo_scale_is_recovered(folder, ball):
+    """There is one factor per channel for all views; without it the error is that of the factors in sRGB."""
     factors = np.array([0.5, 0.9, 1.6])
     expected = []
     for view in NAMES:
@@ -104,8 +104,8 @@ def test_a_scale_of_albedo_is_recovered(folder, ball):
     assert result.relit["dusk"].psnr < 35.0, "pictures are relit with the scaled albedo"
 
 
-def test_offsets_give_the_figures_that_they_are(folder, ball):
-    """Display albedo off by 0.1 in one of two views, roughness by 0.1, relit pictures by 0.05."""
+def test_known_offsets_give_the_expected_metrics(folder, ball):
+    """Display albedo is off by 0.1 in one of two views, roughness by 0.1, relit images by 0.05."""
     inside = region(folder, NAMES[0])
     displayed = encode_srgb(read_layer(folder, "albedo", NAMES[0]))
     sign = np.where(np.random.default_rng(0).random(displayed.shape) < 0.5, -0.1, 0.1)
@@ -123,8 +123,8 @@ def test_offsets_give_the_figures_that_they_are(folder, ball):
     assert result.relit["dusk"].psnr == pytest.approx(-20.0 * np.log10(0.05), abs=0.3)
 
 
-def test_normals_at_a_known_angle(folder, ball):
-    """All of the first view by 10 degrees, whichever way: half of the pixels, as both views are as large."""
+def test_rotated_normals_give_their_angle(folder, ball):
+    """All normals of the first view are rotated by 10 degrees: half of the pixels, as both views have equal regions."""
     normal = read_layer(folder, "normal", NAMES[0])
     side = np.cross(normal, (0.3, 0.5, 0.8))
     side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
@@ -136,7 +136,7 @@ def test_normals_at_a_known_angle(folder, ball):
     assert result.normal_mean == pytest.approx(10.0 * counts[0] / sum(counts), abs=1e-2)
 
 
-def test_what_the_object_does_not_cover_does_not_count(folder, ball):
+def test_pixels_outside_the_object_do_not_count(folder, ball):
     """Nonsense outside changes nothing, nonsense inside does."""
     before = evaluate(ball, folder)
     rng = np.random.default_rng(1)
@@ -162,14 +162,14 @@ def test_what_the_object_does_not_cover_does_not_count(folder, ball):
     assert spoilt.relit["dusk"].psnr < 40.0
 
 
-def test_highlights_are_as_strong_as_the_set_says(folder, ball):
-    """A set that is said to be Lambertian is relit without."""
+def test_specular_strength_comes_from_the_data_set(folder, ball):
+    """A data set declared Lambertian is relit without highlights."""
     (folder / "set.json").write_text('{"specular": 0.0}')
     assert evaluate(ball, folder).relit["dusk"].psnr < 50.0
 
 
-def test_captured_colours_stand_for_an_albedo(folder, ball):
-    """Decoded, without view dependence; and said."""
+def test_captured_colors_replace_a_missing_albedo(folder, ball):
+    """They are decoded, without view dependence, and a remark says so."""
     bare = replace(ball, albedo=None, normals=None, roughness=None)
     bare = replace(bare, sh=np.concatenate([bare.sh, np.full((bare.count, 3, 3), 0.05)], axis=1))
     result = evaluate(bare, folder)
@@ -185,8 +185,8 @@ def test_captured_colours_stand_for_an_albedo(folder, ball):
     assert explicit.remarks == result.remarks[1:]
 
 
-def test_what_a_set_lacks_is_said(folder, ball):
-    """No truth of roughness, nothing relit: figures are missing, the others are there."""
+def test_missing_ground_truth_is_reported(folder, ball):
+    """Without roughness and relit images, those metrics are missing, the others exist."""
     for path in (folder / "truth" / "roughness").iterdir():
         path.unlink()
     (folder / "truth" / "roughness").rmdir()
@@ -197,8 +197,8 @@ def test_what_a_set_lacks_is_said(folder, ball):
     assert [line.split(":")[0] for line in result.remarks] == ["no ground truth for roughness", "nothing is relit"]
 
 
-def test_progress_is_told(folder, ball):
-    """From 0 to 1, for layers and for relit pictures."""
+def test_progress_covers_layers_and_relit_images(folder, ball):
+    """It goes from 0 to 1 for each."""
     stored: list[tuple[str, float]] = []
     ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: stored.append(now))
     assert stored[0] == ("comparing layers", 0.0) and stored[-1] == ("relighting", 1.0)
@@ -208,17 +208,17 @@ def test_progress_is_told(folder, ball):
 
 
 def rename(folder: Path, name: str) -> None:
-    """Takes a file away."""
+    """Renames a file away."""
     (folder / name).rename(folder / "elsewhere")
 
 
 def small_layer(folder: Path, name: str) -> None:
-    """Makes a layer of another size."""
+    """Writes a layer of another size."""
     write_layer(folder, name, NAMES[0], np.zeros((8, 8, 3)))
 
 
 def not_finite(folder: Path, name: str) -> None:
-    """Makes a layer of nonsense."""
+    """Writes a layer with NaN."""
     write_layer(folder, name, NAMES[0], np.full((32, 32, 3), np.nan))
 
 
@@ -233,16 +233,16 @@ def not_finite(folder: Path, name: str) -> None:
         (not_finite, "normal", "r_002.exr: has values that are not finite"),
     ],
 )
-def test_incomplete_sets_are_refused(folder, ball, spoil, name, problem):
-    """In one line that names the file."""
+def test_incomplete_data_sets_are_refused(folder, ball, spoil, name, problem):
+    """The message is one line that names the file."""
     spoil(folder, name)
     with pytest.raises(ls.FormatError) as caught:
         evaluate(ball, folder, sky())
     assert problem in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_other_folders_are_refused(tmp_path, ball, folder):
-    """Photographs without a truth, no folder, a broken set.json; and what is no capture or no environment."""
+def test_folders_that_are_no_data_set_are_refused(tmp_path, ball, folder):
+    """Images without ground truth, no folder, a broken set.json; and invalid captures and environments."""
     with pytest.raises(ls.FormatError, match="no such folder"):
         evaluate(ball, tmp_path / "nowhere")
     (folder / "set.json").write_text('{"specular": 3}')
@@ -263,8 +263,8 @@ def test_other_folders_are_refused(tmp_path, ball, folder):
         evaluate(ball, folder, np.zeros((4, 4)))
 
 
-def test_an_environment_is_compared_after_a_scale(folder, ball):
-    """Twice as bright and redder is as good; another one is not."""
+def test_environment_is_compared_after_scaling_channels(folder, ball):
+    """Twice as bright and redder is equally good; another environment is not."""
     assert evaluate(ball, folder, sky() * (2.5, 2.0, 2.0)).environment_psnr > 100.0
     write_radiance(folder / "environment.exr", np.roll(sky(), 8, axis=1))
     assert evaluate(ball, folder, sky()).environment_psnr < 30.0

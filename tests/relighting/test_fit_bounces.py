@@ -1,4 +1,4 @@
-"""Light that bounces: fits by paths, and what comes of light that is taken not to bounce."""
+"""Light fits with indirect light: path tracing, and the bias of fits without bounces."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ PATHS = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=16, max_bounces=4)
 
 @pytest.fixture(scope="module")
 def bounced() -> np.ndarray:
-    """A photograph of a closed room: half of its light has bounced."""
+    """An image of a closed room, half of whose light is indirect."""
     return taken(closed(*three_lamps()), VIEW, replace(PATHS, samples=96, seed=5))
 
 
-def test_a_closed_room_by_paths(bounced):
-    """With a quarter of the default's samples: lamps within 5 %, of a photograph whose light bounces."""
+def test_path_traced_fit_of_a_closed_room(bounced):
+    """With a quarter of the default samples, lights are within 5 %."""
     lamps = three_lamps()
     found = ls.fit_lights(closed(*unknown(*lamps)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu")
     assert_powers(found.lights, lamps, 0.05)
     assert not found.remarks
 
 
-def test_direct_light_alone_takes_bounces_for_lamps(bounced):
-    """Why paths are the default: without bounces, some lamp is wrong by a fifth and more."""
+def test_fit_without_bounces_is_biased(bounced):
+    """Some light is wrong by a fifth and more, which is why path tracing is the default."""
     lamps = three_lamps()
     found = ls.fit_lights(closed(*unknown(*lamps)), VIEW, bounced, config=DIRECT, environment_degree=None, device="cpu")
     off = [
@@ -40,11 +40,11 @@ def test_direct_light_alone_takes_bounces_for_lamps(bounced):
     assert max(off) > 0.2
 
 
-def test_few_samples_do_not_weaken_lights(bounced):
-    """With eight samples, lamps are as strong as they are: within 6 %, and on average within 2 %.
+def test_few_samples_do_not_bias_powers(bounced):
+    """With eight samples, lights are within 6 %, and on average within 2 %.
 
-    Squares of noisy pictures would make them too weak, and robust weights, which take bright specks for what the scene
-    lacks, too strong, by 8 %.
+    Squares of noisy renders would make powers too weak. Robust weights, which take fireflies for objects that the scene
+    lacks, would make them 8 % too strong.
     """
     lamps = three_lamps()
     ratios = []
@@ -62,8 +62,8 @@ def test_few_samples_do_not_weaken_lights(bounced):
     assert abs(np.mean(ratios) - 1.0) < 0.02
 
 
-def test_what_has_bounced_is_averaged_as_far_in_the_scene_at_any_size():
-    """At 64 pixels over 2 to each side, at 128 over 4: as wide as twice that, a lamp was 2.8 % off at 64."""
+def test_averaging_window_scales_with_resolution():
+    """It reaches 2 pixels to each side at 64 pixels, 4 at 128; twice as wide, a light was 2.8 % off at 64."""
     for width, radius in ((64, 2), (128, 4)):
         aovs = ("albedo", "lights", "direct_diffuse", "direct_glossy", "emission")
         frame = ls.render(closed(), view(width, 48), replace(PATHS, samples=1, aovs=aovs), device="cpu")
@@ -75,8 +75,8 @@ def test_what_has_bounced_is_averaged_as_far_in_the_scene_at_any_size():
         np.testing.assert_allclose(smooth.averaged(ramp)[inside], ramp[inside], rtol=1e-6)
 
 
-def test_nothing_is_averaged_beyond_the_edges_of_a_picture():
-    """On a floor that fills it, a corner has a quarter of the neighbours of the middle, none from the other side."""
+def test_averaging_window_ends_at_the_image_border():
+    """On a floor that fills the image, a corner has a quarter of the neighbours of the centre."""
     floor = ls.Scene((), [ls.plane(40.0, 40.0)])
     above = ls.Camera.look_at((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, fov_y=0.6)
     frame = ls.render(floor, above, replace(DIRECT, lighting=True, aovs=("albedo",)), device="cpu")
@@ -89,8 +89,8 @@ def test_nothing_is_averaged_beyond_the_edges_of_a_picture():
 
 @pytest.mark.deep
 @pytest.mark.parametrize("width", [64, 96])
-def test_a_closed_room_by_paths_of_many_samples(width):
-    """As many as by default, and a photograph with little noise of its own: each channel of each lamp within 2 %."""
+def test_path_traced_fit_with_default_samples(width):
+    """With little noise in the image, each channel of each light is within 2 %."""
     lamps, camera, many = three_lamps(), view(width, 3 * width // 4), replace(PATHS, samples=64)
     photograph = taken(closed(*lamps), camera, replace(PATHS, samples=256, seed=5))
     found = ls.fit_lights(

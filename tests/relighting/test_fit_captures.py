@@ -1,4 +1,4 @@
-"""Captures in photographs whose lights are looked for: what keeps its look does not count, and their colours."""
+"""Light fits with captures: unlit captures do not count, and captures have a colour to fit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SMALL = view(64, 48)
 
 
 def room_with_capture(*, has_albedo: bool = True) -> ls.Scene:
-    """The closed room, its ball a capture, orange on one side and blue on the other."""
+    """The closed room, with its ball a capture, orange on one side and blue on the other."""
     room = closed(*three_lamps())
     ball = ls.gaussians_from_mesh(room.meshes[-2].mesh, 250)
     left = ball.means[:, :1] < ball.means[:, 0].mean()
@@ -32,7 +32,7 @@ def room_with_capture(*, has_albedo: bool = True) -> ls.Scene:
 
 
 def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
-    """With the colours of its capture times a factor a channel."""
+    """The scene with the colours of its capture times a factor per channel."""
     (capture,) = scene.splats
     given = capture.gaussians
     if given.albedo is None:
@@ -43,14 +43,14 @@ def recolored(scene: ls.Scene, gains: np.ndarray) -> ls.Scene:
 
 
 def fitted(scene: ls.Scene, photograph: np.ndarray, **options) -> ls.inverse.LightFit:
-    """A fit in light that does not bounce."""
+    """A fit without bounces."""
     options = {"config": HYBRID, "environment_degree": None, "device": "cpu"} | options
     return ls.fit_lights(scene, SMALL, photograph, **options)
 
 
 @pytest.mark.parametrize("has_albedo", [True, False])
-def test_colours_of_a_capture_have_one_factor_a_channel(has_albedo):
-    """The capture is thought to be half as red and more blue: its own two colours are found, and the lamps beside."""
+def test_capture_color_is_one_factor_per_channel(has_albedo):
+    """A capture that starts half as red and more blue gets its own two colours back, and the lights are found."""
     truth = room_with_capture(has_albedo=has_albedo)
     photograph = taken(truth, SMALL, HYBRID)
     thought = replace(recolored(truth, GAINS), lights=unknown(*three_lamps()))
@@ -65,8 +65,8 @@ def test_colours_of_a_capture_have_one_factor_a_channel(has_albedo):
     assert not found.remarks
 
 
-def test_a_capture_is_one_of_all_base_colours():
-    """If all are asked for, only products are known; a capture without a material has no colour to be found."""
+def test_captures_are_among_all_base_colors():
+    """If all are fitted, only products are determined; a capture without a material has no colour to fit."""
     truth = room_with_capture()
     kept = replace(truth, splats=(*truth.splats, replace(truth.splats[0], material=None, name="kept")))
     found = fitted(kept, taken(kept, SMALL, HYBRID), base_colors=True, size=24)
@@ -75,8 +75,8 @@ def test_a_capture_is_one_of_all_base_colours():
     assert found.scene.splats[1] is kept.splats[1]
 
 
-def test_a_capture_gets_no_brighter_than_white():
-    """Its photograph shows more than it can reflect: Gaussians end at 1, and it is said how many."""
+def test_capture_colors_stay_below_white():
+    """The image shows more than it can reflect: Gaussians end at 1, and a remark counts them."""
     truth = room_with_capture()
     bright = replace(truth, lights=[replace(lamp, intensity=3.0 * lamp.intensity) for lamp in three_lamps()])
     linear = ls.render(bright, SMALL, HYBRID, device="cpu").color
@@ -86,8 +86,8 @@ def test_a_capture_gets_no_brighter_than_white():
     assert any(line.startswith("ball: ") and "are white" in line for line in found.remarks)
 
 
-def test_lamps_light_captures_and_what_keeps_its_look_does_not_count():
-    """A relit ball beside a box that shows what was captured, whatever the lamps: they are within 5 %, with noise."""
+def test_relit_captures_count_and_unlit_ones_do_not():
+    """With a relit ball beside an unlit box, lights are within 5 %, with noise."""
     truth = room_with_capture()
     box = ls.gaussians_from_mesh(truth.meshes[-1].mesh, 300)
     shown = replace(truth, splats=(*truth.splats, ls.SplatInstance(box)), meshes=truth.meshes[:-1])

@@ -1,4 +1,4 @@
-"""Intensities, colours and skies from photographs that were rendered, so that the truth is known."""
+"""Fits of intensities, colours and SH environments to rendered images with known lights."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ VIEW, OTHER = view(64, 48), other_view(64, 48)
 
 
 def fitted(scene: ls.Scene, photographs, cameras=None, **options) -> ls.inverse.LightFit:
-    """A fit in light that does not bounce, at the photographs' own size."""
+    """A fit without bounces, at the images' own size."""
     options = {"config": DIRECT, "environment_degree": None, "device": "cpu"} | options
     return ls.fit_lights(scene, cameras or VIEW, photographs, **options)
 
 
-def test_three_lamps_of_a_perfect_photograph():
-    """Intensities and colours are exact, and nothing is left."""
+def test_three_lights_of_a_noiseless_image_are_exact():
+    """Nothing is left to explain."""
     lamps = three_lamps()
     found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), VIEW))
     assert_powers(found.lights, lamps, 1e-3)
@@ -46,8 +46,8 @@ def test_three_lamps_of_a_perfect_photograph():
     assert not found.remarks
 
 
-def test_three_lamps_with_noise_and_eight_bits():
-    """Within 5 %; the standard errors say how far off they are."""
+def test_three_lights_with_noise_are_within_their_standard_errors():
+    """With noise and 8 bits, they are within 5 %."""
     lamps = three_lamps()
     found = fitted(closed(*unknown(*lamps)), noisy(taken(closed(*lamps), VIEW)))
     assert_powers(found.lights, lamps, 0.05)
@@ -56,8 +56,8 @@ def test_three_lamps_with_noise_and_eight_bits():
     assert (off < 5.0 * found.standard_errors).all()
 
 
-def test_a_lamp_that_is_off_is_off():
-    """No light is negative, nor taken for another's."""
+def test_light_that_is_off_gets_power_0():
+    """No power is negative, nor taken from another light."""
     lamps = three_lamps()
     dark = replace(lamps[1], intensity=0.0)
     found = fitted(closed(*unknown(*lamps)), noisy(taken(closed(lamps[0], dark, lamps[2]), VIEW)))
@@ -67,8 +67,8 @@ def test_a_lamp_that_is_off_is_off():
     assert exact.remarks == ("warm: the fit turned it off",)
 
 
-def test_hues_are_kept_if_asked_for():
-    """One unknown a light: a blue lamp stays blue, and is about as strong as the white one that it stands for."""
+def test_keep_hues_fits_one_power_per_light():
+    """A blue light stays blue, and is about as strong as the white one in its position."""
     lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 1.0, 1.0), 3.0)
     tinted = replace(lamp, color=(0.5, 0.5, 1.0), intensity=0.1)
     found = fitted(closed(tinted), taken(closed(lamp), VIEW), keep_hues=True)
@@ -79,8 +79,8 @@ def test_hues_are_kept_if_asked_for():
     assert exact.lights[0].intensity == pytest.approx(4.0, rel=1e-3)
 
 
-def test_two_photographs_know_more_than_one():
-    """A lamp behind the box is seen by the second camera alone."""
+def test_second_image_determines_a_hidden_light():
+    """Only the second camera sees the light behind the box."""
     lamps = three_lamps()
     cameras = [VIEW, OTHER]
     photographs = [taken(closed(*lamps), camera) for camera in cameras]
@@ -93,8 +93,8 @@ def test_two_photographs_know_more_than_one():
     assert both.standard_errors.sum() < one.standard_errors.sum()
 
 
-def test_what_the_scene_lacks_does_not_disturb_it():
-    """A black ball and a lit picture on the wall, which hide a sixth of the photograph: within 5 %."""
+def test_objects_missing_from_the_scene_do_not_bias_the_fit():
+    """A black ball and a lit picture on the wall hide a sixth of the image: lights are within 5 %."""
     lamps = three_lamps()
     room = closed(*lamps)
     photograph = noisy(taken(with_strangers(room), VIEW))
@@ -108,7 +108,7 @@ def test_what_the_scene_lacks_does_not_disturb_it():
 
 
 def test_clipped_pixels_are_left_out_and_counted():
-    """A photograph of three stops more light is white in places: the lamps are what they are."""
+    """An image with three stops more exposure is partly white; the lights are right."""
     lamps = [replace(lamp, intensity=6.0 * lamp.intensity) for lamp in three_lamps()]
     photograph = taken(closed(*lamps), VIEW)
     white = (photograph >= 0.995).any(axis=2)
@@ -120,8 +120,8 @@ def test_clipped_pixels_are_left_out_and_counted():
     assert ("clipped" in " ".join(found.remarks)) == (white.mean() > 0.2)
 
 
-def test_a_mask_leaves_out_what_it_hides():
-    """Half of the photograph is painted over, and masked."""
+def test_masked_pixels_are_left_out():
+    """Half of the image is painted over."""
     lamps = three_lamps()
     photograph = taken(closed(*lamps), VIEW)
     mask = np.ones(photograph.shape[:2])
@@ -137,8 +137,8 @@ def test_a_mask_leaves_out_what_it_hides():
     np.testing.assert_allclose(found.shares, given / given.sum(), rtol=0.01)
 
 
-def test_exposure_of_a_camera_is_known():
-    """A camera that says two stops less took the same lamps."""
+def test_exposure_of_the_camera_is_applied():
+    """A camera with two stops less gives the same lights."""
     lamps = three_lamps()
     darker = replace(VIEW, exposure=-2.0)
     found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), darker), darker)
@@ -147,8 +147,8 @@ def test_exposure_of_a_camera_is_known():
     assert_powers(given.lights, lamps, 2e-3)
 
 
-def test_exposures_are_found_against_the_first():
-    """Nothing shines by itself: the first photograph's exposure is held, which is said, the second's is found."""
+def test_exposures_are_fitted_relative_to_the_first():
+    """Without emission in the scene, the first exposure is held, with a remark, and the second is found."""
     lamps = three_lamps()
     cameras = [VIEW, replace(OTHER, exposure=-1.3)]
     photographs = [taken(closed(*lamps), camera) for camera in cameras]
@@ -158,8 +158,8 @@ def test_exposures_are_found_against_the_first():
     assert "the exposure of image 0 stays 0 stops" in found.remarks[0]
 
 
-def test_exposure_is_found_by_what_shines():
-    """A sign of known radiance says how the photograph was exposed."""
+def test_emission_determines_the_exposure():
+    """The scene has a sign of known radiance."""
     lamps = three_lamps()
     shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
     sign = ls.Mesh(
@@ -178,8 +178,8 @@ def test_exposure_is_found_by_what_shines():
 
 
 @pytest.mark.parametrize("tone_map", ["neutral", "agx"])
-def test_tone_maps_are_undone(tone_map):
-    """The photograph went through one; without saying so, lamps come out wrong."""
+def test_tone_maps_are_inverted(tone_map):
+    """Without ``tone_map``, the lights of a tone-mapped image are wrong."""
     lamps = three_lamps()
     photograph = taken(closed(*lamps), VIEW, replace(DIRECT, tone_map=tone_map))
     found = fitted(closed(*unknown(*lamps)), photograph, tone_map=tone_map)
@@ -189,8 +189,8 @@ def test_tone_maps_are_undone(tone_map):
         assert_powers(wrong.lights, lamps, 0.01)
 
 
-def test_linear_files_are_linear(tmp_path):
-    """An EXR of the renderer is a photograph of linear light, to any brightness; a PNG is not."""
+def test_exr_images_are_linear_and_png_images_are_not(tmp_path):
+    """An EXR may have any brightness."""
     lamps = [replace(lamp, intensity=6.0 * lamp.intensity) for lamp in three_lamps()]
     frame = ls.render(closed(*lamps), VIEW, DIRECT, device="cpu")
     frame.save(tmp_path / "photo.exr")
@@ -201,8 +201,8 @@ def test_linear_files_are_linear(tmp_path):
     assert_powers(array.lights, tuple(lamps), 1e-4)
 
 
-def sky(degree: int = 2) -> EnvironmentProbe:
-    """A sky of harmonics: bright on one side above, dark below, nowhere negative."""
+def sh_environment(degree: int = 2) -> EnvironmentProbe:
+    """An SH environment: bright on one side above, dark below, nowhere negative."""
     coefficients = np.zeros((9, 3))
     coefficients[0] = (1.4, 1.5, 1.8)
     coefficients[1:4] = np.array([[-0.5], [0.2], [0.2]]) * (1.0, 1.0, 1.1)
@@ -213,31 +213,31 @@ def sky(degree: int = 2) -> EnvironmentProbe:
     return EnvironmentProbe(coefficients)
 
 
-def test_a_sky_is_found():
-    """Harmonics of degree 1 by few samples: what they give to surfaces, and no light from anywhere is negative."""
-    truth, camera = sky(1), view(48, 36)
+def test_sh_environment_is_recovered():
+    """With degree 1 and few samples, the irradiance is right and no radiance is negative."""
+    truth, camera = sh_environment(1), view(48, 36)
     photograph = taken(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
     config = ls.RenderConfig(samples=32, seed=77)
     found = fitted(open_above(), photograph, camera, config=config, environment_degree=1)
-    check_sky(found, truth)
+    check_environment(found, truth)
 
 
 @pytest.mark.deep
-def test_a_sky_and_a_lamp():
-    """Harmonics of degree 2 beside a lamp, whose light is found within 3 %."""
+def test_sh_environment_and_a_light_are_recovered():
+    """Beside an environment of degree 2, the light is within 3 %."""
     lamp = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
-    truth, camera = sky(2), view(64, 48)
+    truth, camera = sh_environment(2), view(64, 48)
     photograph = taken(open_above(lamp, truth.light()), camera, ls.RenderConfig(samples=256))
     config = ls.RenderConfig(samples=128, seed=77)
     found = fitted(open_above(*unknown(lamp)), photograph, camera, config=config, environment_degree=2)
     assert_powers(found.lights[:1], (lamp,), 0.03)
-    check_sky(found, truth)
+    check_environment(found, truth)
 
 
-def check_sky(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> None:
-    """The floor and the end of the room have the light that they had, to 5 % of the mean; the sides, to 10 %.
+def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> None:
+    """Irradiance of the floor and the end wall is within 5 % of the mean, of the sides within 10 %.
 
-    They are red and green, and show little of the other channels.
+    The sides are red and green, and show little of the other channels.
     """
     assert found.environment is not None and isinstance(found.lights[-1], ls.LightEnvironment)
     pale, colored = np.array([(0, 1, 0), (0, 0, 1)]), np.array([(1, 0, 0), (-1, 0, 0)])
@@ -249,8 +249,8 @@ def check_sky(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> None:
 
 
 @pytest.mark.parametrize("room", [open_above, closed])
-def test_an_environment_of_which_nothing_is_found_is_none(room):
-    """Lamps alone: one line says that there is no sky, whether none gets in or none shone."""
+def test_unused_sh_environment_is_removed(room):
+    """With local lights only, one remark says so, whether the environment cannot enter or does not shine."""
     lamps = three_lamps()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
     found = fitted(room(*unknown(*lamps)), taken(room(*lamps), VIEW), **options)
@@ -260,8 +260,8 @@ def test_an_environment_of_which_nothing_is_found_is_none(room):
     assert_powers(found.lights, lamps, 0.03)
 
 
-def test_a_red_sky_is_found():
-    """Where two channels are black, and so left out, everywhere."""
+def test_red_environment_is_recovered():
+    """Two channels are black everywhere, and so left out."""
     red, camera = ls.LightEnvironment(color=(1.0, 0.0, 0.0), intensity=0.4), view(32, 24)
     config = ls.RenderConfig(samples=16)
     found = fitted(open_above(), taken(open_above(red), camera, config), camera, config=config, environment_degree=0)
@@ -269,9 +269,9 @@ def test_a_red_sky_is_found():
     np.testing.assert_allclose(found.environment.radiance(np.eye(3))[:, 0], 0.4, rtol=0.05)
 
 
-def test_an_environment_with_an_image_keeps_it():
-    """It is one light, whose strength and colour are found; without harmonics unless they are asked for."""
-    image = sky().image(16)
+def test_environment_with_an_image_keeps_it():
+    """It is fitted as one light with power and colour, and without SH unless they are asked for."""
+    image = sh_environment().image(16)
     truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
     many = ls.RenderConfig(samples=64)
     photograph = taken(open_above(truth), view(48, 36), many)
@@ -283,8 +283,8 @@ def test_an_environment_with_an_image_keeps_it():
     assert_powers((light,), (truth,), 0.01)
 
 
-def test_lamps_at_one_place_are_flagged():
-    """Two lamps that give the same picture: one line says so, and together they are right."""
+def test_lights_at_one_position_are_reported_as_indistinguishable():
+    """Their sum is right."""
     lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
     twin = replace(lamp, name="right")
     found = fitted(closed(*unknown(lamp, twin)), taken(closed(lamp), VIEW))
@@ -292,8 +292,8 @@ def test_lamps_at_one_place_are_flagged():
     np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(lamp), rtol=1e-3)
 
 
-def test_a_lamp_that_is_not_seen_stays_as_it_was():
-    """One that shines into a box, and one that is not enabled."""
+def test_invisible_light_is_unchanged():
+    """One light shines into a box, and one is disabled."""
     lamps = three_lamps()
     hidden = ls.LightPoint((2.75, 0.85, 1.3), (1.0, 0.2, 0.1), 9.0, name="hidden")
     switched = replace(hidden, enabled=False, name="switched off")
@@ -303,8 +303,8 @@ def test_a_lamp_that_is_not_seen_stays_as_it_was():
     assert found.remarks == ("hidden: none of its light appears in the images, so it is unchanged",)
 
 
-def test_what_no_light_has_is_not_looked_for():
-    """One line for each."""
+def test_parameters_that_no_light_has_are_reported():
+    """There is one remark for each."""
     lamps = three_lamps()
     small = view(32, 24)
     found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), small), small, radii=True, angles=True)
@@ -314,8 +314,8 @@ def test_what_no_light_has_is_not_looked_for():
     )
 
 
-def test_base_colours_of_two_materials():
-    """The lights being known, the ball's and the box's colours are found; those of the walls are known."""
+def test_base_colors_of_two_materials_are_recovered():
+    """The lights and the walls' colours are known."""
     lamps = three_lamps()
     photograph = taken(closed(*lamps), VIEW)
     room = closed(*lamps)
@@ -333,8 +333,8 @@ def test_base_colours_of_two_materials():
     assert_powers(both.lights, lamps, 5e-3)
 
 
-def test_all_base_colours_keep_their_product():
-    """Lights and surfaces are known up to a factor, which is held, and said."""
+def test_product_of_all_base_colors_is_held():
+    """Lights and surfaces are determined up to a factor, and a remark says so."""
     lamps = three_lamps()
     room, camera = closed(*lamps), view(32, 24)
     photograph = taken(room, camera)

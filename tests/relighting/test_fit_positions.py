@@ -1,4 +1,4 @@
-"""Positions, radii and cones of lamps that stand elsewhere than the scene has them."""
+"""Fits of positions, radii and cones of lights that start at other values."""
 
 from __future__ import annotations
 
@@ -33,33 +33,33 @@ SOFT = ls.RenderConfig(shadows=ls.Shadows.SOFT, samples=16)
 
 
 def fitted(scene: ls.Scene, cameras, photographs, **options) -> ls.inverse.LightFit:
-    """A fit in light that does not bounce, without an environment."""
+    """A fit without bounces and without an environment."""
     return ls.fit_lights(
         scene, cameras, photographs, **({"config": DIRECT, "environment_degree": None, "device": "cpu"} | options)
     )
 
 
-def assert_places(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...], share: float) -> None:
-    """Each lamp is where it was, to a share of the room's length."""
+def assert_positions(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...], share: float) -> None:
+    """Each light is at its true position, to a fraction of the room's length."""
     for light, lamp in zip(found, lamps, strict=True):
         assert isinstance(light, ls.LightPoint)
         off = np.linalg.norm(np.subtract(light.position, lamp.position))
         assert off < share * ROOM, (light.name, off)
 
 
-def test_a_lamp_is_found_again():
-    """From 0.3 of the room away, with noise and 8 bits: within 2 % of the room, and 5 % of its light."""
+def test_position_of_a_light_is_recovered():
+    """From 0.3 of the room away, with noise and 8 bits, it is within 2 % of the room, and its power within 5 %."""
     lamp = three_lamps()[1]
     start = replace(lamp, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
     assert math.dist(start.position, lamp.position) > 0.28 * ROOM
     found = fitted(closed(start), view(), noisy(taken(closed(lamp), view())), positions=True, size=48)
-    assert_places(found.lights, (lamp,), 0.02)
+    assert_positions(found.lights, (lamp,), 0.02)
     assert_powers(found.lights, (lamp,), 0.05)
     assert (found.position_errors < 0.02 * ROOM).all()
 
 
-def test_progress_goes_on_with_every_picture(monkeypatch):
-    """No picture is rendered without a word of it, whatever the stage; the fraction never falls, and ends at 1."""
+def test_progress_is_reported_for_every_render(monkeypatch):
+    """The fraction never falls, and ends at 1."""
     lamp, rendered, told = three_lamps()[1], [], []
     both = LightLayers._both
     monkeypatch.setattr(LightLayers, "_both", lambda *args: rendered.append(len(told)) or both(*args))
@@ -73,18 +73,18 @@ def test_progress_goes_on_with_every_picture(monkeypatch):
     assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
 
 
-def test_a_lamp_is_found_again_between_pixels_that_do_not_count():
-    """Black dots all over, so that no larger pixel is whole: it is looked for at the size that is compared."""
+def test_position_is_recovered_between_unfitted_pixels():
+    """Black dots leave no downscaled pixel whole, so the search runs at the full size."""
     lamp = three_lamps()[1]
     photograph = taken(closed(lamp), view(48, 36))
     photograph[::2, ::2] = 0.0
     start = replace(lamp, position=(1.9, 1.5, 3.3), intensity=1.0)
     found = fitted(closed(start), view(48, 36), photograph, positions=True)
-    assert_places(found.lights, (lamp,), 0.02)
+    assert_positions(found.lights, (lamp,), 0.02)
 
 
-def test_lamps_stay_in_the_room():
-    """One that shone from far above is looked for up to the height of the walls, and no farther."""
+def test_lights_stay_in_the_box_of_the_scene():
+    """A light far above is moved to the height of the walls at most."""
     lamp = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
     start = replace(lamp, position=(2.0, 2.0, 2.5), intensity=2.0)
     small = view(48, 36)
@@ -95,8 +95,8 @@ def test_lamps_stay_in_the_room():
 
 @pytest.mark.deep
 @pytest.mark.parametrize("count", [1, 2])
-def test_three_lamps_are_found_again(count):
-    """All of them moved by 0.3 of the room, by one photograph and by two, with noise and 8 bits; names may change."""
+def test_positions_of_three_lights_are_recovered(count):
+    """All are displaced by 0.3 of the room; with one and two images, noise and 8 bits. Lights may swap."""
     lamps = three_lamps()
     cameras = [view(), other_view()][:count]
     photographs = [noisy(taken(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
@@ -105,23 +105,23 @@ def test_three_lamps_are_found_again(count):
     order = [int(np.linalg.norm(places - lamp.position, axis=1).argmin()) for lamp in lamps]
     assert sorted(order) == [0, 1, 2]
     lights = tuple(found.lights[row] for row in order)
-    assert_places(lights, lamps, 0.02)
+    assert_positions(lights, lamps, 0.02)
     assert_powers(lights, lamps, 0.05)
 
 
 @pytest.mark.deep
-def test_a_lamp_with_a_soft_shadow_is_found_again():
-    """As the first, with a penumbra and its noise."""
+def test_position_with_a_soft_shadow_is_recovered():
+    """The penumbra adds noise."""
     lamp = replace(three_lamps()[1], radius=0.1)
     start = replace(lamp, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
     photograph = noisy(taken(closed(lamp), view(), SOFT))
     found = fitted(closed(start), view(), photograph, positions=True, config=SOFT, size=64)
-    assert_places(found.lights, (lamp,), 0.02)
+    assert_positions(found.lights, (lamp,), 0.02)
     assert_powers(found.lights, (lamp,), 0.05)
 
 
-def test_a_radius_is_found_by_its_penumbra():
-    """A ball of light that is thought to be a third as large: within a seventh, and its light within 3 %."""
+def test_radius_is_recovered_from_the_penumbra():
+    """A sphere light that starts at a third of its radius is within a seventh, its power within 3 %."""
     lamp = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
     small = view(48, 36)
     photograph = taken(closed(lamp), small, replace(SOFT, samples=64))
@@ -133,8 +133,8 @@ def test_a_radius_is_found_by_its_penumbra():
     assert power == pytest.approx(math.pi * 0.35**2 * 12.0, rel=0.03)
 
 
-def test_a_spot_turns_and_narrows():
-    """Where it shines, and into which cone: the edge of its light says it."""
+def test_direction_and_cone_of_a_spot_are_recovered():
+    """The edge of its light determines both."""
     spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
     start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
     photograph = taken(closed(spot), SMALL)
@@ -146,8 +146,8 @@ def test_a_spot_turns_and_narrows():
     assert math.dist(light.position, spot.position) < 0.02 * ROOM
 
 
-def test_a_sun_turns():
-    """Parallel light whose direction is found, with what it casts."""
+def test_direction_of_a_sun_is_recovered():
+    """Its shadows determine it."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
     photograph = taken(open_above(sun), SMALL)
@@ -158,8 +158,8 @@ def test_a_sun_turns():
     assert_powers((light,), (sun,), 0.02)
 
 
-def test_slopes_are_those_of_finer_differences():
-    """The derivative of each pixel by each coordinate: away from edges of shadows, half the step gives the same."""
+def test_derivatives_do_not_depend_on_the_step():
+    """Away from shadow edges, half the step gives the same derivative of each pixel by each coordinate."""
     lamp = replace(three_lamps()[0], intensity=1.0)
     scene, photographs = closed(lamp), read_images(view(), taken(closed(lamp), view()))
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)

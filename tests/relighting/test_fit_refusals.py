@@ -1,4 +1,4 @@
-"""What cannot be fitted is refused in one line that says what, and what to do."""
+"""Inputs that cannot be fitted are refused in one line that says what to do."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GREY = np.full((72, 96, 3), 0.5)
 
 
 def refusal(*photographs, scene: ls.Scene | None = None, cameras=None, **options) -> str:
-    """The message, which is one line."""
+    """Returns the message of a refusal, and checks that it is one line."""
     options = {"config": DIRECT, "device": "cpu", "environment_degree": None} | options
     given = list(photographs) if len(photographs) != 1 else photographs[0]
     with pytest.raises((ls.ConfigError, ls.SceneError)) as caught:
@@ -24,8 +24,8 @@ def refusal(*photographs, scene: ls.Scene | None = None, cameras=None, **options
     return message
 
 
-def test_photographs_that_do_not_fit_their_cameras():
-    """Of another shape, of another number."""
+def test_images_that_do_not_match_their_cameras_are_refused():
+    """Another aspect ratio, or another number."""
     assert "the image is 96 x 96, but its camera" in refusal(np.full((96, 96, 3), 0.5))
     assert "1 cameras and 2 images" in refusal(GREY, GREY)
     assert "2 cameras and 1 images" in refusal(GREY, cameras=[view(), view()])
@@ -33,8 +33,8 @@ def test_photographs_that_do_not_fit_their_cameras():
     assert "expected (H, W, 3)" in refusal(np.full((72, 96, 4), 0.5))
 
 
-def test_the_same_shape_at_another_size_is_fine():
-    """A large photograph of a small camera, and the other way round."""
+def test_image_size_may_differ_from_the_cameras():
+    """The image is larger or smaller, with the same aspect ratio."""
     for width in (48, 192):
         fit = ls.fit_lights(
             closed(*three_lamps()),
@@ -47,8 +47,8 @@ def test_the_same_shape_at_another_size_is_fine():
         assert fit.views[0].image.shape == (72, 96, 3)
 
 
-def test_photographs_without_light():
-    """Black, white all over, masked, or not a number."""
+def test_images_without_usable_pixels_are_refused():
+    """Black, white all over, masked, or not finite."""
     assert "is black" in refusal(np.zeros((72, 96, 3)))
     assert "every pixel is clipped" in refusal(np.ones((72, 96, 3)))
     assert "clipped or masked" in refusal(GREY, masks=np.zeros((72, 96)))
@@ -58,8 +58,8 @@ def test_photographs_without_light():
     assert "has 3 pixels that are NaN" in refusal(holes)
 
 
-def test_scenes_without_anything_to_fit():
-    """No lights, none enabled, nothing seen, nothing asked for."""
+def test_scenes_without_anything_to_fit_are_refused():
+    """No lights, none enabled, nothing visible, nothing asked for."""
     assert "no lights to fit" in refusal(GREY, scene=closed())
     off = [replace(lamp, enabled=False) for lamp in three_lamps()]
     assert "no lights to fit" in refusal(GREY, scene=closed(*off))
@@ -70,8 +70,8 @@ def test_scenes_without_anything_to_fit():
     assert "empty" in refusal(GREY, scene=ls.Scene(lights=three_lamps()))
 
 
-def test_settings_out_of_range():
-    """Each is named."""
+def test_settings_out_of_range_are_refused_by_name():
+    """Each message names its setting."""
     assert "environment_degree" in refusal(GREY, environment_degree=5)
     assert "positions is 1" in refusal(GREY, positions=1)
     assert "exposure is 'bright'" in refusal(GREY, exposure="bright")
@@ -83,8 +83,8 @@ def test_settings_out_of_range():
     assert "base_colors is 'wood'" in refusal(GREY, base_colors="wood")
 
 
-def test_files_that_are_no_photographs(tmp_path):
-    """They are named."""
+def test_unreadable_image_files_are_refused_by_name(tmp_path):
+    """Each message names its file."""
     assert "photo.png" in refusal(tmp_path / "photo.png")
     (tmp_path / "text.png").write_text("no picture")
     assert "text.png" in refusal(tmp_path / "text.png")

@@ -1,4 +1,4 @@
-"""Layers of found materials, as cameras see them, against the numbers that Gaussians have."""
+"""Rendered material layers against the Gaussians' own values."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ CAMERA = ls.Camera.look_at((0.3, 3.0, 0.2), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), wi
 
 
 def sheet() -> ls.Gaussians:
-    """A level square of Gaussians that all are of one material, and fill the picture."""
+    """A level square of Gaussians of one material that fills the image."""
     plain = ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 500)
     albedo, roughness = np.tile(ALBEDO, (plain.count, 1)), np.full(plain.count, ROUGHNESS)
     return replace(plain, albedo=albedo, roughness=roughness, normals=np.tile([0.0, 1.0, 0.0], (plain.count, 1)))
 
 
-def test_layers_have_the_numbers_of_gaussians() -> None:
-    """Albedo as it is, linear; roughness as it is; normals; however much of a pixel is covered."""
+def test_layers_equal_the_gaussians_values() -> None:
+    """Linear albedo, roughness and normals are exact, however much of a pixel is covered."""
     for opacity in (0.9, 0.2):
         some = replace(sheet(), opacities=np.full(500, opacity))
         drawn = LayerRenderer.of(some, "cpu").draw(CAMERA)
@@ -31,8 +31,8 @@ def test_layers_have_the_numbers_of_gaussians() -> None:
         np.testing.assert_allclose(drawn["normal"], np.broadcast_to((0.0, 1.0, 0.0), (24, 24, 3)), atol=1e-3)
 
 
-def test_captured_colours_that_stand_for_albedo_are_decoded() -> None:
-    """Display value 0.5 is 0.214 of the light; what is beyond white or black is neither more nor less than these."""
+def test_captured_colors_in_place_of_albedo_are_decoded() -> None:
+    """Display value 0.5 is 0.214 linear; values beyond black and white are clipped."""
     values = np.array([0.5, 1.3, -0.2])
     captured = replace(sheet(), albedo=None, sh=np.tile((values - 0.5) / SH_C0, (500, 1, 1)))
     found, kept = with_albedo(captured).albedo, with_albedo(sheet()).albedo

@@ -1,6 +1,6 @@
-"""Lights planted in a room of Gaussians are found: where they are, of their colour, in order; nothing else is.
+"""Light estimation finds lamps planted in a room of Gaussians: positions, colours and order.
 
-By their looks alone: nothing in this room is lit by them. What they light is in test_light_evidence.py.
+Scores only: no lamp lights this room. test_light_evidence.py tests the evidence of shading.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_wi
 CENTER = 0.5 * SIZE
 PLACES = ((1.0, 2.8, 1.2), (3.2, 2.5, 3.6), (0.4, 1.2, 4.2))
 COLORS = ((1.0, 0.9, 0.7), (0.5, 0.7, 0.8), (0.6, 0.2, 0.1))
-"""By falling luminance."""
+"""Colours in the order of decreasing luminance."""
 
 
 looks = partial(ls.config.LightEstimationConfig, evidence=0.0)
 
 
 def three_lamps() -> ls.Gaussians:
-    """The room with the three lamps, which are not in order in the file."""
+    """The room with the three lamps, stored in another order."""
     return room_with(*(lamp(PLACES[i], COLORS[i]) for i in (2, 0, 1)))
 
 
 def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: float = 0.08) -> None:
-    """The light is at a lamp of that radius."""
+    """The light is inside a lamp of that radius."""
     assert np.linalg.norm(np.subtract(light.position, place)) < radius + 1e-5, light
 
 
-def test_planted_emitters_are_found_in_order() -> None:
-    """Three lamps, the brightest first, at their places and of their linear colours."""
+def test_planted_lamps_are_found_in_order() -> None:
+    """Three lamps, brightest first, at their positions and with their linear colours."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     for light, place, color in zip(found.lights, PLACES, COLORS, strict=True):
         assert_at(light, place)
@@ -49,16 +49,16 @@ def test_planted_emitters_are_found_in_order() -> None:
     assert [light.name for light in found.lights] == ["estimated-1", "estimated-2", "estimated-3"]
 
 
-def test_what_was_found_is_said() -> None:
-    """Instance and index lead to the Gaussian at the light's position."""
+def test_result_refers_to_the_lights_gaussians() -> None:
+    """Instance and index give the Gaussian at the light's position."""
     room = three_lamps()
     found = ls.inverse.estimate_lights(ls.Scene(splats=[walls(seed=9), room]), CENTER, 2, config=looks())
     assert found.instances.tolist() == [1, 1]
     np.testing.assert_allclose([light.position for light in found.lights], room.means[found.indices], atol=1e-6)
 
 
-def test_irradiance_at_the_character_is_the_one_asked_for() -> None:
-    """Together the lights give pi, each in proportion to its score's candela over its squared distance."""
+def test_irradiance_at_the_character_is_as_requested() -> None:
+    """It is pi in total, divided by score over squared distance."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
     assert arriving == pytest.approx(np.pi)
@@ -68,8 +68,8 @@ def test_irradiance_at_the_character_is_the_one_asked_for() -> None:
     assert facing_irradiance(dim.lights[0], CENTER[None]).max() < 0.5
 
 
-def test_a_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None:
-    """As bright as the lamp, it is left out: fewer lights come, and a line says so."""
+def test_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None:
+    """It is as bright as the lamp; fewer lights are found, and a warning says so."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
             room_with(bright_wall(), lamp(PLACES[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
@@ -79,8 +79,8 @@ def test_a_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> No
     assert "found 1 light of the 3 requested" in caplog.text
 
 
-def test_broad_emitters_count_where_they_are_wanted() -> None:
-    """Alone, the wall is refused, with what helps; at compactness 0 it is a light, after any lamp."""
+def test_compactness_0_accepts_broad_emitters() -> None:
+    """Otherwise the wall alone is refused, with advice; at 0 it is a light, after any lamp."""
     room = room_with(bright_wall())
     with pytest.raises(ls.SceneError, match=r"nothing bright stands out.*lower compactness"):
         ls.inverse.estimate_lights(room, CENTER, 2, config=looks())
@@ -93,8 +93,8 @@ def test_broad_emitters_count_where_they_are_wanted() -> None:
     assert_at(both.lights[0], PLACES[1])
 
 
-def test_a_stable_lamp_is_preferred_to_a_sparkle() -> None:
-    """What is bright from here only comes after a lamp of half its luminance."""
+def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
+    """The sparkle, bright from one viewpoint only, ranks after a lamp of half its luminance."""
     place = np.array(PLACES[0])
     glint = sparkle(PLACES[0], place - CENTER)
     room = room_with(glint, lamp(PLACES[1], (0.6, 0.6, 0.6)))
@@ -106,8 +106,8 @@ def test_a_stable_lamp_is_preferred_to_a_sparkle() -> None:
     assert decode_srgb(colors_along(glint, away)).min() > 1.1
 
 
-def test_steadiness_counts() -> None:
-    """Of two colours that vary alike over all directions, the one wins that varies less across the viewpoints."""
+def test_constancy_over_viewpoints_counts() -> None:
+    """Of two colours with equal variance over all directions, the one with less variance over the viewpoints wins."""
     places = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # Gradients of one size: along the line of sight, where viewpoints hardly matter, and across. By mean and maximum
     # luminance the second is brighter, by 3 %.
@@ -121,8 +121,8 @@ def test_steadiness_counts() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
-def test_corners_of_a_wall_are_surrounded_by_it(x: float, y: float) -> None:
-    """Inside, at an edge, in a corner: in some direction there is as much of it as it is bright; a lamp has none."""
+def test_wall_corners_have_the_walls_surrounding_score(x: float, y: float) -> None:
+    """Inside, at an edge and in a corner, some octant is as bright as the wall; around a lamp, none is."""
     steps = np.linspace(-1.0, 1.0, 81)
     wall = np.stack(np.meshgrid(steps, steps, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
     around = np.random.default_rng(0).uniform(-2.0, 2.0, (9000, 3))
@@ -132,7 +132,7 @@ def test_corners_of_a_wall_are_surrounded_by_it(x: float, y: float) -> None:
     assert wall_level > 0.8 and lamp_level < 0.11
 
 
-def test_size_does_not_count() -> None:
+def test_size_of_gaussians_does_not_change_the_score() -> None:
     """Gaussians ten times larger score no more."""
     room = three_lamps()
     large = replace(room, scales=room.scales * np.where(np.arange(room.count) % 2, 10.0, 1.0)[:, None])
@@ -141,8 +141,8 @@ def test_size_does_not_count() -> None:
     np.testing.assert_array_equal(one.scores, other.scores)
 
 
-def test_instances_are_searched_where_they_stand() -> None:
-    """A capture that is turned, scaled and moved has its lamps there, seen as in its own space."""
+def test_instance_transforms_are_respected() -> None:
+    """In a capture rotated, scaled and moved, lamps move along, with equal scores."""
     angle = 0.7
     pose = np.eye(4)
     pose[:3, :3] = 1.5 * np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -159,15 +159,15 @@ def test_instances_are_searched_where_they_stand() -> None:
         np.testing.assert_allclose(a.color, b.color, atol=1e-5)
 
 
-def test_the_search_is_deterministic() -> None:
-    """Twice the same, to the bit."""
+def test_light_estimation_is_deterministic() -> None:
+    """Two results are equal to the bit."""
     one, other = (ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks()) for _ in range(2))
     np.testing.assert_array_equal(one.scores, other.scores)
     assert [light.position for light in one.lights] == [light.position for light in other.lights]
 
 
 def test_radius_and_separation_bound_the_search() -> None:
-    """Nothing beyond the radius is found, and nothing nearer to a light than the separation."""
+    """No light is beyond the radius, and none nearer to another than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
     distances = [np.linalg.norm(np.subtract(place, CENTER)) for place in PLACES]
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=near)
@@ -176,8 +176,8 @@ def test_radius_and_separation_bound_the_search() -> None:
     assert len(ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=apart).lights) == 1
 
 
-def test_an_outlier_does_not_drown_the_lamps() -> None:
-    """One Gaussian, a hundred times brighter than white, counts as a light, and the lamps still do."""
+def test_outlier_does_not_exclude_the_lamps() -> None:
+    """One Gaussian a hundred times brighter than white counts as a light, and the lamps still do."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
     found = ls.inverse.estimate_lights(
         room_with(stray, *(lamp(p, c) for p, c in zip(PLACES, COLORS, strict=True))), CENTER, 4, config=looks()
@@ -202,20 +202,20 @@ def test_an_outlier_does_not_drown_the_lamps() -> None:
         ({"scene": captured(np.random.default_rng(0).random((100, 3)), np.zeros(3))}, "nothing bright stands out"),
     ],
 )
-def test_bad_searches_are_told(change: dict[str, Any], said: str) -> None:
+def test_searches_without_lights_are_refused(change: dict[str, Any], said: str) -> None:
     """No region, no Gaussians, no light."""
     with pytest.raises(ls.SceneError, match=said):
         ls.inverse.estimate_lights(**{"scene": walls(100), "center": CENTER} | change)
 
 
-def test_bad_settings_are_told() -> None:
-    """None stands for the defaults, nothing else does."""
+def test_settings_of_another_type_are_refused() -> None:
+    """None is allowed, and stands for the defaults."""
     with pytest.raises(ls.ConfigError, match="config is 0, expected a LightEstimationConfig"):
         ls.inverse.estimate_lights(walls(100), CENTER, config=0)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("count", [0, True, 2.0])
-def test_bad_counts_are_told(count: Any) -> None:
-    """How many lights has to be a number of lights."""
+def test_invalid_counts_are_refused(count: Any) -> None:
+    """The number must be whole, and at least 1."""
     with pytest.raises(ls.ConfigError, match="expected a whole number"):
         ls.inverse.estimate_lights(walls(100), CENTER, count, config=looks())

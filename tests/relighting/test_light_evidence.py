@@ -1,4 +1,4 @@
-"""Lamps are what lights its surroundings; flowers and paper are not; a sun is found by what it lights and shadows."""
+"""Evidence of shading: lamps light their surroundings, flowers and paper do not; suns light and shadow surfaces."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUN: Point = (0.5, 0.7, 0.4)
 
 
 def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
-    """Two lamps among white balls and a sheet of paper: both, and nothing else, whatever number is asked for."""
+    """Two lamps among white balls and a sheet of paper are found and nothing else, whatever the requested number."""
     found = ls.inverse.estimate_lights(room(LAMPS), CENTER, 4)
     places = np.array([light.position for light in found.lights])
     assert len(places) == 2
@@ -32,8 +32,8 @@ def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
     assert found.evidence.min() > 0.1
 
 
-def test_what_lights_nothing_is_no_lamp() -> None:
-    """Flowers in even light are bright and small: an error says what to do; by their looks alone they are taken."""
+def test_bright_objects_without_shading_evidence_are_no_lights() -> None:
+    """Flowers in constant light are refused with advice; without evidence, they are accepted."""
     capture = meadow(None, ambient=1.0)
     with pytest.raises(ls.SceneError, match=r"no light found within .* none lights its surroundings; give a sun"):
         ls.inverse.estimate_lights(capture, CENTER, 3)
@@ -41,16 +41,16 @@ def test_what_lights_nothing_is_no_lamp() -> None:
     assert len(by_looks.lights) and (by_looks.evidence == 0.0).all()
 
 
-def test_a_lamp_over_a_dark_ground_is_found() -> None:
-    """Outdoors at night, too, where the ground is known and flowers on it are doubted."""
+def test_lamp_outdoors_at_night_is_found() -> None:
+    """The ground is known there, and flowers on it need more evidence."""
     found = ls.inverse.estimate_lights(meadow(None, ((1.2, 2.2, 0.6),)), CENTER, 3)
     assert np.linalg.norm(np.subtract(found.lights[0].position, (1.2, 2.2, 0.6))) < 0.1
     assert len(found.lights) == 1
 
 
 @pytest.mark.parametrize("sun", [SUN, pytest.param((-0.6, 0.5, 0.2), marks=pytest.mark.deep)])
-def test_the_sun_is_found_within_ten_degrees(sun: Point) -> None:
-    """From where surfaces that face it are brighter; no flower in its light is a lamp."""
+def test_sun_is_found_within_ten_degrees(sun: Point) -> None:
+    """No flower in its light is a lamp."""
     capture = meadow(sun)
     found = ls.inverse.estimate_sun(capture, CENTER)
     assert found is not None
@@ -61,8 +61,8 @@ def test_the_sun_is_found_within_ten_degrees(sun: Point) -> None:
         ls.inverse.estimate_lights(capture, CENTER, 3)
 
 
-def test_without_a_sun_there_is_none() -> None:
-    """An even light, a room of lamps, a handful of Gaussians: None rather than a guess."""
+def test_no_sun_is_found_without_one() -> None:
+    """Constant light, a room of lamps, a handful of Gaussians: None rather than a guess."""
     assert ls.inverse.estimate_sun(meadow(None, ambient=1.0), CENTER) is None
     assert ls.inverse.estimate_sun(room(LAMPS), CENTER) is None
     few = room(LAMPS)
@@ -72,14 +72,14 @@ def test_without_a_sun_there_is_none() -> None:
 
 
 @pytest.mark.deep
-def test_an_overcast_sky_is_no_sun() -> None:
-    """Its top is brightest, and things stand in its soft shadows: not even so."""
+def test_overcast_sky_is_no_sun() -> None:
+    """It is brightest at its top, and objects cast soft shadows."""
     capture = lit_capture("overcast", 7)
     assert ls.inverse.estimate_sun(capture.scene, capture.center) is None
 
 
-def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
-    """A man without the lamps and the sun that lit him: the error says to give a sun, and there is none to find."""
+def test_isolated_figure_has_no_light(data_dir: Path) -> None:
+    """A figure without the lights that lit it: the error advises to give a sun, and no sun is found."""
     biker = expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / "biker.spz"))
     beside = (-0.9, -1.3, 0.85)
     with pytest.raises(ls.SceneError, match=r"no light found within .*; give a sun"):
@@ -88,8 +88,8 @@ def test_a_captured_thing_holds_no_light(data_dir: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
-def test_no_sun_shines_from_below(seed: int) -> None:
-    """Without a place the middle of a capture is looked from, on its ground or in it: up is known all the same."""
+def test_sun_is_never_below_the_ground(seed: int) -> None:
+    """Without a centre, the middle of the capture is used, on its ground or in it: the ground is found anyway."""
     capture = lit_capture("sunny", seed)
     found = ls.inverse.estimate_sun(capture.scene)
     assert capture.sun is not None
@@ -98,8 +98,8 @@ def test_no_sun_shines_from_below(seed: int) -> None:
 
 
 @pytest.mark.deep
-def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From when it takes too long to its end, always forwards; a short one shows nothing."""
+def test_long_search_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From a second on, it increases to 1; a short search reports nothing."""
     reports: list[tuple[str, float]] = []
     monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
     ls.inverse.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
@@ -112,13 +112,13 @@ def test_a_long_search_shows_its_progress(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def surfaces(luminance: np.ndarray, normals: np.ndarray, blocks: np.ndarray) -> CapturedSurfaces:
-    """Surfaces without anything in the way."""
+    """Unoccluded surfaces."""
     cells = SolidCells(np.zeros((4, 4, 4), np.bool_), np.full(3, -2.0), 1.0)
     return CapturedSurfaces(np.zeros((len(luminance), 3)), normals, luminance, blocks, cells)
 
 
-def test_the_regression_recovers_factor_and_share() -> None:
-    """Luminance made of smooth surroundings and one light: its factor, and all of what is left is its share."""
+def test_regression_recovers_factor_and_share() -> None:
+    """Luminance made of a smooth environment and one light gives its factor, and the share 1 of the rest."""
     rng = np.random.default_rng(0)
     normals = rng.normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -133,8 +133,8 @@ def test_the_regression_recovers_factor_and_share() -> None:
     assert abs(again.share) < 1e-3
 
 
-def test_texture_larger_than_a_block_is_seldom_a_light() -> None:
-    """Random brightness by blocks, random light by blocks: standard errors by blocks keep the promise of chance."""
+def test_block_texture_is_seldom_significant() -> None:
+    """With random brightness and random light per block, standard errors by blocks keep the false positive rate."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
     blocks = rng.integers(0, 150, 2000)
@@ -147,8 +147,8 @@ def test_texture_larger_than_a_block_is_seldom_a_light() -> None:
     assert (significances < LIGHT_SIGNIFICANCE).all()
 
 
-def test_ways_end_at_solid_cells() -> None:
-    """A wall of cells: through it no way is free, up to it and beside it all are."""
+def test_rays_are_blocked_by_solid_voxels() -> None:
+    """Rays through a wall of voxels are blocked; up to it and beside it, they are free."""
     solid = np.zeros((8, 8, 8), np.bool_)
     solid[4, 2:6, 2:6] = True
     cells = SolidCells(solid, np.zeros(3), 1.0)

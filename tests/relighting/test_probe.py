@@ -1,4 +1,4 @@
-"""Probes: what light arrives at a place, from which side, and how much of it falls on a surface."""
+"""Environment probes: radiance by direction, and irradiance of surfaces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.scenes.sphere import sphere_quadrature, unit
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 COLORS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1], [1, 0, 1], [1, 1, 0]], float)
-"""Of +x, +y, +z, -x, -y, -z: opposite sides have opposite colours."""
+"""Colours of +x, +y, +z, -x, -y, -z; opposite sides have opposite colours."""
 
 
 def compass(center: np.ndarray, distance: float = 3.0) -> ls.Gaussians:
@@ -28,30 +28,30 @@ def compass(center: np.ndarray, distance: float = 3.0) -> ls.Gaussians:
 
 
 def smooth_probe(seed: int = 0, degree: int = 2) -> ls.avatars.EnvironmentProbe:
-    """Uneven light that is nowhere below 0."""
+    """Varying radiance that is nowhere negative."""
     coefficients = 0.15 * np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
     coefficients[0] = [3.0, 2.5, 2.0]
     return ls.avatars.EnvironmentProbe(coefficients)
 
 
 @pytest.mark.parametrize("face_px", [1, 2, 7, 64])
-def test_solid_angles_cover_the_sphere(face_px: int) -> None:
-    """Six faces are the whole sphere, and the pixels in the middle cover more than those in the corners."""
+def test_cube_solid_angles_sum_to_4_pi(face_px: int) -> None:
+    """Pixels in the middle of a face have a larger solid angle than those in its corners."""
     angles = cube_solid_angles(face_px)
     assert angles.shape == (face_px, face_px)
     np.testing.assert_allclose(6.0 * angles.sum(), 4.0 * np.pi, rtol=1e-13)
     assert angles.max() == angles[face_px // 2, face_px // 2] and angles.min() == angles[0, 0] > 0.0
 
 
-def test_solid_angle_of_small_pixels_is_their_area_over_the_cube_of_distance() -> None:
-    """``dx dy / (1 + x^2 + y^2)^(3/2)``, the limit of small pixels."""
+def test_solid_angle_of_small_pixels_matches_the_limit() -> None:
+    """It is ``dx dy / (1 + x^2 + y^2)^(3/2)``."""
     x, y = np.meshgrid((np.arange(256) + 0.5) / 128.0 - 1.0, (np.arange(256) + 0.5) / 128.0 - 1.0)
     np.testing.assert_allclose(cube_solid_angles(256), (1.0 + x * x + y * y) ** -1.5 / 128.0**2, rtol=2e-5)
 
 
 @pytest.mark.parametrize("index", [*range(16), 24, 35, 80])
-def test_a_single_harmonic_is_found(index: int) -> None:
-    """Radiance that is one of the functions has its coefficient, and no other, also by rough quadrature."""
+def test_single_sh_basis_function_is_recovered(index: int) -> None:
+    """It has its coefficient and no other, also by rough quadrature."""
     directions, degree = unit(1, 3000), 3 if index < 16 else 8
     radiance = sh_basis(directions, degree)[:, index, None] * [1.0, 2.0, -3.0]
     probe = ls.avatars.EnvironmentProbe.fit(directions, radiance, degree=degree)
@@ -61,8 +61,8 @@ def test_a_single_harmonic_is_found(index: int) -> None:
     np.testing.assert_allclose(probe.radiance(3.0 * directions[:100]), radiance[:100], atol=1e-5)
 
 
-def test_constant_light_is_found() -> None:
-    """Radiance 1 everywhere is ``sqrt(4 pi)`` in the first coefficient; irradiance is pi."""
+def test_constant_radiance_is_recovered() -> None:
+    """Radiance 1 is ``sqrt(4 pi)`` in the first coefficient; irradiance is pi."""
     probe = ls.avatars.EnvironmentProbe.fit(
         unit(2, 500), np.ones((500, 3)), np.random.default_rng(2).uniform(0.1, 1.0, 500)
     )
@@ -73,8 +73,8 @@ def test_constant_light_is_found() -> None:
 
 
 @pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])
-def test_a_ridge_means_the_same_whatever_the_samples(count: int, unit_of_weights: float) -> None:
-    """It shrinks evenly sampled light by ``1 / (1 + ridge)``, for few and many directions, in any unit of weights."""
+def test_ridge_is_independent_of_samples_and_weights(count: int, unit_of_weights: float) -> None:
+    """It shrinks evenly sampled radiance by ``1 / (1 + ridge)``, for any number of directions and unit of weights."""
     index = np.arange(count) + 0.5
     z, phi = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
     sine = np.sqrt(1.0 - z * z)
@@ -86,8 +86,8 @@ def test_a_ridge_means_the_same_whatever_the_samples(count: int, unit_of_weights
     assert np.abs(free.coefficients).max() > 2.0
 
 
-def test_weights_count_as_so_many_samples() -> None:
-    """A sample of weight 3 is three samples of weight 1."""
+def test_sample_of_weight_3_equals_three_samples() -> None:
+    """Only the ratio of weights matters."""
     directions, radiance = unit(4, 60), np.random.default_rng(4).uniform(size=(60, 3))
     weights = np.random.default_rng(5).integers(1, 4, 60)
     weighted = ls.avatars.EnvironmentProbe.fit(directions, radiance, weights, 2)
@@ -98,7 +98,7 @@ def test_weights_count_as_so_many_samples() -> None:
 
 
 def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
-    """By quadrature over the sphere, for light of degree 8 that holds every band."""
+    """The reference is a quadrature over the sphere, for radiance of degree 8 with every band."""
     probe = ls.avatars.EnvironmentProbe(np.random.default_rng(6).normal(size=(81, 3)))
     directions, weights = sphere_quadrature(400)
     normals = unit(7, 12)
@@ -108,8 +108,8 @@ def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_colours_come_from_where_they_are(pipeline: ls.Pipeline) -> None:
-    """Each side's ball gives that side's light: no axis is swapped or mirrored, wherever the place is."""
+def test_colors_come_from_their_directions(pipeline: ls.Pipeline) -> None:
+    """No axis is swapped or mirrored, at any position."""
     place = np.array([0.3, -1.2, 5.0])
     config = ls.RenderConfig(pipeline=pipeline)
     scene = ls.Scene([compass(place)])
@@ -121,8 +121,8 @@ def test_colours_come_from_where_they_are(pipeline: ls.Pipeline) -> None:
         assert ((falls[axis] > falls[axis + 3]) == (COLORS[axis] > COLORS[axis + 3])).all()
 
 
-def test_faces_are_not_mirrored() -> None:
-    """A ball off the axes is seen in its own direction, to a pixel, in every face and each of its quarters."""
+def test_cube_faces_are_not_mirrored() -> None:
+    """A ball off the axes is at its direction, to a pixel, in each quarter of every face."""
     renderer = ls.create_renderer(ls.RenderConfig(), "cpu")
     for direction in unit(8, 24):
         ball = one_gaussian(tuple(4.0 * direction), 0.15, 1.0, (1.0, 1.0, 1.0))
@@ -131,8 +131,8 @@ def test_faces_are_not_mirrored() -> None:
         assert found @ direction > np.cos(np.radians(0.5)) * np.linalg.norm(found)
 
 
-def test_meshes_are_seen_in_their_colours() -> None:
-    """An unlit mesh around the place gives its base colour from all sides, whatever it is in display colours."""
+def test_unlit_meshes_give_their_base_color() -> None:
+    """A mesh around the position gives its base colour, decoded, from all directions."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
@@ -143,8 +143,8 @@ def test_meshes_are_seen_in_their_colours() -> None:
     np.testing.assert_allclose(probe.radiance(AXES), np.broadcast_to([0.5, 0.25, 0.125], (6, 3)), atol=2e-3)
 
 
-def test_what_nothing_covers_is_the_background() -> None:
-    """Decoded as captures are; transparent is black, and said so. White gives radiance 1."""
+def test_uncovered_directions_have_the_background() -> None:
+    """It is decoded as captures are; a transparent one is black, with a warning. White gives radiance 1."""
     scene, background = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)]), (1.0, 0.5, 0.0)
     probe = ls.avatars.EnvironmentProbe.capture(
         scene, (0, 0, 0), config=ls.RenderConfig(background=background), device="cpu"
@@ -154,8 +154,8 @@ def test_what_nothing_covers_is_the_background() -> None:
     np.testing.assert_array_equal(clear.coefficients, 0.0)
 
 
-def test_partly_covered_pixels_are_decoded_as_frames_are() -> None:
-    """Without a background, a pixel is un-premultiplied before it is decoded, as in a frame's EXR."""
+def test_partly_covered_pixels_are_unpremultiplied_before_decoding() -> None:
+    """A frame's EXR is decoded in the same way."""
     renderer = ls.create_renderer(ls.RenderConfig(background=None), "cpu")
     half = one_gaussian((0.0, 0.0, 4.0), 50.0, 0.5, (0.5, 0.5, 0.5))
     seen = render_cube(ls.Scene([half]), np.zeros(3), renderer.render, 8, 0.01)
@@ -163,8 +163,8 @@ def test_partly_covered_pixels_are_decoded_as_frames_are() -> None:
     np.testing.assert_allclose(brightest, 0.5 * decode_srgb(np.array(0.5)), rtol=1e-2)
 
 
-def test_lit_scenes_are_linear_already() -> None:
-    """A visible environment of radiance 5 is found as such: nothing is decoded or clipped."""
+def test_lit_scenes_are_not_decoded_or_clipped() -> None:
+    """A visible environment of radiance 5 is recovered."""
     light = ls.LightEnvironment(color=(1.0, 0.5, 0.25), intensity=5.0)
     scene = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)], lights=[light])
     config = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
@@ -172,8 +172,8 @@ def test_lit_scenes_are_linear_already() -> None:
     np.testing.assert_allclose(probe.radiance(AXES), [[5.0, 2.5, 1.25]] * 6, rtol=1e-5)
 
 
-def test_what_is_near_can_be_left_out() -> None:
-    """Nothing within ``near`` is seen: a body at the place hides the surroundings, or does not."""
+def test_near_clips_objects_at_the_position() -> None:
+    """A body at the position hides everything else, unless ``near`` is larger."""
     body = one_gaussian((0.1, 0.0, 0.1), 0.3, 1.0, (1.0, 0.0, 0.0))
     room = compass(np.zeros(3), 4.0)
     both, alone = ls.Scene([body, room]), ls.Scene([room])
@@ -185,8 +185,8 @@ def test_what_is_near_can_be_left_out() -> None:
     assert np.abs(hidden - expected).max() > 0.1
 
 
-def test_a_renderer_can_be_shared() -> None:
-    """The probe is that of a renderer of its own, and the size of faces hardly matters."""
+def test_given_renderer_gives_the_same_probe() -> None:
+    """The size of the faces hardly matters."""
     scene = ls.Scene([random_gaussians(9, 200, 2, (0.0, 0.0, 0.0))])
     renderer = ls.create_renderer(ls.RenderConfig(background=(0.2, 0.3, 0.4)), "cpu")
     own = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=renderer.config, device="cpu")
@@ -197,8 +197,8 @@ def test_a_renderer_can_be_shared() -> None:
     np.testing.assert_allclose(finer.coefficients, own.coefficients, atol=0.02)
 
 
-def test_an_image_shows_what_the_probe_has() -> None:
-    """Pixels are radiance by the axes of environments: +y on top, -z in the middle, +x right; as turned."""
+def test_image_has_the_probes_radiance() -> None:
+    """The axes are those of environments: +y on top, -z in the middle, +x right; with a rotation, too."""
     probe = smooth_probe()
     image = probe.image(32)
     assert image.shape == (32, 64, 3) and image.dtype == np.float32
@@ -212,8 +212,8 @@ def test_an_image_shows_what_the_probe_has() -> None:
     np.testing.assert_allclose(turned, np.roll(image[::-1], 32, axis=1)[:, ::-1], atol=1e-5)
 
 
-def test_ringing_is_cut_in_images() -> None:
-    """Harmonics of strong contrast go below 0; an image does not, and is as much light: 20 % more without care."""
+def test_ringing_is_removed_from_images() -> None:
+    """SH of strong contrasts become negative; the image does not, and keeps the mean, unlike plain clipping."""
     directions = unit(10, 5000)
     probe = ls.avatars.EnvironmentProbe.fit(directions, np.where(directions[:, :1] > 0.95, 10.0, 0.0) * np.ones(3))
     assert probe.radiance(directions).min() < -0.01
@@ -224,8 +224,8 @@ def test_ringing_is_cut_in_images() -> None:
     np.testing.assert_array_equal(black.image(4), 0.0)
 
 
-def test_sixteen_numbers_hold_what_falls_on_matt_surfaces() -> None:
-    """Under a lamp of 0.3 sr in a hundredth of its light, irradiance is within 6 % of the largest: ringing cancels."""
+def test_degree_3_suffices_for_irradiance() -> None:
+    """With a lamp of 0.3 sr in a hundredth of its light, irradiance is within 6 % of the largest."""
     directions, weights = sphere_quadrature(120)
     sky = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
     normals = unit(14, 300)
@@ -235,15 +235,15 @@ def test_sixteen_numbers_hold_what_falls_on_matt_surfaces() -> None:
 
 
 @pytest.mark.parametrize("wxyz", [(1, 0, 0, 0), (0.5, -0.5, 0.5, 0.5), (0.9, 0.1, -0.3, 0.2)])
-def test_a_probe_and_its_environment_are_the_same_light(wxyz: tuple[float, ...]) -> None:
-    """The harmonics of the environment that it makes are its own, whichever way the image stands."""
+def test_environment_of_a_probe_has_its_sh(wxyz: tuple[float, ...]) -> None:
+    """The rotation of the image does not matter."""
     probe = smooth_probe(degree=3)
     again = ls.avatars.EnvironmentProbe.from_light(probe.light(128, wxyz), 3)
     np.testing.assert_allclose(again.coefficients, probe.coefficients, atol=2e-3)
 
 
-def test_an_environment_of_few_pixels() -> None:
-    """It is smooth between them, as renderers see it; its colour and intensity count."""
+def test_small_environment_images_are_interpolated() -> None:
+    """The probe matches the renderers; colour and intensity count."""
     image = np.zeros((2, 4, 3), np.float32)
     image[0] = 1.0
     probe = ls.avatars.EnvironmentProbe.from_light(ls.LightEnvironment(image, (1.0, 0.5, 0.0), 2.0), 8)
@@ -254,8 +254,8 @@ def test_an_environment_of_few_pixels() -> None:
 
 
 @pytest.mark.parametrize("normal", [(0, 1, 0), (0, 0, -1), (1, 0, 0), (-0.6, -0.64, 0.48)])
-def test_renderers_light_by_it_as_it_says(normal: tuple[float, float, float]) -> None:
-    """White paper under the probe's environment has its irradiance over pi, from every side."""
+def test_rendered_irradiance_matches_the_probe(normal: tuple[float, float, float]) -> None:
+    """White paper in the probe's environment has its irradiance over pi, from every side."""
     probe = smooth_probe(3)
     along = np.array(normal, float)
     u = np.cross(along, (0.3, 0.5, 0.8))
@@ -269,8 +269,8 @@ def test_renderers_light_by_it_as_it_says(normal: tuple[float, float, float]) ->
     np.testing.assert_allclose(frame.color.mean(axis=(0, 1)), probe.irradiance(along) / np.pi, rtol=5e-3)
 
 
-def test_saved_probes_are_the_same_light(tmp_path) -> None:
-    """The EXR is linear radiance, read back to the bit, and light again."""
+def test_saved_probe_is_the_same_light(tmp_path) -> None:
+    """The EXR holds linear radiance, to the bit."""
     probe = smooth_probe()
     probe.save(tmp_path / "deep" / "probe.exr", 48, (0, 1, 0, 0))
     image = ls.io.load_radiance(tmp_path / "deep" / "probe.exr")
@@ -281,8 +281,8 @@ def test_saved_probes_are_the_same_light(tmp_path) -> None:
         probe.save(tmp_path / "probe.png")
 
 
-def test_pixels_that_are_not_finite_are_left_out(caplog) -> None:
-    """They are counted; where none is finite, there is no probe."""
+def test_nonfinite_pixels_are_left_out(caplog) -> None:
+    """They are counted; if none is finite, there is no probe."""
     inner = ls.create_renderer(ls.RenderConfig(background=(1.0, 1.0, 1.0)), "cpu")
 
     class Broken:
@@ -306,8 +306,8 @@ def test_pixels_that_are_not_finite_are_left_out(caplog) -> None:
         ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), face_px=8, renderer=cast(Any, Broken(slice(None))))
 
 
-def test_a_place_that_sees_nothing_is_told(caplog) -> None:
-    """The probe is then of the background alone."""
+def test_position_that_sees_nothing_warns(caplog) -> None:
+    """The probe then holds the background only."""
     behind = ls.Scene([one_gaussian((0.0, 0.0, 1.0), 0.01, 1e-3)])
     with caplog.at_level(logging.WARNING):
         ls.avatars.EnvironmentProbe.capture(behind, (0, 0, 1e4), face_px=8, device="cpu")
@@ -346,29 +346,29 @@ SCENE, LAMP = ls.Scene([one_gaussian()]), ls.LightPoint((0, 0, 0))
         (lambda: smooth_probe().image(8, (0, 0, 0, 0)), ls.SceneError, "rotation_wxyz"),
     ],
 )
-def test_mistakes_are_told(call, error: type[Exception], message: str) -> None:
-    """In one line that names what is wrong."""
+def test_invalid_arguments_are_refused(call, error: type[Exception], message: str) -> None:
+    """The message is one line that names the argument."""
     with pytest.raises(error) as caught:
         call()
     assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_renderer_and_settings_are_too_much() -> None:
-    """One of the two decides how the scene is rendered."""
+def test_renderer_and_config_exclude_each_other() -> None:
+    """Either defines how the scene is rendered."""
     renderer = ls.create_renderer(None, "cpu")
     with pytest.raises(ls.ConfigError, match="give one of the two"):
         ls.avatars.EnvironmentProbe.capture(SCENE, (0, 0, 0), config=ls.RenderConfig(), renderer=renderer)
 
 
-def test_few_directions_have_a_solution() -> None:
-    """With a ridge, the harmonics pass through the samples, however few they are."""
+def test_ridge_allows_few_directions() -> None:
+    """The SH then pass through the samples."""
     probe = ls.avatars.EnvironmentProbe.fit(np.eye(3), np.eye(3))
     np.testing.assert_allclose(probe.radiance(np.eye(3)), np.eye(3), atol=1e-5)
     assert np.abs(probe.coefficients).max() < 10.0
 
 
-def test_turning_the_scene_turns_the_light() -> None:
-    """A scene turned about the place gives radiance and irradiance turned with it."""
+def test_rotating_the_scene_rotates_the_probe() -> None:
+    """Radiance and irradiance rotate with a scene about the position."""
     scene = random_gaussians(12, 120, 0, (0.0, 0.0, 0.0))
     turn = rotation((1.0, 2.0, -0.5), 1.1)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE)

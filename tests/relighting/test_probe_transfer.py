@@ -1,4 +1,4 @@
-"""Gaussians under a probe's light: equations 9 and 10 of Mir et al., what must not change, and which side is lit."""
+"""Relighting by a probe: equations 9 and 10 of Mir et al., invariances, and the lit side."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from support.scenes.sphere import unit
 
 
 def some_probe(seed: int = 0, degree: int = 3) -> ls.avatars.EnvironmentProbe:
-    """Coloured light of some contrast, now and then below 0."""
+    """A probe of coloured light with some contrast and some negative radiance."""
     coefficients = np.random.default_rng(seed).normal(size=((degree + 1) ** 2, 3))
     coefficients[0] += 3.0
     return ls.avatars.EnvironmentProbe(coefficients)
 
 
 def scales_twin(probe: ls.avatars.EnvironmentProbe, normals: np.ndarray, config: ls.config.RelightConfig) -> np.ndarray:
-    """Mir et al.'s equations 9 and 10 read aloud, in float64, a normal at a time."""
+    """Equations 9 and 10 of Mir et al. in float64, one normal at a time."""
     theta = (np.arange(config.rows) + 0.5) * np.pi / config.rows
     phi = (np.arange(2 * config.rows) + 0.5) * np.pi / config.rows
     theta, phi = (grid.ravel() for grid in np.meshgrid(theta, phi, indexing="ij"))
@@ -51,8 +51,8 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
     "settings",
     [{}, {"exponent": 2.0}, {"exponent": 7.3, "rows": 24}, {"scale_max": 0.8}, {"rows": 8}, {"exponent": 0.5}],
 )
-def test_scales_are_the_equations(settings: dict) -> None:
-    """Against the twin, for more normals than are worked on at once, along the axes, too."""
+def test_scales_match_the_equations(settings: dict) -> None:
+    """There are more normals than one batch, some along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
     twin = scales_twin(some_probe(), normals, config)
@@ -60,8 +60,8 @@ def test_scales_are_the_equations(settings: dict) -> None:
     assert (twin == 0.0).any() or config.exponent < 7.0
 
 
-def test_the_matt_lobe_gathers_irradiance_over_pi() -> None:
-    """With exponent 1 the scale is what white paper shows, to the grid's accuracy: 1 % at 16 rows, less at 64."""
+def test_exponent_1_gives_irradiance_over_pi() -> None:
+    """The accuracy is that of the grid: 1 % at 16 rows, less at 64."""
     probe, normals = ls.avatars.EnvironmentProbe(np.abs(some_probe().coefficients)), unit(2, 200)
     exact = np.clip(probe.irradiance(normals) / np.pi, 0.0, 1e3)
     for rows, most in ((16, 0.02), (64, 0.0015)):
@@ -70,8 +70,8 @@ def test_the_matt_lobe_gathers_irradiance_over_pi() -> None:
 
 
 @pytest.mark.parametrize("exponent", [1.0, 8.0, 64.0])
-def test_16_rows_do(exponent: float) -> None:
-    """The default grid is within 1 % of a fine one, whatever the lobe and wherever the normal lies on the grid."""
+def test_16_rows_are_within_1_percent(exponent: float) -> None:
+    """The reference is a fine grid, for any lobe and any normal."""
     probe, normals = some_probe(), unit(3, 400)
     rough, fine = (
         light_scales(probe, normals, ls.config.RelightConfig(exponent=exponent, rows=rows, scale_max=1e3))
@@ -81,8 +81,8 @@ def test_16_rows_do(exponent: float) -> None:
 
 
 @pytest.mark.parametrize("settings", [{}, {"exponent": 3.7}, {"exponent": 64.0}, {"rows": 61}])
-def test_even_light_of_one_changes_nothing(settings: dict) -> None:
-    """Scales are exactly 1, and the set comes back as it is, to the bit, whatever the lobe."""
+def test_constant_radiance_1_changes_no_bit(settings: dict) -> None:
+    """Scales are exactly 1, for any lobe."""
     gaussians = random_gaussians(4, 1500, 3)
     even = np.zeros((16, 3))
     even[0] = np.sqrt(4.0 * np.pi)
@@ -91,8 +91,8 @@ def test_even_light_of_one_changes_nothing(settings: dict) -> None:
 
 
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
-def test_white_surroundings_change_nothing(pipeline: ls.Pipeline) -> None:
-    """Rendered, fitted and gathered, display white is a factor of exactly 1."""
+def test_white_environment_changes_nothing(pipeline: ls.Pipeline) -> None:
+    """Rendered, fitted and averaged, display white is a factor of exactly 1."""
     config = ls.RenderConfig(pipeline=pipeline, background=(1.0, 1.0, 1.0))
     scene = ls.Scene([one_gaussian((0.0, 0.0, 2.0), color=(1.0, 1.0, 1.0), opacity=1e-3)])
     probe = ls.avatars.EnvironmentProbe.capture(scene, (0, 0, 0), config=config, device="cpu")
@@ -100,8 +100,8 @@ def test_white_surroundings_change_nothing(pipeline: ls.Pipeline) -> None:
     np.testing.assert_array_equal(ls.relight(gaussians, probe).sh, gaussians.sh)
 
 
-def test_gamma_is_light() -> None:
-    """Even light of 1 at gamma g gives g times the linear light; even grey light at gamma 1 / grey gives it back."""
+def test_gamma_scales_linear_light() -> None:
+    """Constant radiance 1 at gamma g gives g times the linear light; grey at gamma 1 / grey gives the original."""
     gaussians = random_gaussians(7, 200)
     colors = display_colors(gaussians)
     seen = colors > 0.01
@@ -112,14 +112,14 @@ def test_gamma_is_light() -> None:
         np.testing.assert_allclose(relit[seen], expected[seen], atol=1e-5)
 
 
-def test_channels_are_lit_each_by_its_own() -> None:
-    """Red light leaves red, and takes green and blue."""
+def test_channels_are_relit_separately() -> None:
+    """Red light leaves red, and removes green and blue."""
     probe = ls.avatars.EnvironmentProbe.fit(unit(9, 100), np.tile([[0.5, 0.0, 0.0]], (100, 1)), degree=0)
     relit = display_colors(ls.relight(one_gaussian(color=(0.8, 0.8, 0.8)), probe))
     np.testing.assert_allclose(relit, [[encode_srgb(0.5 * decode_srgb(np.array(0.8))), 0.0, 0.0]], atol=1e-5)
 
 
-def test_the_side_towards_the_light_is_the_brighter_one() -> None:
+def test_side_towards_the_light_is_brighter() -> None:
     """A ball under light from +x falls off from there; a glossier lobe falls off faster."""
     directions = unit(10, 20_000)
     sky = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)
@@ -135,8 +135,8 @@ def test_the_side_towards_the_light_is_the_brighter_one() -> None:
     assert np.corrcoef(x, relit[1.0])[0, 1] > 0.9
 
 
-def test_an_instance_is_lit_as_it_stands() -> None:
-    """Its normals are turned with it; place and size do not matter; what it is else stays."""
+def test_instance_rotation_turns_its_normals() -> None:
+    """Translation and scale do not matter; everything but the colours stays."""
     gaussians = ls.gaussians_from_mesh(shapes.torus(), 800)
     pose = similarity((0.3, 1.0, -0.4), 2.0, 7.0, (5.0, -3.0, 1.0))
     instance = ls.SplatInstance(gaussians, pose, ls.MaterialPbr(), name="ring", sh_degree=2, shadow_catcher=True)
@@ -154,8 +154,8 @@ def test_an_instance_is_lit_as_it_stands() -> None:
             assert getattr(relit.gaussians, name) is values
 
 
-def test_given_normals_come_first() -> None:
-    """Before the set's own, and of any length."""
+def test_given_normals_override_the_sets() -> None:
+    """They may have any length."""
     gaussians = ls.gaussians_from_mesh(shapes.sphere(), 300)
     up = np.tile([[0.0, 3.0, 0.0]], (300, 1))
     scale = light_scales(some_probe(), [[0.0, 1.0, 0.0]])[0]
@@ -164,8 +164,8 @@ def test_given_normals_come_first() -> None:
 
 
 @pytest.mark.parametrize(("name", "most"), [("relit.ply", 1e-5), ("relit.spz", 0.02)])
-def test_relit_colours_can_be_saved(tmp_path, name: str, most: float) -> None:
-    """A file of the relit set renders as the set does, view dependence included; PLY has its colours to the bit."""
+def test_relit_colors_survive_saving(tmp_path, name: str, most: float) -> None:
+    """A saved set renders as the relit one, with view dependence; PLY has its colours to the bit."""
     relit = ls.relight(random_gaussians(11, 150, 2), some_probe(), ls.config.RelightConfig(gamma=0.6))
     ls.save(tmp_path / name, relit)
     loaded = ls.load(tmp_path / name)
@@ -206,8 +206,8 @@ AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", 
         (lambda: ls.config.RelightConfig(rows=7), ls.ConfigError, "rows is 7, expected a whole number from 8 to 128"),
     ],
 )
-def test_mistakes_are_told(call: Callable[[], object], error: type[Exception], message: str) -> None:
-    """In one line that names what is wrong."""
+def test_invalid_arguments_are_refused(call: Callable[[], object], error: type[Exception], message: str) -> None:
+    """The message is one line that names the argument."""
     with pytest.raises(error) as caught:
         call()
     assert message in str(caught.value) and "\n" not in str(caught.value)
