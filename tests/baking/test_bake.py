@@ -105,13 +105,13 @@ def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
 def test_baked_sh_do_not_depend_on_the_instance_transform() -> None:
     """A set rotated, scaled and moved together with its light gets the same SH in object space."""
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)
-    lamp = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
+    light = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
     # By a third of a turn around a diagonal: the scene's box, which says how far away eyes are, stays as it is.
-    place = similarity((1.0, 1.0, 1.0), 2.0 * np.pi / 3.0, scale=0.5, offset=(3.0, -1.0, 2.0))
-    moved = replace(lamp, position=tuple(place[:3, :3] @ lamp.position + place[:3, 3]), intensity=3.0)
-    here = baked(ls.Scene([shiny], lights=[lamp]), TRACE).splats[0]
-    there = baked(ls.Scene([replace(shiny, world_from_object=place)], lights=[moved]), TRACE).splats[0]
-    np.testing.assert_array_equal(there.transform, place)
+    position = similarity((1.0, 1.0, 1.0), 2.0 * np.pi / 3.0, scale=0.5, offset=(3.0, -1.0, 2.0))
+    moved = replace(light, position=tuple(position[:3, :3] @ light.position + position[:3, 3]), intensity=3.0)
+    here = baked(ls.Scene([shiny], lights=[light]), TRACE).splats[0]
+    there = baked(ls.Scene([replace(shiny, world_from_object=position)], lights=[moved]), TRACE).splats[0]
+    np.testing.assert_array_equal(there.transform, position)
     np.testing.assert_allclose(there.gaussians.sh, here.gaussians.sh, atol=2e-3)
     assert np.abs(here.gaussians.sh[:, 1:]).max() > 0.1
 
@@ -189,14 +189,14 @@ def test_hidden_gaussians_are_finite_and_in_range() -> None:
 
 def test_progress_increases_from_0_to_1() -> None:
     """Fractions never decrease."""
-    told: list[float] = []
+    reports: list[float] = []
 
     def tell(label: str, fraction: float) -> None:
         if label == "baking":
-            told.append(fraction)
+            reports.append(fraction)
 
     baked(ls.Scene([floor(60), floor(60)], lights=[SUN]), TRACE, directions=8, progress=tell)
-    assert told == sorted(told) and told[0] == 0.0 and told[-1] >= 0.5
+    assert reports == sorted(reports) and reports[0] == 0.0 and reports[-1] >= 0.5
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,8 @@ def test_noise_at_partial_coverage_is_removed():
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)
     halves = found * 0.35 * rng.exponential(1.0, (2, RAYS, 1)) * np.ones(3)
     light = denoised_by_rays(halves, found, base_of(seen, colors), seen, 1.0)
-    met = found.sum(axis=0)
-    alone = np.divide(halves.sum(axis=0), met, where=met > 0.0, out=np.full((RAYS, 3), 0.35))
+    hits = found.sum(axis=0)
+    alone = np.divide(halves.sum(axis=0), hits, where=hits > 0.0, out=np.full((RAYS, 3), 0.35))
     assert np.sqrt(np.square(light - 0.35).mean()) < 0.2 * np.sqrt(np.square(alone - 0.35).mean())
 
 

@@ -25,12 +25,12 @@ TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
 
 def glossy_ball(count: int = 300) -> ls.Scene:
     """A glossy ball between a red and a blue light."""
-    lamps = [
+    lights = [
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
     ]
     metal = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
-    return ls.Scene([ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, metal), count), material=metal)], lights=lamps)
+    return ls.Scene([ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, metal), count), material=metal)], lights=lights)
 
 
 def view_from(side: Any, pixels: int) -> ls.Camera:

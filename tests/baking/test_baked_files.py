@@ -22,13 +22,13 @@ COLORS = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
 def baked() -> ls.Gaussians:
     """A bake of a glossy ball in the direct light of two coloured lights."""
     shiny = ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=0.7, roughness=0.5)
-    lamps = [
+    lights = [
         ls.LightPoint((2.0, 2.0, -2.0), color=(1.0, 0.5, 0.4), intensity=12.0),
         ls.LightPoint((-2.0, 1.0, 2.0), color=(0.3, 0.5, 1.0), intensity=12.0),
     ]
     instance = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, shiny), 200), material=shiny)
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
-    return ls.bake(ls.Scene([instance], lights=lamps), config, device="cpu").splats[0].gaussians
+    return ls.bake(ls.Scene([instance], lights=lights), config, device="cpu").splats[0].gaussians
 
 
 def loaded(baked: ls.Gaussians, path: Path) -> ls.Gaussians:

@@ -63,11 +63,11 @@ def test_known_sh_are_recovered_from_noiseless_rays() -> None:
 def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend, Pixels]:
     """Rays that each blend three Gaussians, with unreported noise of 0.1 on their colours."""
     some = pixels(rng)
-    sights = SIGHTS * rays
+    contributions = SIGHTS * rays
     some = replace(
         some,
         colors=some.colors[:rays],
-        **{name: getattr(some, name)[:sights] for name in ("ray", "gaussian", "weight", "direction")},
+        **{name: getattr(some, name)[:contributions] for name in ("ray", "gaussian", "weight", "direction")},
     )
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
     return blend, replace(some, colors=blend.pixel_colors(truth) + rng.normal(0.0, 0.1, (rays, 3)))
@@ -119,9 +119,9 @@ def test_unbaked_objects_on_a_ray_are_not_baked_into_gaussians(
     """Rays hit a bright capture or mesh before or beside a Gaussian; a black body stays black."""
     black = ls.SplatInstance(ls.gaussians_from_mesh(ball(1.0, diffuse(0.0), rows=16), 60), material=diffuse(0.0))
     splats, meshes = ([black, other], []) if isinstance(other, ls.SplatInstance) else ([black], [other])
-    lamp = ls.LightDirectional((0.0, -1.0, 0.0))
+    light = ls.LightDirectional((0.0, -1.0, 0.0))
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=2, max_bounces=0)
-    shown = ls.bake(ls.Scene(splats, meshes, [lamp]), config, degree=0, device="cpu").splats[0]
+    shown = ls.bake(ls.Scene(splats, meshes, [light]), config, degree=0, device="cpu").splats[0]
     np.testing.assert_allclose(shown.gaussians.sh, -0.5 / SH_C0, atol=1e-4)
 
 
@@ -129,13 +129,16 @@ def test_hits_light_agrees_with_path_traced_frames() -> None:
     """Rays come from above, below and inside of a sphere; disabled or invisible lights are never hit."""
     rng = np.random.default_rng(2)
     origins = (rng.uniform(-1.0, 1.0, (4000, 3)) * (0.6, 2.0, 0.6) + (0.0, 2.0, 0.0)).astype(np.float32)
-    ways = rng.standard_normal((4000, 3))
-    ways = (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
+    directions = rng.standard_normal((4000, 3))
+    directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
-    for lamp in LAMPS:
-        found = hits_light([lamp], origins, ways)
-        shown = ls.trace_rays(ls.Scene(lights=[lamp]), origins, ways, config, device="cpu").radiance.max(axis=1) > 0.0
+    for light in LAMPS:
+        found = hits_light([light], origins, directions)
+        shown = (
+            ls.trace_rays(ls.Scene(lights=[light]), origins, directions, config, device="cpu").radiance.max(axis=1)
+            > 0.0
+        )
         assert 0.02 < shown.mean() < 0.6
         assert (found == shown).mean() > 0.999
-        for unseen in (replace(lamp, visible=False), replace(lamp, enabled=False)):
-            assert not hits_light([unseen], origins, ways).any()
+        for unseen in (replace(light, visible=False), replace(light, enabled=False)):
+            assert not hits_light([unseen], origins, directions).any()

@@ -73,14 +73,14 @@ def test_rays_across_color_edges_match_frames(shines: bool, monkeypatch: pytest.
 def test_clear_spans_end_half_way_to_unwanted_gaussians() -> None:
     """The segment is around the Gaussian of largest weight, and ends before a mesh just behind the last Gaussian."""
     wanted = np.array([0, 1, 1, 0, 1, 1, 1, 0, 0], np.bool_)
-    met = HitGaussians(
+    hits = HitGaussians(
         ray=np.array([0, 0, 0, 0, 0, 1, 1, 2, 3]),
         gaussian=np.arange(9),
         weight=np.array([0.01, 0.5, 0.4, 0.01, 0.01, 0.6, 0.3, 0.5, 0.2]),
         t=np.array([1.0, 2.0, 3.0, 5.0, 6.0, 2.0, 4.0, 1.0, 1.0]),
         rays=5,
     )
-    begin, end, within = clear_spans(met, wanted, np.array([0, 1, 0, 0, 0], np.bool_))
+    begin, end, within = clear_spans(hits, wanted, np.array([0, 1, 0, 0, 0], np.bool_))
     np.testing.assert_array_equal(within, [0, 1, 1, 0, 0, 1, 1, 0, 0])
     np.testing.assert_allclose(begin, [1.5, 0.0, 0.0, 0.0, 0.0])
     np.testing.assert_allclose(end, [4.0, 4.0, 0.0, 0.0, 0.0], rtol=2e-4)

@@ -37,8 +37,8 @@ def small() -> ls.SplatInstance:
 def test_camera_distances_have_linearly_growing_density() -> None:
     """The squared distance is uniform, and at most that of the view."""
     instance = small()
-    lines = drawn_rays(instance, 30)
-    away = np.linalg.norm(lines.origins - instance.gaussians.means[:, None], axis=2)
+    drawn = drawn_rays(instance, 30)
+    away = np.linalg.norm(drawn.origins - instance.gaussians.means[:, None], axis=2)
     assert away.max() < 3.0 + 1e-4
     np.testing.assert_allclose(np.square(away / 3.0).mean(), 0.5, atol=0.02)
 
@@ -51,30 +51,30 @@ def test_directions_are_drawn_in_proportion_to_weight_times_distance() -> None:
     weights, distances = rng.uniform(0.0, 1.0, (total, 8)), rng.uniform(1.0, 3.0, (total, 8))
     weights[:, 3] = 0.0
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
-    ways = SampleRays.of_views(instance, directions, weights, distances, first=0)
-    lines = ways.draw(0, 1000, seed=1)
+    rays = SampleRays.of_views(instance, directions, weights, distances, first=0)
+    drawn = rays.draw(0, 1000, seed=1)
     # From the eye to the middle of the Gaussian, whichever of its points the ray looks at.
-    along = instance.gaussians.means[:, None] - lines.origins
+    along = instance.gaussians.means[:, None] - drawn.origins
     along /= np.linalg.norm(along, axis=2, keepdims=True)
-    way = (along @ even_directions(8).T).argmax(axis=2)
-    taken = np.stack([(way == number).mean(axis=1) for number in range(8)], axis=1)
+    direction = (along @ even_directions(8).T).argmax(axis=2)
+    taken = np.stack([(direction == number).mean(axis=1) for number in range(8)], axis=1)
     wanted = weights * distances
     np.testing.assert_allclose(taken, wanted / wanted.sum(axis=1, keepdims=True), atol=0.005)
 
 
 def test_draws_differ_by_gaussian_seed_and_iteration_only() -> None:
     """A subset of the Gaussians gets the same rays as in a draw for all."""
-    ways = rays_of(small())
-    ways = replace(ways, means=np.zeros_like(ways.means), axes=np.broadcast_to(np.eye(3, dtype=np.float32), (60, 3, 3)))
-    lines = [ways.draw(*numbers) for numbers in ((0, 16, 1), (1, 16, 1), (0, 16, 2))]
-    origins = np.concatenate([one.origins.reshape(-1, 3) for one in lines])
-    towards = np.concatenate([(one.directions / one.directions[..., :1]).reshape(-1, 3)[:, 1:] for one in lines])
+    rays = rays_of(small())
+    rays = replace(rays, means=np.zeros_like(rays.means), axes=np.broadcast_to(np.eye(3, dtype=np.float32), (60, 3, 3)))
+    drawn = [rays.draw(*numbers) for numbers in ((0, 16, 1), (1, 16, 1), (0, 16, 2))]
+    origins = np.concatenate([one.origins.reshape(-1, 3) for one in drawn])
+    towards = np.concatenate([(one.directions / one.directions[..., :1]).reshape(-1, 3)[:, 1:] for one in drawn])
     assert len(np.unique(origins.round(5), axis=0)) > 0.999 * len(origins)
     assert len(np.unique(towards.round(5), axis=0)) > 0.999 * len(towards)
     rows = np.array([7, 2, 41])
-    some = ways.of(rows).draw(1, 16, 1)
-    np.testing.assert_array_equal(some.origins, lines[1].origins[rows])
-    np.testing.assert_array_equal(some.directions, lines[1].directions[rows])
+    some = rays.of(rows).draw(1, 16, 1)
+    np.testing.assert_array_equal(some.origins, drawn[1].origins[rows])
+    np.testing.assert_array_equal(some.directions, drawn[1].directions[rows])
 
 
 def test_distributions_are_stored_once() -> None:
@@ -84,16 +84,16 @@ def test_distributions_are_stored_once() -> None:
     names = SampleRays.__slots__
     size = sum(getattr(part, name).nbytes for name in names)
     tracemalloc.start()
-    ways = SampleRays.allocated(20 * count, 8)
+    rays = SampleRays.allocated(20 * count, 8)
     for number in range(20):
-        ways.put(number * count, part)
+        rays.put(number * count, part)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 1.1 * 20 * size
-    lines = drawn_rays(small(), 16)
-    assert size < lines.origins.nbytes + lines.directions.nbytes
+    drawn = drawn_rays(small(), 16)
+    assert size < drawn.origins.nbytes + drawn.directions.nbytes
     for name in names:
-        np.testing.assert_array_equal(getattr(ways, name)[3 * count : 4 * count], getattr(part, name))
+        np.testing.assert_array_equal(getattr(rays, name)[3 * count : 4 * count], getattr(part, name))
 
 
 def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -128,9 +128,9 @@ def test_memory_does_not_grow_with_the_number_of_directions(monkeypatch: pytest.
     counts: list[int] = []
     pixels = JointShFit.pixels
 
-    def noted(self: JointShFit, ways: SampleRays, count: int) -> Pixels:
-        counts.append(len(ways.gaussian) * count)
-        return pixels(self, ways, count)
+    def noted(self: JointShFit, rays: SampleRays, count: int) -> Pixels:
+        counts.append(len(rays.gaussian) * count)
+        return pixels(self, rays, count)
 
     scene = ls.Scene([small()], lights=[ls.LightDirectional((0.0, -1.0, 0.0))])
     config = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)

@@ -34,8 +34,8 @@ def ssim_by_definition(image: np.ndarray, reference: np.ndarray) -> float:
     for row in range(5, image.shape[0] - 5):
         for column in range(5, image.shape[1] - 5):
             for channel in range(3):
-                place = (slice(row - 5, row + 6), slice(column - 5, column + 6), channel)
-                x, y = image[place], reference[place]
+                position = (slice(row - 5, row + 6), slice(column - 5, column + 6), channel)
+                x, y = image[position], reference[position]
                 mean_x, mean_y = (window * x).sum(), (window * y).sum()
                 variance_x, variance_y = (window * (x - mean_x) ** 2).sum(), (window * (y - mean_y) ** 2).sum()
                 covariance = (window * (x - mean_x) * (y - mean_y)).sum()
@@ -145,8 +145,8 @@ def test_bytes_equal_floats_of_their_value_over_255(metric):
 def test_flipping_both_images_changes_nothing(metric):
     """Both images are turned upside down, or mirrored."""
     image, reference = picture(7), picture(8)
-    for turn in (np.flipud, np.fliplr):
-        assert metric(turn(image), turn(reference)) == pytest.approx(metric(image, reference), abs=1e-6)
+    for mirror in (np.flipud, np.fliplr):
+        assert metric(mirror(image), mirror(reference)) == pytest.approx(metric(image, reference), abs=1e-6)
 
 
 @pytest.mark.parametrize("metric", METRICS)

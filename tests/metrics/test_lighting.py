@@ -24,9 +24,9 @@ Y00, Y10 = math.sqrt(1.0 / (4.0 * math.pi)), math.sqrt(3.0 / (4.0 * math.pi))
 def all_around(count: int = 4000) -> np.ndarray:
     """Unit vectors evenly spread over the sphere (a Fibonacci lattice)."""
     step = np.arange(count) + 0.5
-    z, turn = 1.0 - 2.0 * step / count, step * math.pi * (3.0 - math.sqrt(5.0))
+    z, rotation = 1.0 - 2.0 * step / count, step * math.pi * (3.0 - math.sqrt(5.0))
     across = np.sqrt(1.0 - z * z)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
+    return np.stack([across * np.cos(rotation), across * np.sin(rotation), z], axis=1)
 
 
 def points(rgb, normals: np.ndarray | None = None) -> ls.metrics.LitPoints:
@@ -229,26 +229,28 @@ def test_points_of_gaussians_are_in_world_space_and_linear():
     rng = np.random.default_rng(9)
     normals, colors = all_around(50), rng.uniform(0.05, 1.0, (50, 3))
     gaussians = splats(colors, normals, 50)
-    turn = Rotation.from_euler("xyz", [20, 50, -30], degrees=True).as_matrix()
+    rotation = Rotation.from_euler("xyz", [20, 50, -30], degrees=True).as_matrix()
     world = np.eye(4)
-    world[:3, :3], world[:3, 3] = 2.0 * turn, [1.0, 2.0, 3.0]
+    world[:3, :3], world[:3, 3] = 2.0 * rotation, [1.0, 2.0, 3.0]
     got = ls.metrics.LitPoints.of(ls.Scene(splats=[ls.SplatInstance(gaussians, world)]))
-    np.testing.assert_allclose(got.positions, gaussians.means @ (2.0 * turn).T + [1, 2, 3], atol=1e-5)
-    np.testing.assert_allclose(got.normals, normals @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(got.positions, gaussians.means @ (2.0 * rotation).T + [1, 2, 3], atol=1e-5)
+    np.testing.assert_allclose(got.normals, normals @ rotation.T, atol=1e-6)
     np.testing.assert_allclose(got.rgb, colors, atol=1e-5)
     np.testing.assert_allclose(got.luminance, colors @ [0.2126, 0.7152, 0.0722], atol=1e-5)
 
 
 def test_estimated_normals_of_a_scene_face_the_avatar():
     """Normals of discs on a floor and a ceiling point to the avatar in between."""
-    place = np.random.default_rng(10).uniform(-1, 1, (80, 3))
-    place[:, 1] = np.where(np.arange(80) % 2, 1.0, -1.0)
+    position = np.random.default_rng(10).uniform(-1, 1, (80, 3))
+    position[:, 1] = np.where(np.arange(80) % 2, 1.0, -1.0)
     base = random_gaussians(3, count=80)
     room = replace(
-        base, means=place, scales=np.tile([0.1, 0.01, 0.1], (80, 1)), rotations_wxyz=np.tile([1, 0, 0, 0], (80, 1))
+        base, means=position, scales=np.tile([0.1, 0.01, 0.1], (80, 1)), rotations_wxyz=np.tile([1, 0, 0, 0], (80, 1))
     )
     got = ls.metrics.LitPoints.of(room, around=(0, 0, 0), radius=2.0)
-    np.testing.assert_allclose(got.normals, np.stack([0 * place[:, 1], -place[:, 1], 0 * place[:, 1]], 1), atol=1e-5)
+    np.testing.assert_allclose(
+        got.normals, np.stack([0 * position[:, 1], -position[:, 1], 0 * position[:, 1]], 1), atol=1e-5
+    )
 
 
 def test_metrics_of_gaussians_equal_those_of_their_points():

@@ -27,7 +27,9 @@ def boundary_pixels(shadow: np.ndarray) -> list[tuple[int, int]]:
     for row in range(height):
         for column in range(width):
             around = [(row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)]
-            lit = [shadow[place] <= 0.1 for place in around if 0 <= place[0] < height and 0 <= place[1] < width]
+            lit = [
+                shadow[position] <= 0.1 for position in around if 0 <= position[0] < height and 0 <= position[1] < width
+            ]
             if shadow[row, column] > 0.1 and any(lit):
                 found.append((row, column))
     return found

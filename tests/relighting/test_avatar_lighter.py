@@ -240,8 +240,8 @@ def test_captures_do_not_shadow_mesh_actors() -> None:
 
 def test_given_lights_illuminate_meshes() -> None:
     """A light without shadows and an environment are in the frame; no probe is added to them."""
-    lamps = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
-    stage = lighter(ls.Scene(splats=[floor()]), lamps, relight=True)
+    lights = [LIGHT, replace(LIGHT, casts_shadow=False), ls.LightEnvironment(name="sky"), replace(LIGHT, enabled=False)]
+    stage = lighter(ls.Scene(splats=[floor()]), lights, relight=True)
     assert stage.lights == (LIGHT,)
     frame = stage.light([ls.MeshInstance(icosphere(0.4))])
     assert [light.name for light in frame.lights] == ["bulb", "bulb", "sky"]
@@ -385,9 +385,9 @@ def test_invalid_actor_flags_are_refused() -> None:
 
 def test_lights_of_an_unlit_scene_count_as_its_captured_light() -> None:
     """Nothing reflects them, so they act as if given, and captured walls do not block them."""
-    sky = ls.LightEnvironment(intensity=0.5, name="sky")
+    environment = ls.LightEnvironment(intensity=0.5, name="sky")
     bare, ball = [ls.SplatInstance(floor())], ls.MeshInstance(icosphere(0.4))
-    for lights in ((LIGHT,), (LIGHT, sky), (sky,)):
+    for lights in ((LIGHT,), (LIGHT, environment), (environment,)):
         own, given = lighter(ls.Scene(splats=bare, lights=lights), None, relight=True), None
         if LIGHT in lights:
             given = lighter(ls.Scene(splats=bare), lights, relight=True).light([ball]).lights
@@ -396,7 +396,7 @@ def test_lights_of_an_unlit_scene_count_as_its_captured_light() -> None:
                 (g.name, g.intensity, g.casts_shadow) for g in given
             ]
         # Without meshes only what is seen behind everything is left.
-        assert own.light([]).lights == tuple(light for light in lights if light is sky)
+        assert own.light([]).lights == tuple(light for light in lights if light is environment)
     shiny = replace(puppet(), material=ls.MaterialPbr())
     assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)
 
@@ -417,16 +417,16 @@ def test_dark_actors_warn_once_with_advice(caplog: pytest.LogCaptureFixture) -> 
     """The advice is a gamma; with such a gamma there is no warning."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     gray = (0.5, 0.5, 0.5)  # 0.214 in linear light
-    for gamma, lines in ((1.0, 1), (2.0, 0)):
+    for gamma, warnings in ((1.0, 1), (2.0, 0)):
         settings = config(relight=True, transfer=ls.config.RelightConfig(gamma=gamma))
         stage = ls.AvatarLighter(scene, [LIGHT], settings, background=gray, device="cpu")
         caplog.clear()
         with caplog.at_level(logging.WARNING, logger="lumisplat"):
             for x in (0.0, 0.3):
                 stage.light([puppet(x)])
-        assert caplog.text.count("actors appear at 0.21 of their captured brightness") == lines
+        assert caplog.text.count("actors appear at 0.21 of their captured brightness") == warnings
         advice = "a RelightConfig.gamma of 1.4 shows them half as bright as captured, 4.7 as bright (in a scene.toml"
-        assert (advice in caplog.text) == bool(lines)
+        assert (advice in caplog.text) == bool(warnings)
 
 
 def test_light_that_hardly_reaches_the_capture_warns_once(caplog: pytest.LogCaptureFixture) -> None:

@@ -46,9 +46,9 @@ def test_one_stop_of_gain_doubles_captured_light_on_objects(pipeline: ls.Pipelin
 def test_rough_metal_has_equal_gain_in_hybrid_and_path() -> None:
     """Both pipelines show the same radiance in a grey shell."""
     metal = ls.MaterialPbr(base_color=(0.8, 0.6, 0.4), metallic=1.0, roughness=0.4)
-    lamp = ls.LightPoint((0, 0, 2.5), intensity=1e-6)  # hybrid frames without any light are unlit
+    light = ls.LightPoint((0, 0, 2.5), intensity=1e-6)  # hybrid frames without any light are unlit
     camera = ls.Camera.look_at((0, 0, -2), (0, 0, 0), (0, -1, 0), width=16, height=16, fov_y=0.2)
-    scene = ls.Scene([shell(0.5)], [ball(0.5, metal, rows=24)], [lamp])
+    scene = ls.Scene([shell(0.5)], [ball(0.5, metal, rows=24)], [light])
     found = {
         (pipeline, gain): ls.render(
             scene, camera, ls.RenderConfig(pipeline=pipeline, capture_gain=gain, samples=32), device="cpu"

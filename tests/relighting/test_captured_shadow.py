@@ -132,11 +132,11 @@ def test_shadows_far_from_the_origin_equal_those_at_the_origin() -> None:
     ball = 0.2 * rng.normal(size=(80, 3)) / 2.0
     config = ls.config.AvatarLightingConfig(shadow_map=ls.config.DeepShadowConfig(resolution=64, bins=16))
     found = []
-    for place in (np.zeros(3), np.array([5e6, -3e5, 1e5])):
-        ground = [ls.SplatInstance(receivers(floor), position=place)]
-        lights = [ls.LightPoint(place + np.array([0.2, 0.1, 2.0]))]
+    for position in (np.zeros(3), np.array([5e6, -3e5, 1e5])):
+        ground = [ls.SplatInstance(receivers(floor), position=position)]
+        lights = [ls.LightPoint(position + np.array([0.2, 0.1, 2.0]))]
         shadows = ActorShadows(ground, lights, [], config=config, device="cpu")
-        actor = ls.SplatInstance(receivers(ball), position=place + np.array([0.0, 0.0, 0.5]))
+        actor = ls.SplatInstance(receivers(ball), position=position + np.array([0.0, 0.0, 0.5]))
         found.append(linear(shadows.darken([actor])[0].gaussians))
     assert found[0].min() < 0.5 * found[0].max()
     np.testing.assert_allclose(found[1], found[0], atol=2e-3)

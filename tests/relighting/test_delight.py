@@ -58,9 +58,9 @@ def test_environment_cells_tile_the_sphere() -> None:
         assert np.isclose(some.solid_angles.sum(), 4.0 * np.pi)
         cosines = [some.directions_within(cell, 200, RNG) @ (0.6, 0.0, 0.8) for cell in range(len(some))]
         assert abs(np.maximum(cosines, 0.0).mean(axis=1) @ some.solid_angles - np.pi) < 0.02
-    ways = finer.directions_within(40, 200, RNG)
+    directions = finer.directions_within(40, 200, RNG)
     radius = np.sqrt(finer.solid_angles[40] / np.pi)
-    assert np.arccos(ways @ finer.directions[40]).max() < 2.0 * radius
+    assert np.arccos(directions @ finer.directions[40]).max() < 2.0 * radius
     first, second = cells.neighbours.T
     assert np.bincount(np.concatenate([first, second]), minlength=36).min() >= 3
     assert not len(cells.of(np.empty(0, int)).neighbours)
@@ -102,8 +102,8 @@ def test_sides_spread_over_a_plane_from_one_vote() -> None:
 def test_isolated_sheet_has_one_consistent_side() -> None:
     """Both sides are open, and the Gaussians' axes point either way."""
     sheet = ls.gaussians_from_mesh(ls.plane(2.0), 120)
-    half_turn = np.array((0.0, 1.0, 0.0, 0.0), np.float32)  # about an axis within the sheet
-    lying = np.where((np.arange(sheet.count) % 3 == 0)[:, None], half_turn, (1.0, 0.0, 0.0, 0.0))
+    half_rotation = np.array((0.0, 1.0, 0.0, 0.0), np.float32)  # about an axis within the sheet
+    lying = np.where((np.arange(sheet.count) % 3 == 0)[:, None], half_rotation, (1.0, 0.0, 0.0, 0.0))
     scales = np.tile((0.1, 0.01, 0.1), (sheet.count, 1))
     capture = colored(replace(sheet, rotations_wxyz=lying, scales=scales), np.full((sheet.count, 3), 0.4))
     normals = ls.delight(capture, ls.DelightConfig(cells=4, matt=True), device="cpu").normals
@@ -112,12 +112,12 @@ def test_isolated_sheet_has_one_consistent_side() -> None:
 
 def test_surface_points_are_distributed_over_gaussians() -> None:
     """Their mean is the Gaussian's, their spread is its width, and they are at the peak along the normal."""
-    turn = np.array((0.8, 0.0, 0.6, 0.0))
+    rotation = np.array((0.8, 0.0, 0.6, 0.0))
     one = ls.Gaussians(
-        np.zeros((1, 3), np.float32), turn[None].astype(np.float32), np.array([[0.5, 0.3, 0.01]], np.float32),
+        np.zeros((1, 3), np.float32), rotation[None].astype(np.float32), np.array([[0.5, 0.3, 0.01]], np.float32),
         np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
     )  # fmt: skip
-    axes = rotation_matrix(turn)
+    axes = rotation_matrix(rotation)
     rows = np.zeros(20_000, int)
     points = SurfacePoints(one, 1).at(rows, np.tile(axes[:, 2], (20_000, 1))) @ axes
     assert np.allclose(points.mean(axis=0), 0.0, atol=0.01)
@@ -128,12 +128,12 @@ def test_irradiance_of_open_environment_and_furnace(ball: tuple[ls.Gaussians, np
     """All cells together give a ball the irradiance pi; inside a ball of one colour, irradiance has that colour."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
-    cells, no_lamps = EnvironmentCells.even(8), np.full(plain.count, -1)
+    cells, no_emitters = EnvironmentCells.even(8), np.full(plain.count, -1)
     gray = colored(plain, np.full((plain.count, 3), (0.2, 0.4, 0.6)))
-    outside = incident_of(gray, outward, cells, no_lamps)
+    outside = incident_of(gray, outward, cells, no_emitters)
     assert abs(float(outside.environment.sum(axis=1).mean()) - 1.0) < 0.02
     assert outside.observed.max() < 0.12
-    inside = incident_of(gray, -outward, cells, no_lamps)
+    inside = incident_of(gray, -outward, cells, no_emitters)
     escaped = inside.environment.sum() / plain.count
     assert np.allclose(inside.observed.mean(axis=0) + escaped * np.array((0.2, 0.4, 0.6)),
                        (0.2, 0.4, 0.6), rtol=0.03)  # fmt: skip
@@ -151,9 +151,9 @@ def test_emitter_irradiance_follows_area_and_distance() -> None:
     assert (groups[: emitter.count] == 0).all()
     assert (groups[emitter.count :] == -1).all()
     shares = incident_of(both, normals, EnvironmentCells.even(4), groups).emitters[emitter.count :, 0]
-    way = np.array((0.0, 2.0, 0.0)) - floor.means
-    distance = np.linalg.norm(way, axis=1)
-    expected = (way[:, 1] / distance) ** 2 / distance**2
+    direction = np.array((0.0, 2.0, 0.0)) - floor.means
+    distance = np.linalg.norm(direction, axis=1)
+    expected = (direction[:, 1] / distance) ** 2 / distance**2
     ratio = shares / expected
     assert ratio.std() / ratio.mean() < 0.05
 
@@ -167,10 +167,10 @@ def _lifted(height: float) -> np.ndarray:
 def test_light_is_recovered_from_albedo_similarity() -> None:
     """Environment and emitter of known radiance over surfaces of two albedos are found, up to the prior."""
     cells = EnvironmentCells.even(4)
-    sky = RNG.random((900, 16)) * cells.solid_angles
+    environment = RNG.random((900, 16)) * cells.solid_angles
     emitters = RNG.random((900, 1))
     true = Light(np.full((16, 3), (0.8, 1.0, 1.3)), np.array([[6.0, 4.0, 2.0]]))
-    incident = Irradiance(np.full((900, 3), 0.1), sky.astype(np.float32), emitters.astype(np.float32))
+    incident = Irradiance(np.full((900, 3), 0.1), environment.astype(np.float32), emitters.astype(np.float32))
     albedo = np.where((np.arange(900) < 450)[:, None], (0.7, 0.4, 0.2), (0.2, 0.3, 0.6))
     outgoing = albedo * incident.total(true.environment, true.emitters)
     rng = np.random.default_rng(0)
@@ -326,8 +326,8 @@ def test_captures_without_estimable_materials_are_refused(
 def haze(count: int, scale: float, opacity: float) -> ls.Gaussians:
     """Isotropic Gaussians of one size that fill a ball."""
     rng = np.random.default_rng(3)
-    ways = rng.standard_normal((count, 3))
-    means = ways * (rng.random(count) ** (1.0 / 3.0) / np.linalg.norm(ways, axis=1))[:, None]
+    directions = rng.standard_normal((count, 3))
+    means = directions * (rng.random(count) ** (1.0 / 3.0) / np.linalg.norm(directions, axis=1))[:, None]
     same = np.full((count, 3), scale), np.full(count, opacity)
     return ls.Gaussians(means, rng.standard_normal((count, 4)), *same, 0.3 * rng.standard_normal((count, 1, 3)))
 
@@ -341,9 +341,9 @@ def thick_wall() -> ls.Gaussians:
     """Faint parallel discs over a tenth of the extent, as a short training leaves of a wall."""
     rng = np.random.default_rng(4)
     means = rng.random((6000, 3)) * (2.0, 2.0, 0.3)
-    turns = np.concatenate([np.ones((6000, 1)), 0.2 * rng.standard_normal((6000, 3))], axis=1)
+    rotations = np.concatenate([np.ones((6000, 1)), 0.2 * rng.standard_normal((6000, 3))], axis=1)
     scales = np.broadcast_to((0.05, 0.05, 0.01), (6000, 3))
-    return ls.Gaussians(means, turns, scales, np.full(6000, 0.15), 0.3 * rng.standard_normal((6000, 1, 3)))
+    return ls.Gaussians(means, rotations, scales, np.full(6000, 0.15), 0.3 * rng.standard_normal((6000, 1, 3)))
 
 
 @pytest.mark.parametrize(("count", "scale", "opacity"), [(3000, 0.03, 0.1), (3000, 0.03, 0.5), (20_000, 0.01, 0.5)])

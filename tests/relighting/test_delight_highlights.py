@@ -90,16 +90,20 @@ def test_irradiance_is_binned_by_direction() -> None:
     cells = EnvironmentCells.even(4)
     rng = np.random.default_rng(2)
     cosines = np.maximum(normals @ cells.directions.T, 0.0)
-    sky = (cosines * rng.random(cosines.shape)).astype(np.float32)
+    environment = (cosines * rng.random(cosines.shape)).astype(np.float32)
     by_direction = (cosines.T[..., None] * rng.random((16, 9, 3))).astype(np.float16)
     light = Light(rng.random((16, 3)), np.zeros((0, 3)))
-    incident = Irradiance(by_direction.sum(axis=0), sky, np.zeros((9, 0), np.float32), cells.directions, by_direction)
+    incident = Irradiance(
+        by_direction.sum(axis=0), environment, np.zeros((9, 0), np.float32), cells.directions, by_direction
+    )
     arriving = arriving_light(normals, cells, incident, light)
     assert arriving.shape == (9, BIN_RINGS * BIN_SECTORS, 3)
     assert np.allclose(arriving.sum(axis=1), incident.total(light.environment, light.emitters), atol=2e-3)
     local = np.einsum("nij,ki->nkj", frames_of(normals), cells.directions)
     mean = np.einsum("nqc,qk->nk", arriving, bin_samples().mean(axis=1))
-    expected = np.einsum("nkc,nkj->nj", sky[..., None] * light.environment + np.swapaxes(by_direction, 0, 1), local)
+    expected = np.einsum(
+        "nkc,nkj->nj", environment[..., None] * light.environment + np.swapaxes(by_direction, 0, 1), local
+    )
     assert np.abs(mean - expected).max() < 0.12 * np.abs(expected).max()
 
 
@@ -165,9 +169,9 @@ def radiance_of(
     arriving = power * np.maximum(light @ normal, 0.0)
     lit, seen = arriving > 0.0, views @ normal > 0.0
     wide = float(np.sqrt(roughness**4 + SPREAD_SHARE**2 * 2.0 * np.pi / len(light)))
-    ways = views[seen][:, None], light[lit][None]
-    highlight = bsdf_oracle.pbr_specular(material(wide), normal, *ways)[..., 0] @ arriving[lit]
-    matt = bsdf_oracle.pbr_diffuse(material(roughness**2), normal, *ways)[..., 0] @ arriving[lit]
+    directions = views[seen][:, None], light[lit][None]
+    highlight = bsdf_oracle.pbr_specular(material(wide), normal, *directions)[..., 0] @ arriving[lit]
+    matt = bsdf_oracle.pbr_diffuse(material(roughness**2), normal, *directions)[..., 0] @ arriving[lit]
     shown = np.zeros((len(views), 3))
     shown[seen] = np.array((0.5, 0.3, 0.2)) * matt[:, None] + highlight[:, None]
     return shown

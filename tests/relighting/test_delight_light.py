@@ -51,13 +51,13 @@ def test_emitter_light_is_not_counted_twice() -> None:
     both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
     assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
-    as_white, as_lamp = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
+    as_white, as_emitter = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
     assert as_white.observed[LAMP:].mean() > 0.03
-    assert as_lamp.observed[LAMP:].mean() < 0.05 * as_white.observed[LAMP:].mean()
-    assert as_lamp.emitters[LAMP:, 0].min() > 0.0 and not as_white.emitters.size
+    assert as_emitter.observed[LAMP:].mean() < 0.05 * as_white.observed[LAMP:].mean()
+    assert as_emitter.emitters[LAMP:, 0].min() > 0.0 and not as_white.emitters.size
     # A lamp of the radiance that was captured shines as what was captured does: its Gaussians overlap.
-    assert np.isclose(as_lamp.emitters[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
-    np.testing.assert_array_equal(as_lamp.environment, as_white.environment)
+    assert np.isclose(as_emitter.emitters[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
+    np.testing.assert_array_equal(as_emitter.environment, as_white.environment)
 
 
 def test_emitters_are_one_sided_and_cast_shadows() -> None:
@@ -137,16 +137,18 @@ def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
 
 def test_environment_image_respects_its_rotation() -> None:
     """The same radiance comes from each direction, however the image is rotated."""
-    cells, sky = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
+    cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
-    found = replace(ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=sky)
-    turn = np.array([0.8, 0.4, -0.2, 0.4])
-    ways = panorama_directions(40, 80).reshape(-1, 3)
-    plain = panorama_lookup(found.sky_image(), ways)
-    turned = panorama_lookup(found.sky_image(turn), ways @ rotation_matrix(turn))  # image from world
+    found = replace(
+        ls.inverse.estimate_materials(floor, ls.DelightConfig(cells=4), device="cpu"), cells=cells, sky=environment
+    )
+    rotation = np.array([0.8, 0.4, -0.2, 0.4])
+    directions = panorama_directions(40, 80).reshape(-1, 3)
+    plain = panorama_lookup(found.sky_image(), directions)
+    turned = panorama_lookup(found.sky_image(rotation), directions @ rotation_matrix(rotation))  # image from world
     assert np.median(np.abs(plain - turned)) < 0.01
-    nearest = np.argmax(ways @ cells.directions.T, axis=1)
-    assert np.median(np.abs(plain - sky[nearest])) < 0.01
+    nearest = np.argmax(directions @ cells.directions.T, axis=1)
+    assert np.median(np.abs(plain - environment[nearest])) < 0.01
 
 
 def test_median_radiance_excludes_highlights() -> None:

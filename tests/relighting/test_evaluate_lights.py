@@ -125,9 +125,9 @@ def test_masked_pixels_do_not_count(folder, ball):
     for view in masked.views:
         assert not view.region[12:18, 10:20].any()
         path = folder / "relit" / "dusk" / f"{view.name}.png"
-        picture = ls.load_image(path).copy()
-        picture[12:18, 10:20] = 1.0
-        write_png(path, picture)
+        image = ls.load_image(path).copy()
+        image[12:18, 10:20] = 1.0
+        write_png(path, image)
     assert (
         ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr
         == masked.relit["dusk"].psnr

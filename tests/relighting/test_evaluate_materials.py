@@ -43,8 +43,8 @@ def evaluate(ball: ls.Gaussians, folder: Path, environment: np.ndarray | None = 
 
 def region(folder: Path, view: str) -> np.ndarray:
     """Pixels that the ball covers."""
-    photographs = {photograph.name: photograph for photograph in ls.io.load_training_images(folder).held_out}
-    alpha = photographs[view].alpha()
+    images = {image.name: image for image in ls.io.load_training_images(folder).held_out}
+    alpha = images[view].alpha()
     assert alpha is not None
     return alpha >= 0.5
 
@@ -146,8 +146,8 @@ def test_pixels_outside_the_object_do_not_count(folder, ball):
             layer = read_layer(folder, name, view)
             write_layer(folder, name, view, np.where(where[..., None], rng.random(layer.shape), layer))
         path = folder / "relit" / "dusk" / f"{view}.png"
-        picture = ls.load_image(path)
-        write_png(path, np.where(where[..., None], rng.random(picture.shape), picture))
+        image = ls.load_image(path)
+        write_png(path, np.where(where[..., None], rng.random(image.shape), image))
 
     for view in NAMES:
         spoil(~region(folder, view), view)

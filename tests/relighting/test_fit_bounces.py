@@ -23,19 +23,21 @@ def bounced() -> np.ndarray:
 
 def test_path_traced_fit_of_a_closed_room(bounced):
     """With a quarter of the default samples, lights are within 5 %."""
-    lamps = three_lamps()
-    found = ls.fit_lights(closed(*unknown(*lamps)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu")
-    assert_powers(found.lights, lamps, 0.05)
+    lights = three_lamps()
+    found = ls.fit_lights(closed(*unknown(*lights)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu")
+    assert_powers(found.lights, lights, 0.05)
     assert not found.remarks
 
 
 def test_fit_without_bounces_is_biased(bounced):
     """Some light is wrong by a fifth and more, which is why path tracing is the default."""
-    lamps = three_lamps()
-    found = ls.fit_lights(closed(*unknown(*lamps)), VIEW, bounced, config=DIRECT, environment_degree=None, device="cpu")
+    lights = three_lamps()
+    found = ls.fit_lights(
+        closed(*unknown(*lights)), VIEW, bounced, config=DIRECT, environment_degree=None, device="cpu"
+    )
     off = [
-        np.abs(power(one) - power(lamp)).max() / power(lamp).max()
-        for one, lamp in zip(found.lights, lamps, strict=True)
+        np.abs(power(one) - power(light)).max() / power(light).max()
+        for one, light in zip(found.lights, lights, strict=True)
     ]
     assert max(off) > 0.2
 
@@ -46,18 +48,18 @@ def test_few_samples_do_not_bias_powers(bounced):
     Squares of noisy renders would make powers too weak. Robust weights, which take fireflies for objects that the scene
     lacks, would make them 8 % too strong.
     """
-    lamps = three_lamps()
+    lights = three_lamps()
     ratios = []
     for seed in range(2):
         found = ls.fit_lights(
-            closed(*unknown(*lamps)),
+            closed(*unknown(*lights)),
             VIEW,
             bounced,
             config=replace(PATHS, samples=8, seed=seed),
             environment_degree=None,
             device="cpu",
         )
-        ratios.append([power(one).sum() / power(lamp).sum() for one, lamp in zip(found.lights, lamps, strict=True)])
+        ratios.append([power(one).sum() / power(light).sum() for one, light in zip(found.lights, lights, strict=True)])
     assert np.abs(np.array(ratios) - 1.0).max() < 0.06
     assert abs(np.mean(ratios) - 1.0) < 0.02
 
@@ -91,9 +93,7 @@ def test_averaging_window_ends_at_the_image_border():
 @pytest.mark.parametrize("width", [64, 96])
 def test_path_traced_fit_with_default_samples(width):
     """With little noise in the image, each channel of each light is within 2 %."""
-    lamps, camera, many = three_lamps(), view(width, 3 * width // 4), replace(PATHS, samples=64)
-    photograph = taken(closed(*lamps), camera, replace(PATHS, samples=256, seed=5))
-    found = ls.fit_lights(
-        closed(*unknown(*lamps)), camera, photograph, config=many, environment_degree=None, device="cpu"
-    )
-    assert_powers(found.lights, lamps, 0.02)
+    lights, camera, many = three_lamps(), view(width, 3 * width // 4), replace(PATHS, samples=64)
+    image = taken(closed(*lights), camera, replace(PATHS, samples=256, seed=5))
+    found = ls.fit_lights(closed(*unknown(*lights)), camera, image, config=many, environment_degree=None, device="cpu")
+    assert_powers(found.lights, lights, 0.02)

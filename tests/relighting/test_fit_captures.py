@@ -52,9 +52,9 @@ def fitted(scene: ls.Scene, photograph: np.ndarray, **options) -> ls.inverse.Lig
 def test_capture_color_is_one_factor_per_channel(has_albedo):
     """A capture that starts half as red and more blue gets its own two colours back, and the lights are found."""
     truth = room_with_capture(has_albedo=has_albedo)
-    photograph = taken(truth, SMALL, HYBRID)
+    image = taken(truth, SMALL, HYBRID)
     thought = replace(recolored(truth, GAINS), lights=unknown(*three_lamps()))
-    found = fitted(thought, photograph, base_colors=["ball"])
+    found = fitted(thought, image, base_colors=["ball"])
     assert_powers(found.lights, three_lamps(), 0.01)
     own, expected = (base_colors(scene.splats[0].gaussians) for scene in (found.scene, truth))
     np.testing.assert_allclose(own, expected, atol=0.01)
@@ -78,7 +78,7 @@ def test_captures_are_among_all_base_colors():
 def test_capture_colors_stay_below_white():
     """The image shows more than it can reflect: Gaussians end at 1, and a remark counts them."""
     truth = room_with_capture()
-    bright = replace(truth, lights=[replace(lamp, intensity=3.0 * lamp.intensity) for lamp in three_lamps()])
+    bright = replace(truth, lights=[replace(light, intensity=3.0 * light.intensity) for light in three_lamps()])
     linear = ls.render(bright, SMALL, HYBRID, device="cpu").color
     found = fitted(truth, linear, linear=True, intensities=False, base_colors=["ball"])
     albedo = found.scene.splats[0].gaussians.albedo
@@ -91,8 +91,8 @@ def test_relit_captures_count_and_unlit_ones_do_not():
     truth = room_with_capture()
     box = ls.gaussians_from_mesh(truth.meshes[-1].mesh, 300)
     shown = replace(truth, splats=(*truth.splats, ls.SplatInstance(box)), meshes=truth.meshes[:-1])
-    photograph = noisy(taken(shown, SMALL, HYBRID), 0.01)
-    found = fitted(replace(shown, lights=unknown(*three_lamps())), photograph)
+    image = noisy(taken(shown, SMALL, HYBRID), 0.01)
+    found = fitted(replace(shown, lights=unknown(*three_lamps())), image)
     assert_powers(found.lights, three_lamps(), 0.05)
     kept = ls.render(shown, SMALL, HYBRID, device="cpu").captured_weight
     assert kept is not None and (kept > 0.5).mean() > 0.02

@@ -37,9 +37,9 @@ def fitted(scene: ls.Scene, photographs, cameras=None, **options) -> ls.inverse.
 
 def test_three_lights_of_a_noiseless_image_are_exact():
     """Nothing is left to explain."""
-    lamps = three_lamps()
-    found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), VIEW))
-    assert_powers(found.lights, lamps, 1e-3)
+    lights = three_lamps()
+    found = fitted(closed(*unknown(*lights)), taken(closed(*lights), VIEW))
+    assert_powers(found.lights, lights, 1e-3)
     assert found.scene.lights == found.lights
     assert found.views[0].residual < 1e-3
     assert found.shares.sum() == pytest.approx(1.0, abs=1e-6) and (found.shares > 0.1).all()
@@ -48,21 +48,21 @@ def test_three_lights_of_a_noiseless_image_are_exact():
 
 def test_three_lights_with_noise_are_within_their_standard_errors():
     """With noise and 8 bits, they are within 5 %."""
-    lamps = three_lamps()
-    found = fitted(closed(*unknown(*lamps)), noisy(taken(closed(*lamps), VIEW)))
-    assert_powers(found.lights, lamps, 0.05)
-    off = np.array([np.abs(power(one) - power(lamp)) for one, lamp in zip(found.lights, lamps, strict=True)])
+    lights = three_lamps()
+    found = fitted(closed(*unknown(*lights)), noisy(taken(closed(*lights), VIEW)))
+    assert_powers(found.lights, lights, 0.05)
+    off = np.array([np.abs(power(one) - power(light)) for one, light in zip(found.lights, lights, strict=True)])
     assert (found.standard_errors > 0.0).all() and (found.standard_errors < 0.1).all()
     assert (off < 5.0 * found.standard_errors).all()
 
 
 def test_light_that_is_off_gets_power_0():
     """No power is negative, nor taken from another light."""
-    lamps = three_lamps()
-    dark = replace(lamps[1], intensity=0.0)
-    found = fitted(closed(*unknown(*lamps)), noisy(taken(closed(lamps[0], dark, lamps[2]), VIEW)))
-    assert power(found.lights[1]).max() < 0.02 * power(lamps[0]).max()
-    exact = fitted(closed(*unknown(*lamps)), taken(closed(lamps[0], dark, lamps[2]), VIEW))
+    lights = three_lamps()
+    dark = replace(lights[1], intensity=0.0)
+    found = fitted(closed(*unknown(*lights)), noisy(taken(closed(lights[0], dark, lights[2]), VIEW)))
+    assert power(found.lights[1]).max() < 0.02 * power(lights[0]).max()
+    exact = fitted(closed(*unknown(*lights)), taken(closed(lights[0], dark, lights[2]), VIEW))
     assert power(exact.lights[1]).max() < 1e-6
     assert exact.remarks == ("warm: the fit turned it off",)
 
@@ -81,86 +81,86 @@ def test_keep_hues_fits_one_power_per_light():
 
 def test_second_image_determines_a_hidden_light():
     """Only the second camera sees the light behind the box."""
-    lamps = three_lamps()
+    lights = three_lamps()
     cameras = [VIEW, OTHER]
-    photographs = [taken(closed(*lamps), camera) for camera in cameras]
-    found = fitted(closed(*unknown(*lamps)), photographs, cameras)
-    assert_powers(found.lights, lamps, 1e-3)
+    images = [taken(closed(*lights), camera) for camera in cameras]
+    found = fitted(closed(*unknown(*lights)), images, cameras)
+    assert_powers(found.lights, lights, 1e-3)
     assert len(found.views) == 2
-    grainy = [noisy(one, seed=number) for number, one in enumerate(photographs)]
-    both = fitted(closed(*unknown(*lamps)), grainy, cameras)
-    one = fitted(closed(*unknown(*lamps)), grainy[0], cameras[0])
+    noisy_images = [noisy(one, seed=number) for number, one in enumerate(images)]
+    both = fitted(closed(*unknown(*lights)), noisy_images, cameras)
+    one = fitted(closed(*unknown(*lights)), noisy_images[0], cameras[0])
     assert both.standard_errors.sum() < one.standard_errors.sum()
 
 
 def test_objects_missing_from_the_scene_do_not_bias_the_fit():
     """A black ball and a lit picture on the wall hide a sixth of the image: lights are within 5 %."""
-    lamps = three_lamps()
-    room = closed(*lamps)
-    photograph = noisy(taken(with_strangers(room), VIEW))
+    lights = three_lamps()
+    room = closed(*lights)
+    image = noisy(taken(with_strangers(room), VIEW))
     clean = noisy(taken(room, VIEW))
-    assert (np.abs(photograph.astype(int) - clean) > 12).any(axis=2).mean() > 0.1
-    found = fitted(closed(*unknown(*lamps)), photograph)
-    assert_powers(found.lights, lamps, 0.05)
+    assert (np.abs(image.astype(int) - clean) > 12).any(axis=2).mean() > 0.1
+    found = fitted(closed(*unknown(*lights)), image)
+    assert_powers(found.lights, lights, 0.05)
     # Where it is hidden, nothing counts.
-    changed = (np.abs(photograph.astype(int) - clean) > 60).any(axis=2)
+    changed = (np.abs(image.astype(int) - clean) > 60).any(axis=2)
     assert np.median(found.views[0].weights.min(axis=2)[changed]) < 0.05
 
 
 def test_clipped_pixels_are_left_out_and_counted():
     """An image with three stops more exposure is partly white; the lights are right."""
-    lamps = [replace(lamp, intensity=6.0 * lamp.intensity) for lamp in three_lamps()]
-    photograph = taken(closed(*lamps), VIEW)
-    white = (photograph >= 0.995).any(axis=2)
+    lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lamps()]
+    image = taken(closed(*lights), VIEW)
+    white = (image >= 0.995).any(axis=2)
     assert 0.1 < white.mean() < 0.7
-    found = fitted(closed(*unknown(*lamps)), photograph)
-    assert_powers(found.lights, tuple(lamps), 1e-3)
-    assert found.views[0].clipped == np.count_nonzero(white | (photograph <= 0.0).any(axis=2))
-    assert (found.views[0].weights[photograph >= 0.995] == 0.0).all()
+    found = fitted(closed(*unknown(*lights)), image)
+    assert_powers(found.lights, tuple(lights), 1e-3)
+    assert found.views[0].clipped == np.count_nonzero(white | (image <= 0.0).any(axis=2))
+    assert (found.views[0].weights[image >= 0.995] == 0.0).all()
     assert ("clipped" in " ".join(found.remarks)) == (white.mean() > 0.2)
 
 
 def test_masked_pixels_are_left_out():
     """Half of the image is painted over."""
-    lamps = three_lamps()
-    photograph = taken(closed(*lamps), VIEW)
-    mask = np.ones(photograph.shape[:2])
-    photograph[:, :20] = (0.9, 0.1, 0.9)
+    lights = three_lamps()
+    image = taken(closed(*lights), VIEW)
+    mask = np.ones(image.shape[:2])
+    image[:, :20] = (0.9, 0.1, 0.9)
     mask[:, :20] = 0.0
-    found = fitted(closed(*unknown(*lamps)), photograph, masks=mask)
-    assert_powers(found.lights, lamps, 1e-3)
-    assert found.views[0].masked == 20 * photograph.shape[0]
+    found = fitted(closed(*unknown(*lights)), image, masks=mask)
+    assert_powers(found.lights, lights, 1e-3)
+    assert found.views[0].masked == 20 * image.shape[0]
     # Shares are of what is seen beside it.
     counts = (found.views[0].weights > 0.0).all(axis=2)
-    alone = [np.asarray(ls.render(closed(lamp), VIEW, DIRECT, device="cpu").color)[..., :3] for lamp in lamps]
+    alone = [np.asarray(ls.render(closed(light), VIEW, DIRECT, device="cpu").color)[..., :3] for light in lights]
     given = np.array([(picture[counts] @ (0.2126, 0.7152, 0.0722)).sum() for picture in alone])
     np.testing.assert_allclose(found.shares, given / given.sum(), rtol=0.01)
 
 
 def test_exposure_of_the_camera_is_applied():
     """A camera with two stops less gives the same lights."""
-    lamps = three_lamps()
+    lights = three_lamps()
     darker = replace(VIEW, exposure=-2.0)
-    found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), darker), darker)
-    assert_powers(found.lights, lamps, 2e-3)
-    given = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), darker), VIEW, exposure=-2.0)
-    assert_powers(given.lights, lamps, 2e-3)
+    found = fitted(closed(*unknown(*lights)), taken(closed(*lights), darker), darker)
+    assert_powers(found.lights, lights, 2e-3)
+    given = fitted(closed(*unknown(*lights)), taken(closed(*lights), darker), VIEW, exposure=-2.0)
+    assert_powers(given.lights, lights, 2e-3)
 
 
 def test_exposures_are_fitted_relative_to_the_first():
     """Without emission in the scene, the first exposure is held, with a remark, and the second is found."""
-    lamps = three_lamps()
+    lights = three_lamps()
     cameras = [VIEW, replace(OTHER, exposure=-1.3)]
-    photographs = [taken(closed(*lamps), camera) for camera in cameras]
-    found = fitted(closed(*unknown(*lamps)), photographs, [VIEW, OTHER], exposure="fit")
+    images = [taken(closed(*lights), camera) for camera in cameras]
+    found = fitted(closed(*unknown(*lights)), images, [VIEW, OTHER], exposure="fit")
     np.testing.assert_allclose(found.exposures, [0.0, -1.3], atol=5e-3)
-    assert_powers(found.lights, lamps, 5e-3)
+    assert_powers(found.lights, lights, 5e-3)
     assert "the exposure of image 0 stays 0 stops" in found.remarks[0]
 
 
 def test_emission_determines_the_exposure():
     """The scene has a sign of known radiance."""
-    lamps = three_lamps()
+    lights = three_lamps()
     shining = replace(matte(0.0), emissive=(0.5, 0.4, 0.3))
     sign = ls.Mesh(
         [[0.6, 0.8, 0.02], [2.0, 0.8, 0.02], [2.0, 2.0, 0.02], [0.6, 2.0, 0.02]],
@@ -171,34 +171,34 @@ def test_emission_determines_the_exposure():
     def with_sign(scene: ls.Scene) -> ls.Scene:
         return replace(scene, meshes=(*scene.meshes, ls.MeshInstance(sign)))
 
-    photograph = taken(with_sign(closed(*lamps)), replace(VIEW, exposure=-0.8))
-    found = fitted(with_sign(closed(*unknown(*lamps))), photograph, exposure="fit")
+    image = taken(with_sign(closed(*lights)), replace(VIEW, exposure=-0.8))
+    found = fitted(with_sign(closed(*unknown(*lights))), image, exposure="fit")
     np.testing.assert_allclose(found.exposures, [-0.8], atol=5e-3)
-    assert_powers(found.lights, lamps, 5e-3)
+    assert_powers(found.lights, lights, 5e-3)
 
 
 @pytest.mark.parametrize("tone_map", ["neutral", "agx"])
 def test_tone_maps_are_inverted(tone_map):
     """Without ``tone_map``, the lights of a tone-mapped image are wrong."""
-    lamps = three_lamps()
-    photograph = taken(closed(*lamps), VIEW, replace(DIRECT, tone_map=tone_map))
-    found = fitted(closed(*unknown(*lamps)), photograph, tone_map=tone_map)
-    assert_powers(found.lights, lamps, 0.01)
-    wrong = fitted(closed(*unknown(*lamps)), photograph)
+    lights = three_lamps()
+    image = taken(closed(*lights), VIEW, replace(DIRECT, tone_map=tone_map))
+    found = fitted(closed(*unknown(*lights)), image, tone_map=tone_map)
+    assert_powers(found.lights, lights, 0.01)
+    wrong = fitted(closed(*unknown(*lights)), image)
     with pytest.raises(AssertionError):
-        assert_powers(wrong.lights, lamps, 0.01)
+        assert_powers(wrong.lights, lights, 0.01)
 
 
 def test_exr_images_are_linear_and_png_images_are_not(tmp_path):
     """An EXR may have any brightness."""
-    lamps = [replace(lamp, intensity=6.0 * lamp.intensity) for lamp in three_lamps()]
-    frame = ls.render(closed(*lamps), VIEW, DIRECT, device="cpu")
+    lights = [replace(light, intensity=6.0 * light.intensity) for light in three_lamps()]
+    frame = ls.render(closed(*lights), VIEW, DIRECT, device="cpu")
     frame.save(tmp_path / "photo.exr")
-    found = fitted(closed(*unknown(*lamps)), tmp_path / "photo.exr")
-    assert_powers(found.lights, tuple(lamps), 1e-4)
+    found = fitted(closed(*unknown(*lights)), tmp_path / "photo.exr")
+    assert_powers(found.lights, tuple(lights), 1e-4)
     assert found.views[0].clipped == 0
-    array = fitted(closed(*unknown(*lamps)), frame.color, linear=True)
-    assert_powers(array.lights, tuple(lamps), 1e-4)
+    array = fitted(closed(*unknown(*lights)), frame.color, linear=True)
+    assert_powers(array.lights, tuple(lights), 1e-4)
 
 
 def sh_environment(degree: int = 2) -> EnvironmentProbe:
@@ -216,21 +216,21 @@ def sh_environment(degree: int = 2) -> EnvironmentProbe:
 def test_sh_environment_is_recovered():
     """With degree 1 and few samples, the irradiance is right and no radiance is negative."""
     truth, camera = sh_environment(1), view(48, 36)
-    photograph = taken(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
+    image = taken(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
     config = ls.RenderConfig(samples=32, seed=77)
-    found = fitted(open_above(), photograph, camera, config=config, environment_degree=1)
+    found = fitted(open_above(), image, camera, config=config, environment_degree=1)
     check_environment(found, truth)
 
 
 @pytest.mark.deep
 def test_sh_environment_and_a_light_are_recovered():
     """Beside an environment of degree 2, the light is within 3 %."""
-    lamp = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
+    light = ls.LightPoint((3.0, 2.0, 3.2), (1.0, 0.7, 0.4), 1.5, name="lamp")
     truth, camera = sh_environment(2), view(64, 48)
-    photograph = taken(open_above(lamp, truth.light()), camera, ls.RenderConfig(samples=256))
+    image = taken(open_above(light, truth.light()), camera, ls.RenderConfig(samples=256))
     config = ls.RenderConfig(samples=128, seed=77)
-    found = fitted(open_above(*unknown(lamp)), photograph, camera, config=config, environment_degree=2)
-    assert_powers(found.lights[:1], (lamp,), 0.03)
+    found = fitted(open_above(*unknown(light)), image, camera, config=config, environment_degree=2)
+    assert_powers(found.lights[:1], (light,), 0.03)
     check_environment(found, truth)
 
 
@@ -251,13 +251,13 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 @pytest.mark.parametrize("room", [open_above, closed])
 def test_unused_sh_environment_is_removed(room):
     """With local lights only, one remark says so, whether the environment cannot enter or does not shine."""
-    lamps = three_lamps()
+    lights = three_lamps()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
-    found = fitted(room(*unknown(*lamps)), taken(room(*lamps), VIEW), **options)
+    found = fitted(room(*unknown(*lights)), taken(room(*lights), VIEW), **options)
     assert found.environment is None and found.scene.lights == found.lights and len(found.lights) == 3
     assert len(found.shares) == len(found.standard_errors) == len(found.position_errors) == 3
     assert found.remarks[0] == "environment: none of its light was found in the images, so the scene has none"
-    assert_powers(found.lights, lamps, 0.03)
+    assert_powers(found.lights, lights, 0.03)
 
 
 def test_red_environment_is_recovered():
@@ -285,19 +285,19 @@ def test_environment_with_an_image_keeps_it():
 
 def test_lights_at_one_position_are_reported_as_indistinguishable():
     """Their sum is right."""
-    lamp = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
-    twin = replace(lamp, name="right")
-    found = fitted(closed(*unknown(lamp, twin)), taken(closed(lamp), VIEW))
+    light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
+    twin = replace(light, name="right")
+    found = fitted(closed(*unknown(light, twin)), taken(closed(light), VIEW))
     assert found.remarks == ("left and right cannot be distinguished in the images: only their sum is determined",)
-    np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(lamp), rtol=1e-3)
+    np.testing.assert_allclose(power(found.lights[0]) + power(found.lights[1]), power(light), rtol=1e-3)
 
 
 def test_invisible_light_is_unchanged():
     """One light shines into a box, and one is disabled."""
-    lamps = three_lamps()
+    lights = three_lamps()
     hidden = ls.LightPoint((2.75, 0.85, 1.3), (1.0, 0.2, 0.1), 9.0, name="hidden")
     switched = replace(hidden, enabled=False, name="switched off")
-    found = fitted(closed(*unknown(*lamps), hidden, switched), taken(closed(*lamps), VIEW))
+    found = fitted(closed(*unknown(*lights), hidden, switched), taken(closed(*lights), VIEW))
     assert found.scene.lights[3].intensity == 9.0 and found.scene.lights[3].color == hidden.color
     assert found.scene.lights[4] is switched and len(found.lights) == 4
     assert found.remarks == ("hidden: none of its light appears in the images, so it is unchanged",)
@@ -305,9 +305,9 @@ def test_invisible_light_is_unchanged():
 
 def test_parameters_that_no_light_has_are_reported():
     """There is one remark for each."""
-    lamps = three_lamps()
+    lights = three_lamps()
     small = view(32, 24)
-    found = fitted(closed(*unknown(*lamps)), taken(closed(*lamps), small), small, radii=True, angles=True)
+    found = fitted(closed(*unknown(*lights)), taken(closed(*lights), small), small, radii=True, angles=True)
     assert found.remarks == (
         "radii is set, but no light has any: none were fitted",
         "angles is set, but no light has any: none were fitted",
@@ -316,30 +316,30 @@ def test_parameters_that_no_light_has_are_reported():
 
 def test_base_colors_of_two_materials_are_recovered():
     """The lights and the walls' colours are known."""
-    lamps = three_lamps()
-    photograph = taken(closed(*lamps), VIEW)
-    room = closed(*lamps)
+    lights = three_lamps()
+    image = taken(closed(*lights), VIEW)
+    room = closed(*lights)
     grey = [
         replace(instance, name=name, mesh=replace(instance.mesh, material=matte(0.4)))
         for name, instance in zip(("ball", "box"), room.meshes[-2:], strict=True)
     ]
     scene = replace(room, meshes=(*room.meshes[:-2], *grey))
-    found = fitted(scene, photograph, intensities=False, base_colors=["ball", "box"])
+    found = fitted(scene, image, intensities=False, base_colors=["ball", "box"])
     np.testing.assert_allclose(found.base_colors["ball"], (0.8, 0.5, 0.2), atol=2e-3)
     np.testing.assert_allclose(found.base_colors["box"], (0.2, 0.5, 0.8), atol=2e-3)
-    assert [power(light).tolist() for light in found.lights] == [power(lamp).tolist() for lamp in lamps]
-    both = fitted(replace(scene, lights=unknown(*lamps)), photograph, base_colors=["ball", "box"])
+    assert [power(light).tolist() for light in found.lights] == [power(lamp).tolist() for lamp in lights]
+    both = fitted(replace(scene, lights=unknown(*lights)), image, base_colors=["ball", "box"])
     np.testing.assert_allclose(both.base_colors["box"], (0.2, 0.5, 0.8), atol=4e-3)
-    assert_powers(both.lights, lamps, 5e-3)
+    assert_powers(both.lights, lights, 5e-3)
 
 
 def test_product_of_all_base_colors_is_held():
     """Lights and surfaces are determined up to a factor, and a remark says so."""
-    lamps = three_lamps()
-    room, camera = closed(*lamps), view(32, 24)
-    photograph = taken(room, camera)
+    lights = three_lamps()
+    room, camera = closed(*lights), view(32, 24)
+    image = taken(room, camera)
     grey = [replace(one, mesh=replace(one.mesh, material=matte(0.5))) for one in room.meshes]
-    found = fitted(replace(room, meshes=grey, lights=unknown(*lamps)), photograph, camera, base_colors=True)
+    found = fitted(replace(room, meshes=grey, lights=unknown(*lights)), image, camera, base_colors=True)
     assert any("up to one factor" in line for line in found.remarks)
     assert found.views[0].residual < 0.01
     colors = np.array(list(found.base_colors.values()))

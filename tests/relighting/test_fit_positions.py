@@ -49,46 +49,46 @@ def assert_positions(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...]
 
 def test_position_of_a_light_is_recovered():
     """From 0.3 of the room away, with noise and 8 bits, it is within 2 % of the room, and its power within 5 %."""
-    lamp = three_lamps()[1]
-    start = replace(lamp, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
-    assert math.dist(start.position, lamp.position) > 0.28 * ROOM
-    found = fitted(closed(start), view(), noisy(taken(closed(lamp), view())), positions=True, size=48)
-    assert_positions(found.lights, (lamp,), 0.02)
-    assert_powers(found.lights, (lamp,), 0.05)
+    light = three_lamps()[1]
+    start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
+    assert math.dist(start.position, light.position) > 0.28 * ROOM
+    found = fitted(closed(start), view(), noisy(taken(closed(light), view())), positions=True, size=48)
+    assert_positions(found.lights, (light,), 0.02)
+    assert_powers(found.lights, (light,), 0.05)
     assert (found.position_errors < 0.02 * ROOM).all()
 
 
 def test_progress_is_reported_for_every_render(monkeypatch):
     """The fraction never falls, and ends at 1."""
-    lamp, rendered, told = three_lamps()[1], [], []
+    light, rendered, reports = three_lamps()[1], [], []
     both = LightLayers._both
-    monkeypatch.setattr(LightLayers, "_both", lambda *args: rendered.append(len(told)) or both(*args))
-    start = replace(lamp, position=(1.9, 1.5, 3.3), intensity=1.0)
-    photograph = taken(closed(lamp), view(32, 24))
-    fitted(closed(start), view(32, 24), photograph, positions=True, progress=lambda *now: told.append(now))
+    monkeypatch.setattr(LightLayers, "_both", lambda *args: rendered.append(len(reports)) or both(*args))
+    start = replace(light, position=(1.9, 1.5, 3.3), intensity=1.0)
+    image = taken(closed(light), view(32, 24))
+    fitted(closed(start), view(32, 24), image, positions=True, progress=lambda *now: reports.append(now))
     assert max(np.diff(rendered)) <= 2 and min(np.diff(rendered)) >= 1 and len(rendered) > 100
-    labels, shares = zip(*told, strict=True)
-    assert list(shares) == sorted(shares) and told[-1] == ("fitting lights", 1.0)
+    labels, shares = zip(*reports, strict=True)
+    assert list(shares) == sorted(shares) and reports[-1] == ("fitting lights", 1.0)
     stages = ("searching for positions", "rendering each light", "refining", "estimating errors")
     assert list(dict.fromkeys(labels)) == ["fitting lights", *(f"fitting lights, {stage}" for stage in stages)]
 
 
 def test_position_is_recovered_between_unfitted_pixels():
     """Black dots leave no downscaled pixel whole, so the search runs at the full size."""
-    lamp = three_lamps()[1]
-    photograph = taken(closed(lamp), view(48, 36))
-    photograph[::2, ::2] = 0.0
-    start = replace(lamp, position=(1.9, 1.5, 3.3), intensity=1.0)
-    found = fitted(closed(start), view(48, 36), photograph, positions=True)
-    assert_positions(found.lights, (lamp,), 0.02)
+    light = three_lamps()[1]
+    image = taken(closed(light), view(48, 36))
+    image[::2, ::2] = 0.0
+    start = replace(light, position=(1.9, 1.5, 3.3), intensity=1.0)
+    found = fitted(closed(start), view(48, 36), image, positions=True)
+    assert_positions(found.lights, (light,), 0.02)
 
 
 def test_lights_stay_in_the_box_of_the_scene():
     """A light far above is moved to the height of the walls at most."""
-    lamp = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
-    start = replace(lamp, position=(2.0, 2.0, 2.5), intensity=2.0)
+    light = ls.LightPoint((2.0, 9.0, 2.5), (1.0, 1.0, 1.0), 40.0)
+    start = replace(light, position=(2.0, 2.0, 2.5), intensity=2.0)
     small = view(48, 36)
-    found = fitted(open_above(start), small, taken(open_above(lamp), small), positions=True)
+    found = fitted(open_above(start), small, taken(open_above(light), small), positions=True)
     height = expect_kind(ls.LightPoint, found.lights[0]).position[1]
     assert height == pytest.approx(3.0, abs=1e-5)  # as high as the walls
 
@@ -99,10 +99,10 @@ def test_positions_of_three_lights_are_recovered(count):
     """All are displaced by 0.3 of the room; with one and two images, noise and 8 bits. Lights may swap."""
     lamps = three_lamps()
     cameras = [view(), other_view()][:count]
-    photographs = [noisy(taken(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
-    found = fitted(closed(*moved(lamps, 0.3)), cameras, photographs, positions=True, size=64)
-    places = np.array([expect_kind(ls.LightPoint, light).position for light in found.lights])
-    order = [int(np.linalg.norm(places - lamp.position, axis=1).argmin()) for lamp in lamps]
+    images = [noisy(taken(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
+    found = fitted(closed(*moved(lamps, 0.3)), cameras, images, positions=True, size=64)
+    positions = np.array([expect_kind(ls.LightPoint, light).position for light in found.lights])
+    order = [int(np.linalg.norm(positions - lamp.position, axis=1).argmin()) for lamp in lamps]
     assert sorted(order) == [0, 1, 2]
     lights = tuple(found.lights[row] for row in order)
     assert_positions(lights, lamps, 0.02)
@@ -112,20 +112,20 @@ def test_positions_of_three_lights_are_recovered(count):
 @pytest.mark.deep
 def test_position_with_a_soft_shadow_is_recovered():
     """The penumbra adds noise."""
-    lamp = replace(three_lamps()[1], radius=0.1)
-    start = replace(lamp, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
-    photograph = noisy(taken(closed(lamp), view(), SOFT))
-    found = fitted(closed(start), view(), photograph, positions=True, config=SOFT, size=64)
-    assert_positions(found.lights, (lamp,), 0.02)
-    assert_powers(found.lights, (lamp,), 0.05)
+    light = replace(three_lamps()[1], radius=0.1)
+    start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
+    image = noisy(taken(closed(light), view(), SOFT))
+    found = fitted(closed(start), view(), image, positions=True, config=SOFT, size=64)
+    assert_positions(found.lights, (light,), 0.02)
+    assert_powers(found.lights, (light,), 0.05)
 
 
 def test_radius_is_recovered_from_the_penumbra():
     """A sphere light that starts at a third of its radius is within a seventh, its power within 3 %."""
     lamp = ls.LightSphere((2.6, 2.2, 3.4), 0.35, (1.0, 0.9, 0.8), 12.0, name="ball")
     small = view(48, 36)
-    photograph = taken(closed(lamp), small, replace(SOFT, samples=64))
-    found = fitted(closed(replace(lamp, radius=0.12, intensity=50.0)), small, photograph, radii=True, config=SOFT)
+    image = taken(closed(lamp), small, replace(SOFT, samples=64))
+    found = fitted(closed(replace(lamp, radius=0.12, intensity=50.0)), small, image, radii=True, config=SOFT)
     (light,) = found.lights
     assert isinstance(light, ls.LightSphere)
     assert light.radius == pytest.approx(0.35, abs=0.05)
@@ -137,8 +137,8 @@ def test_direction_and_cone_of_a_spot_are_recovered():
     """The edge of its light determines both."""
     spot = ls.LightSpot((2.0, 2.8, 2.6), (0.2, -1.0, -0.3), (1.0, 0.9, 0.7), 8.0, inner_angle=0.35, outer_angle=0.6)
     start = replace(spot, direction=(0.05, -1.0, -0.1), inner_angle=0.25, outer_angle=0.75, intensity=3.0)
-    photograph = taken(closed(spot), SMALL)
-    found = fitted(closed(start), SMALL, photograph, positions=True, angles=True)
+    image = taken(closed(spot), SMALL)
+    found = fitted(closed(start), SMALL, image, positions=True, angles=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightSpot)
     assert math.degrees(math.acos(min(1.0, float(np.dot(light.direction, spot.direction))))) < 1.0
@@ -150,8 +150,8 @@ def test_direction_of_a_sun_is_recovered():
     """Its shadows determine it."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
-    photograph = taken(open_above(sun), SMALL)
-    found = fitted(open_above(start), SMALL, photograph, positions=True)
+    image = taken(open_above(sun), SMALL)
+    found = fitted(open_above(start), SMALL, image, positions=True)
     (light,) = found.lights
     assert isinstance(light, ls.LightDirectional)
     assert math.degrees(math.acos(min(1.0, float(np.dot(light.direction, sun.direction))))) < 0.5
@@ -160,10 +160,10 @@ def test_direction_of_a_sun_is_recovered():
 
 def test_derivatives_do_not_depend_on_the_step():
     """Away from shadow edges, half the step gives the same derivative of each pixel by each coordinate."""
-    lamp = replace(three_lamps()[0], intensity=1.0)
-    scene, photographs = closed(lamp), read_images(view(), taken(closed(lamp), view()))
+    light = replace(three_lamps()[0], intensity=1.0)
+    scene, images = closed(light), read_images(view(), taken(closed(light), view()))
     task = FitTask.of(scene, FitOptions(positions=True, environment_degree=None), [0.0], shines=lambda: False)
-    fitter = PowerFitter(task, photographs, LightLayers(DIRECT, "cpu"))
+    fitter = PowerFitter(task, images, LightLayers(DIRECT, "cpu"))
     candidate = fitter.begin(task.scene, task.gains)
     coarse = slopes_of(fitter, candidate).renders[0]
     fine_task = replace(
@@ -179,10 +179,10 @@ def test_derivatives_do_not_depend_on_the_step():
     assert np.quantile(off[smooth], 0.9) < 0.03
     # By hand: the floor shows albedo / pi times h / r^3, and a lamp that rises changes that by 1 / r^3 - 3 h^2 / r^5.
     frame = ls.render(scene, view(), replace(DIRECT, aovs=("albedo",)), device="cpu")
-    place, albedo = (np.asarray(image, np.float64).reshape(-1, 3) for image in (frame.position, frame.albedo))
-    r, h = np.linalg.norm(place - lamp.position, axis=1), lamp.position[1]
+    position, albedo = (np.asarray(image, np.float64).reshape(-1, 3) for image in (frame.position, frame.albedo))
+    r, h = np.linalg.norm(position - light.position, axis=1), light.position[1]
     by_hand = candidate.powers[0] * albedo / np.pi * (r**-3 - 3.0 * h**2 * r**-5)[:, None]
-    lit = (np.abs(place[:, 1]) < 1e-3) & (candidate.lights[0][0].min(axis=1) > 0.0) & smooth[1].all(axis=1)
+    lit = (np.abs(position[:, 1]) < 1e-3) & (candidate.lights[0][0].min(axis=1) > 0.0) & smooth[1].all(axis=1)
     assert lit.sum() > 200
     off = np.abs(fine[1] - by_hand)[lit] / np.abs(by_hand[lit]).mean()
     assert np.median(off) < 0.02

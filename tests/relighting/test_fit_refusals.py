@@ -61,7 +61,7 @@ def test_images_without_usable_pixels_are_refused():
 def test_scenes_without_anything_to_fit_are_refused():
     """No lights, none enabled, nothing visible, nothing asked for."""
     assert "no lights to fit" in refusal(GREY, scene=closed())
-    off = [replace(lamp, enabled=False) for lamp in three_lamps()]
+    off = [replace(light, enabled=False) for light in three_lamps()]
     assert "no lights to fit" in refusal(GREY, scene=closed(*off))
     assert "nothing to fit" in refusal(GREY, intensities=False)
     away = ls.Camera.look_at((2, 1.5, -9), (2, 1.5, -20), width=96, height=72)

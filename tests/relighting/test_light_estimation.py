@@ -42,8 +42,8 @@ def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: f
 def test_planted_lamps_are_found_in_order() -> None:
     """Three lamps, brightest first, at their positions and with their linear colours."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
-    for light, place, color in zip(found.lights, PLACES, COLORS, strict=True):
-        assert_at(light, place)
+    for light, position, color in zip(found.lights, PLACES, COLORS, strict=True):
+        assert_at(light, position)
         np.testing.assert_allclose(light.color, np.array(color) / max(color), atol=2e-3)
     assert (np.diff(found.scores) < 0.0).all() and (found.peakness > 2.0).all()
     assert [light.name for light in found.lights] == ["estimated-1", "estimated-2", "estimated-3"]
@@ -95,8 +95,8 @@ def test_compactness_0_accepts_broad_emitters() -> None:
 
 def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
     """The sparkle, bright from one viewpoint only, ranks after a lamp of half its luminance."""
-    place = np.array(PLACES[0])
-    glint = sparkle(PLACES[0], place - CENTER)
+    position = np.array(PLACES[0])
+    glint = sparkle(PLACES[0], position - CENTER)
     room = room_with(glint, lamp(PLACES[1], (0.6, 0.6, 0.6)))
     found = ls.inverse.estimate_lights(room, CENTER, 2, config=looks(weakest=0.0))
     assert_at(found.lights[0], PLACES[1])
@@ -108,16 +108,16 @@ def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
 
 def test_constancy_over_viewpoints_counts() -> None:
     """Of two colours with equal variance over all directions, the one with less variance over the viewpoints wins."""
-    places = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
+    positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # Gradients of one size: along the line of sight, where viewpoints hardly matter, and across. By mean and maximum
     # luminance the second is brighter, by 3 %.
-    steady, unsteady = lamp(tuple(places[0]), (0.67, 0.67, 0.67)), lamp(tuple(places[1]), (0.8, 0.8, 0.8))
+    steady, unsteady = lamp(tuple(positions[0]), (0.67, 0.67, 0.67)), lamp(tuple(positions[1]), (0.8, 0.8, 0.8))
     steady_sh, unsteady_sh = steady.sh.copy(), unsteady.sh.copy()
     steady_sh[:, 3], unsteady_sh[:, 2] = 0.2, 0.2
     room = room_with(replace(unsteady, sh=unsteady_sh), replace(steady, sh=steady_sh))
     wide = looks(viewpoint_distance=0.6, emitter_size=0.25)
     found = ls.inverse.estimate_lights(room, CENTER, 2, config=wide)
-    assert_at(found.lights[0], tuple(places[0]))
+    assert_at(found.lights[0], tuple(positions[0]))
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.98, 0.0), (0.98, 0.98), (-0.98, 0.4)])
@@ -169,7 +169,7 @@ def test_light_estimation_is_deterministic() -> None:
 def test_radius_and_separation_bound_the_search() -> None:
     """No light is beyond the radius, and none nearer to another than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
-    distances = [np.linalg.norm(np.subtract(place, CENTER)) for place in PLACES]
+    distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in PLACES]
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=near)
     assert len(found.lights) == sum(distance < 2.1 for distance in distances) < 3
     apart = looks(separation=100.0)
@@ -183,8 +183,8 @@ def test_outlier_does_not_exclude_the_lamps() -> None:
         room_with(stray, *(lamp(p, c) for p, c in zip(PLACES, COLORS, strict=True))), CENTER, 4, config=looks()
     )
     assert len(found.lights) == 4
-    for light, place in zip(found.lights[1:], PLACES, strict=True):
-        assert_at(light, place)
+    for light, position in zip(found.lights[1:], PLACES, strict=True):
+        assert_at(light, position)
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,9 @@ SUN: Point = (0.5, 0.7, 0.4)
 def test_lamps_of_a_lit_room_are_found_and_flowers_are_not() -> None:
     """Two lamps among white balls and a sheet of paper are found and nothing else, whatever the requested number."""
     found = ls.inverse.estimate_lights(room(LAMPS), CENTER, 4)
-    places = np.array([light.position for light in found.lights])
-    assert len(places) == 2
-    gaps = np.linalg.norm(places[:, None] - np.array(LAMPS), axis=-1)
+    positions = np.array([light.position for light in found.lights])
+    assert len(positions) == 2
+    gaps = np.linalg.norm(positions[:, None] - np.array(LAMPS), axis=-1)
     assert gaps.min(axis=0).max() < 0.1
     assert found.evidence.min() > 0.1
 
@@ -126,7 +126,7 @@ def test_regression_recovers_factor_and_share() -> None:
     light = np.maximum(rng.normal(size=3000), 0.0)
     luminance = 0.4 + 0.1 * normals[:, 2] ** 2 + 0.07 * light
     scene = surfaces(luminance, normals, rng.integers(0, 100, 3000))
-    shading = Shading.of(scene, directions, np.stack([scene.cosines(way) for way in directions], axis=1))
+    shading = Shading.of(scene, directions, np.stack([scene.cosines(direction) for direction in directions], axis=1))
     (trace,) = shading.traces(light[:, None])
     assert trace.factor == pytest.approx(0.07, rel=1e-3) and trace.share == pytest.approx(1.0, abs=1e-3)
     (again,) = shading.with_light(light).traces(light[:, None])
@@ -139,8 +139,8 @@ def test_block_texture_is_seldom_significant() -> None:
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
     blocks = rng.integers(0, 150, 2000)
     scene = surfaces(np.exp(0.3 * rng.normal(size=150))[blocks], normals, blocks)
-    ways = even_directions(16)
-    shading = Shading.of(scene, ways, np.stack([scene.cosines(way) for way in ways], axis=1))
+    directions = even_directions(16)
+    shading = Shading.of(scene, directions, np.stack([scene.cosines(direction) for direction in directions], axis=1))
     traces = shading.traces(rng.uniform(size=(150, 400))[blocks])
     significances = np.array([trace.significance for trace in traces])
     assert 0.8 < significances.std() < 1.25
@@ -153,5 +153,10 @@ def test_rays_are_blocked_by_solid_voxels() -> None:
     solid[4, 2:6, 2:6] = True
     cells = SolidCells(solid, np.zeros(3), 1.0)
     origins = np.array([[1.5, 3.5, 3.5], [1.5, 3.5, 3.5], [1.5, 7.5, 3.5], [6.5, 3.5, 3.5]])
-    ways = np.tile([1.0, 0.0, 0.0], (4, 1))
-    assert cells.is_free(origins, ways, np.array([np.inf, 2.0, np.inf, np.inf])).tolist() == [False, True, True, True]
+    directions = np.tile([1.0, 0.0, 0.0], (4, 1))
+    assert cells.is_free(origins, directions, np.array([np.inf, 2.0, np.inf, np.inf])).tolist() == [
+        False,
+        True,
+        True,
+        True,
+    ]

@@ -110,10 +110,10 @@ def test_irradiance_is_the_integral_of_radiance_times_cosine() -> None:
 @pytest.mark.parametrize("pipeline", [ls.Pipeline.RASTER, ls.Pipeline.TRACE])
 def test_colors_come_from_their_directions(pipeline: ls.Pipeline) -> None:
     """No axis is swapped or mirrored, at any position."""
-    place = np.array([0.3, -1.2, 5.0])
+    position = np.array([0.3, -1.2, 5.0])
     config = ls.RenderConfig(pipeline=pipeline)
-    scene = ls.Scene([compass(place)])
-    probe = ls.avatars.EnvironmentProbe.capture(scene, place, 8, face_px=32, config=config, device="cpu")
+    scene = ls.Scene([compass(position)])
+    probe = ls.avatars.EnvironmentProbe.capture(scene, position, 8, face_px=32, config=config, device="cpu")
     seen = probe.radiance(AXES)
     np.testing.assert_array_equal(seen > 0.5 * seen.max(), COLORS > 0.0)
     falls = probe.irradiance(AXES)
@@ -202,8 +202,8 @@ def test_image_has_the_probes_radiance() -> None:
     probe = smooth_probe()
     image = probe.image(32)
     assert image.shape == (32, 64, 3) and image.dtype == np.float32
-    places = {(15.5, 31.5): (0, 0, -1), (15.5, 47.5): (1, 0, 0), (15.5, 15.5): (-1, 0, 0), (-0.5, 20.0): (0, 1, 0)}
-    for (row, column), direction in places.items():
+    positions = {(15.5, 31.5): (0, 0, -1), (15.5, 47.5): (1, 0, 0), (15.5, 15.5): (-1, 0, 0), (-0.5, 20.0): (0, 1, 0)}
+    for (row, column), direction in positions.items():
         rows, columns = {int(np.floor(max(row, 0))), int(np.ceil(max(row, 0)))}, {int(column), int(np.ceil(column))}
         shown = np.mean([image[r, c] for r in rows for c in columns], axis=0)
         np.testing.assert_allclose(shown, probe.radiance(direction), atol=0.03)
@@ -227,10 +227,10 @@ def test_ringing_is_removed_from_images() -> None:
 def test_degree_3_suffices_for_irradiance() -> None:
     """With a lamp of 0.3 sr in a hundredth of its light, irradiance is within 6 % of the largest."""
     directions, weights = sphere_quadrature(120)
-    sky = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
+    environment = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
     normals = unit(14, 300)
-    exact = (np.maximum(normals @ directions.T, 0.0) * weights) @ sky
-    found = ls.avatars.EnvironmentProbe.fit(directions, sky, weights).irradiance(normals)
+    exact = (np.maximum(normals @ directions.T, 0.0) * weights) @ environment
+    found = ls.avatars.EnvironmentProbe.fit(directions, environment, weights).irradiance(normals)
     assert np.abs(found - exact).max() < 0.06 * exact.max()
 
 

@@ -122,8 +122,8 @@ def test_channels_are_relit_separately() -> None:
 def test_side_towards_the_light_is_brighter() -> None:
     """A ball under light from +x falls off from there; a glossier lobe falls off faster."""
     directions = unit(10, 20_000)
-    sky = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)
-    probe = ls.avatars.EnvironmentProbe.fit(directions, sky)
+    environment = np.where(directions[:, :1] > 0.8, 5.0, 0.1) * np.ones(3)
+    probe = ls.avatars.EnvironmentProbe.fit(directions, environment)
     ball = replace(ls.gaussians_from_mesh(shapes.sphere(), 1500), normals=None)
     relit = {q: display_colors(ls.relight(ball, probe, ls.config.RelightConfig(exponent=q)))[:, 0] for q in (1.0, 8.0)}
     x = ball.means[:, 0]

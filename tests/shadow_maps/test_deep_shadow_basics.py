@@ -336,9 +336,9 @@ def test_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
     ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu").save(path)
     good = np.frombuffer(path.read_bytes(), np.uint8)
     refused = 0
-    for place in rng.integers(0, len(good), 400):
+    for position in rng.integers(0, len(good), 400):
         bad = good.copy()
-        bad[place] ^= 1 << rng.integers(8)
+        bad[position] ^= 1 << rng.integers(8)
         path.write_bytes(bad.tobytes())
         try:
             ls.DeepShadowMap.load(path, device="cpu")

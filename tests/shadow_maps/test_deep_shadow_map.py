@@ -48,8 +48,10 @@ def texel_directions(layout: ls.config.AtlasLayout, resolution: int) -> np.ndarr
     if layout is ls.config.AtlasLayout.OCTAHEDRAL:
         return oracle.decode_octahedral(oracle.texel_centers(resolution)).reshape(-1, 3)
     size = round(resolution / np.sqrt(6.0) / 8) * 8
-    places = oracle.texel_centers(size)
-    return np.concatenate([oracle.decode_cube(np.full((size, size), face), places).reshape(-1, 3) for face in range(6)])
+    positions = oracle.texel_centers(size)
+    return np.concatenate(
+        [oracle.decode_cube(np.full((size, size), face), positions).reshape(-1, 3) for face in range(6)]
+    )
 
 
 # --- The table ---
@@ -115,11 +117,17 @@ def test_error_decreases_with_resolution(layout: ls.config.AtlasLayout) -> None:
 @pytest.mark.parametrize("layout", list(ls.config.AtlasLayout))
 def test_errors_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> None:
     """Along circles over the square's rim, or the cube's edges, errors are as small as elsewhere."""
-    turn = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
+    rotation = np.linspace(0.0, 2.0 * np.pi, 2000, endpoint=False)
     circles = [
-        np.stack([np.cos(turn), np.sin(turn), np.full_like(turn, -0.6)], axis=1),  # Over all four folded edges.
-        np.stack([np.cos(turn), 0.3 * np.cos(turn), np.sin(turn)], axis=1),  # A great circle, past the pole.
-        np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1),  # The diamond within the square.
+        np.stack(
+            [np.cos(rotation), np.sin(rotation), np.full_like(rotation, -0.6)], axis=1
+        ),  # Over all four folded edges.
+        np.stack(
+            [np.cos(rotation), 0.3 * np.cos(rotation), np.sin(rotation)], axis=1
+        ),  # A great circle, past the pole.
+        np.stack(
+            [np.cos(rotation), np.sin(rotation), np.zeros_like(rotation)], axis=1
+        ),  # The diamond within the square.
     ]
     shadow = build(config=replace(WHOLE, layout=layout, resolution=256))
     for circle in circles:
@@ -174,10 +182,12 @@ def test_culling_keeps_receivers_whose_outer_samples_are_shadowed(light: Any) ->
     """Only the outermost samples of a wide receiver reach the shadow of a small caster."""
     caster = one_gaussian((0.0, 0.0, 0.0), (0.03, 0.03, 0.03), 0.95)
     rng = np.random.default_rng(0)
-    turn, away = rng.uniform(0.0, 2.0 * np.pi, 40_000), rng.uniform(0.8, 1.4, 40_000)
+    rotation, away = rng.uniform(0.0, 2.0 * np.pi, 40_000), rng.uniform(0.8, 1.4, 40_000)
     receivers = replace(
         random_gaussians(4, 40_000),
-        means=np.stack([away * np.cos(turn), away * np.sin(turn), np.ones_like(away)], axis=1).astype(np.float32),
+        means=np.stack([away * np.cos(rotation), away * np.sin(rotation), np.ones_like(away)], axis=1).astype(
+            np.float32
+        ),
         scales=np.full((40_000, 3), 0.3, np.float32),
     )
     config = ls.config.DeepShadowConfig(resolution=1024, bins=8, samples=64)
@@ -238,8 +248,8 @@ def test_casters_behind_light_or_receivers_change_no_bit() -> None:
     """No ray reaches them before it ends."""
     points = LIGHT + np.random.default_rng(0).uniform([-1.0, -1.0, 1.0], [1.0, 1.0, 2.0], (500, 3))
     expected = build(receivers=points).transmittance(points)
-    for place in ((0.3, -0.4, -1.2), (0.3, -0.4, 4.5)):
-        more = joined(AROUND, one_gaussian(place, (0.1, 0.2, 0.15), 0.9))
+    for position in ((0.3, -0.4, -1.2), (0.3, -0.4, 4.5)):
+        more = joined(AROUND, one_gaussian(position, (0.1, 0.2, 0.15), 0.9))
         np.testing.assert_array_equal(build(more, receivers=points).transmittance(points), expected)
 
 
