@@ -216,7 +216,7 @@ def test_progress_increases_from_0_to_1() -> None:
 def test_invalid_arguments_are_refused_with_their_names(
     scene: Any, options: dict[str, Any], error: type[Exception], message: str
 ) -> None:
-    """Each message is one line, and comes before anything slow."""
+    """Messages are one line, and come before anything slow."""
     with pytest.raises(error, match=message) as raised:
         ls.bake(scene, device="cpu", **options)
     assert "\n" not in str(raised.value)

@@ -44,7 +44,7 @@ ALL = np.ones((2, RAYS, 1))
 
 
 def test_constant_light_is_denoised_and_colors_stay():
-    """On an evenly lit wall of coloured patches, a tenth of the noise remains, and each patch keeps its colour."""
+    """Coloured patches of an evenly lit wall keep their colours, with a tenth of the noise."""
     rng = np.random.default_rng(1)
     seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
     truth = 0.7 * seen.blended(colors)
@@ -94,7 +94,7 @@ def test_shadow_edges_are_kept():
 
 
 def test_partial_coverage_does_not_bias_brightness():
-    """At an outline, half of the samples hit; radiance is that of the hits, without the noise of the hit count.
+    """Radiance at an outline is that of the samples that hit, without the noise of the hit count.
 
     Division by the expected number of hits would be wrong by half and more.
     """
@@ -108,7 +108,7 @@ def test_partial_coverage_does_not_bias_brightness():
 
 
 def test_noise_at_partial_coverage_is_removed():
-    """With one path per half, a half without a hit carries no information on the noise."""
+    """A half of one path that hits nothing carries no information on the noise."""
     rng = np.random.default_rng(4)
     seen, colors = neighbours(rng), np.full((GAUSSIANS, 3), 0.6)
     found = (rng.random((2, RAYS, 1)) < 0.4).astype(np.float64)

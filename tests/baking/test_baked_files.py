@@ -14,7 +14,7 @@ from lumisplat.math.sh import even_directions, sh_basis
 from support.scenes.path_scenes import ball
 
 STEPS = np.array([2.0 / 0.15 / 2.0 / 255.0] + 15 * [2.0 / 256.0])
-"""Of SPZ's coefficients: 8 bits within +-3.33, and within +-1 (`lumisplat.io.splats.spz`)."""
+"""Quantisation steps of SPZ's coefficients: 8 bits within +-3.33, and within +-1 (`lumisplat.io.splats.spz`)."""
 COLORS = ls.RenderConfig(pipeline=ls.Pipeline.RASTER)
 
 
@@ -56,7 +56,7 @@ def test_ply_keeps_baked_sh_to_the_bit(baked, tmp_path):
 
 
 def test_spz_keeps_baked_colors_to_its_quantisation(baked, tmp_path):
-    """From each direction, a colour is off by at most half a quantisation step of each coefficient.
+    """A colour is off by at most half a quantisation step of each coefficient, from every direction.
 
     Coefficients of sharp highlights beyond -1..1, the range of SPZ, are clipped, as saving reports.
     """

@@ -32,7 +32,7 @@ def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels
 
 
 def test_blend_matches_numpy_and_gather_is_its_transpose() -> None:
-    """Each ray shows the weighted sum of its Gaussians' colours; <blend(a), e> = <a, gather(e)>."""
+    """Rays show the weighted sum of their Gaussians' colours; <blend(a), e> = <a, gather(e)>."""
     rng = np.random.default_rng(0)
     some = pixels(rng)
     sh, errors = rng.normal(0.0, 0.3, (GAUSSIANS, 16, 3)), rng.normal(size=(RAYS, 3))
@@ -45,7 +45,7 @@ def test_blend_matches_numpy_and_gather_is_its_transpose() -> None:
 
 
 def test_known_sh_are_recovered_from_noiseless_rays() -> None:
-    """From a start that is off by a tenth, pixels are matched, and errors fall by half and more."""
+    """Pixels are matched from a start that is off by a tenth, and errors fall by half and more."""
     rng = np.random.default_rng(1)
     some = pixels(rng)
     truth = rng.normal(0.0, 0.05, (GAUSSIANS, 16, 3))

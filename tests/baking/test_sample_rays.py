@@ -97,7 +97,7 @@ def test_distributions_are_stored_once() -> None:
 
 
 def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a closed box, more than half of the rays to an edge come through a wall and are redrawn."""
+    """Rays through a wall of a closed box, more than half of those to an edge, are redrawn."""
     walls = ls.gaussians_from_mesh(ls.box(2.0, material=diffuse(0.5)), 300)
     assert walls.normals is not None
     inside = ls.SplatInstance(replace(walls, normals=-walls.normals), material=diffuse(0.5))

@@ -76,7 +76,7 @@ def flip_of_flat_colors(srgb: tuple[float, float, float], reference: tuple[float
 
 
 def test_psnr_matches_hand_computed_values():
-    """All values off by 0.1: MSE 0.01, 20 dB. One channel of three: MSE 0.01 / 3, 24.771 dB."""
+    """Values off by 0.1: MSE 0.01, 20 dB. One channel of three: MSE 0.01 / 3, 24.771 dB."""
     grey = np.full((4, 5, 3), 0.5)
     assert ls.metrics.psnr(grey + 0.1, grey) == pytest.approx(20.0)
     red = grey + np.array([0.1, 0.0, 0.0])
@@ -85,7 +85,7 @@ def test_psnr_matches_hand_computed_values():
 
 
 def test_ssim_of_flat_images_is_the_luminance_term():
-    """Without variance, SSIM is (2 m1 m2 + C1) / (m1^2 + m2^2 + C1): of 0.4 and 0.6, 0.4801 / 0.5201."""
+    """SSIM without variance is (2 m1 m2 + C1) / (m1^2 + m2^2 + C1): of 0.4 and 0.6, 0.4801 / 0.5201."""
     assert ls.metrics.ssim(np.full((16, 16, 3), 0.4), np.full((16, 16, 3), 0.6)) == pytest.approx(
         0.4801 / 0.5201, abs=1e-9
     )
@@ -238,7 +238,7 @@ def test_ms_ssim_matches_a_second_implementation(noise):
 
 
 def test_ms_ssim_of_flat_images_is_the_coarsest_luminance():
-    """Without contrast, the value is (0.4801 / 0.5201) ** 0.1333."""
+    """The value without contrast is (0.4801 / 0.5201) ** 0.1333."""
     dark, light = np.full((161, 170, 3), 0.4), np.full((161, 170, 3), 0.6)
     assert ls.metrics.ms_ssim(dark, light) == pytest.approx((0.4801 / 0.5201) ** 0.1333, abs=1e-9)
     last = 0.2363 / (0.0448 + 0.2856 + 0.3001 + 0.2363)
@@ -253,7 +253,7 @@ def test_ms_ssim_of_one_scale_is_ssim():
 
 
 def test_inverted_image_has_ms_ssim_0():
-    """Its mean structure is negative, which counts as 0."""
+    """A negative mean of structure counts as 0."""
     reference = waves_image(3)
     assert ls.metrics.ms_ssim(1.0 - reference, reference) == 0.0
     assert ls.metrics.ms_ssim(reference, reference) == pytest.approx(1.0, abs=1e-12)

@@ -171,7 +171,7 @@ def test_ncm_ab_is_the_cheapest_assignment():
 
 
 def test_ncm_ab_subsampling_depends_on_the_seed_only():
-    """With more points than samples, each seed gives one value, close to that of all points."""
+    """Each seed gives one value, close to that of all points."""
     rng = np.random.default_rng(6)
     normals = all_around(1500)
     first, second = (points(rng.uniform(low, 1.0, (1500, 3)), normals) for low in (0.05, 0.4))

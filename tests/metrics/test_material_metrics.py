@@ -65,7 +65,7 @@ def world(height: int) -> np.ndarray:
 
 
 def test_environment_psnr_ignores_size_and_channel_scale():
-    """The same environment, coarser and with another brightness of each channel, is equal; rotated, it is not."""
+    """A coarser, brighter image of the environment has no error; a rotated one has."""
     assert environment_psnr(world(64), world(64)) == np.inf
     assert environment_psnr(world(64) * (2.0, 0.5, 3.0), world(64)) > 120.0
     assert environment_psnr(world(16), world(64)) > 50.0

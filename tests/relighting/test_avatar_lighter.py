@@ -68,7 +68,7 @@ def light_left(before: ls.Gaussians, after: ls.Gaussians) -> np.ndarray:
 
 
 def test_floor_is_dark_only_in_the_actors_shadow() -> None:
-    """From the light, the ball covers a disc of radius 0.61 on the floor: black inside, unchanged outside."""
+    """The ball's shadow on the floor is a disc of radius 0.61: black inside, unchanged outside."""
     ground = floor()
     scene = lighter(ls.Scene(splats=[ground])).light([puppet()])
     left = light_left(ground, scene.splats[0].gaussians)
@@ -106,7 +106,7 @@ def test_shadows_remove_only_the_direct_fraction() -> None:
 
 
 def test_shadows_of_several_lights_and_actors_combine() -> None:
-    """With two equal lights, factors are the mean of the transmittances of each light's own map through all actors."""
+    """Two equal lights: factors are the mean of the transmittances of each light's map through all actors."""
     ground = floor()
     lights = [ls.LightDirectional((0.5, -1.0, 0.0)), ls.LightDirectional((-0.5, -1.0, 0.0))]
     actors = [puppet(-0.8), puppet(0.8)]
@@ -118,7 +118,7 @@ def test_shadows_of_several_lights_and_actors_combine() -> None:
 
 
 def test_only_shadowed_sets_become_new_objects() -> None:
-    """Of several captured sets, the others stay the same objects."""
+    """Captured sets without a shadow stay the same objects."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
     # The same bins for both, and no samples that would depend on a receiver's number.
     same = replace(SHADOW, max_distance=4.0, sampling=ls.config.ReceiverSampling.CENTER)
@@ -372,13 +372,13 @@ def test_disabled_shadows_need_no_lights() -> None:
     ],
 )
 def test_invalid_scenes_lights_and_actors_are_refused(scene: Any, lights: Any, actors: Any, said: str) -> None:
-    """There are no captured sets, no lights, or actors of another type."""
+    """Cases: no captured sets, no lights, actors of another type."""
     with pytest.raises(ls.SceneError, match=said):
         lighter(scene, lights).light(actors)
 
 
 def test_invalid_actor_flags_are_refused() -> None:
-    """There must be one boolean per actor."""
+    """Flags must be a list with one boolean per actor."""
     with pytest.raises(ls.SceneError, match="relit has 2 entries, expected 1"):
         lighter(ls.Scene(splats=[floor()])).light([puppet()], relit=[True, False])
 
@@ -452,7 +452,7 @@ def ball_in(scene: ls.Scene, lights: list[Light], **changes: object) -> np.ndarr
 
 
 def test_given_sun_lights_actors() -> None:
-    """It adds half of white's irradiance times the cosine; disabled, or a local light, it adds nothing."""
+    """A sun adds half of white's irradiance times the cosine; disabled suns and local lights add nothing."""
     scene = ls.Scene(splats=[captured(np.array([[0.0, -50.0, 0.0]]), np.ones(3))])
     sun = sunny((0.0, -1.0, 0.0))
     upwards = puppet().gaussians.means[:, 1] / 0.4
@@ -494,7 +494,7 @@ def test_sun_in_the_probe_does_not_count_twice() -> None:
 
 
 def test_estimated_sun_casts_shadows_where_no_lights_are_found(caplog: pytest.LogCaptureFixture) -> None:
-    """It has the direct part of the irradiance."""
+    """The sun has the direct part of the irradiance at the actor."""
     towards = np.array([0.5, 0.7, 0.4])
     scene = ls.Scene(splats=[meadow((0.5, 0.7, 0.4))])
     stage = lighter(scene, None, direct=0.8)

@@ -28,7 +28,7 @@ def linear(gaussians: ls.Gaussians) -> npt.NDArray[np.floating]:
 
 
 def test_shadow_of_one_light_multiplies_colors_by_transmittance() -> None:
-    """As in the paper, with no other light."""
+    """Colours are multiplied by T, as in the paper for a single light."""
     transmittance = np.array([0.0, 0.25, 0.5, 1.0])
     lit = receivers(np.eye(4)[:, :3])
     dark = ls.avatars.shadowed(lit, [ls.LightPoint((0, 0, 5))], transmittance[None])
@@ -69,7 +69,7 @@ def test_instance_transforms_are_respected() -> None:
 
 
 def test_unshadowed_set_is_the_same_object() -> None:
-    """With any number of lights, fractions that sum to 1 up to rounding change nothing."""
+    """Fractions of several lights that sum to 1 up to rounding change nothing."""
     rng = np.random.default_rng(0)
     lit = receivers(rng.random((1000, 3)))
     lights = [ls.LightPoint(tuple(rng.normal(size=3) * 3), tuple(rng.random(3)), 1.0 + rng.random()) for _ in range(7)]
@@ -126,7 +126,7 @@ def test_invalid_arguments_are_refused(change: dict[str, Any], error: type[Excep
 
 
 def test_shadows_far_from_the_origin_equal_those_at_the_origin() -> None:
-    """At 5e6, where float32 is 0.5 apart, a ball casts the same shadow on a floor of Gaussians."""
+    """A ball casts the same shadow on a floor at 5e6, where float32 is 0.5 apart."""
     rng = np.random.default_rng(6)
     floor = np.column_stack([rng.uniform(-1.0, 1.0, (300, 2)), np.zeros(300)])
     ball = 0.2 * rng.normal(size=(80, 3)) / 2.0

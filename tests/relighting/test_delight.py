@@ -111,7 +111,7 @@ def test_isolated_sheet_has_one_consistent_side() -> None:
 
 
 def test_surface_points_are_distributed_over_gaussians() -> None:
-    """Their mean is the Gaussian's, their spread is its width, and they are at the peak along the normal."""
+    """Points have the Gaussian's mean and spread, and are at the peak along the normal."""
     rotation = np.array((0.8, 0.0, 0.6, 0.0))
     one = ls.Gaussians(
         np.zeros((1, 3), np.float32), rotation[None].astype(np.float32), np.array([[0.5, 0.3, 0.01]], np.float32),
@@ -125,7 +125,7 @@ def test_surface_points_are_distributed_over_gaussians() -> None:
 
 
 def test_irradiance_of_open_environment_and_furnace(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """All cells together give a ball the irradiance pi; inside a ball of one colour, irradiance has that colour."""
+    """Cells together give a ball the irradiance pi; inside a ball of one colour, irradiance has that colour."""
     plain, _ = ball
     outward = np.asarray(plain.normals, np.float64)
     cells, no_emitters = EnvironmentCells.even(8), np.full(plain.count, -1)
@@ -293,7 +293,7 @@ def test_smoothing_keeps_constants_and_reduces_noise(ball: tuple[ls.Gaussians, n
 
 
 def test_unlit_gaussians_take_the_albedo_of_neighbours() -> None:
-    """Without light, their own radiance does not determine it."""
+    """The radiance of a Gaussian without light does not determine its albedo."""
     points = np.array([(x, 0.0, 0.0) for x in range(5)])
     albedo = np.array([[0.5] * 3, [0.5] * 3, [9.0] * 3, [0.5] * 3, [0.5] * 3])
     light = np.array([1.0, 1.0, 0.0, 1.0, 1.0])[:, None].repeat(3, axis=1)
@@ -408,7 +408,7 @@ def test_unclear_surface_is_reported_with_advice(capture: ls.Gaussians, fault: s
 
 
 def test_progress_covers_all_stages_and_never_decreases(ball: tuple[ls.Gaussians, np.ndarray]) -> None:
-    """It ends at 1."""
+    """The last fraction is 1."""
     reported: list[tuple[str, float]] = []
     ls.delight(ball[0], ls.DelightConfig(cells=4), device="cpu", progress=lambda *one: reported.append(one))
     ours = [(label, share) for label, share in reported if label.startswith("delighting")]
@@ -433,7 +433,7 @@ def test_light_is_fitted_with_one_blas_thread(ball: tuple[ls.Gaussians, np.ndarr
 
 @pytest.mark.parametrize("count", [64, 300, 3000])
 def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
-    """There are few or many, on bodies and thin sheets, with normals and without."""
+    """Cases: few or many Gaussians, bodies and thin sheets, with normals and without."""
     for mesh in (box(2.0), sphere(1.0, rows=12), plane(3.0, 2.0)):
         gaussians = ls.gaussians_from_mesh(mesh, count)
         for one in (gaussians, replace(gaussians, normals=None)):
@@ -442,7 +442,7 @@ def test_gaussians_of_meshes_have_a_surface(count: int) -> None:
 
 @pytest.mark.parametrize("name", ["biker.spz", "logo_sog", "playbot/4_0/meta.json"])
 def test_external_captures_have_a_surface(data_dir: Path, name: str) -> None:
-    """There is no remark on them."""
+    """No remark is made on captures of others."""
     assert (
         ls.inverse.surface_remark(expect_kind(ls.Gaussians, ls.load(data_dir / "splats" / name)), device="cpu") is None
     )

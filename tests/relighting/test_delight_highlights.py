@@ -85,7 +85,7 @@ def test_sh_projection_keeps_representable_functions(lobes: Lobes) -> None:
 
 
 def test_irradiance_is_binned_by_direction() -> None:
-    """From environment and capture, each cell's irradiance is in the bin of its direction; nothing is lost."""
+    """The irradiance of each cell, from environment and capture, is in the bin of its direction; none is lost."""
     normals = even_directions(9)
     cells = EnvironmentCells.even(4)
     rng = np.random.default_rng(2)
@@ -194,14 +194,14 @@ def test_known_roughness_is_recovered(roughness: float) -> None:
 
 @pytest.mark.parametrize(("roughness", "turns", "near", "flat"), [(0.5, 0.15, 0.03, 0.06), (0.6, 0.2, 0.1, 0.11)])
 def test_curvature_is_not_mistaken_for_roughness(roughness: float, turns: float, near: float, flat: float) -> None:
-    """On balls, roughness is nearly right; the same colours taken for a flat surface give a rougher one."""
+    """Roughness on balls is nearly right; the same colours taken for a flat surface give a rougher one."""
     case = glossy(roughness, 3, 1.0 / 255.0, turns)
     assert np.abs(fitted_roughness(*case, 0.9).value - roughness).max() < near
     assert np.median(fitted_roughness(*case).value) > roughness + flat
 
 
 def test_normal_variance_follows_curvature() -> None:
-    """On a ball, it is curvature times scale, squared; on a plane, beside a sheet's back, and in isolation it is 0."""
+    """The variance is the square of curvature times scale on a ball, and 0 on a plane and in isolation."""
     ball = ls.gaussians_from_mesh(ls.sphere(2.0), 800)
     normals = np.asarray(ball.normals, np.float64)
     expected = np.square(ball.scales.max(axis=1) / 2.0)

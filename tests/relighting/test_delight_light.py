@@ -47,7 +47,7 @@ def incident(gaussians: ls.Gaussians, normals: np.ndarray, emitters: np.ndarray)
 
 
 def test_emitter_light_is_not_counted_twice() -> None:
-    """As an emitter, the square is not part of the observed irradiance; as a white surface, it is."""
+    """Observed irradiance contains a white square only if the square is no emitter."""
     both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
     assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
@@ -61,7 +61,7 @@ def test_emitter_light_is_not_counted_twice() -> None:
 
 
 def test_emitters_are_one_sided_and_cast_shadows() -> None:
-    """It is dark below a screen, and above an emitter that faces down."""
+    """Surfaces below a screen, and above an emitter that faces down, are dark."""
     both, normals = emitter_over_floor(screen=True)
     groups = emitters_of(both, is_white(both, normals))
     lit = incident(both, normals, groups).emitters[:, 0]
@@ -74,7 +74,7 @@ def test_emitters_are_one_sided_and_cast_shadows() -> None:
 
 
 def test_transparent_white_gaussians_are_no_emitter() -> None:
-    """With opacity 0, as 8-bit formats store it, they have no area."""
+    """Gaussians of opacity 0, as 8-bit formats store them, have no area."""
     both, normals = emitter_over_floor()
     clear = replace(both, opacities=np.where(np.arange(both.count) < LAMP, 0.0, both.opacities))
     assert (emitters_of(clear, is_white(clear, normals)) == -1).all()
@@ -95,7 +95,7 @@ def test_sun_is_located_by_refined_cells() -> None:
 
 
 def test_lightest_surfaces_get_a_typical_albedo() -> None:
-    """It is 0.8 at the 95th percentile of the largest channel, whatever other light arrives."""
+    """The 95th percentile of the largest channel becomes 0.8, whatever other light arrives."""
     rng = np.random.default_rng(1)
     some = Irradiance(np.full((400, 3), 0.4), rng.random((400, 9), np.float32), np.zeros((400, 0), np.float32))
     true = Light(rng.uniform(0.2, 2.0, (9, 3)), np.zeros((0, 3)))
@@ -136,7 +136,7 @@ def test_few_surfaces_near_an_emitter_do_not_set_its_radiance() -> None:
 
 
 def test_environment_image_respects_its_rotation() -> None:
-    """The same radiance comes from each direction, however the image is rotated."""
+    """Radiance by direction is the same for every rotation of the image."""
     cells, environment = EnvironmentCells.even(6), np.random.default_rng(2).random((36, 3))
     floor = with_color(ls.gaussians_from_mesh(ls.plane(2.0, 2.0), 100), 0.3)
     found = replace(

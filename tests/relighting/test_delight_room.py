@@ -10,7 +10,7 @@ from lumisplat.relighting.delight import MaterialEstimate
 from support.scenes.captured_box import LAMP, PAINTS, CapturedBox, captured_box
 
 FACTOR = 3.0
-"""How many times as much as the others one Gaussian shows: more than light that reaches it."""
+"""Factor by which one Gaussian is brighter than the others: more than the light that reaches it."""
 
 
 def too_light(box: CapturedBox) -> int:

@@ -50,7 +50,7 @@ def region(folder: Path, view: str) -> np.ndarray:
 
 
 def test_ground_truth_has_no_error(folder, ball):
-    """All metrics and images are checked."""
+    """The test checks all metrics and images."""
     result = evaluate(ball, folder, sky())
     np.testing.assert_allclose(result.albedo_scale, 1.0, atol=1e-6)
     assert result.albedo_psnr > 100.0 and result.albedo_psnr_unscaled > 100.0 and result.albedo_psnr_linear > 100.0
@@ -76,7 +76,7 @@ def test_samples_do_not_blur_relit_images(folder, ball):
 
 
 def test_rays_with_a_footprint_go_through_pixel_centres(folder, ball):
-    """So do splats; rays of antialiased captures have no footprint and are jittered."""
+    """Splats do so, too; rays of antialiased captures have no footprint and are jittered."""
     spread = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=4)
     assert spread.jitter
     for capture, is_spread in ((ball, False), (replace(ball, antialiased=True), True)):
@@ -88,7 +88,7 @@ def test_rays_with_a_footprint_go_through_pixel_centres(folder, ball):
 
 
 def test_albedo_scale_is_recovered(folder, ball):
-    """There is one factor per channel for all views; without it the error is that of the factors in sRGB."""
+    """One factor per channel serves all views; unscaled, the error is that of the factors in sRGB."""
     factors = np.array([0.5, 0.9, 1.6])
     expected = []
     for view in NAMES:
@@ -124,7 +124,7 @@ def test_known_offsets_give_the_expected_metrics(folder, ball):
 
 
 def test_rotated_normals_give_their_angle(folder, ball):
-    """All normals of the first view are rotated by 10 degrees: half of the pixels, as both views have equal regions."""
+    """Normals of the first view are rotated by 10 degrees: half of the pixels, as both views have equal regions."""
     normal = read_layer(folder, "normal", NAMES[0])
     side = np.cross(normal, (0.3, 0.5, 0.8))
     side /= np.maximum(np.linalg.norm(side, axis=-1, keepdims=True), 1e-6)
@@ -186,7 +186,7 @@ def test_captured_colors_replace_a_missing_albedo(folder, ball):
 
 
 def test_missing_ground_truth_is_reported(folder, ball):
-    """Without roughness and relit images, those metrics are missing, the others exist."""
+    """Metrics of roughness and relit images are missing, the others exist."""
     for path in (folder / "truth" / "roughness").iterdir():
         path.unlink()
     (folder / "truth" / "roughness").rmdir()
@@ -198,7 +198,7 @@ def test_missing_ground_truth_is_reported(folder, ball):
 
 
 def test_progress_covers_layers_and_relit_images(folder, ball):
-    """It goes from 0 to 1 for each."""
+    """Progress goes from 0 to 1 for layers and for relit images."""
     stored: list[tuple[str, float]] = []
     ls.inverse.evaluate_materials(ball, folder, config=CONFIG, device="cpu", progress=lambda *now: stored.append(now))
     assert stored[0] == ("comparing layers", 0.0) and stored[-1] == ("relighting", 1.0)

@@ -22,7 +22,7 @@ def bounced() -> np.ndarray:
 
 
 def test_path_traced_fit_of_a_closed_room(bounced):
-    """With a quarter of the default samples, lights are within 5 %."""
+    """Lights are within 5 % with a quarter of the default samples."""
     lights = three_lamps()
     found = ls.fit_lights(closed(*unknown(*lights)), VIEW, bounced, config=PATHS, environment_degree=None, device="cpu")
     assert_powers(found.lights, lights, 0.05)
@@ -43,7 +43,7 @@ def test_fit_without_bounces_is_biased(bounced):
 
 
 def test_few_samples_do_not_bias_powers(bounced):
-    """With eight samples, lights are within 6 %, and on average within 2 %.
+    """Powers from eight samples are within 6 %, and on average within 2 %.
 
     Squares of noisy renders would make powers too weak. Robust weights, which take fireflies for objects that the scene
     lacks, would make them 8 % too strong.
@@ -65,7 +65,7 @@ def test_few_samples_do_not_bias_powers(bounced):
 
 
 def test_averaging_window_scales_with_resolution():
-    """It reaches 2 pixels to each side at 64 pixels, 4 at 128; twice as wide, a light was 2.8 % off at 64."""
+    """The window reaches 2 pixels to each side at 64 pixels, 4 at 128. Twice as wide, a light was 2.8 % off at 64."""
     for width, radius in ((64, 2), (128, 4)):
         aovs = ("albedo", "lights", "direct_diffuse", "direct_glossy", "emission")
         frame = ls.render(closed(), view(width, 48), replace(PATHS, samples=1, aovs=aovs), device="cpu")
@@ -78,7 +78,7 @@ def test_averaging_window_scales_with_resolution():
 
 
 def test_averaging_window_ends_at_the_image_border():
-    """On a floor that fills the image, a corner has a quarter of the neighbours of the centre."""
+    """A corner of a floor that fills the image has a quarter of the neighbours of the centre."""
     floor = ls.Scene((), [ls.plane(40.0, 40.0)])
     above = ls.Camera.look_at((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), width=64, height=48, fov_y=0.6)
     frame = ls.render(floor, above, replace(DIRECT, lighting=True, aovs=("albedo",)), device="cpu")
@@ -92,7 +92,7 @@ def test_averaging_window_ends_at_the_image_border():
 @pytest.mark.deep
 @pytest.mark.parametrize("width", [64, 96])
 def test_path_traced_fit_with_default_samples(width):
-    """With little noise in the image, each channel of each light is within 2 %."""
+    """Each channel of each light is within 2 % if the image has little noise."""
     lights, camera, many = three_lamps(), view(width, 3 * width // 4), replace(PATHS, samples=64)
     image = taken(closed(*lights), camera, replace(PATHS, samples=256, seed=5))
     found = ls.fit_lights(closed(*unknown(*lights)), camera, image, config=many, environment_degree=None, device="cpu")

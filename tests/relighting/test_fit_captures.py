@@ -15,7 +15,7 @@ from support.scenes.fit_rooms import DIRECT, assert_powers, closed, noisy, taken
 
 HYBRID = replace(DIRECT, pipeline=ls.Pipeline.HYBRID)
 GAINS = np.array([0.5, 0.9, 1.4])
-"""By which a capture is thought to be of another colour, channel by channel."""
+"""Factors per channel between the true and the starting colour of the capture."""
 SMALL = view(64, 48)
 
 
@@ -87,7 +87,7 @@ def test_capture_colors_stay_below_white():
 
 
 def test_relit_captures_count_and_unlit_ones_do_not():
-    """With a relit ball beside an unlit box, lights are within 5 %, with noise."""
+    """Lights are within 5 %, with noise, for a relit ball beside an unlit box."""
     truth = room_with_capture()
     box = ls.gaussians_from_mesh(truth.meshes[-1].mesh, 300)
     shown = replace(truth, splats=(*truth.splats, ls.SplatInstance(box)), meshes=truth.meshes[:-1])

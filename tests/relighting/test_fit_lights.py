@@ -47,7 +47,7 @@ def test_three_lights_of_a_noiseless_image_are_exact():
 
 
 def test_three_lights_with_noise_are_within_their_standard_errors():
-    """With noise and 8 bits, they are within 5 %."""
+    """Errors with noise and 8 bits are below 5 %."""
     lights = three_lamps()
     found = fitted(closed(*unknown(*lights)), noisy(taken(closed(*lights), VIEW)))
     assert_powers(found.lights, lights, 0.05)
@@ -148,7 +148,7 @@ def test_exposure_of_the_camera_is_applied():
 
 
 def test_exposures_are_fitted_relative_to_the_first():
-    """Without emission in the scene, the first exposure is held, with a remark, and the second is found."""
+    """The first exposure is held, with a remark, if the scene emits no light; the second is found."""
     lights = three_lamps()
     cameras = [VIEW, replace(OTHER, exposure=-1.3)]
     images = [taken(closed(*lights), camera) for camera in cameras]
@@ -179,7 +179,7 @@ def test_emission_determines_the_exposure():
 
 @pytest.mark.parametrize("tone_map", ["neutral", "agx"])
 def test_tone_maps_are_inverted(tone_map):
-    """Without ``tone_map``, the lights of a tone-mapped image are wrong."""
+    """Lights of a tone-mapped image are wrong without ``tone_map``."""
     lights = three_lamps()
     image = taken(closed(*lights), VIEW, replace(DIRECT, tone_map=tone_map))
     found = fitted(closed(*unknown(*lights)), image, tone_map=tone_map)
@@ -214,7 +214,7 @@ def sh_environment(degree: int = 2) -> EnvironmentProbe:
 
 
 def test_sh_environment_is_recovered():
-    """With degree 1 and few samples, the irradiance is right and no radiance is negative."""
+    """The irradiance is right with degree 1 and few samples, and no radiance is negative."""
     truth, camera = sh_environment(1), view(48, 36)
     image = taken(open_above(truth.light()), camera, ls.RenderConfig(samples=128))
     config = ls.RenderConfig(samples=32, seed=77)
@@ -250,7 +250,7 @@ def check_environment(found: ls.inverse.LightFit, truth: EnvironmentProbe) -> No
 
 @pytest.mark.parametrize("room", [open_above, closed])
 def test_unused_sh_environment_is_removed(room):
-    """With local lights only, one remark says so, whether the environment cannot enter or does not shine."""
+    """One remark says so, whether the environment cannot enter the room or does not shine."""
     lights = three_lamps()
     options = {"config": ls.RenderConfig(samples=4), "environment_degree": 1}
     found = fitted(room(*unknown(*lights)), taken(room(*lights), VIEW), **options)
@@ -270,7 +270,7 @@ def test_red_environment_is_recovered():
 
 
 def test_environment_with_an_image_keeps_it():
-    """It is fitted as one light with power and colour, and without SH unless they are asked for."""
+    """An environment with an image is fitted as one light, and without SH unless they are asked for."""
     image = sh_environment().image(16)
     truth = ls.LightEnvironment(image, (1.0, 0.8, 0.6), 1.4, visible=False, name="sky")
     many = ls.RenderConfig(samples=64)
@@ -284,7 +284,7 @@ def test_environment_with_an_image_keeps_it():
 
 
 def test_lights_at_one_position_are_reported_as_indistinguishable():
-    """Their sum is right."""
+    """The sum of their powers is right."""
     light = ls.LightPoint((2.0, 2.5, 3.0), (1.0, 0.9, 0.8), 3.0, name="left")
     twin = replace(light, name="right")
     found = fitted(closed(*unknown(light, twin)), taken(closed(light), VIEW))
@@ -304,7 +304,7 @@ def test_invisible_light_is_unchanged():
 
 
 def test_parameters_that_no_light_has_are_reported():
-    """There is one remark for each."""
+    """Each parameter has its own remark."""
     lights = three_lamps()
     small = view(32, 24)
     found = fitted(closed(*unknown(*lights)), taken(closed(*lights), small), small, radii=True, angles=True)

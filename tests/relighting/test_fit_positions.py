@@ -40,7 +40,7 @@ def fitted(scene: ls.Scene, cameras, photographs, **options) -> ls.inverse.Light
 
 
 def assert_positions(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...], share: float) -> None:
-    """Each light is at its true position, to a fraction of the room's length."""
+    """Checks that lights are at their true positions, to a fraction of the room's length."""
     for light, lamp in zip(found, lamps, strict=True):
         assert isinstance(light, ls.LightPoint)
         off = np.linalg.norm(np.subtract(light.position, lamp.position))
@@ -48,7 +48,7 @@ def assert_positions(found: tuple[object, ...], lamps: tuple[ls.LightPoint, ...]
 
 
 def test_position_of_a_light_is_recovered():
-    """From 0.3 of the room away, with noise and 8 bits, it is within 2 % of the room, and its power within 5 %."""
+    """A light 0.3 of the room away, with noise and 8 bits: within 2 % of the room, and 5 % of its power."""
     light = three_lamps()[1]
     start = replace(light, position=(1.9, 1.5, 3.3), color=(1, 1, 1), intensity=1.0)
     assert math.dist(start.position, light.position) > 0.28 * ROOM
@@ -96,7 +96,7 @@ def test_lights_stay_in_the_box_of_the_scene():
 @pytest.mark.deep
 @pytest.mark.parametrize("count", [1, 2])
 def test_positions_of_three_lights_are_recovered(count):
-    """All are displaced by 0.3 of the room; with one and two images, noise and 8 bits. Lights may swap."""
+    """Lights displaced by 0.3 of the room are found from one and two images, with noise and 8 bits. They may swap."""
     lamps = three_lamps()
     cameras = [view(), other_view()][:count]
     images = [noisy(taken(closed(*lamps), camera), 0.01, number) for number, camera in enumerate(cameras)]
@@ -147,7 +147,7 @@ def test_direction_and_cone_of_a_spot_are_recovered():
 
 
 def test_direction_of_a_sun_is_recovered():
-    """Its shadows determine it."""
+    """Shadows determine the direction."""
     sun = ls.LightDirectional((0.5, -1.0, -0.35), (1.0, 0.95, 0.8), 2.0)
     start = replace(sun, direction=(0.2, -1.0, 0.1), intensity=1.0)
     image = taken(open_above(sun), SMALL)

@@ -71,7 +71,7 @@ def test_scenes_without_anything_to_fit_are_refused():
 
 
 def test_settings_out_of_range_are_refused_by_name():
-    """Each message names its setting."""
+    """Messages name the setting."""
     assert "environment_degree" in refusal(GREY, environment_degree=5)
     assert "positions is 1" in refusal(GREY, positions=1)
     assert "exposure is 'bright'" in refusal(GREY, exposure="bright")
@@ -84,7 +84,7 @@ def test_settings_out_of_range_are_refused_by_name():
 
 
 def test_unreadable_image_files_are_refused_by_name(tmp_path):
-    """Each message names its file."""
+    """Messages name the file."""
     assert "photo.png" in refusal(tmp_path / "photo.png")
     (tmp_path / "text.png").write_text("no picture")
     assert "text.png" in refusal(tmp_path / "text.png")

@@ -58,7 +58,7 @@ def test_result_refers_to_the_lights_gaussians() -> None:
 
 
 def test_irradiance_at_the_character_is_as_requested() -> None:
-    """It is pi in total, divided by score over squared distance."""
+    """Irradiances sum to pi, divided by score over squared distance."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
     arriving = sum(light.intensity / np.sum(np.subtract(light.position, CENTER) ** 2) for light in found.lights)
     assert arriving == pytest.approx(np.pi)
@@ -69,7 +69,7 @@ def test_irradiance_at_the_character_is_as_requested() -> None:
 
 
 def test_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None:
-    """It is as bright as the lamp; fewer lights are found, and a warning says so."""
+    """A wall as bright as the lamp is no light; a warning says that fewer lights were found."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
             room_with(bright_wall(), lamp(PLACES[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
@@ -107,7 +107,7 @@ def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
 
 
 def test_constancy_over_viewpoints_counts() -> None:
-    """Of two colours with equal variance over all directions, the one with less variance over the viewpoints wins."""
+    """A colour with less variance over the viewpoints wins over one with equal variance over all directions."""
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
     # Gradients of one size: along the line of sight, where viewpoints hardly matter, and across. By mean and maximum
     # luminance the second is brighter, by 3 %.
@@ -142,7 +142,7 @@ def test_size_of_gaussians_does_not_change_the_score() -> None:
 
 
 def test_instance_transforms_are_respected() -> None:
-    """In a capture rotated, scaled and moved, lamps move along, with equal scores."""
+    """Lamps of a capture rotated, scaled and moved are found at their new positions, with equal scores."""
     angle = 0.7
     pose = np.eye(4)
     pose[:3, :3] = 1.5 * np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -209,7 +209,7 @@ def test_searches_without_lights_are_refused(change: dict[str, Any], said: str) 
 
 
 def test_settings_of_another_type_are_refused() -> None:
-    """None is allowed, and stands for the defaults."""
+    """Only a LightEstimationConfig, or None for the defaults, is accepted."""
     with pytest.raises(ls.ConfigError, match="config is 0, expected a LightEstimationConfig"):
         ls.inverse.estimate_lights(walls(100), CENTER, config=0)  # pyright: ignore[reportArgumentType]
 

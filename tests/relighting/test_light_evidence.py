@@ -73,7 +73,7 @@ def test_no_sun_is_found_without_one() -> None:
 
 @pytest.mark.deep
 def test_overcast_sky_is_no_sun() -> None:
-    """It is brightest at its top, and objects cast soft shadows."""
+    """An overcast sky is brightest at its top, and objects cast soft shadows."""
     capture = lit_capture("overcast", 7)
     assert ls.inverse.estimate_sun(capture.scene, capture.center) is None
 
@@ -89,7 +89,7 @@ def test_isolated_figure_has_no_light(data_dir: Path) -> None:
 
 @pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.deep)])
 def test_sun_is_never_below_the_ground(seed: int) -> None:
-    """Without a centre, the middle of the capture is used, on its ground or in it: the ground is found anyway."""
+    """The ground is also found from the middle of the capture, if no centre is given."""
     capture = lit_capture("sunny", seed)
     found = ls.inverse.estimate_sun(capture.scene)
     assert capture.sun is not None
@@ -99,7 +99,7 @@ def test_sun_is_never_below_the_ground(seed: int) -> None:
 
 @pytest.mark.deep
 def test_long_search_reports_progress(monkeypatch: pytest.MonkeyPatch) -> None:
-    """From a second on, it increases to 1; a short search reports nothing."""
+    """Progress starts after a second and increases to 1; a short search reports nothing."""
     reports: list[tuple[str, float]] = []
     monkeypatch.setattr(sun_estimation, "SUN_ANNOUNCED_S", 1e9)
     ls.inverse.estimate_sun(meadow(SUN), CENTER, progress=lambda *report: reports.append(report))
@@ -134,7 +134,7 @@ def test_regression_recovers_factor_and_share() -> None:
 
 
 def test_block_texture_is_seldom_significant() -> None:
-    """With random brightness and random light per block, standard errors by blocks keep the false positive rate."""
+    """Standard errors by blocks keep the false positive rate for random brightness and light per block."""
     rng = np.random.default_rng(1)
     normals = np.tile([0.0, 0.0, 1.0], (2000, 1))
     blocks = rng.integers(0, 150, 2000)

@@ -44,14 +44,14 @@ def test_cube_solid_angles_sum_to_4_pi(face_px: int) -> None:
 
 
 def test_solid_angle_of_small_pixels_matches_the_limit() -> None:
-    """It is ``dx dy / (1 + x^2 + y^2)^(3/2)``."""
+    """The limit is ``dx dy / (1 + x^2 + y^2)^(3/2)``."""
     x, y = np.meshgrid((np.arange(256) + 0.5) / 128.0 - 1.0, (np.arange(256) + 0.5) / 128.0 - 1.0)
     np.testing.assert_allclose(cube_solid_angles(256), (1.0 + x * x + y * y) ** -1.5 / 128.0**2, rtol=2e-5)
 
 
 @pytest.mark.parametrize("index", [*range(16), 24, 35, 80])
 def test_single_sh_basis_function_is_recovered(index: int) -> None:
-    """It has its coefficient and no other, also by rough quadrature."""
+    """Only its own coefficient is not 0, also by rough quadrature."""
     directions, degree = unit(1, 3000), 3 if index < 16 else 8
     radiance = sh_basis(directions, degree)[:, index, None] * [1.0, 2.0, -3.0]
     probe = ls.avatars.EnvironmentProbe.fit(directions, radiance, degree=degree)
@@ -74,7 +74,7 @@ def test_constant_radiance_is_recovered() -> None:
 
 @pytest.mark.parametrize(("count", "unit_of_weights"), [(800, 1.0), (20_000, 1.0), (800, 1e-4)])
 def test_ridge_is_independent_of_samples_and_weights(count: int, unit_of_weights: float) -> None:
-    """It shrinks evenly sampled radiance by ``1 / (1 + ridge)``, for any number of directions and unit of weights."""
+    """A ridge shrinks evenly sampled radiance by ``1 / (1 + ridge)``, whatever the samples and unit of weights."""
     index = np.arange(count) + 0.5
     z, phi = 1.0 - 2.0 * index / count, np.pi * (1.0 + 5.0**0.5) * index
     sine = np.sqrt(1.0 - z * z)
@@ -144,7 +144,7 @@ def test_unlit_meshes_give_their_base_color() -> None:
 
 
 def test_uncovered_directions_have_the_background() -> None:
-    """It is decoded as captures are; a transparent one is black, with a warning. White gives radiance 1."""
+    """The background is decoded like captures; a transparent one is black, with a warning. White has radiance 1."""
     scene, background = ls.Scene([one_gaussian((0.0, 0.0, 1e3), 1e-3, 1e-3)]), (1.0, 0.5, 0.0)
     probe = ls.avatars.EnvironmentProbe.capture(
         scene, (0, 0, 0), config=ls.RenderConfig(background=background), device="cpu"
@@ -225,7 +225,7 @@ def test_ringing_is_removed_from_images() -> None:
 
 
 def test_degree_3_suffices_for_irradiance() -> None:
-    """With a lamp of 0.3 sr in a hundredth of its light, irradiance is within 6 % of the largest."""
+    """Irradiance is within 6 % of the largest, for a lamp of 0.3 sr in a hundredth of its light."""
     directions, weights = sphere_quadrature(120)
     environment = np.where(directions[:, :1] > 0.95, 10.0, 0.1) * np.ones(3)
     normals = unit(14, 300)

@@ -52,7 +52,7 @@ def display_colors(gaussians: ls.Gaussians) -> np.ndarray:
     [{}, {"exponent": 2.0}, {"exponent": 7.3, "rows": 24}, {"scale_max": 0.8}, {"rows": 8}, {"exponent": 0.5}],
 )
 def test_scales_match_the_equations(settings: dict) -> None:
-    """There are more normals than one batch, some along the axes."""
+    """Normals exceed one batch, and some are along the axes."""
     config = ls.config.RelightConfig(**settings)
     normals = np.concatenate([np.eye(3), -np.eye(3), unit(1, 2500)])
     twin = scales_twin(some_probe(), normals, config)

@@ -20,7 +20,7 @@ from support.scenes.raster_scenes import joined, one_gaussian, random_gaussians,
 
 LIGHT = (0.0, 0.0, -4.0)
 BEHIND = np.array([[0.0, 0.0, 4.0], [3.5, 0.0, 4.0]], np.float32)
-"""In the shadow of what is at the origin, and beside it."""
+"""Points in the shadow of a caster at the origin, and beside it."""
 SMALL = ls.config.DeepShadowConfig(resolution=256, bins=64)
 
 
@@ -35,7 +35,7 @@ def behind(casters: Any, light: Any = LIGHT, config: ls.config.DeepShadowConfig 
 
 
 def test_shadow_is_behind_the_caster_and_not_beside_it() -> None:
-    """In the middle of a ball's shadow, transmittance is that of the closed form; beside the ball it is 1."""
+    """Transmittance in the middle of a ball's shadow is that of the closed form; beside the ball it is 1."""
     seen = behind(ball())
     # avg: beta integrated along a line through the middle of a round Gaussian is tau itself.
     assert seen[0] == pytest.approx(0.05, abs=2e-3)
@@ -61,7 +61,7 @@ def test_points_and_lights_at_one_position_cast_equal_shadows(light: Any) -> Non
 
 
 def test_casters_may_be_sets_instances_scenes_or_lists() -> None:
-    """The same Gaussians cast the same shadow."""
+    """Equal Gaussians cast equal shadows in any form."""
     moved = replace(ball(), means=ball().means + np.array([1.0, 2.0, 3.0], np.float32))
     back = similarity((0.3, -0.2, 1.0), 0.7)
     back[:3, 3] = -back[:3, :3] @ [1.0, 2.0, 3.0]
@@ -109,7 +109,7 @@ def test_meshes_are_opaque_casters(sampled: list[ls.Mesh], monkeypatch: pytest.M
 
 
 def test_moving_mesh_is_converted_to_gaussians_once(sampled: list[ls.Mesh]) -> None:
-    """It keeps its Gaussians from frame to frame."""
+    """A moving mesh keeps its Gaussians from frame to frame."""
     sphere = icosphere(radius=0.5)
     shadow = ls.DeepShadowMap.build(sphere, LIGHT, BEHIND, SMALL, device="cpu")
     shadow.rebuild(ls.MeshInstance(sphere, similarity((1.0, 0.0, 0.0), 0.5, 1.0, (0.0, 0.1, 0.0))))
@@ -174,7 +174,7 @@ def test_directional_light_is_blocked_from_any_distance() -> None:
 
 @pytest.mark.parametrize("receivers", [np.empty((0, 3)), []], ids=["array", "list"])
 def test_map_without_receivers_near_warns_and_is_lit(receivers: Any, caplog: pytest.LogCaptureFixture) -> None:
-    """All transmittances are 1."""
+    """The transmittance is 1 everywhere."""
     with caplog.at_level(logging.WARNING, "lumisplat"):
         shadow = ls.DeepShadowMap.build(ball(), LIGHT, receivers, SMALL, device="cpu")
     assert "no receivers" in caplog.text
@@ -220,7 +220,7 @@ def test_region_radius_changes_nothing_for_near_receivers() -> None:
 
 
 def test_map_without_receivers_covers_all_points_behind_casters() -> None:
-    """It is as exact as a map for receivers."""
+    """The map is as exact as one for receivers."""
     casters = random_gaussians(3, 40)
     points = np.random.default_rng(0).uniform(-3.0, 9.0, (500, 3)).astype(np.float32)
     light, config = (-5.0, -4.0, -3.0), replace(SMALL, max_distance=25.0)
@@ -286,7 +286,7 @@ def test_loaded_map_without_receivers_follows_its_casters(culling: bool, tmp_pat
 
 
 def test_missing_foreign_and_damaged_files_are_refused(tmp_path: Path) -> None:
-    """Each gives one line that names the file."""
+    """Messages are one line and name the file."""
     good = tmp_path / "good.npz"
     shadow = ls.DeepShadowMap.build(ball(), LIGHT, BEHIND, SMALL, device="cpu")
     shadow.save(good)
@@ -365,7 +365,7 @@ def test_file_with_a_changed_byte_is_refused_or_read(tmp_path: Path) -> None:
     ],
 )
 def test_invalid_arguments_are_refused(given: dict[str, Any], problem: str) -> None:
-    """Each message is one line."""
+    """Messages are one line."""
     settings = {"casters": ball(), "light_position": LIGHT, "receivers": BEHIND} | given
     with pytest.raises(ls.SceneError, match=problem) as error:
         ls.DeepShadowMap.build(**settings, device="cpu")

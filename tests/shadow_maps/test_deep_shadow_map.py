@@ -79,7 +79,7 @@ def test_bins_match_the_closed_form(layout: ls.config.AtlasLayout, absorption: l
     ids=["disc", "disc on edge", "needle", "far"],
 )
 def test_thin_and_far_casters_match_the_closed_form(scale: tuple[float, float, float], distance: float) -> None:
-    """Where float32 could cancel, T is still within 1e-3: before, within and behind the caster."""
+    """T is within 1e-3 before, within and behind the caster, where float32 could cancel."""
     caster = one_gaussian((0.0, 0.0, distance), scale, 0.9, rotation=(0.999, 0.03, -0.02, 0.01))
     reach = 2.0 * distance
     config = replace(WHOLE, resolution=512, bins=32, max_distance=reach)
@@ -156,7 +156,7 @@ def test_culling_does_not_change_transmittance(resolution: int, layout: ls.confi
 
 
 def test_caster_lists_in_parts_equal_whole_lists(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On CUDA several items share the casters of a cell, in the same order."""
+    """Several CUDA items share the casters of a cell, in the same order."""
     config = replace(WHOLE, bins=16, max_distance=None)
     whole = build(config=config)
     launcher = deep_shadow_map.Launcher
@@ -257,7 +257,7 @@ def test_casters_behind_light_or_receivers_change_no_bit() -> None:
 
 
 def test_directional_light_is_the_limit_of_far_point_lights() -> None:
-    """It converges to the closed form of lights so far away that nothing is behind them."""
+    """The map converges to the closed form of lights so far away that nothing is behind them."""
     sun = ls.LightDirectional((0.3, -0.5, 1.0))
     points = np.random.default_rng(3).uniform(-2.5, 2.5, (1000, 3)).astype(np.float32)
     direction = np.array(sun.direction) / np.linalg.norm(sun.direction)
@@ -311,7 +311,7 @@ def test_monte_carlo_sampling_converges_to_the_footprint_mean() -> None:
 
 
 def test_footprints_rotate_with_their_receivers() -> None:
-    """For a flat receiver at the edge of a shadow, its extent along the edge does not matter; across it does."""
+    """The extent of a flat receiver along the edge of a shadow does not matter; across it does."""
     wall = one_gaussian((-2.0, 0.0, 2.0), (0.5, 3.0, 0.01), 0.99)
     shadow = build(wall, np.zeros(3), replace(WHOLE, resolution=256, samples=256))
     spot = (-1.0, 0.0, 3.0)
