@@ -91,7 +91,7 @@ def test_integrating_sphere_matches_path_tracing() -> None:
     direct = np.pi * shines * radius**2
     light = albedo / np.pi * direct / (1.0 - albedo * (1.0 - radius**2))
     np.testing.assert_allclose(encode_srgb(paths), encode_srgb(np.full(3, light)), rtol=0.03)
-    assert colors_along_normals(shown.gaussians).std() < 0.05  # of 256 paths a Gaussian
+    assert colors_along_normals(shown.gaussians).std() < 0.05  # 256 paths per Gaussian
 
 
 def views_of(scene: ls.Scene, away: float = 3.5) -> list[ls.Camera]:
@@ -106,7 +106,7 @@ def test_baked_sh_do_not_depend_on_the_instance_transform() -> None:
     """A set rotated, scaled and moved together with its light gets the same SH in object space."""
     shiny = splats_of(ball(1.0, ls.MaterialPbr(base_color=(0.5, 0.5, 0.5), metallic=1.0, roughness=0.5)), 100)
     light = ls.LightPoint((2.0, 2.0, -2.0), intensity=12.0)
-    # By a third of a turn around a diagonal: the scene's box, which says how far away eyes are, stays as it is.
+    # A rotation by 120 degrees around a diagonal keeps the scene's box, which limits camera distances.
     position = similarity((1.0, 1.0, 1.0), 2.0 * np.pi / 3.0, scale=0.5, offset=(3.0, -1.0, 2.0))
     moved = replace(light, position=tuple(position[:3, :3] @ light.position + position[:3, 3]), intensity=3.0)
     here = baked(ls.Scene([shiny], lights=[light]), TRACE).splats[0]

@@ -40,7 +40,7 @@ def base_of(seen: RayWeights, colors: np.ndarray) -> np.ndarray:
 
 
 ALL = np.ones((2, RAYS, 1))
-"""Every sample meets something."""
+"""Hit fractions of rays all of whose samples hit something."""
 
 
 def test_constant_light_is_denoised_and_colors_stay():
@@ -48,7 +48,7 @@ def test_constant_light_is_denoised_and_colors_stay():
     rng = np.random.default_rng(1)
     seen, colors = neighbours(rng), rng.uniform(0.1, 0.9, (GAUSSIANS, 3))
     truth = 0.7 * seen.blended(colors)
-    noise = truth * rng.exponential(1.0, (2, RAYS, 1)) - truth  # as of paths: rare and bright
+    noise = truth * rng.exponential(1.0, (2, RAYS, 1)) - truth  # rare and bright, as in path tracing
     light = denoised_by_rays(truth + noise, ALL, base_of(seen, colors), seen, 1.0)
     assert np.abs(light - truth).mean() < 0.1 * np.abs(noise).mean()
     np.testing.assert_allclose(light.mean(axis=(0, 1)), truth.mean(axis=0), rtol=0.03)

@@ -16,11 +16,11 @@ from lumisplat.math.color import encode_srgb
 from lumisplat.math.sh import even_directions
 from support.scenes.path_scenes import ball
 
-LEARNT, PATHS = 40, 16
-"""Views that the best harmonics are fitted to, and their paths a pixel."""
+FITTED_VIEWS, PATHS = 40, 16
+"""Number of views that the best SH are fitted to, and their paths per pixel."""
 
 TRACE = ls.RenderConfig(pipeline=ls.Pipeline.TRACE, samples=2)
-"""Direct light, which has no noise where lamps are points."""
+"""Settings of direct light, which has no noise with point lights."""
 
 
 def glossy_ball(count: int = 300) -> ls.Scene:
@@ -126,7 +126,7 @@ def test_baked_room_is_near_the_best_sh() -> None:
     rng = np.random.default_rng(0)
     learnt, views = (
         [bench.view_of(case.scene, case.camera(rng), 10**5 + 2 * k, paths, "cpu") for k in range(count)]
-        for count, paths in ((LEARNT, PATHS // 2), (bench.VIEWS, 24))
+        for count, paths in ((FITTED_VIEWS, PATHS // 2), (bench.VIEWS, 24))
     )
     options: Any = SimpleNamespace(samples=8, directions=32, device="cpu")
     alone, sh = bench.baked_sh(case.scene, 3, options)

@@ -14,18 +14,18 @@ from lumisplat.math.sh import sh_basis
 from lumisplat.runtime.launcher import Launcher
 from support.scenes.path_scenes import ball, diffuse
 
-GAUSSIANS, RAYS, SIGHTS = 20, 3000, 3
+GAUSSIANS, RAYS, CONTRIBUTIONS_PER_RAY = 20, 3000, 3
 
 
 def pixels(rng: np.random.Generator, colors: np.ndarray | None = None) -> Pixels:
     """Rays from random directions that each blend three Gaussians."""
-    directions = rng.standard_normal((RAYS * SIGHTS, 3))
+    directions = rng.standard_normal((RAYS * CONTRIBUTIONS_PER_RAY, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return Pixels(
         colors=np.zeros((RAYS, 3)) if colors is None else colors,
         noise=0.0,
-        ray=np.repeat(np.arange(RAYS), SIGHTS),
-        gaussian=rng.integers(0, GAUSSIANS, RAYS * SIGHTS),
+        ray=np.repeat(np.arange(RAYS), CONTRIBUTIONS_PER_RAY),
+        gaussian=rng.integers(0, GAUSSIANS, RAYS * CONTRIBUTIONS_PER_RAY),
         weight=np.tile([0.5, 0.3, 0.2], RAYS),
         direction=directions.astype(np.float32),
     )
@@ -38,7 +38,9 @@ def test_blend_matches_numpy_and_gather_is_its_transpose() -> None:
     sh, errors = rng.normal(0.0, 0.3, (GAUSSIANS, 16, 3)), rng.normal(size=(RAYS, 3))
     blend = Blend(some, GAUSSIANS, 16, Launcher("cpu"))
     colors = np.einsum("sk,skc->sc", sh_basis(some.direction.astype(np.float64), 3), sh[some.gaussian])
-    expected = (some.weight[:, None] * np.maximum(colors + 0.5, 0.0)).reshape(RAYS, SIGHTS, 3).sum(axis=1)
+    expected = (
+        (some.weight[:, None] * np.maximum(colors + 0.5, 0.0)).reshape(RAYS, CONTRIBUTIONS_PER_RAY, 3).sum(axis=1)
+    )
     np.testing.assert_allclose(blend.pixel_colors(sh), expected, atol=1e-5)
     forward, back = (blend.blend(sh) * errors).sum(), (sh * blend.gather(errors)).sum()
     np.testing.assert_allclose(forward, back, rtol=1e-4)
@@ -63,7 +65,7 @@ def test_known_sh_are_recovered_from_noiseless_rays() -> None:
 def noisy(rng: np.random.Generator, truth: np.ndarray, rays: int) -> tuple[Blend, Pixels]:
     """Rays that each blend three Gaussians, with unreported noise of 0.1 on their colours."""
     some = pixels(rng)
-    contributions = SIGHTS * rays
+    contributions = CONTRIBUTIONS_PER_RAY * rays
     some = replace(
         some,
         colors=some.colors[:rays],
@@ -87,15 +89,15 @@ def test_few_later_rays_do_not_override_many_earlier_ones() -> None:
     assert off_heedless > 2.0 * off
 
 
-LAMPS = [
+LIGHTS = [
     ls.LightSphere((0.0, 2.0, 0.0), 0.5, intensity=3.0),
     ls.LightRect((0.0, 1.6, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 2.0), intensity=3.0),
     ls.LightDisk((0.0, 1.6, 0.0), (0.0, -1.0, 0.0), 1.0, intensity=3.0),
 ]
-"""Above, of which the flat ones shine downwards."""
+"""Lights above the scene; the flat ones shine downwards."""
 
 
-@pytest.mark.parametrize("lamp", LAMPS)
+@pytest.mark.parametrize("lamp", LIGHTS)
 def test_visible_light_behind_a_gaussian_is_not_baked_into_it(
     lamp: ls.LightSphere | ls.LightRect | ls.LightDisk,
 ) -> None:
@@ -132,7 +134,7 @@ def test_hits_light_agrees_with_path_traced_frames() -> None:
     directions = rng.standard_normal((4000, 3))
     directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
     config = ls.RenderConfig(pipeline=ls.Pipeline.PATH, samples=1)
-    for light in LAMPS:
+    for light in LIGHTS:
         found = hits_light([light], origins, directions)
         shown = (
             ls.trace_rays(ls.Scene(lights=[light]), origins, directions, config, device="cpu").radiance.max(axis=1)

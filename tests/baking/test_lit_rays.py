@@ -64,8 +64,8 @@ def test_rays_across_color_edges_match_frames(shines: bool, monkeypatch: pytest.
     across = spread > 0.2 * green.max()
     assert across.sum() > 50
     errors = (shown.colors - truth.colors)[across, 1]
-    # Within three standard errors of the mean; and no noisier than with this seed (0.042 and 0.044). By the albedo of
-    # what shines they are 0.007 and 0.065, and the noise of light that is not shared is 0.13 and 0.14.
+    # Within three standard errors of the mean, and no noisier than with this seed (0.042 and 0.044). With the albedo of
+    # emissive Gaussians, values are 0.007 and 0.065; without denoising, the noise is 0.13 and 0.14.
     assert abs(errors.mean()) < 3.0 * errors.std() / np.sqrt(errors.size)
     assert np.sqrt(np.square(errors).mean()) < 0.046
 
@@ -87,8 +87,8 @@ def test_clear_spans_end_half_way_to_unwanted_gaussians() -> None:
     assert end[1] > 4.0
 
 
-LAMP = ls.MeshInstance(ball(0.7, diffuse(0.0, 30.0), rows=8), position=(0.0, -1.0, 0.0))
-"""Below."""
+LIGHT = ls.MeshInstance(ball(0.7, diffuse(0.0, 30.0), rows=8), position=(0.0, -1.0, 0.0))
+"""Emissive mesh below the sheet."""
 
 
 def veil() -> ls.SplatInstance:
@@ -97,7 +97,7 @@ def veil() -> ls.SplatInstance:
     return ls.SplatInstance(replace(white, opacities=np.full_like(white.opacities, 0.1)), position=(0.0, 1.6, 0.0))
 
 
-@pytest.mark.parametrize("other", [veil(), LAMP])
+@pytest.mark.parametrize("other", [veil(), LIGHT])
 def test_unbaked_sets_and_meshes_do_not_bias_rays(
     other: ls.SplatInstance | ls.MeshInstance, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -53,7 +53,7 @@ def test_directions_are_drawn_in_proportion_to_weight_times_distance() -> None:
     directions = np.broadcast_to(even_directions(8), (total, 8, 3))
     rays = SampleRays.of_views(instance, directions, weights, distances, first=0)
     drawn = rays.draw(0, 1000, seed=1)
-    # From the eye to the middle of the Gaussian, whichever of its points the ray looks at.
+    # From the camera to the mean of the Gaussian, whichever of its points the ray aims at.
     along = instance.gaussians.means[:, None] - drawn.origins
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     direction = (along @ even_directions(8).T).argmax(axis=2)
@@ -120,7 +120,7 @@ def test_gaussians_in_corners_get_as_many_usable_rays(monkeypatch: pytest.Monkey
     assert (first > 8).mean() > 0.5
     assert last.sum() < 0.02 * 16 * len(first)
     eyes = np.concatenate(origins)
-    assert len(np.unique(eyes, axis=0)) == len(eyes)  # others, not the same once more
+    assert len(np.unique(eyes, axis=0)) == len(eyes)  # redrawn rays differ
 
 
 def test_memory_does_not_grow_with_the_number_of_directions(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,7 +89,7 @@ def test_view_weights_favor_visible_lit_and_front_sides() -> None:
     assert unknown[2, :2].max() < 0.01 * unknown[2, 2:].min()
     known = view_weights(front, light, distance, has_front=True)
     assert known[0, 2:].max() < 0.1 * known[0, :2].min()
-    assert known[2, :2].max() < 0.2 * known[2, 2:].min()  # a front that is black in the light is a wall's outside
+    assert known[2, :2].max() < 0.2 * known[2, 2:].min()  # a dark front is the outside of a wall
     dark = view_weights(front, 0.0 * light, 0.0 * distance, has_front=True)
     assert (dark > 0.0).all()
 

@@ -77,7 +77,7 @@ def test_environment_psnr_weights_by_solid_angle():
     """A wrong cap around a pole counts by its fraction of the sphere."""
     truth = np.full((64, 128, 3), 0.5)
     found = truth.copy()
-    found[:4] = 0.0  # one row of 16, found black where display value 0.735 is
+    found[:4] = 0.0  # one row of 16 is black instead of display value 0.735
     share = (1.0 - np.cos(np.pi / 16.0)) / 2.0
     display = 1.055 * 0.5 ** (1.0 / 2.4) - 0.055
     assert environment_psnr(found, truth) == pytest.approx(-10.0 * np.log10(share * display**2), abs=0.15)

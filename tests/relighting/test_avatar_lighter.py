@@ -120,7 +120,7 @@ def test_shadows_of_several_lights_and_actors_combine() -> None:
 def test_only_shadowed_sets_become_new_objects() -> None:
     """Captured sets without a shadow stay the same objects."""
     sets = [ls.SplatInstance(floor(9.0)), ls.SplatInstance(floor()), ls.SplatInstance(floor(-9.0))]
-    # The same bins for both, and no samples that would depend on a receiver's number.
+    # Equal bins for both, and no samples that depend on a receiver's index.
     same = replace(SHADOW, max_distance=4.0, sampling=ls.config.ReceiverSampling.CENTER)
     scene = lighter(ls.Scene(splats=sets), shadow_map=same).light([puppet()])
     assert scene.splats[0] is sets[0] and scene.splats[2] is sets[2]
@@ -213,7 +213,7 @@ def test_mesh_actors_cast_shadows_and_stay_meshes() -> None:
     away = np.hypot(ground.means[:, 0], ground.means[:, 2])
     assert left[away < 0.3].max() < 0.05 and (left[away > 1.6] == 1.0).all()
     camera = ls.Camera.look_at((0.0, 2.5, 3.0), (0.0, 0.0, 0.0), width=48, height=32, fov_y=1.0)
-    # One sample, through the centres of pixels as in the unlit frame.
+    # One sample through the centres of pixels, as in the unlit frame.
     lit = ls.render(scene, camera, ls.RenderConfig(samples=1), device="cpu").pixels_srgb()
     unlit = ls.render(ls.Scene(splats=scene.splats), camera, device="cpu").pixels_srgb()
     there = ls.render(ls.Scene(meshes=scene.meshes), camera, device="cpu").alpha > 0.0
@@ -293,7 +293,7 @@ def test_lit_scene_keeps_its_lights_and_ray_traced_shadows(caplog: pytest.LogCap
 def test_lights_are_estimated_once_around_the_first_actors() -> None:
     """The planted lamp is found, with the direct part of the irradiance at the position."""
     scene = ls.Scene(splats=[floor(), lamp((1.0, 2.5, 0.5), (1.0, 0.8, 0.6))])
-    # The floor is not lit by it: by its looks alone.
+    # The lamp does not light the floor: it is found by its score alone.
     looks = ls.config.LightEstimationConfig(evidence=0.0)
     stage = lighter(scene, None, light_count=1, direct=0.8, estimation=looks)
     assert stage.lights is None
@@ -304,7 +304,7 @@ def test_lights_are_estimated_once_around_the_first_actors() -> None:
     found = stage.lights
     stage.light([puppet(0.5)])
     assert stage.lights is found
-    # Around the actor there is radiance of some mean; over all directions a surface gets pi times that.
+    # The mean radiance around the actor gives a surface pi times as much irradiance.
     middle = np.array([0.0, 1.0, 0.0]) + np.average(puppet().gaussians.means, axis=0)
     around = ls.avatars.EnvironmentProbe.capture(scene, middle, device="cpu")
     directions = np.random.default_rng(0).normal(size=(20_000, 3))
@@ -317,7 +317,7 @@ def test_light_inside_an_actor_warns_once(caplog: pytest.LogCaptureFixture) -> N
     """The actor then shadows everything; a light above a flat Gaussian wide enough to reach it is not inside."""
     within = ls.LightPoint((0.1, 1.02, 0.0), name="torch")
     above = ls.LightPoint((0.0, 1.3, 0.0), name="lantern")
-    # A disc that faces x, and stands turned by a quarter about z: it faces y.
+    # A disc that faces x, rotated by 90 degrees about z, faces y.
     disc = replace(captured(np.zeros((1, 3)), np.ones(3)), scales=np.array([[0.01, 0.3, 0.3]]))
     turned = np.array([[0, -1, 0, 0], [1, 0, 0, 1.0], [0, 0, 1, 0], [0, 0, 0, 1]])
     stage = lighter(ls.Scene(splats=[floor()]), [within, above])
@@ -395,7 +395,7 @@ def test_lights_of_an_unlit_scene_count_as_its_captured_light() -> None:
             assert [(o.name, o.intensity, o.casts_shadow) for o in frame.lights] == [
                 (g.name, g.intensity, g.casts_shadow) for g in given
             ]
-        # Without meshes only what is seen behind everything is left.
+        # Without meshes only the background is left.
         assert own.light([]).lights == tuple(light for light in lights if light is environment)
     shiny = replace(puppet(), material=ls.MaterialPbr())
     assert lighter(ls.Scene(splats=bare, lights=[LIGHT]), None).light([shiny]).lights == (LIGHT,)
@@ -522,7 +522,7 @@ def test_relighting_reduces_paa_apf_and_ncm() -> None:
     sets = [captured(ceiling, reddish, opacity=0.99, scale=0.4)]
     for x, z in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
         points, normals = points_of_sphere((x, 0.0, z), 0.1)
-        irradiance = 0.5 + 0.5 * normals[:, 1:2]  # of an even ceiling without end
+        irradiance = 0.5 + 0.5 * normals[:, 1:2]  # an endless ceiling of constant radiance
         sets.append(replace(captured(points, 0.5 * irradiance * reddish, opacity=0.95, scale=0.02), normals=normals))
     scene = ls.Scene(splats=[ls.SplatInstance(one) for one in sets])
     points, normals = points_of_sphere((0.0, 0.0, 0.0), 0.2)

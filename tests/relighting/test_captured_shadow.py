@@ -76,7 +76,7 @@ def test_unshadowed_set_is_the_same_object() -> None:
     assert ls.avatars.shadowed(lit, lights, np.ones((7, 1000))) is lit
     instance = ls.SplatInstance(lit)
     assert ls.avatars.shadowed(instance, lights, np.ones((7, 1000))) is instance
-    # And with all of them blocked, nothing is left, nor less.
+    # With all lights blocked, factors are 0 and not negative.
     dark = ls.avatars.shadowed(lit, lights, np.zeros((7, 1000)))
     assert np.abs(dark.sh[:, 0] * SH_C0 + 0.5).max() < 1e-6
 

@@ -95,7 +95,7 @@ def test_sides_spread_over_a_plane_from_one_vote() -> None:
     found = agreed_sides(axes, votes, near) * signs
     assert (found[:400] == 1.0).all()
     assert (found[400:] == -1.0).all()
-    votes[11] = -0.3 * signs[11]  # one that is less sure, and wrong
+    votes[11] = -0.3 * signs[11]  # a weaker, wrong vote
     assert (agreed_sides(axes, votes, near)[:400] * signs[:400] == 1.0).all()
 
 
@@ -204,7 +204,7 @@ def test_shading_is_removed_from_a_ball(ball: tuple[ls.Gaussians, np.ndarray]) -
     """The light comes from above, by the cosine's closed form: bands of albedo are recovered."""
     plain, albedo = ball
     up = np.asarray(plain.normals)[:, 1].astype(np.float64)
-    captured = colored(plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None])  # half of the sky shines
+    captured = colored(plain, albedo * (0.15 + 0.85 * 0.5 * (1.0 + up))[:, None])  # half of the environment shines
     found = np.asarray(ls.delight(captured, ls.DelightConfig(cells=8, matt=True), device="cpu").albedo)
 
     def spread(values: np.ndarray) -> float:
@@ -310,7 +310,7 @@ def test_captures_without_estimable_materials_are_refused(
         ls.delight(replace(colored(plain, albedo), opacities=np.full(plain.count, 0.05, np.float32)))
     with pytest.raises(ls.SceneError, match="clipped at display white"):
         ls.delight(colored(plain, np.ones((plain.count, 3))), device="cpu")
-    scattered = replace(plain, means=40.0 * plain.means, normals=None)  # more groups than lamps are told apart
+    scattered = replace(plain, means=40.0 * plain.means, normals=None)  # more groups than EMITTERS_MAX
     with pytest.raises(ls.SceneError, match="clipped at display white"):
         ls.delight(colored(scattered, np.ones((plain.count, 3))), device="cpu")
     with pytest.raises(ls.SceneError, match="all Gaussians are black"):

@@ -126,7 +126,7 @@ def glossy(
     views = views[views[:, 2] > 0.0]
     light = samples.reshape(-1, 3)
     sums, areas = np.zeros((len(views), 3)), np.zeros((len(views), 1))
-    for weight, normal in turned_normals(turns):  # each shows as much as it is turned to the view
+    for weight, normal in turned_normals(turns):  # weights are the cosines to the view
         area = weight * np.maximum(views @ normal, 0.0)[:, None]
         sums += area * radiance_of(roughness, normal, views, light, radiance.ravel() * solid)
         areas += area

@@ -18,7 +18,7 @@ from lumisplat.relighting.delight import emitters_of, is_white
 from lumisplat.relighting.incident import IncidentRays
 from lumisplat.relighting.irradiance import Irradiance, median_outgoing
 
-LAMP, FLOOR = 60, 200
+EMITTER, FLOOR = 60, 200
 
 
 def with_color(gaussians: ls.Gaussians, linear: float) -> ls.Gaussians:
@@ -30,13 +30,13 @@ def with_color(gaussians: ls.Gaussians, linear: float) -> ls.Gaussians:
 def emitter_over_floor(*, screen: bool = False) -> tuple[ls.Gaussians, np.ndarray]:
     """A white square that faces down, a dark floor, perhaps a black screen between them; and normals."""
     sets = [
-        ls.transform(ls.gaussians_from_mesh(ls.plane(0.5, 0.5), LAMP), translation=(0.0, 1.0, 0.0)),
+        ls.transform(ls.gaussians_from_mesh(ls.plane(0.5, 0.5), EMITTER), translation=(0.0, 1.0, 0.0)),
         ls.gaussians_from_mesh(ls.plane(2.0, 2.0), FLOOR),
         ls.transform(ls.gaussians_from_mesh(ls.plane(1.5, 1.5), FLOOR), translation=(0.0, 0.5, 0.0)),
     ]
     colored = [with_color(one, linear) for one, linear in zip(sets, (1.0, 0.001, 0.0), strict=True)]
     both = ls.merge(colored if screen else colored[:2])
-    down = np.arange(both.count)[:, None] < LAMP
+    down = np.arange(both.count)[:, None] < EMITTER
     return both, np.where(down, (0.0, -1.0, 0.0), (0.0, 1.0, 0.0))
 
 
@@ -50,13 +50,13 @@ def test_emitter_light_is_not_counted_twice() -> None:
     """Observed irradiance contains a white square only if the square is no emitter."""
     both, normals = emitter_over_floor()
     groups = emitters_of(both, is_white(both, normals))
-    assert (groups[:LAMP] == 0).all() and (groups[LAMP:] == -1).all()
+    assert (groups[:EMITTER] == 0).all() and (groups[EMITTER:] == -1).all()
     as_white, as_emitter = (incident(both, normals, some) for some in (np.full(both.count, -1), groups))
-    assert as_white.observed[LAMP:].mean() > 0.03
-    assert as_emitter.observed[LAMP:].mean() < 0.05 * as_white.observed[LAMP:].mean()
-    assert as_emitter.emitters[LAMP:, 0].min() > 0.0 and not as_white.emitters.size
-    # A lamp of the radiance that was captured shines as what was captured does: its Gaussians overlap.
-    assert np.isclose(as_emitter.emitters[LAMP:, 0].mean(), as_white.observed[LAMP:].mean(), rtol=0.05)
+    assert as_white.observed[EMITTER:].mean() > 0.03
+    assert as_emitter.observed[EMITTER:].mean() < 0.05 * as_white.observed[EMITTER:].mean()
+    assert as_emitter.emitters[EMITTER:, 0].min() > 0.0 and not as_white.emitters.size
+    # An emitter with the captured radiance gives the observed irradiance, although its Gaussians overlap.
+    assert np.isclose(as_emitter.emitters[EMITTER:, 0].mean(), as_white.observed[EMITTER:].mean(), rtol=0.05)
     np.testing.assert_array_equal(as_emitter.environment, as_white.environment)
 
 
@@ -65,18 +65,18 @@ def test_emitters_are_one_sided_and_cast_shadows() -> None:
     both, normals = emitter_over_floor(screen=True)
     groups = emitters_of(both, is_white(both, normals))
     lit = incident(both, normals, groups).emitters[:, 0]
-    floor, screen = lit[LAMP : LAMP + FLOOR], lit[LAMP + FLOOR :]
-    middle = np.abs(both.means[LAMP : LAMP + FLOOR, [0, 2]]).max(axis=1) < 0.4
+    floor, screen = lit[EMITTER : EMITTER + FLOOR], lit[EMITTER + FLOOR :]
+    middle = np.abs(both.means[EMITTER : EMITTER + FLOOR, [0, 2]]).max(axis=1) < 0.4
     assert middle.sum() > 20 and floor[middle].max() < 0.02 * screen.max()
-    above = replace(both, means=both.means + (0.0, 2.0, 0.0) * (groups < 0)[:, None])  # all but the lamp
+    above = replace(both, means=both.means + (0.0, 2.0, 0.0) * (groups < 0)[:, None])  # all but the emitter
     facing_it = np.tile([0.0, -1.0, 0.0], (both.count, 1))
-    assert not incident(above, facing_it, groups).emitters[LAMP:].any()
+    assert not incident(above, facing_it, groups).emitters[EMITTER:].any()
 
 
 def test_transparent_white_gaussians_are_no_emitter() -> None:
     """Gaussians of opacity 0, as 8-bit formats store them, have no area."""
     both, normals = emitter_over_floor()
-    clear = replace(both, opacities=np.where(np.arange(both.count) < LAMP, 0.0, both.opacities))
+    clear = replace(both, opacities=np.where(np.arange(both.count) < EMITTER, 0.0, both.opacities))
     assert (emitters_of(clear, is_white(clear, normals)) == -1).all()
 
 
@@ -84,7 +84,7 @@ def test_sun_is_located_by_refined_cells() -> None:
     """The brightest cells are divided: a ball in the sun loses its shading, and the brightest cell is the sun's."""
     plain = ls.gaussians_from_mesh(ls.sphere(1.0), 400)
     albedo = np.where(np.sin(6.0 * plain.means[:, 1]) > 0.0, 0.8, 0.4)
-    sun = np.array((0.3, 0.8, 0.52)) / np.linalg.norm((0.3, 0.8, 0.52))  # beside the middle of any of 16 cells
+    sun = np.array((0.3, 0.8, 0.52)) / np.linalg.norm((0.3, 0.8, 0.52))  # away from the centres of the 16 cells
     light = 0.25 + 0.7 * np.maximum(np.asarray(plain.normals, np.float64) @ sun, 0.0)
     sh = (encode_srgb(albedo * light) - 0.5)[:, None, None] / SH_C0 * np.ones(3)
     captured = replace(plain, sh=sh.astype(np.float32), albedo=None, roughness=None, normals=None)
@@ -120,7 +120,7 @@ def test_occluded_surfaces_do_not_change_an_emitters_radiance() -> None:
     found = lit * np.where(hidden, rng.uniform(0.1, 0.3, (4000, 1)), 1.0)
     some = Irradiance(np.full((4000, 3), 0.2), np.zeros((4000, 0), np.float32), found.astype(np.float32))
     assert initial_light(outgoing, some).emitters == pytest.approx(np.full((1, 3), 30.0), rel=0.12)
-    # All Gaussians alike would have it that a lamp is brighter by far.
+    # Equal weights of all Gaussians would give a much brighter emitter.
     wanted = (outgoing[:, 0] / 0.8 - 0.2) / found[:, 0]
     assert np.quantile(wanted, 0.95) > 60.0
 

@@ -14,7 +14,7 @@ from lumisplat.io.images.texture import write_png
 from lumisplat.relighting.evaluation import over_black, relit_scene
 from support.files.relightable_files import painted_ball, sky, write_radiance, write_relightable_set
 
-LAMPS = """
+LIGHTS_TOML = """
 [[lights]]
 type = "rect"
 position = [0.0, 3.0, 0.0]
@@ -49,10 +49,10 @@ def made(tmp_path_factory: pytest.TempPathFactory, ball: ls.Gaussians) -> Path:
     folder = write_relightable_set(tmp_path_factory.mktemp("sets") / "set", ball)
     (folder / "relit" / "dusk.exr").unlink()
     (folder / "environment.exr").rename(folder / "lamps.toml")
-    (folder / "relit" / "dusk.toml").write_text(LAMPS)
+    (folder / "relit" / "dusk.toml").write_text(LIGHTS_TOML)
     render_truth(
         folder, ball, LIGHTS, replace(PATH, samples=64, jitter=False)
-    )  # as captures are relit: by pixel centres
+    )  # through pixel centres, as captures are relit
     return folder
 
 
@@ -80,7 +80,7 @@ def test_lights_of_a_scene_file_relight_the_capture(folder, ball):
     assert ls.inverse.evaluate_materials(ball, folder, device="cpu").relit["dusk"].psnr > 55.0
     direct = ls.inverse.evaluate_materials(ball, folder, config=HYBRID, samples=4, device="cpu")
     assert 20.0 < direct.relit["dusk"].psnr < 55.0
-    (folder / "relit" / "dusk.toml").write_text(LAMPS.replace("[2.0, 0.5, 3.0]", "[-2.0, 0.5, -3.0]"))
+    (folder / "relit" / "dusk.toml").write_text(LIGHTS_TOML.replace("[2.0, 0.5, 3.0]", "[-2.0, 0.5, -3.0]"))
     assert ls.inverse.evaluate_materials(ball, folder, samples=4, device="cpu").relit["dusk"].psnr < 30.0
 
 

@@ -155,7 +155,9 @@ def test_pixels_outside_the_object_do_not_count(folder, ball):
     names = ("albedo_scale", "albedo_psnr", "normal_mean", "normal_median", "roughness_rmse")
     assert [getattr(after, name) for name in names] == [getattr(before, name) for name in names]
     assert after.relit["dusk"].psnr == before.relit["dusk"].psnr
-    assert after.relit["dusk"].ssim == pytest.approx(before.relit["dusk"].ssim, abs=0.02)  # of windows across the edge
+    assert after.relit["dusk"].ssim == pytest.approx(
+        before.relit["dusk"].ssim, abs=0.02
+    )  # windows across the edge differ
     spoil(region(folder, NAMES[0]), NAMES[0])
     spoilt = evaluate(ball, folder)
     assert spoilt.views[0].albedo_psnr < 20.0 and spoilt.normal_mean > 10.0 and spoilt.roughness_rmse > 0.1

@@ -102,7 +102,7 @@ def test_objects_missing_from_the_scene_do_not_bias_the_fit():
     assert (np.abs(image.astype(int) - clean) > 12).any(axis=2).mean() > 0.1
     found = fitted(closed(*unknown(*lights)), image)
     assert_powers(found.lights, lights, 0.05)
-    # Where it is hidden, nothing counts.
+    # Hidden pixels have weight 0.
     changed = (np.abs(image.astype(int) - clean) > 60).any(axis=2)
     assert np.median(found.views[0].weights.min(axis=2)[changed]) < 0.05
 
@@ -130,7 +130,7 @@ def test_masked_pixels_are_left_out():
     found = fitted(closed(*unknown(*lights)), image, masks=mask)
     assert_powers(found.lights, lights, 1e-3)
     assert found.views[0].masked == 20 * image.shape[0]
-    # Shares are of what is seen beside it.
+    # Shares are relative to all modelled light.
     counts = (found.views[0].weights > 0.0).all(axis=2)
     alone = [np.asarray(ls.render(closed(light), VIEW, DIRECT, device="cpu").color)[..., :3] for light in lights]
     given = np.array([(picture[counts] @ (0.2126, 0.7152, 0.0722)).sum() for picture in alone])

@@ -177,7 +177,7 @@ def test_derivatives_do_not_depend_on_the_step():
     off = np.abs(coarse - fine) / scale
     assert smooth.mean() > 0.9
     assert np.quantile(off[smooth], 0.9) < 0.03
-    # By hand: the floor shows albedo / pi times h / r^3, and a lamp that rises changes that by 1 / r^3 - 3 h^2 / r^5.
+    # Analytically: the floor shows albedo / pi times h / r^3, whose derivative by h is 1 / r^3 - 3 h^2 / r^5.
     frame = ls.render(scene, view(), replace(DIRECT, aovs=("albedo",)), device="cpu")
     position, albedo = (np.asarray(image, np.float64).reshape(-1, 3) for image in (frame.position, frame.albedo))
     r, h = np.linalg.norm(position - light.position, axis=1), light.position[1]

@@ -21,7 +21,7 @@ from lumisplat.scene.ops.colors import colors_along
 from support.scenes.light_room import SIZE, bright_wall, captured, lamp, room_with, sparkle, walls
 
 CENTER = 0.5 * SIZE
-PLACES = ((1.0, 2.8, 1.2), (3.2, 2.5, 3.6), (0.4, 1.2, 4.2))
+POSITIONS = ((1.0, 2.8, 1.2), (3.2, 2.5, 3.6), (0.4, 1.2, 4.2))
 COLORS = ((1.0, 0.9, 0.7), (0.5, 0.7, 0.8), (0.6, 0.2, 0.1))
 """Colours in the order of decreasing luminance."""
 
@@ -31,7 +31,7 @@ looks = partial(ls.config.LightEstimationConfig, evidence=0.0)
 
 def three_lamps() -> ls.Gaussians:
     """The room with the three lamps, stored in another order."""
-    return room_with(*(lamp(PLACES[i], COLORS[i]) for i in (2, 0, 1)))
+    return room_with(*(lamp(POSITIONS[i], COLORS[i]) for i in (2, 0, 1)))
 
 
 def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: float = 0.08) -> None:
@@ -42,7 +42,7 @@ def assert_at(light: ls.LightPoint, place: tuple[float, float, float], radius: f
 def test_planted_lamps_are_found_in_order() -> None:
     """Three lamps, brightest first, at their positions and with their linear colours."""
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=looks())
-    for light, position, color in zip(found.lights, PLACES, COLORS, strict=True):
+    for light, position, color in zip(found.lights, POSITIONS, COLORS, strict=True):
         assert_at(light, position)
         np.testing.assert_allclose(light.color, np.array(color) / max(color), atol=2e-3)
     assert (np.diff(found.scores) < 0.0).all() and (found.peakness > 2.0).all()
@@ -72,10 +72,10 @@ def test_broad_bright_wall_is_no_light(caplog: pytest.LogCaptureFixture) -> None
     """A wall as bright as the lamp is no light; a warning says that fewer lights were found."""
     with caplog.at_level(logging.WARNING, logger="lumisplat"):
         found = ls.inverse.estimate_lights(
-            room_with(bright_wall(), lamp(PLACES[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
+            room_with(bright_wall(), lamp(POSITIONS[1], (0.9, 0.9, 0.9))), CENTER, 3, config=looks()
         )
     assert len(found.lights) == 1
-    assert_at(found.lights[0], PLACES[1])
+    assert_at(found.lights[0], POSITIONS[1])
     assert "found 1 light of the 3 requested" in caplog.text
 
 
@@ -88,20 +88,20 @@ def test_compactness_0_accepts_broad_emitters() -> None:
     (light,) = ls.inverse.estimate_lights(room, CENTER, 1, config=broad).lights
     assert light.position[2] == pytest.approx(0.01)
     both = ls.inverse.estimate_lights(
-        room_with(bright_wall(), lamp(PLACES[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad
+        room_with(bright_wall(), lamp(POSITIONS[1], (0.7, 0.7, 0.7))), CENTER, 2, config=broad
     )
-    assert_at(both.lights[0], PLACES[1])
+    assert_at(both.lights[0], POSITIONS[1])
 
 
 def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
     """The sparkle, bright from one viewpoint only, ranks after a lamp of half its luminance."""
-    position = np.array(PLACES[0])
-    glint = sparkle(PLACES[0], position - CENTER)
-    room = room_with(glint, lamp(PLACES[1], (0.6, 0.6, 0.6)))
+    position = np.array(POSITIONS[0])
+    glint = sparkle(POSITIONS[0], position - CENTER)
+    room = room_with(glint, lamp(POSITIONS[1], (0.6, 0.6, 0.6)))
     found = ls.inverse.estimate_lights(room, CENTER, 2, config=looks(weakest=0.0))
-    assert_at(found.lights[0], PLACES[1])
-    assert_at(found.lights[1], PLACES[0])
-    # Seen from the character, the sparkle is the brighter of the two.
+    assert_at(found.lights[0], POSITIONS[1])
+    assert_at(found.lights[1], POSITIONS[0])
+    # From the character, the sparkle is brighter than the lamp.
     away = (glint.means - CENTER) / np.linalg.norm(glint.means - CENTER, axis=1, keepdims=True)
     assert decode_srgb(colors_along(glint, away)).min() > 1.1
 
@@ -109,8 +109,8 @@ def test_lamp_is_preferred_to_a_view_dependent_sparkle() -> None:
 def test_constancy_over_viewpoints_counts() -> None:
     """A colour with less variance over the viewpoints wins over one with equal variance over all directions."""
     positions = np.array([(1.2, 1.5, 2.5), (2.8, 1.5, 2.5)])
-    # Gradients of one size: along the line of sight, where viewpoints hardly matter, and across. By mean and maximum
-    # luminance the second is brighter, by 3 %.
+    # Gradients of equal size: along the viewing direction, where viewpoints hardly matter, and across. The second is
+    # 3 % brighter in mean and maximum luminance.
     steady, unsteady = lamp(tuple(positions[0]), (0.67, 0.67, 0.67)), lamp(tuple(positions[1]), (0.8, 0.8, 0.8))
     steady_sh, unsteady_sh = steady.sh.copy(), unsteady.sh.copy()
     steady_sh[:, 3], unsteady_sh[:, 2] = 0.2, 0.2
@@ -169,7 +169,7 @@ def test_light_estimation_is_deterministic() -> None:
 def test_radius_and_separation_bound_the_search() -> None:
     """No light is beyond the radius, and none nearer to another than the separation."""
     near = looks(radius=2.1, emitter_size=0.25)
-    distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in PLACES]
+    distances = [np.linalg.norm(np.subtract(position, CENTER)) for position in POSITIONS]
     found = ls.inverse.estimate_lights(three_lamps(), CENTER, 3, config=near)
     assert len(found.lights) == sum(distance < 2.1 for distance in distances) < 3
     apart = looks(separation=100.0)
@@ -180,10 +180,10 @@ def test_outlier_does_not_exclude_the_lamps() -> None:
     """One Gaussian a hundred times brighter than white counts as a light, and the lamps still do."""
     stray = captured(np.array([[2.0, 0.5, 0.5]]), np.full(3, 100.0))
     found = ls.inverse.estimate_lights(
-        room_with(stray, *(lamp(p, c) for p, c in zip(PLACES, COLORS, strict=True))), CENTER, 4, config=looks()
+        room_with(stray, *(lamp(p, c) for p, c in zip(POSITIONS, COLORS, strict=True))), CENTER, 4, config=looks()
     )
     assert len(found.lights) == 4
-    for light, position in zip(found.lights[1:], PLACES, strict=True):
+    for light, position in zip(found.lights[1:], POSITIONS, strict=True):
         assert_at(light, position)
 
 

@@ -207,7 +207,7 @@ def test_image_has_the_probes_radiance() -> None:
         rows, columns = {int(np.floor(max(row, 0))), int(np.ceil(max(row, 0)))}, {int(column), int(np.ceil(column))}
         shown = np.mean([image[r, c] for r in rows for c in columns], axis=0)
         np.testing.assert_allclose(shown, probe.radiance(direction), atol=0.03)
-    # Half a turn about x: y down is upright, and what was in front is behind.
+    # Rotation by 180 degrees about x: y down is upright, and front becomes back.
     turned = probe.image(32, (0, 1, 0, 0))
     np.testing.assert_allclose(turned, np.roll(image[::-1], 32, axis=1)[:, ::-1], atol=1e-5)
 

@@ -31,7 +31,7 @@ def scales_twin(probe: ls.avatars.EnvironmentProbe, normals: np.ndarray, config:
     theta = (np.arange(config.rows) + 0.5) * np.pi / config.rows
     phi = (np.arange(2 * config.rows) + 0.5) * np.pi / config.rows
     theta, phi = (grid.ravel() for grid in np.meshgrid(theta, phi, indexing="ij"))
-    # Theta from y, as environments lie.
+    # Theta is measured from y, as in environments.
     omega = np.stack([-np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=1)
     weights = np.sin(theta)
     radiance = sh_basis(omega, probe.degree) @ probe.coefficients
@@ -179,7 +179,7 @@ def test_relit_colors_survive_saving(tmp_path, name: str, most: float) -> None:
 
 
 AVATAR, PROBE, CONFIG, PCA = (cast(Any, wrong) for wrong in ("avatar", "probe", {"gamma": 2}, "mean"))
-"""Arguments of wrong types."""
+"""Gaussians for calls with arguments of wrong types."""
 
 
 @pytest.mark.parametrize(

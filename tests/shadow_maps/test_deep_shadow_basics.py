@@ -37,7 +37,7 @@ def behind(casters: Any, light: Any = LIGHT, config: ls.config.DeepShadowConfig 
 def test_shadow_is_behind_the_caster_and_not_beside_it() -> None:
     """Transmittance in the middle of a ball's shadow is that of the closed form; beside the ball it is 1."""
     seen = behind(ball())
-    # avg: beta integrated along a line through the middle of a round Gaussian is tau itself.
+    # avg: beta integrated along a line through the centre of an isotropic Gaussian is tau itself.
     assert seen[0] == pytest.approx(0.05, abs=2e-3)
     assert seen[1] == pytest.approx(1.0, abs=1e-5)
 
@@ -103,7 +103,7 @@ def test_meshes_are_opaque_casters(sampled: list[ls.Mesh], monkeypatch: pytest.M
     stretched = np.diag([-8.0, 1.0, 1.0, 1.0])
     seen = behind(ls.MeshInstance(sphere, stretched))
     assert seen[0] < 0.01
-    # Stretched to eight times its width, its shadow at z = 4 reaches to x = 8.
+    # The shadow of a sphere eight times as wide reaches x = 8 at z = 4.
     assert seen[1] < 0.01
     assert behind(ls.MeshInstance(sphere))[1] == 1.0
 

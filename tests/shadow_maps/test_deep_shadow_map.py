@@ -134,12 +134,12 @@ def test_errors_at_atlas_seams_are_no_larger(layout: ls.config.AtlasLayout) -> N
         points = LIGHT + 2.5 * circle / np.linalg.norm(circle, axis=1, keepdims=True)
         error = shadow.transmittance(points) - exact(points)
         assert np.abs(error).max() < 1e-2
-        # A line would be a jump from one sample to the next, of which there are four or more a texel.
+        # A seam would be a jump between samples, of which there are four or more per texel.
         jump = np.abs(np.diff(error, append=error[:1]))
         assert jump.max() < 6e-3
 
 
-# --- What must change nothing ---
+# --- Invariances ---
 
 
 @pytest.mark.parametrize("resolution", [8, 16, 40, 128])
@@ -161,7 +161,7 @@ def test_caster_lists_in_parts_equal_whole_lists(monkeypatch: pytest.MonkeyPatch
     whole = build(config=config)
     launcher = deep_shadow_map.Launcher
     monkeypatch.setattr(deep_shadow_map, "Launcher", lambda device: launcher(device, parallel=True))
-    for parts in (1, 300, 10_000):  # of fewer cells; more than one has casters
+    for parts in (1, 300, 10_000):  # fewer cells, of which more than one has casters
         monkeypatch.setattr(culling, "PARALLEL_PARTS", parts)
         parted = build(config=config)
         assert parted.stats.pairs == whole.stats.pairs
@@ -222,7 +222,7 @@ def test_rebuild_equals_a_new_map() -> None:
     )
     assert not np.array_equal(shadow.transmittance_of(receivers), first)
     held = shadow.bytes
-    for _ in range(2):  # A still actor does not flicker.
+    for _ in range(2):  # Static actors do not flicker.
         shadow.rebuild(AROUND)
         np.testing.assert_array_equal(shadow.transmittance_of(receivers), first)
     assert shadow.bytes == held
@@ -253,7 +253,7 @@ def test_casters_behind_light_or_receivers_change_no_bit() -> None:
         np.testing.assert_array_equal(build(more, receivers=points).transmittance(points), expected)
 
 
-# --- Parallel light ---
+# --- Directional light ---
 
 
 def test_directional_light_is_the_limit_of_far_point_lights() -> None:
