@@ -41,7 +41,7 @@ class _LightRoles:
     """Lights that cast the shadows of actors; None: they must be estimated."""
     on_meshes: tuple[Light, ...]
     """Lights that illuminate meshes in frames that are lit because of mesh actors."""
-    as_captured: bool
+    uses_scene_lights: bool
     """True if the scene's own lights are kept in all frames, because something in the scene reflects them."""
 
     @classmethod
@@ -124,7 +124,7 @@ class AvatarLighter:
         self._probes = ProbeCache(scene, background, device, progress)
         suns = [light for light in self.lights or () if isinstance(light, LightDirectional)]
         self._suns = SunOnActors(scene, suns, device, progress) if suns and self.config.sun_on_actors else None
-        self._receivers = _receivers(scene, self._roles.as_captured)
+        self._receivers = _receivers(scene, self._roles.uses_scene_lights)
         self._shadows: ActorShadows | None = None
         """Shadows on the receivers, created when first needed."""
         self._normals: dict[int, tuple[Gaussians, npt.NDArray[np.floating]]] = {}
@@ -185,7 +185,7 @@ class AvatarLighter:
     def _uses_scene_lights(self, actors: list[PlacedActor]) -> bool:
         """Returns whether the frame keeps the scene's lights, because the scene or an actor reflects them."""
         reflecting = any(isinstance(actor, SplatInstance) and not emits_capture_only(actor) for actor in actors)
-        return self._roles.as_captured or (reflecting and bool(self.scene.lights))
+        return self._roles.uses_scene_lights or (reflecting and bool(self.scene.lights))
 
     def _darken(self, casting: list[PlacedActor]) -> list[SplatInstance]:
         """Returns the scene's sets in the shadow of casters and of the scene's own meshes."""

@@ -18,7 +18,7 @@ from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.math.transforms import matrices_from_quaternions
 from lumisplat.scene.scene import SplatInstance
 
-# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+# Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SURFACE_CELLS = 64
 """Voxels along each side of the cube around a capture: 8 cm in a room of 5 m."""

@@ -57,7 +57,7 @@ LIGHT_SEARCH_PRIOR = 4.0
 LIGHT_SEARCH_BROAD = 0.05
 """Smallest contrast factor of a light's score, for lights that do not stand out at all."""
 
-# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+# Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 TRACE_NEAREST = 2.0
 """Distance from a light, in emitter sizes, within which surfaces are ignored, because a bright patch is bright around

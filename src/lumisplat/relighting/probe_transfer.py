@@ -29,7 +29,7 @@ from lumisplat.scene.ops.colors import Subject, scale_light_of
 from lumisplat.scene.ops.normals import estimate_normals
 from lumisplat.scene.scene import Scene, SplatInstance
 
-# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+# Suns on actors (docs/method/relighting.md#sun)
 
 SUN_RAYS = 256
 """Maximum number of shadow rays from an actor towards a sun."""

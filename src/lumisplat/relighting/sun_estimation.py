@@ -18,7 +18,7 @@ from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.lights import LightDirectional
 from lumisplat.scene.scene import Scene, SplatInstance
 
-# Traces of light on captured surfaces (docs/method/relighting.md#traces-of-light)
+# Evidence for lights in the shading of captured surfaces (docs/method/relighting.md#traces-of-light)
 
 SUN_DIRECTIONS = 320
 """Directions of the coarse search, 11 degrees apart."""
