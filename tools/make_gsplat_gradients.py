@@ -1,4 +1,4 @@
-"""Writes tests/reference/gsplat_gradients.npz: gradients of frames by Gaussians, as an independent reference.
+"""Writes tests/reference/gsplat_gradients.npz: gradients of frames for Gaussians, as an independent reference.
 
 Projection, opacity compensation and SH are gsplat's own PyTorch functions (``gsplat/cuda/_torch_impl.py``), blending is
 written in PyTorch below, and PyTorch differentiates everything, in double precision. The scene avoids all rules in
@@ -9,7 +9,7 @@ which gsplat and Lumisplat differ:
   that at 3.33 standard deviations.
 - Compensations below 0.005 are constant in our gradient, as in gsplat's since 1.5.3: none is that small.
 - gsplat takes the eye from the inverse of the pose matrix, we from its transpose. They agree for rigid poses, but have
-  different derivatives by single elements. ``blend`` uses the transpose.
+  different derivatives with respect to single elements. ``blend`` uses the transpose.
 
 The scene covers rules that both share: means beyond 1.3 times the field of view, where the Jacobian is clamped, and
 colour channels clamped at 0. No alpha is so close to 1/255 that float32 could decide otherwise, and no pixel stops.

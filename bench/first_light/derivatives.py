@@ -53,7 +53,7 @@ def gradients(setting: Setting) -> Iterator[Finding]:
 def derivatives(
     scene: ls.Scene, camera: ls.Camera, config: ls.RenderConfig, pixel_weights: np.ndarray, device: str
 ) -> dict[str, np.ndarray]:
-    """Returns the gradient of a frame by the parameters of its only Gaussian set."""
+    """Returns the gradient of a frame with respect to the parameters of its only Gaussian set."""
     renderer = ls.DifferentiableRenderer(config, device)
     renderer.render(scene, camera)
     found = renderer.gradients(pixel_weights).sets[0]

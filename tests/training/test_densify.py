@@ -85,7 +85,7 @@ def test_number_of_gaussians_grows_up_to_the_cap() -> None:
 
 
 def test_small_gaussians_are_cloned_and_large_ones_split() -> None:
-    """Only Gaussians with a large screen-space gradient; a split leaves two smaller ones inside the original."""
+    """A large screen-space gradient selects Gaussians; a split leaves two smaller ones inside the original."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1.0, 0.0, 1.0, 0.0]), np.zeros(4))
     after = cloned_and_split(before, record, CONFIG, np.random.default_rng(0))
@@ -102,7 +102,7 @@ def test_small_gaussians_are_cloned_and_large_ones_split() -> None:
 
 
 def test_gaussians_with_large_normal_gradients_are_cloned_or_split() -> None:
-    """Only if ``grow_turn`` is set; under the cap, the largest excess over a threshold comes first."""
+    """The rule needs ``grow_turn``; under the cap, the largest excess over a threshold comes first."""
     before = parameters([0.5] * 4, [0.001, 0.001, 0.5, 0.5])
     record = DensifyStats(100, 1.0, np.array([1e-3, 0.0, 0.0, 0.0]), np.array([0.0, 0.9, 0.0, 0.1]))
     settings = {"densification": Densification.ADAPTIVE, "normals": 0.05}

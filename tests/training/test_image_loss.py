@@ -34,7 +34,7 @@ def differentiate(
     size: tuple[int, int] = SIZE,
     parallel: bool | None = None,
 ) -> tuple[Loss, np.ndarray, np.ndarray]:
-    """Returns the loss of a frame, and its gradient by colour and alpha."""
+    """Returns the loss of a frame, and its gradient with respect to colour and alpha."""
     launcher, buffers = Launcher("cpu", threads, parallel=parallel), Buffers("cpu")
     loss = ImageLoss(launcher, buffers, ssim=SSIM, alpha=ALPHA, entropy=ENTROPY)
     pixels = PixelData()

@@ -58,7 +58,7 @@ class Shown:
         self.gaussians.shade(Materials(lit.albedo, lit.roughness, lit.normals, lit.sky), EYE, self.sh)
 
     def by_radiance(self, given: np.ndarray) -> Materials:
-        """Returns the gradient by materials, given that by display-referred colours."""
+        """Returns the gradient with respect to materials, given that by display-referred colours."""
         rects, splats = (np.zeros(len(given), table_dtype(struct)) for struct in (TileRect, SplatGradient))
         rects["x1"], rects["y1"], splats["color"] = 1, 1, given
         arrays: list[Any] = [

@@ -58,7 +58,7 @@ def started(**settings: Any) -> Trainer:
 
 
 def found_by(one: Trainer) -> tuple[float, dict[str, np.ndarray]]:
-    """Returns the terms of the first view, and the gradient by Gaussians."""
+    """Returns the terms of the first view, and the gradient with respect to Gaussians."""
     camera, picture = one._views[0].downscaled(0)
     target = one._loss.load(picture.color, picture.weight, None)
     pixels = one._backend.draw(camera, 0, (0.0, 0.0, 0.0))

@@ -115,7 +115,7 @@ class TrainingRaster(_Backend):
         )
         self._backward = SplatBackward(launcher, buffers)
         self.by_splat: DeviceArray
-        """Gradient by the splats of the last frame, ``SplatGradient``; written by ``backward``."""
+        """Gradient with respect to the splats of the last frame, ``SplatGradient``; written by ``backward``."""
 
     def modules(self) -> list[KernelModule]:
         """Kernel modules of the forward and the backward pass."""
@@ -160,13 +160,13 @@ class TrainingRaster(_Backend):
         surfaces: SurfaceLoss | None = None,
         record: SplatRecord | None = None,
     ) -> GaussianGradient:
-        """Returns the gradient by the Gaussians of the last frame.
+        """Returns the gradient with respect to the Gaussians of the last frame.
 
         Args:
             pixels: Pixels of the last frame.
-            gradient: Gradient of the loss by ``pixels``.
+            gradient: Gradient of the loss with respect to ``pixels``.
             surfaces: Surface terms evaluated for the last frame; None if there are none.
-            record: Receives the gradient of the surface terms by normals; None to skip it.
+            record: Receives the gradient of the surface terms with respect to normals; None to skip it.
         """
         self.by_splats(pixels, gradient)
         by_features = None if surfaces is None else surfaces.backward(self._scene, self.drawn, self.by_splat)
@@ -178,11 +178,13 @@ class TrainingRaster(_Backend):
         return by_gaussians
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
-        """Returns only the gradient by the splats of the last frame, ``SplatGradient``; undefined if not drawn.
+        """Returns the gradient with respect to the splats of the last frame, ``SplatGradient``.
+
+        Elements of splats that were not drawn are undefined.
 
         Args:
             pixels: Pixels of the last frame.
-            gradient: Gradient of the loss by ``pixels``.
+            gradient: Gradient of the loss with respect to ``pixels``.
         """
         self.by_splat = self._backward.splats(self._scene, self.drawn, pixels, gradient)
         return self.by_splat
@@ -211,7 +213,9 @@ class TrainingRaster(_Backend):
         run(weight_kernels.reduce_largest, drawn.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Returns the gradient by the upper rows of ``camera_from_world``, shape (3, 4); call after ``backward``.
+        """Returns the gradient with respect to the upper rows of ``camera_from_world``, shape (3, 4).
+
+        The call follows ``backward``.
 
         Args:
             camera: Camera of the last frame.
@@ -267,7 +271,7 @@ class TrainingRays(_Backend):
         return self._pixels_of_rays(self._hits.count, self._hits.gaussians, background)
 
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
-        """Returns the gradient by the Gaussians of the last frame, as `TrainingRaster.backward`."""
+        """Returns the gradient with respect to the Gaussians of the last frame, as `TrainingRaster.backward`."""
         by_rays = self._backward.start_pixels(self._scene.image_size, self._hits.count, pixels, gradient)
         self._sums = self._backward.begin(self._scene)
         self._backward.add(self._scene, self._hits, by_rays, self._sums)
@@ -281,7 +285,7 @@ class TrainingRays(_Backend):
         self._backward.add(self._scene, self._hits, by_rays, sums)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Returns the gradient by the camera pose, as `TrainingRaster.by_pose`."""
+        """Returns the gradient with respect to the camera pose, as `TrainingRaster.by_pose`."""
         return pose_of_rays_gradient(self._sums.motions, [SplatInstance(self._gaussians)], camera)
 
 
@@ -326,7 +330,7 @@ class TrainingUnscented(_Backend):
         return self._pixels_of_rays(len(rays.t_max), self._last_hits.hits, background)
 
     def backward(self, pixels: PixelData, gradient: PixelGradient) -> GaussianGradient:
-        """Returns the gradient by the Gaussians of the last frame, as `TrainingRaster.backward`."""
+        """Returns the gradient with respect to the Gaussians of the last frame, as `TrainingRaster.backward`."""
         by_splat = self._backward.splats(self._scene, self._last_hits, pixels, gradient)
         return self._backward.gaussians(self._scene, self._last_hits, by_splat, 0)
 
@@ -348,7 +352,7 @@ class TrainingUnscented(_Backend):
         run(weight_kernels.reduce_largest, hits.splats.count, starts, pairs, largest)
 
     def by_pose(self, camera: Camera) -> Doubles:
-        """Returns the gradient by the camera pose, as `TrainingRaster.by_pose`."""
+        """Returns the gradient with respect to the camera pose, as `TrainingRaster.by_pose`."""
         return pose_of_rays_gradient(self._backward.motions(self._last_hits), [SplatInstance(self._gaussians)], camera)
 
     @property

@@ -54,11 +54,11 @@ class DensifyStats:
     extent: float
     """Camera extent, scene units."""
     screen_gradient: Doubles
-    """Mean screen-space position gradient of each Gaussian, shape (N,).
+    """Mean screen-space position gradient of each Gaussian, shape (N,), in units of half the image size.
 
-    In units of half the image size, averaged over the frames since the last densification that drew the Gaussian."""
+    The mean is over the frames since the last densification that drew the Gaussian."""
     normal_gradient: Doubles
-    """Mean gradient of the surface terms by the rotation of each Gaussian's normal, shape (N,).
+    """Mean gradient of the surface terms with respect to the rotation of each Gaussian's normal, shape (N,).
 
     The terms are summed over pixels, and averaged over the same frames as ``screen_gradient``."""
 
@@ -121,7 +121,7 @@ def grown(parameters: TrainedParameters, config: TrainConfig, rng: np.random.Gen
 
 
 def relocate_sources(parameters: TrainedParameters, sources: Indices, degree: int) -> None:
-    """Reduces opacity and scales of the sources, so that each renders with its copies as it did alone.
+    """Reduces opacity and scales of the sources, so that a source with its copies renders like the source before.
 
     Args:
         parameters: Gaussians, changed in place.

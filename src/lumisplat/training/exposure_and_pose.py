@@ -52,7 +52,7 @@ class Exposures:
 
         Args:
             number: Index of the image.
-            gradient: Gradient of the loss by its exposure, shape (3, 4).
+            gradient: Gradient of the loss with respect to its exposure, shape (3, 4).
             rate: Learning rate.
         """
         self.values[number] += rate * self.adam.step(gradient.reshape(12), row=number).reshape(3, 4)
@@ -83,11 +83,11 @@ class ExposedFrame:
         return exposed
 
     def backward(self, pixels: PixelData, by_exposed: PixelGradient) -> tuple[PixelGradient, Doubles]:
-        """Returns the gradient by the pixels before exposure, and by the exposure, shape (3, 4).
+        """Returns the gradient with respect to the pixels before exposure, and by the exposure, shape (3, 4).
 
         Args:
             pixels: Pixels of the frame before exposure.
-            by_exposed: Gradient of the loss by the pixels after exposure.
+            by_exposed: Gradient of the loss with respect to the pixels after exposure.
         """
         get, count = self._buffers.get, len(pixels.alpha)
         chunks = -(-count // EXPOSURE_CHUNK)
@@ -155,7 +155,7 @@ class Poses:
 
         Args:
             number: Index of the image.
-            gradient: Gradient of the loss by the upper rows of ``camera_from_world``, shape (3, 4).
+            gradient: Gradient of the loss with respect to the upper rows of ``camera_from_world``, shape (3, 4).
             rate: Learning rate, radians.
         """
         by_parameters = self._twist_from_parameters.T @ twist_gradient(self.values[number], gradient)
@@ -180,13 +180,13 @@ class Poses:
 
 
 def twist_gradient(pose: Doubles, gradient: Doubles) -> Doubles:
-    """Returns the gradient by a twist of the camera, ``exp(twist) @ pose`` at 0, shape (6,).
+    """Returns the gradient with respect to a twist of the camera, ``exp(twist) @ pose`` at 0, shape (6,).
 
     The twist is a rotation and a translation along the camera's axes.
 
     Args:
         pose: ``camera_from_world``, shape (4, 4).
-        gradient: Gradient of the loss by its upper rows, shape (3, 4).
+        gradient: Gradient of the loss with respect to its upper rows, shape (3, 4).
     """
     m = gradient @ pose[:3].T
     return np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], *gradient[:, 3]])

@@ -1,4 +1,4 @@
-"""Kernels that apply an image's exposure to a frame, and the gradients by the frame and by the exposure.
+"""Kernels that apply an image's exposure to a frame, and return gradients with respect to frame and exposure.
 
 The equations are in docs/method/training.md#exposures.
 """
@@ -40,7 +40,7 @@ def differentiate_chunks(
     by_matrix_out: wp.array[wp.mat33],
     by_offset_out: wp.array[wp.vec3],
 ):
-    """Item = chunk of pixels: gradient by each pixel, and the chunk's sum of the gradient by the exposure."""
+    """Item = chunk of pixels: gradient with respect to each pixel, and the chunk's sum for the exposure."""
     chunk = start + wp.tid()
     by_matrix = wp.mat33(0.0)
     by_offset = wp.vec3(0.0)

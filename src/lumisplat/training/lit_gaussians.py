@@ -88,17 +88,17 @@ class LitGaussians:
             self._launcher.run_banded(material_kernels.shade, self._count, *inputs)
 
     def decode(self, rects: DeviceArray, by_splats: DeviceArray) -> None:
-        """Converts the gradient by splat colours to the gradient by linear radiance, for ``differentiate``.
+        """Converts the gradient of splat colours to that of linear radiance, for ``differentiate``.
 
         Args:
             rects: Tile rectangles of the splats of the last frame.
-            by_splats: Gradient of the loss by the splats.
+            by_splats: Gradient of the loss with respect to the splats.
         """
         inputs = (rects, by_splats, self._radiance, self._by_radiance)
         self._launcher.run_banded(material_kernels.decode_gradients, self._count, *inputs)
 
     def differentiate(self) -> Materials:
-        """Returns the gradient of the loss by materials and environment, with one gradient per parameter."""
+        """Returns the gradient of the loss for materials and environment, one gradient per parameter."""
         run, get, count = self._launcher.run_banded, self._buffers.get, self._count
         gradient = MaterialGradient()
         gradient.albedo, gradient.normals = (get(f"materials.by_{x}", wp.vec3, count) for x in ("albedo", "normals"))
@@ -158,8 +158,8 @@ def traced_incident(
 ) -> IncidentRadiance:
     """Traces one ray from each Gaussian in each direction above its horizon.
 
-    Rays are jittered within the solid angle of their direction. If half of it is blocked, every other Gaussian
-    therefore sees through. Rays start above the Gaussian, at a height given by its scales.
+    Rays are jittered within the solid angle of their direction. If half of it is blocked, about half of the rays
+    therefore reach the environment. Rays start above the Gaussian, at a height given by its scales.
 
     Args:
         gaussians: The capture.

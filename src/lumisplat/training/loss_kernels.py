@@ -1,4 +1,4 @@
-"""L1 and SSIM loss between a frame and a training image, and its gradient by the frame's pixels.
+"""L1 and SSIM loss between a frame and a training image, and its gradient with respect to the frame's pixels.
 
 An item is a run of pixels of a row: a whole row on CPUs, where loops become vector instructions, a pixel on CUDA.
 
@@ -176,7 +176,7 @@ def differentiate_rows(
     by_alpha_out: wp.array[float],
     sums_out: wp.array[wp.vec4],
 ):
-    """Item = run: gradient of the loss by its pixels, and sums of L1, squared error, alpha error and cross entropy."""
+    """Item = run: gradient of its pixels, and sums of L1, squared error, alpha error and cross entropy."""
     item = start + wp.tid()
     y, left, right = run_of(item, grid)
     width = grid.width

@@ -89,7 +89,7 @@ class ImageLoss:
     def differentiate(
         self, size: tuple[int, int], pixels: PixelData, target: TargetImage
     ) -> tuple[Loss, PixelGradient]:
-        """Returns the loss of a frame and its gradient by the pixels.
+        """Returns the loss of a frame and its gradient with respect to the pixels.
 
         Args:
             size: Width and height in pixels.
@@ -185,7 +185,7 @@ class SurfaceLoss:
         counted: float,
         gradient: PixelGradient,
     ) -> SurfaceMaps:
-        """Evaluates the terms; adds their gradient by alpha and stores that by features for ``backward``.
+        """Evaluates the terms, adds their gradient of alpha, and stores their gradient of features for ``backward``.
 
         Args:
             scene: Device scene of the frame, with one Gaussian set in world space.
@@ -193,7 +193,7 @@ class SurfaceLoss:
             pixels: Pixels of the frame.
             target: Uploaded image with the weight of each pixel.
             counted: Sum of the pixel weights.
-            gradient: Receives the gradient by alpha.
+            gradient: Receives the gradient with respect to alpha.
 
         Returns:
             Maps with the terms of each pixel.
@@ -219,19 +219,22 @@ class SurfaceLoss:
         return maps
 
     def backward(self, scene: DeviceScene, drawn: DrawnSplats, by_splat: DeviceArray) -> DeviceArray:
-        """Returns the gradient by the features of each splat, shape (N, 5); adds that by splats to ``by_splat``."""
+        """Returns the gradient with respect to the features of each Gaussian, shape (N, 5).
+
+        The gradient with respect to splats is added to ``by_splat``.
+        """
         with self._launcher.stage("backward: surfaces"):
             return self._channels.backward(scene, drawn, self._shown, self._by_sums, by_splat)
 
     def add_normal_gradients(
         self, scene: DeviceScene, drawn: DrawnSplats, by_features: DeviceArray, record: SplatRecord
     ) -> None:
-        """Adds the magnitude of the gradient by each drawn Gaussian's normal to the densification statistics.
+        """Adds the magnitude of each drawn Gaussian's normal gradient to the densification statistics.
 
         Args:
             scene: Device scene of the frame.
             drawn: Splats of the frame.
-            by_features: Gradient by features, from ``backward``.
+            by_features: Gradient with respect to features, from ``backward``.
             record: Receives the sums.
         """
         data: GaussianData = scene.assets[0].data
@@ -239,7 +242,7 @@ class SurfaceLoss:
         self._launcher.run_banded(kernels.add_normal_gradients, len(data.opacities), *inputs)
 
     def add_by_features(self, scene: DeviceScene, by_features: DeviceArray, gradient: GaussianGradient) -> None:
-        """Adds the gradient by features, mapped to Gaussian parameters, to ``gradient``."""
+        """Maps the gradient of features to means and rotations, and adds it to ``gradient``."""
         data: GaussianData = scene.assets[0].data
         inputs = (scene.camera, self._terms, data, by_features, gradient)
         self._launcher.run_banded(kernels.add_by_features, len(data.opacities), *inputs)

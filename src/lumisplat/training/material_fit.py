@@ -1,6 +1,6 @@
 """Optimises materials and environment: shades the Gaussians, renders them, and compares the frame with an image.
 
-Pairs of neighbours keep similar Gaussians at similar materials.
+Smoothness terms over pairs of neighbouring Gaussians keep their materials similar.
 """
 
 from __future__ import annotations
@@ -86,7 +86,10 @@ class ColoredGaussians:
         return self._raster.draw(camera, 0, background)
 
     def by_splats(self, pixels: PixelData, gradient: PixelGradient) -> DeviceArray:
-        """Returns the gradient by the splats of the last frame, ``SplatGradient``; undefined for splats not drawn."""
+        """Returns the gradient with respect to the splats of the last frame, ``SplatGradient``.
+
+        Elements of splats that were not drawn are undefined.
+        """
         return self._raster.by_splats(pixels, gradient)
 
 
@@ -245,7 +248,7 @@ class MaterialFit:
         return loss
 
     def differentiate(self, view: TrainingView) -> tuple[Loss, Materials]:
-        """Returns the loss between the shaded Gaussians and an image, and its gradient by materials and environment."""
+        """Returns the loss between the shaded Gaussians and an image, and its gradient of materials and environment."""
         image, camera = view.read(), view.camera
         target = self._loss.load(image.color, image.weight, None)
         self._lit.shade(self.materials, camera.eye, self._gaussians.sh)
@@ -401,7 +404,7 @@ class SimilarPairs:
     second: Rows
 
     def albedo_term(self, log_albedo: Doubles) -> tuple[float, Doubles]:
-        """Returns the penalty on albedo differences and its gradient by log albedo, shape (N, 3).
+        """Returns the penalty on albedo differences and its gradient with respect to log albedo, shape (N, 3).
 
         The difference ``d`` of a pair costs ``w^2 log(1 + (d / w)^2) / 2``, so that texture edges count little. The
         cost is weighted by the similarity of chromaticity, which is held fixed.
@@ -422,7 +425,7 @@ class SimilarPairs:
         ]
 
     def _scattered(self, by_difference: Doubles, count: int) -> Doubles:
-        """Sums the gradient by differences into a gradient by rows."""
+        """Sums the gradient with respect to differences into a gradient with respect to rows."""
         columns = [
             np.bincount(self.first, column, count) - np.bincount(self.second, column, count)
             for column in by_difference.T

@@ -22,7 +22,7 @@ def differentiate(
     by_radiance: wp.array[wp.vec3],
     gradient_out: MaterialGradient,
 ):
-    """Item = Gaussian: gradient by albedo, roughness and normal.
+    """Item = Gaussian: gradient with respect to albedo, roughness and normal.
 
     A view direction from below the horizon is mirrored; the mirrored direction is held fixed in the derivative by
     normal.

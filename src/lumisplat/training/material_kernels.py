@@ -78,7 +78,7 @@ def decode_gradients(
     radiance: wp.array[wp.vec3],
     by_radiance_out: wp.array[wp.vec3],
 ):
-    """Item = Gaussian: gradient by linear radiance; radiance above white only receives gradients that darken it."""
+    """Item = Gaussian: gradient of linear radiance; radiance above white only receives gradients that darken it."""
     i = start + wp.tid()
     by_radiance = wp.vec3(0.0)
     if is_listed(rects[i]):
@@ -98,7 +98,7 @@ def differentiate_environment(
     by_radiance: wp.array[wp.vec3],
     by_environment_out: wp.array2d[wp.vec3],
 ):
-    """Item = chunk of Gaussians: the chunk's gradient by the environment's radiance, one row per chunk."""
+    """Item = chunk of Gaussians: the chunk's gradient of the environment's radiance, one row per chunk."""
     chunk = start + wp.tid()
     directions = light.directions.shape[0]
     for k in range(directions):

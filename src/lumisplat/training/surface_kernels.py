@@ -126,7 +126,7 @@ def compare_surfaces(
     maps_out: SurfaceMaps,
     by_sums_out: wp.array2d[float],
 ):
-    """Item = pixel: its terms, and gradients by its own features and by the two tangents of its depth-map surface."""
+    """Item = pixel: its terms, and gradients of its features and of the two tangents of its depth-map surface."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -187,7 +187,7 @@ def gather_surfaces(
     by_sums_inout: wp.array2d[float],
     by_alpha_inout: wp.array[float],
 ):
-    """Item = pixel: gradient by its depth, gathered from the tangents of its neighbours."""
+    """Item = pixel: gradient with respect to its depth, gathered from the tangents of its neighbours."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -218,7 +218,7 @@ def add_by_features(
     by_features: wp.array2d[float],
     gradient_inout: GaussianGradient,
 ):
-    """Item = Gaussian: maps the gradient by features to mean and rotation."""
+    """Item = Gaussian: maps the gradient of features to mean and rotation."""
     i = start + wp.tid()
     view = camera[0]
     depth = depth_of(view, terms, gaussians.means[i])
@@ -243,7 +243,7 @@ def add_normal_gradients(
     by_features: wp.array2d[float],
     record_inout: SplatRecord,
 ):
-    """Item = Gaussian: adds the magnitude of the gradient by its normal's rotation, if the Gaussian was drawn."""
+    """Item = Gaussian: adds the magnitude of the gradient of its normal's rotation, if the Gaussian was drawn."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_normal = normal_at(by_features, i)
@@ -255,7 +255,7 @@ def add_normal_gradients(
 def flatten(
     start: int, weight: float, rects: wp.array[TileRect], gaussians: GaussianData, gradient_inout: GaussianGradient
 ):
-    """Item = Gaussian: adds the gradient by its smallest scale, if the Gaussian was drawn."""
+    """Item = Gaussian: adds the gradient with respect to its smallest scale, if the Gaussian was drawn."""
     i = start + wp.tid()
     if is_listed(rects[i]):
         by_scale = gradient_inout.scales[i]
@@ -304,7 +304,7 @@ def compare_smoothness(
     sums: wp.array2d[float],
     maps_out: SmoothnessMaps,
 ):
-    """Item = pixel: its smoothness term, and the gradient by its two differences of normals."""
+    """Item = pixel: its smoothness term, and the gradient with respect to its two differences of normals."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width
@@ -337,7 +337,7 @@ def compare_smoothness(
 
 @wp.kernel
 def gather_smoothness(start: int, camera: wp.array[CameraData], maps: SmoothnessMaps, by_sums_inout: wp.array2d[float]):
-    """Item = pixel: gradient by its normal, gathered from the differences of its neighbours."""
+    """Item = pixel: gradient with respect to its normal, gathered from the differences of its neighbours."""
     i = start + wp.tid()
     view = camera[0]
     x = i % view.width

@@ -221,7 +221,7 @@ class Trainer:
         return [correction for correction in (self.exposures, self.poses) if correction is not None]
 
     def _compare(self, step_input: StepInput, pixels: PixelData, target: TargetImage) -> tuple[Loss, PixelGradient]:
-        """Returns the loss of a frame and its gradient by pixels, and updates the exposure of the image.
+        """Returns the loss of a frame and its gradient with respect to pixels, and updates the exposure of the image.
 
         Raises:
             DivergedError: The loss is not finite.
