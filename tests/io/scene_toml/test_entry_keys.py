@@ -103,7 +103,7 @@ def test_crop_box_keeps_gaussians_inside(folder: Path) -> None:
         ("crop_low = [0.0, 0.0, 0.0]\n", "lacks crop_high"),
         ("crop_low = [1.0, 0.0, 0.0]\ncrop_high = [0.0, 1.0, 1.0]\n", "below that of crop_high"),
         ("crop_low = [0.0, 0.0, nan]\ncrop_high = [1.0, 1.0, 1.0]\n", "finite"),
-        ("crop_low = [5.0, 5.0, 5.0]\ncrop_high = [6.0, 6.0, 6.0]\n", "nothing is left"),
+        ("crop_low = [5.0, 5.0, 5.0]\ncrop_high = [6.0, 6.0, 6.0]\n", "no Gaussian of 3 is left"),
     ],
 )
 def test_invalid_crop_boxes_are_refused(folder: Path, box: str, expected: str) -> None:

@@ -208,7 +208,7 @@ def test_distortion_of_a_camera_entry_is_read(tmp_path: Path) -> None:
     assert path.at(0.5).distortion == camera.distortion
     for wrong, problem in (
         (text.replace("[-0.1, 0.02, 0,", "[-0.1,"), "expected six numbers, k1 k2 k3 k4 p1 p2"),
-        (text + 'model = "orthographic"\n', "distortion is of pinhole and fisheye cameras"),
+        (text + 'model = "orthographic"\n', "camera distortion needs a pinhole or fisheye camera"),
     ):
         with pytest.raises(ls.FormatError) as caught:
             load(tmp_path, wrong)

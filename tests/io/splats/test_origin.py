@@ -161,7 +161,7 @@ def test_edits_use_the_coordinates_of_the_capture() -> None:
     np.testing.assert_allclose(in_world(both)[60:, 0] - in_world(both)[:60, 0], 10.0, atol=1e-5)
     near = ls.merge([replace(far, origin=(UTM[0] + 300.0, *UTM[1:])), far])
     np.testing.assert_allclose(in_world(near), np.concatenate([wide + np.array((300.0, 0.0, 0.0)), wide]), atol=1e-4)
-    with pytest.raises(ls.SceneError, match="units from another cannot be merged"):
+    with pytest.raises(ls.SceneError, match="units apart cannot be merged"):
         ls.merge([capture((0.0, 0.0, 0.0)), far])
 
 
