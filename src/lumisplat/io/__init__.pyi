@@ -1,4 +1,4 @@
-"""Files in and out: captures, meshes, scenes, cameras, images, chunks of large captures, training images."""
+"""Reads and writes files: captures, meshes, scenes, cameras, images, blocks of large captures, training images."""
 
 from lumisplat.dataset.views import load_dataset_config as load_dataset_config
 from lumisplat.io.blocks.storage import (
