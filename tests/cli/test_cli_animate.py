@@ -435,7 +435,7 @@ def test_a_missing_package_is_said_before_any_frame(work, monkeypatch):
 @pytest.mark.parametrize(
     ("text", "named"),
     [
-        ("[[splats]]\npath = 'floor.ply'\n", "lists no [[actors]]"),
+        ("[[splats]]\npath = 'floor.ply'\n", "has neither [[actors]] nor a camera with keyframes"),
         (SCENE.replace("ball.ply", "lost.ply"), "lost.ply"),
         (SCENE + "\nbroken", "scene.toml: "),
     ],
