@@ -32,13 +32,13 @@ edges a second time and Gaussians receive light around corners (1.1 dB worse in 
 class CatcherLight:
     """Irradiance of shadow catchers, arrays of one shape; the device's `catcher_change` is the same for one channel."""
 
-    sent: Doubles
+    unshadowed: Doubles
     """Irradiance from the scene's lights without the added objects."""
     change: Doubles
     """Change of that irradiance by the added objects, indirect light included."""
-    own_sent: Doubles
+    emitted_unshadowed: Doubles
     """Irradiance from the surrounding captures without the added objects, as far as rays found it."""
-    own_change: Doubles
+    emitted_change: Doubles
     """Change of that irradiance by the added objects, including the light that they emit."""
     ambient: Doubles
     """Given irradiance in addition to the lights'; 0: only what rays found of the captures."""
@@ -49,12 +49,14 @@ class CatcherLight:
 
     def change_and_received(self) -> tuple[Doubles, Doubles]:
         """Returns the change of the total irradiance by the added objects, and the irradiance before."""
-        given, rest = self.ambient > 0.0, self.least - self.sent
-        ambient = np.maximum(np.where(given, self.ambient, self.own_sent), rest)
-        own_share = np.divide(ambient, self.own_sent, out=np.ones_like(rest), where=given & (self.own_sent > ambient))
+        given, rest = self.ambient > 0.0, self.least - self.unshadowed
+        ambient = np.maximum(np.where(given, self.ambient, self.emitted_unshadowed), rest)
+        emitted_share = np.divide(
+            ambient, self.emitted_unshadowed, out=np.ones_like(rest), where=given & (self.emitted_unshadowed > ambient)
+        )
         blocked = np.divide(self.blocked, self.ambient, out=np.zeros_like(rest), where=given)
-        unseen = np.where(given, np.maximum(ambient - self.own_sent, 0.0), 0.0)
-        return self.change + own_share * self.own_change - unseen * blocked, self.sent + ambient
+        undetected = np.where(given, np.maximum(ambient - self.emitted_unshadowed, 0.0), 0.0)
+        return self.change + emitted_share * self.emitted_change - undetected * blocked, self.unshadowed + ambient
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,13 +163,13 @@ class GaussianViewer(Renderer):
         change: Doubles = np.zeros_like(captured)
         received: Doubles = change
         if self._plan.has_receivers:
-            names = ("sent", "arrived", "own_sent", "own_arrived", "ambient", "open")
+            names = ("unshadowed", "shadowed", "emitted_unshadowed", "emitted_shadowed", "ambient", "open")
             light_sums = {name: read(getattr(sums, name)) * (scale / samples) for name in names}
             light = CatcherLight(
-                sent=light_sums["sent"],
-                change=light_sums["arrived"] - light_sums["sent"],
-                own_sent=light_sums["own_sent"],
-                own_change=light_sums["own_arrived"] - light_sums["own_sent"],
+                unshadowed=light_sums["unshadowed"],
+                change=light_sums["shadowed"] - light_sums["unshadowed"],
+                emitted_unshadowed=light_sums["emitted_unshadowed"],
+                emitted_change=light_sums["emitted_shadowed"] - light_sums["emitted_unshadowed"],
                 ambient=light_sums["ambient"],
                 blocked=light_sums["ambient"] - light_sums["open"],
                 least=np.pi * decode_srgb(captured).astype(np.float64),

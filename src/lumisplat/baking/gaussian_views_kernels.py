@@ -52,12 +52,12 @@ class ViewSums:
     """1 for an unlit Gaussian, else 0."""
     factor: wp.array[wp.vec3]
     """Fraction of the captured colour that shadows leave, in frames without path tracing."""
-    sent: wp.array[wp.vec3]
+    unshadowed: wp.array[wp.vec3]
     """Irradiance of a shadow catcher from lights without added objects, in path tracing. The next five are as in
     `RayRadiance`."""
-    arrived: wp.array[wp.vec3]
-    own_sent: wp.array[wp.vec3]
-    own_arrived: wp.array[wp.vec3]
+    shadowed: wp.array[wp.vec3]
+    emitted_unshadowed: wp.array[wp.vec3]
+    emitted_shadowed: wp.array[wp.vec3]
     ambient: wp.array[wp.vec3]
     open: wp.array[wp.vec3]
     distance: wp.array[float]
@@ -234,10 +234,10 @@ def add_views(
         sums_inout.captured[i] = wp.vec3(0.0)
         sums_inout.captured_weight[i] = 0.0
         sums_inout.factor[i] = wp.vec3(0.0)
-        sums_inout.sent[i] = wp.vec3(0.0)
-        sums_inout.arrived[i] = wp.vec3(0.0)
-        sums_inout.own_sent[i] = wp.vec3(0.0)
-        sums_inout.own_arrived[i] = wp.vec3(0.0)
+        sums_inout.unshadowed[i] = wp.vec3(0.0)
+        sums_inout.shadowed[i] = wp.vec3(0.0)
+        sums_inout.emitted_unshadowed[i] = wp.vec3(0.0)
+        sums_inout.emitted_shadowed[i] = wp.vec3(0.0)
         sums_inout.ambient[i] = wp.vec3(0.0)
         sums_inout.open[i] = wp.vec3(0.0)
         sums_inout.distance[i] = 0.0
@@ -245,16 +245,16 @@ def add_views(
         return
     sums_inout.distance[i] += wp.min(wp.min(ends.t[i], hidden.depth[i]), far)
     light = wave[0].radiance.light[i]
-    sent = wp.vec3(0.0)
-    arrived = wp.vec3(0.0)
-    own_sent = wp.vec3(0.0)
-    own_arrived = wp.vec3(0.0)
+    unshadowed = wp.vec3(0.0)
+    shadowed = wp.vec3(0.0)
+    emitted_unshadowed = wp.vec3(0.0)
+    emitted_shadowed = wp.vec3(0.0)
     if wave[0].radiance.unshadowed:
-        sent = wave[0].radiance.unshadowed[i]
-        arrived = wave[0].radiance.shadowed[i]
-        own_sent = wave[0].radiance.emitted_unshadowed[i]
-        own_arrived = wave[0].radiance.emitted_shadowed[i]
-    if not (is_finite(light) and is_finite(sent + own_sent) and is_finite(arrived + own_arrived)):
+        unshadowed = wave[0].radiance.unshadowed[i]
+        shadowed = wave[0].radiance.shadowed[i]
+        emitted_unshadowed = wave[0].radiance.emitted_unshadowed[i]
+        emitted_shadowed = wave[0].radiance.emitted_shadowed[i]
+    if not (is_finite(light) and is_finite(unshadowed + emitted_unshadowed) and is_finite(shadowed + emitted_shadowed)):
         return
     sums_inout.count[i] += 1
     if sample % 2 == 0:
@@ -263,10 +263,10 @@ def add_views(
         sums_inout.odd[i] += light
     sums_inout.captured[i] = wave[0].radiance.captured[i]
     sums_inout.captured_weight[i] = wave[0].radiance.captured_weight[i]
-    sums_inout.sent[i] += sent
-    sums_inout.arrived[i] += arrived
-    sums_inout.own_sent[i] += own_sent
-    sums_inout.own_arrived[i] += own_arrived
+    sums_inout.unshadowed[i] += unshadowed
+    sums_inout.shadowed[i] += shadowed
+    sums_inout.emitted_unshadowed[i] += emitted_unshadowed
+    sums_inout.emitted_shadowed[i] += emitted_shadowed
     if wave[0].radiance.ambient:
         sums_inout.ambient[i] += wave[0].radiance.ambient[i]
         sums_inout.open[i] += wave[0].radiance.open[i]

@@ -198,20 +198,26 @@ def test_the_shadow_at_the_edge_of_an_object_is_as_dark_as_beside_it(pipeline: l
 
 def test_light_that_blocks_and_bounces_adds_up() -> None:
     """Given ambient light bounds what was found of it; without any, all of it was found, or the least is missing."""
-    one = dict.fromkeys(("sent", "change", "own_sent", "own_change", "ambient", "blocked", "least"), np.zeros(1))
+    one = dict.fromkeys(
+        ("unshadowed", "change", "emitted_unshadowed", "emitted_change", "ambient", "blocked", "least"), np.zeros(1)
+    )
 
     def change(**values: float) -> float:
         light = CatcherLight(**(one | {name: np.array([value]) for name, value in values.items()}))
         changed, received = light.change_and_received()
         return float(changed[0] / received[0])
 
-    assert change(sent=2.0, change=-2.0, ambient=1.0, blocked=0.5) == pytest.approx(-2.5 / 3.0)
-    assert change(own_sent=4.0, own_change=-1.0) == pytest.approx(-0.25)
-    assert change(own_sent=4.0, own_change=-1.0, least=8.0) == pytest.approx(-0.125)
+    assert change(unshadowed=2.0, change=-2.0, ambient=1.0, blocked=0.5) == pytest.approx(-2.5 / 3.0)
+    assert change(emitted_unshadowed=4.0, emitted_change=-1.0) == pytest.approx(-0.25)
+    assert change(emitted_unshadowed=4.0, emitted_change=-1.0, least=8.0) == pytest.approx(-0.125)
     # More was found of the captures than is given: it counts as much as is given.
-    assert change(sent=1.0, own_sent=4.0, own_change=-2.0, ambient=1.0, blocked=0.7) == pytest.approx(-0.25)
+    assert change(
+        unshadowed=1.0, emitted_unshadowed=4.0, emitted_change=-2.0, ambient=1.0, blocked=0.7
+    ) == pytest.approx(-0.25)
     # Less was found: the rest of what is given comes from everywhere.
-    assert change(sent=1.0, own_sent=1.0, own_change=-1.0, ambient=2.0, blocked=1.0) == pytest.approx(-1.5 / 3.0)
+    assert change(
+        unshadowed=1.0, emitted_unshadowed=1.0, emitted_change=-1.0, ambient=2.0, blocked=1.0
+    ) == pytest.approx(-1.5 / 3.0)
 
 
 def fog(depth: float = 0.12, seed: int = 5) -> ls.SplatInstance:
