@@ -62,9 +62,9 @@ _CASING = 0.02
 """Visible width of the frame around the window's opening, metres."""
 
 
-def _placement(x: float, y: float, z: float, *, turn: float = 0.0, size: float = 1.0) -> _Floats:
-    """Returns the transform that scales, rotates about y by ``turn`` radians, then translates, shape (4, 4)."""
-    cos, sin = size * np.cos(turn), size * np.sin(turn)
+def _placement(x: float, y: float, z: float, *, angle: float = 0.0, size: float = 1.0) -> _Floats:
+    """Returns the transform that scales, rotates about y by ``angle`` radians, then translates, shape (4, 4)."""
+    cos, sin = size * np.cos(angle), size * np.sin(angle)
     return np.array([[cos, 0.0, sin, x], [0.0, size, 0.0, y], [-sin, 0.0, cos, z], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -227,7 +227,7 @@ def _with_material(mesh: Mesh, material: MaterialPbr) -> Mesh:
     return replace(mesh, material=material, name=material.name)
 
 
-def _stuff(
+def _material(
     name: str,
     color: tuple[float, float, float] = (1.0, 1.0, 1.0),
     *,
@@ -238,9 +238,9 @@ def _stuff(
     return MaterialPbr(base_color=color, roughness=roughness, metallic=metallic, base_color_texture=texture, name=name)
 
 
-def _place(mesh: Mesh, material: MaterialPbr, where: npt.NDArray[np.floating]) -> Mesh:
+def _placed_mesh(mesh: Mesh, material: MaterialPbr, transform: npt.NDArray[np.floating]) -> Mesh:
     """Returns the mesh with a material, transformed to world space."""
-    return replace(transform_mesh(mesh, where), material=material, name=material.name)
+    return replace(transform_mesh(mesh, transform), material=material, name=material.name)
 
 
 def vase(rng: np.random.Generator) -> Mesh:
@@ -250,8 +250,8 @@ def vase(rng: np.random.Generator) -> Mesh:
     outside = smooth_profile(knots, segments=6)
     profile = np.concatenate([[(0.048, 0.46)], [(0.050, 0.56), (0.060, 0.60)], outside, [(0.0, 0.0)]])
     paint = painted_vase((0.80, 0.75, 0.64), (0.025, 0.07, 0.26), rng)
-    return _place(
-        lathe(profile), _stuff("glazed pottery", roughness=0.15, texture=paint), _placement(0.78, 0.52, -0.78)
+    return _placed_mesh(
+        lathe(profile), _material("glazed pottery", roughness=0.15, texture=paint), _placement(0.78, 0.52, -0.78)
     )
 
 
@@ -265,19 +265,19 @@ def plinth(rng: np.random.Generator) -> Mesh:
     body = lathe(profile, columns=120)
     assert body.uvs is not None
     body = replace(body, uvs=body.uvs * np.array([2.0, 1.0], dtype=np.float32))
-    return _place(body, _stuff("marble", roughness=0.3, texture=texture), _placement(0.78, 0.0, -0.78))
+    return _placed_mesh(body, _material("marble", roughness=0.3, texture=texture), _placement(0.78, 0.0, -0.78))
 
 
 def column(rng: np.random.Generator) -> Mesh:
     """Returns a short fluted column of travertine in the niche."""
-    stone = _stuff("travertine", roughness=0.7, texture=travertine((0.70, 0.58, 0.43), (0.50, 0.37, 0.24), rng))
+    stone = _material("travertine", roughness=0.7, texture=travertine((0.70, 0.58, 0.43), (0.50, 0.37, 0.24), rng))
     shaft = fluted_lathe([(0.125, 0.84), (0.135, 0.55), (0.145, 0.12)], 20, 0.07, columns=200)
     base = rounded_profile([(0.13, 0.17), (0.165, 0.17), (0.165, 0.10), (0.19, 0.10), (0.19, 0.0)], 0.02)
     head = rounded_profile(
         [(0.0, 0.98), (0.19, 0.98), (0.19, 0.925), (0.16, 0.915), (0.155, 0.87), (0.13, 0.865), (0.12, 0.83)], 0.014
     )
     parts = [shaft, lathe(base, columns=120), lathe(head, columns=120)]
-    return _place(join_meshes(parts), stone, _placement(-0.62, 0.0, -1.72))
+    return _placed_mesh(join_meshes(parts), stone, _placement(-0.62, 0.0, -1.72))
 
 
 def ammonite(rng: np.random.Generator) -> Mesh:
@@ -287,16 +287,16 @@ def ammonite(rng: np.random.Generator) -> Mesh:
     assert body.uvs is not None
     body = replace(body, uvs=body.uvs[:, ::-1] * np.array([1.0, 6.0], dtype=np.float32))
     upright = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    where = _placement(-0.64, 1.135, -1.72, turn=0.35) @ upright
-    return _place(body, _stuff("ammonite", roughness=0.35, texture=stone), where)
+    transform = _placement(-0.64, 1.135, -1.72, angle=0.35) @ upright
+    return _placed_mesh(body, _material("ammonite", roughness=0.35, texture=stone), transform)
 
 
 def bench() -> Mesh:
     """Returns a low block with plum lacquer at the right."""
-    return _place(
+    return _placed_mesh(
         rounded_box((0.62, 0.30, 0.40), 0.03),
-        _stuff("lacquer", (0.26, 0.045, 0.05), roughness=0.25),
-        _placement(1.32, 0.15, 0.02, turn=-0.35),
+        _material("lacquer", (0.26, 0.045, 0.05), roughness=0.25),
+        _placement(1.32, 0.15, 0.02, angle=-0.35),
     )
 
 
@@ -305,47 +305,47 @@ def fruit_bowl() -> list[Mesh]:
     profile = [(0.0, 0.022), (0.07, 0.026), (0.13, 0.065), (0.168, 0.115), (0.176, 0.118)]
     profile += [(0.174, 0.108), (0.138, 0.052), (0.080, 0.010), (0.062, 0.0), (0.0, 0.0)]
     bowl = lathe(smooth_profile(profile, segments=5), columns=96)
-    celadon = _stuff("celadon", (0.30, 0.47, 0.36), roughness=0.12)
-    parts = [_place(bowl, celadon, _placement(1.32, 0.30, 0.02))]
-    peel = _stuff("orange peel", (0.80, 0.24, 0.02), roughness=0.45)
+    celadon = _material("celadon", (0.30, 0.47, 0.36), roughness=0.12)
+    parts = [_placed_mesh(bowl, celadon, _placement(1.32, 0.30, 0.02))]
+    peel = _material("orange peel", (0.80, 0.24, 0.02), roughness=0.45)
     spots = [(-0.062, 0.085, 0.03), (0.055, 0.083, 0.055), (0.012, 0.085, -0.066), (0.0, 0.165, 0.01)]
     fruit = superellipsoid((0.057, 0.052, 0.057), rows=24, columns=48)
-    parts += [_place(fruit, peel, _placement(1.32 + x, 0.30 + y, 0.02 + z)) for x, y, z in spots]
+    parts += [_placed_mesh(fruit, peel, _placement(1.32 + x, 0.30 + y, 0.02 + z)) for x, y, z in spots]
     return parts
 
 
 def stones(rng: np.random.Generator) -> list[Mesh]:
     """Returns two polished stones on the floor: a cushion and a ring."""
-    black = _stuff("portoro", roughness=0.2, texture=marble((0.022, 0.02, 0.02), (0.70, 0.48, 0.18), rng, cells=4))
-    green = _stuff("verde", roughness=0.2, texture=marble((0.035, 0.115, 0.08), (0.42, 0.55, 0.44), rng))
+    black = _material("portoro", roughness=0.2, texture=marble((0.022, 0.02, 0.02), (0.70, 0.48, 0.18), rng, cells=4))
+    green = _material("verde", roughness=0.2, texture=marble((0.035, 0.115, 0.08), (0.42, 0.55, 0.44), rng))
     cushion = superellipsoid((0.17, 0.15, 0.17), north_south=0.55, east_west=0.55, rows=40, columns=80)
     ring = torus(0.15, 0.048, rows=32, columns=96)
     return [
-        _place(cushion, green, _placement(0.12, 0.15, -0.1, turn=0.5)),
-        _place(ring, black, _placement(0.44, 0.048, 0.30, turn=0.9)),
+        _placed_mesh(cushion, green, _placement(0.12, 0.15, -0.1, angle=0.5)),
+        _placed_mesh(ring, black, _placement(0.44, 0.048, 0.30, angle=0.9)),
     ]
 
 
 def ball(rng: np.random.Generator) -> Mesh:
     """Returns a striped glass ball, not part of the capture."""
     swirl = stripes(((0.78, 0.72, 0.60), (0.50, 0.075, 0.035), (0.80, 0.37, 0.06)), 2, rng)
-    material = _stuff("striped glass", roughness=0.05, texture=swirl)
-    return _place(sphere(0.19, rows=96, columns=192), material, _placement(-0.46, 0.193, 0.30, turn=0.4))
+    material = _material("striped glass", roughness=0.05, texture=swirl)
+    return _placed_mesh(sphere(0.19, rows=96, columns=192), material, _placement(-0.46, 0.193, 0.30, angle=0.4))
 
 
 def knot() -> Mesh:
     """Returns a brass torus knot on its cube, not part of the capture."""
-    brass = _stuff("brass", (0.80, 0.53, 0.17), roughness=0.25, metallic=1.0)
+    brass = _material("brass", (0.80, 0.53, 0.17), roughness=0.25, metallic=1.0)
     body = torus_knot(2, 3, major=0.155, minor=0.075, radius=0.042, columns=420, rows=40)
     up = np.eye(4)
     up[:3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.26, -0.966], [0.0, 0.966, 0.26]]
-    return _place(body, brass, _placement(-1.28, 0.62, -0.42, turn=0.55) @ up)
+    return _placed_mesh(body, brass, _placement(-1.28, 0.62, -0.42, angle=0.55) @ up)
 
 
 def cube(rng: np.random.Generator) -> Mesh:
     """Returns the stone cube under the knot."""
-    stone = _stuff("limestone", roughness=0.8, texture=travertine((0.70, 0.44, 0.31), (0.55, 0.29, 0.18), rng))
-    return _place(rounded_box((0.40, 0.38, 0.40), 0.02), stone, _placement(-1.28, 0.19, -0.42, turn=0.35))
+    stone = _material("limestone", roughness=0.8, texture=travertine((0.70, 0.44, 0.31), (0.55, 0.29, 0.18), rng))
+    return _placed_mesh(rounded_box((0.40, 0.38, 0.40), 0.02), stone, _placement(-1.28, 0.19, -0.42, angle=0.35))
 
 
 def jewel() -> Mesh:
@@ -353,5 +353,7 @@ def jewel() -> Mesh:
     cos, sin = np.cos(-0.765), np.sin(-0.765)
     lying = np.eye(4)
     lying[:2, :2] = [[cos, -sin], [sin, cos]]
-    where = _placement(0.12, 0.372, -0.1, turn=-0.45) @ lying
-    return _place(gem(radius=0.105, sides=7), _stuff("aquamarine", (0.36, 0.72, 0.80), roughness=0.03), where)
+    transform = _placement(0.12, 0.372, -0.1, angle=-0.45) @ lying
+    return _placed_mesh(
+        gem(radius=0.105, sides=7), _material("aquamarine", (0.36, 0.72, 0.80), roughness=0.03), transform
+    )

@@ -127,9 +127,9 @@ def painted_vase(ground: Rgb, paint: Rgb, rng: np.random.Generator, *, height: i
         ink = np.maximum(ink, _edge(half - np.abs(w - centre), 0.003))
     ink = np.maximum(ink, _edge(0.006 - np.abs(w - 0.925), 0.003) + _edge(w - 0.955, 0.003))
     ink = np.maximum(ink, _scales(u, w) * _edge(0.075 - np.abs(w - 0.215), 0.003))
-    turn = 2.0 * np.pi * 9.0 * u
-    steepness = np.hypot(1.0, 1.4 * np.cos(turn))
-    ink = np.maximum(ink, _edge(0.013 - np.abs(w - 0.455 - 0.055 * np.sin(turn)) / steepness, 0.004))
+    angle = 2.0 * np.pi * 9.0 * u
+    steepness = np.hypot(1.0, 1.4 * np.cos(angle))
+    ink = np.maximum(ink, _edge(0.013 - np.abs(w - 0.455 - 0.055 * np.sin(angle)) / steepness, 0.004))
     for phase, level in ((0.25, 0.43), (0.75, 0.48)):
         across = (np.mod(9.0 * u - phase + 0.5, 1.0) - 0.5) / 9.0
         ink = np.maximum(ink, _edge(0.017 - np.hypot(2.0 * across, w - level), 0.004))
