@@ -143,7 +143,7 @@ def test_where_the_first_view_shows_no_ground_it_stands_in_view(
     assert (np.abs(view.fx * pixels[:, 0] / pixels[:, 2]) < 32).all()
     assert (np.abs(view.fy * pixels[:, 1] / pixels[:, 2]) < 24).all()
     assert 0.2 < np.ptp(places[:, 1]) < 4.0 and places[4, 1] > places[:4, 1].max()
-    assert "in view, on nothing, as no ground is seen" in caplog.text
+    assert "in view, without a ground, because none is visible" in caplog.text
 
 
 def test_a_thick_floor_is_stood_on_and_a_hollow_object_is_not_entered() -> None:

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import lumisplat as ls
-from lumisplat.scene.ops.views import shown_bounds
+from lumisplat.scene.ops.views import visible_bounds
 from lumisplat.scene.scene import bulk_extent
 from support.scenes.raster_scenes import quad, random_gaussians
 
 SCENE = ls.Scene([random_gaussians(3, center=(5.0, -2.0, 9.0))])
-CENTER = 0.5 * np.add(*shown_bounds(SCENE))
+CENTER = 0.5 * np.add(*visible_bounds(SCENE))
 UPS = [*ls.Scene.UP_NAMES, (0.1, -0.9, 0.3)]
 
 

@@ -125,7 +125,7 @@ def insert_entry(
         found = insertion(scene, instances, instances_up, *(table.values.get(key) for key in ("scale", "front")))
     except SceneError as error:
         raise table.failed(error) from None
-    matrix = found.world_from_thing
+    matrix = found.world_from_asset
     if "ground" in table.values:
         matrix[:3, 3] = 0.0
         _warn(table, "has no position, and is rotated upright where its file has it (upright = false: as in its file)")

@@ -1,1 +1,1 @@
-"""Computations on scenes that run on the host: colours, normals, irradiance, pixel rays."""
+"""Computations on scenes on the host: colours, normals, sampling, insertion, cameras and pixel rays."""

@@ -1,4 +1,4 @@
-"""Computes colours of Gaussians from their SH (Kerbl et al. 2023), in display space, and under more or less light.
+"""Colours of Gaussians from their SH (Kerbl et al. 2023), in display space, and under scaled light.
 
 See docs/method/gaussians.md#colour.
 """
@@ -19,48 +19,46 @@ from lumisplat.math.sh import even_directions, sh_basis
 from lumisplat.scene.gaussians import Gaussians
 from lumisplat.scene.scene import SplatInstance
 
-# Spherical harmonics (Condon-Shortley signs as in INRIA's code)
-
 RECOLOR_DARK = 1e-4
-"""Display-referred colour below which the gain of `scale_light` is taken: far inside the straight part of the sRGB
-curve (0.04), where the gain is the factor, and far above float32's rounding of 0.5 (6e-8)."""
+"""Display-referred colour to which the mean colour is clamped in `scale_light`: far inside the linear part of the sRGB
+curve (0.04), where the gain equals the factor, and far above float32's rounding of 0.5 (6e-8)."""
 
 _DIRECTIONS_PER_COEFFICIENT = 8
-"""Directions in which colours are compared, for each coefficient: the root mean square stays as with twice as many."""
+"""Directions per SH coefficient at which colours are compared: twice as many give the same root mean square."""
 _STEP = 4096
-"""Gaussians that are converted together."""
+"""Gaussians that are converted at once."""
 
 Subject = TypeVar("Subject", Gaussians, SplatInstance)
-"""What is relit or shadowed: a function returns the kind that it was given."""
+"""Type of the object that is relit or shadowed; functions return the type that they are given."""
 
 
 def colors_along(gaussians: Gaussians, directions: npt.NDArray[np.floating], degree: int = SH_DEGREE_MAX) -> FloatArray:
-    """Display-referred colours ``max(SH + 0.5, 0)`` as seen along directions from the eye to the means.
+    """Evaluates display-referred colours ``max(SH + 0.5, 0)`` along directions from the eye to the means.
 
     Args:
-        gaussians: The Gaussians.
+        gaussians: Gaussians.
         directions: Unit vectors in the Gaussians' own space, shape (N, 3).
-        degree: Highest degree that is evaluated, 0 to 3.
+        degree: Highest SH degree to evaluate, 0 to 3.
 
     Returns:
         Shape (N, 3).
     """
     basis = sh_basis(directions, min(degree, gaussians.sh_degree), np.float32)
-    # A product of small matrices for each Gaussian: one pass over its coefficients, which lie side by side.
+    # A small matrix product per Gaussian makes one pass over its contiguous coefficients.
     sums = (basis[:, None, :] @ gaussians.sh[:, : basis.shape[1]])[:, 0]
     return np.maximum(sums + np.float32(0.5), 0.0)
 
 
 def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
-    """The harmonics whose colours are nearest to the sRGB encoding of the colours ``max(SH + 0.5, 0)`` of others.
+    """Converts SH of linear colours to SH of sRGB colours, by least squares over all directions.
 
-    Nearest in the mean square over all directions. A single coefficient is converted exactly.
+    The sRGB SH fit the sRGB encoding of ``max(SH + 0.5, 0)``. A single coefficient is converted exactly.
 
     Args:
-        linear_sh: Harmonics of linear Rec.709 colours, shape (N, K, 3).
+        linear_sh: SH of linear Rec.709 colours, shape (N, K, 3).
 
     Returns:
-        Harmonics of sRGB colours, shape (N, K, 3).
+        SH of sRGB colours, shape (N, K, 3).
     """
     count, coefficients, _ = linear_sh.shape
     converted = np.empty(linear_sh.shape, np.float32)
@@ -80,14 +78,14 @@ def display_sh(linear_sh: npt.NDArray[np.floating]) -> FloatArray:
 
 
 def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
-    """The same Gaussians, each under ``factors`` times as much light.
+    """Scales the captured light of each Gaussian by a linear factor.
 
-    Light is linear, colours are display-referred. The display gain of a channel is ``g = encode(f decode(c)) / c`` at
-    the mean colour ``c`` over all directions, and the colour from every direction, ``max(SH + 0.5, 0)``, is multiplied
-    by it. So the mean colour changes by exactly the factor of light, and highlights keep their contrast.
+    Light is linear, while colours are display-referred. At a channel's mean colour ``c`` over all directions, the
+    display gain is ``g = encode(f decode(c)) / c``; the colours of all directions, ``max(SH + 0.5, 0)``, are multiplied
+    by it. The mean colour thus changes by exactly the factor of light, and highlights keep their contrast.
 
     Args:
-        gaussians: Any Gaussians.
+        gaussians: Gaussians.
         factors: Linear-light factors, at least 0, one per Gaussian, shape (N,), or one per channel, shape (N, 3).
 
     Returns:
@@ -112,7 +110,7 @@ def scale_light(gaussians: Gaussians, factors: npt.ArrayLike) -> Gaussians:
 
 
 def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subject:
-    """A subject under ``factors`` of its light, shape (N, 3), see `scale_light`; the same object if all are 1."""
+    """Scales the captured light of a subject by ``factors``, shape (N, 3); the same object if all are 1."""
     if isinstance(subject, Gaussians):
         return scale_light(subject, factors)
     scaled = scale_light(subject.gaussians, factors)
@@ -120,16 +118,16 @@ def scale_light_of(subject: Subject, factors: npt.NDArray[np.floating]) -> Subje
 
 
 def base_colors(gaussians: Gaussians) -> npt.NDArray[np.float64]:
-    """What Gaussians reflect by, linear, shape (N, 3): their albedo, else the mean of what was captured, decoded."""
+    """Returns the linear albedo of Gaussians, shape (N, 3); without one, their decoded mean captured colour."""
     if gaussians.albedo is not None:
         return gaussians.albedo.astype(np.float64)
     return decode_srgb(np.maximum(SH_C0 * gaussians.sh[:, 0].astype(np.float64) + 0.5, 0.0)).astype(np.float64)
 
 
 def _scale_sh(sh: FloatArray, factors: FloatArray) -> FloatArray:
-    """SH, shape (M, K, 3), under light scaled by ``factors``, shape (M, 3)."""
+    """Scales the light of SH, shape (M, K, 3), by ``factors``, shape (M, 3)."""
     wide = sh.astype(np.float64)
-    # Towards black the gain tends to the factor itself, because the sRGB curve is straight there.
+    # Towards black the gain tends to the factor, because the sRGB curve is linear there.
     mean = np.maximum(SH_C0 * wide[:, 0] + 0.5, RECOLOR_DARK)
     gains = encode_srgb(factors * decode_srgb(mean)) / mean
     scaled = gains[:, None, :] * wide

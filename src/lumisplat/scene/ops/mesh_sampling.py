@@ -1,6 +1,6 @@
-"""Makes Gaussians from meshes: flat discs over their surface, so that one object exists in both forms.
+"""Conversion of meshes to Gaussians: flat discs over their surface, so that an object exists in both forms.
 
-Discs are aligned with creases, and grown until no hole is left. The count of several meshes is divided by area.
+Discs are aligned with creases, and grow until no hole is left. Several meshes share the count by area.
 """
 
 from __future__ import annotations
@@ -39,60 +39,61 @@ from lumisplat.scene.ops.surface_points import (
 )
 from lumisplat.scene.scene import MeshInstance, Scene
 
-# Gaussians from meshes (scene/sampling/); lengths in spacings, the square root of the area a Gaussian has
+# Lengths are in spacings: the square root of the area per Gaussian.
 
 SAMPLING_COUNT_MAX = 50_000_000
-"""Candidates and pairs take about 1 KB a Gaussian: this is 50 GB and a quarter of an hour."""
+"""Largest number of Gaussians: candidates and pairs take about 1 KB each, which makes 50 GB and a quarter of an hour.
+"""
 
 SAMPLING_CANDIDATES_PER_GAUSSIAN = 4.0
-"""Points to choose from: Poisson-disk elimination needs several times as many as it keeps."""
+"""Candidate points per Gaussian: Poisson-disk elimination needs several times as many as it selects."""
 
 SAMPLING_SEARCH_SPACINGS = 0.86
-"""First radius of the elimination, which shrinks until the count is kept; the densest packing of discs reaches 1.07."""
+"""First radius of the elimination, which shrinks until the count is reached; the densest packing of discs has 1.07."""
 
 SAMPLING_OPACITY = 0.995
-"""Above ALPHA_MAX, so that a disc's centre is as opaque as a Gaussian can be."""
+"""Opacity of the discs: above ALPHA_MAX, so that their centres are as opaque as a Gaussian can be."""
 
 SAMPLING_THICKNESS = 0.05
-"""Scale along the normal, as a share of the smaller wide one: flat enough to tell layers (docs/adr/0088)."""
+"""Scale along the normal, relative to the smaller wide scale: thin enough to separate layers (docs/adr/0088)."""
 
 SAMPLING_FIRST_SCALE = 0.7
-"""Wide scales before they grow; without holes to close they stay."""
+"""Initial wide scales, which grow only where there are holes."""
 
 SAMPLING_GROWTH = 1.08
 """Factor by which a disc grows in a step."""
 
 SAMPLING_GROWTH_STEPS = 8
-"""Steps at most: 1.08^8 = 1.85 times the first scale."""
+"""Largest number of steps: 1.08^8 = 1.85 times the first scale."""
 
 SAMPLING_GROWTH_REACH = 0.5
-"""A disc grows too where its exponent is within this of the nearest disc's: one alone would grow out of proportion."""
+"""Difference of exponents up to which a disc grows together with the nearest disc, so that none grows alone."""
 
 SAMPLING_COVERED_ALPHA = 0.95
-"""A candidate point counts as covered from this alpha on."""
+"""Alpha from which a candidate point counts as covered."""
 
 SAMPLING_FACING_COSINE = -0.5
-"""Neighbours whose normals make a smaller cosine lie on the two sides of a thin wall."""
+"""Cosine between normals below which neighbours lie on the two sides of a thin wall."""
 
 SAMPLING_AXIS_COSINE = 0.97
-"""Where shading and geometric normal make a smaller cosine (14 degrees), discs lie in the face."""
+"""Cosine between shading and geometric normal (14 degrees) below which discs are aligned with the face."""
 
 SAMPLING_EDGE_BAND = 0.2
-"""Nearer to a crease than this, a surface need not be covered: discs would have to reach over it."""
+"""Distance from a crease within which the surface need not be covered, because discs would reach over the crease."""
 
 SAMPLING_EDGE_ROW = 0.45
 """Scale that a disc next to a crease may always have."""
 
 SAMPLING_CREASE_POINTS_PER_GAUSSIAN = 50
-"""Creases of compact objects need fewer than ten points a Gaussian; slivers, all edge and no area, would ask for any
-number."""
+"""Largest number of crease points per Gaussian. Compact objects need fewer than ten; slivers, all edge and no area,
+would need any number."""
 
 _Floats = npt.NDArray[np.floating]
 _Indices = npt.NDArray[np.integer]
 
 
 def _shading_normals(mesh: Mesh, points: SurfacePoints, face_normals: _Floats) -> _Floats:
-    """Interpolated vertex normals at points, shape (N, 3); face normals if the mesh has no vertex normals."""
+    """Interpolates vertex normals at points, shape (N, 3); face normals if the mesh has no vertex normals."""
     flat = face_normals[points.faces]
     if mesh.normals is None:
         return flat
@@ -102,17 +103,17 @@ def _shading_normals(mesh: Mesh, points: SurfacePoints, face_normals: _Floats) -
 
 
 def _thin_axes(smooth: _Floats, flat: _Floats) -> _Floats:
-    """Shading normals, but face normals where the two differ so much that discs would stand off the surface."""
+    """Returns shading normals, or face normals where the two differ so much that discs would stick out."""
     agree = np.abs(np.einsum("ij,ij->i", smooth, flat)) > SAMPLING_AXIS_COSINE
     return np.where(agree[:, None], smooth, flat)
 
 
 def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Columns (across the nearest crease, along it, normal) of each Gaussian, right-handed, shape (N, 3, 3)."""
+    """Returns each Gaussian's axes (across the nearest crease, along it, normal) as columns, shape (N, 3, 3)."""
     helper = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
     if creases.positions.size:
         near = cross_pairs(positions, creases.positions, 2.5 * spacing)
-        # Written from the farthest to the nearest, so that the nearest crease remains.
+        # Written from the farthest to the nearest, so that the nearest crease wins.
         order = np.argsort(-near.distance, kind="stable")
         direction = creases.directions[near.second[order]]
         usable = np.abs(np.einsum("ij,ij->i", direction, normals[near.first[order]])) < 0.9
@@ -124,7 +125,7 @@ def _disc_axes(positions: _Floats, normals: _Floats, creases: CreasePoints, spac
 
 
 def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Largest scale along the two wide axes before a Gaussian reaches far over a crease, shape (N, 2)."""
+    """Returns the largest wide scales before a Gaussian reaches far over a crease, shape (N, 2)."""
     limits = np.full((positions.shape[0], 2), np.inf)
     if not creases.positions.size:
         return limits
@@ -136,7 +137,7 @@ def _crease_limits(positions: _Floats, axes: _Floats, creases: CreasePoints, spa
         sideways = reach[:, 1 - axis]
         ahead = (along[:, axis] < 0.5) & (sideways < np.maximum(reach[:, axis], 0.5 * spacing))
         np.minimum.at(limits[:, axis], near.first[ahead], reach[ahead, axis])
-    # The row next to the edge reaches up to it; the rows behind it stay further away, as their edge is covered already.
+    # The row next to a crease reaches up to it; the rows behind need not, because the first row covers the edge.
     row = SAMPLING_EDGE_ROW * spacing
     return np.clip(limits, 0.25 * spacing, np.maximum(row, 0.75 * limits))
 
@@ -151,16 +152,16 @@ def _grow_scales(
     limits: _Floats,
     spacing: float,
 ) -> _Floats:
-    """Smallest scales along the wide axes with which the discs cover all inner candidates, shape (N, 2).
+    """Returns the smallest wide scales with which the discs cover all inner candidates, shape (N, 2).
 
     Discs start small and round. Where a candidate is not yet opaque, the discs that cover most of it grow by a step.
 
     Args:
         candidates: Points on the surface, shape (M, 3).
-        inner: Which of them must be covered: those not next to a crease, shape (M,).
-        chosen: Which of them are the centres of the Gaussians, shape (N,).
+        inner: Candidates that must be covered: those not next to a crease, shape (M,).
+        chosen: Candidates that are the centres of the Gaussians, shape (N,).
         pairs: Neighbours among the candidates.
-        axes: Columns are the axes of each Gaussian, shape (N, 3, 3).
+        axes: Axes of each Gaussian as columns, shape (N, 3, 3).
         limits: Largest scales, shape (N, 2).
         spacing: Distance between neighbouring Gaussians.
     """
@@ -183,7 +184,7 @@ def _grow_scales(
 
 
 def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]) -> tuple[_Indices, _Indices]:
-    """Pairs of an inner candidate that is not a centre and the index of a Gaussian nearby."""
+    """Returns pairs of an inner candidate that is no centre and the index of a Gaussian near it."""
     is_centre = np.zeros(inner.size, dtype=bool)
     is_centre[chosen] = True
     gaussian_of = np.zeros(inner.size, dtype=np.int32)
@@ -195,17 +196,17 @@ def _covering_pairs(pairs: Pairs, chosen: _Indices, inner: npt.NDArray[np.bool_]
 
 
 def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> Gaussians:
-    """Covers a mesh with opaque, flat, surface-aligned Gaussians: the same object as a splat.
+    """Covers a mesh with opaque, flat, surface-aligned Gaussians: the same object as splats.
 
     Centres are blue noise: candidates stratified by area, thinned by Poisson-disk elimination. The thin axis is the
     surface normal. The wide axes grow from the local spacing until no hole is left, and shrink towards creases and open
     edges, over which they reach by a fraction of the spacing. Colour is the unlit base colour (material times vertex
     colour times texture), encoded as display-referred sRGB in SH degree 0. Textures are averaged over about half
-    a spacing, because discs blur by themselves (pyramid, Williams 1983); their alpha is ignored.
+    a spacing, because discs blur by themselves (mip pyramid, Williams 1983); their alpha is ignored.
 
-    Discs touch the surface at their centres, so that silhouettes of curved meshes reach beyond it: traced, a ball of
-    2,000 Gaussians covers 5.8 % more than the mesh, one of 20,000 0.8 %. Rasterised, whose pixels filter each disc by
-    itself, silhouettes reach up to a pixel further.
+    Discs touch the surface at their centres, so that silhouettes of curved meshes reach beyond it: ray traced, a ball
+    of 2,000 Gaussians covers 5.8 % more than the mesh, one of 20,000 0.8 %. Rasterised silhouettes reach up to a pixel
+    further, because the rasteriser filters each disc by the pixel.
 
     Args:
         mesh: Triangles in object space.
@@ -215,8 +216,8 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
     Returns:
         Gaussians in the mesh's object space, with ``normals`` (interpolated shading normals if the mesh has them),
-        ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``. They are ``antialiased``: cameras
-        do not widen them, as no trainer has made up for that.
+        ``albedo`` (linear) and, from a `MaterialPbr`, ``roughness`` and ``metallic``. They are ``antialiased``, so that
+        cameras do not dilate them, which no trainer has compensated for here.
 
     Raises:
         SceneError: ``mesh`` is not a mesh, or ``count`` is not a whole number from 1 to 50,000,000.
@@ -225,17 +226,17 @@ def gaussians_from_mesh(mesh: Mesh, count: int | None = None, seed: int = 0) -> 
 
 
 class SurfaceSamples(NamedTuple):
-    """N Gaussians of a mesh, and the places of their centres on it."""
+    """N Gaussians of a mesh, and the positions of their centres on it."""
 
     gaussians: Gaussians
     faces: npt.NDArray[np.integer]
     """Triangle of each Gaussian, shape (N,)."""
     weights: npt.NDArray[np.float64]
-    """Barycentric coordinates in it, shape (N, 3)."""
+    """Barycentric coordinates of each centre in its triangle, shape (N, 3)."""
 
 
 def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> SurfaceSamples:
-    """As `gaussians_from_mesh`, with the triangles that the Gaussians lie on."""
+    """Covers a mesh with Gaussians as `gaussians_from_mesh` does, and returns the triangles that they lie on."""
     hints: dict[type, str] = {Scene: ": give scene.meshes[0].mesh, for example", MeshInstance: ": give its .mesh"}
     check_argument("gaussians_from_mesh", mesh, Mesh, "a Mesh", hints.get(type(mesh), ""))
     areas, face_normals = face_areas_and_normals(mesh)
@@ -266,7 +267,7 @@ def sample_surface(mesh: Mesh, count: int | None = None, seed: int = 0) -> Surfa
 def _opaque_discs(
     material: Material, positions: _Floats, axes: _Floats, wide: _Floats, *, normals: _Floats, albedo: _Floats
 ) -> Gaussians:
-    """Gaussians with scales ``wide`` along their wide axes, shape (N, 2), and with the properties of a material."""
+    """Makes Gaussians with wide scales ``wide``, shape (N, 2), and the properties of a material."""
     count = len(positions)
     is_pbr = isinstance(material, MaterialPbr)
     thin = SAMPLING_THICKNESS * wide.min(axis=1, keepdims=True)
@@ -280,12 +281,12 @@ def _opaque_discs(
         albedo=albedo,
         roughness=np.full(count, material.roughness) if is_pbr else None,
         metallic=np.full(count, material.metallic) if is_pbr else None,
-        antialiased=True,  # no trainer has widened what rasterisers dilate: discs are as large as the surface
+        antialiased=True,  # discs fit the surface: no trainer has compensated for dilation
     )
 
 
 def _crease_distance(positions: _Floats, creases: CreasePoints, spacing: float) -> _Floats:
-    """Distance to the nearest crease where it is below half a spacing, else infinite, shape (M,)."""
+    """Returns the distance to the nearest crease where it is below half a spacing, otherwise inf, shape (M,)."""
     distance = np.full(positions.shape[0], np.inf)
     if creases.positions.size:
         near = cross_pairs(positions, creases.positions, 0.5 * spacing)
@@ -300,7 +301,7 @@ def _same_side(pairs: Pairs, normals: _Floats) -> Pairs:
 
 
 def sample_surfaces(meshes: Sequence[Mesh], count: int | None = None, seed: int = 0) -> list[SurfaceSamples]:
-    """Gaussians of each mesh, ``count`` in total.
+    """Covers several meshes with Gaussians, ``count`` in total.
 
     Args:
         meshes: At least one mesh, all in the same space.

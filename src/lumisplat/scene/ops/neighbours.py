@@ -1,4 +1,4 @@
-"""Orders points so that neighbours are close in memory, pairs neighbours, and thins points to blue noise."""
+"""Point sets: Morton order, neighbour pairs, and blue-noise thinning."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ _Floats = npt.NDArray[np.floating]
 
 
 def sort_morton(gaussians: Gaussians) -> Gaussians:
-    """Sorts a capture along a Morton curve (Morton 1966), by which formats compress better.
+    """Sorts a capture along a Morton curve (Morton 1966), which improves compression.
 
     Args:
-        gaussians: The capture.
+        gaussians: Capture.
 
     Returns:
-        The same Gaussians in another order. Pictures are the same, but for Gaussians of exactly equal depth.
+        The same Gaussians in another order. Frames are the same, except for Gaussians of exactly equal depth.
     """
     check_argument("sort_morton", gaussians, Gaussians, "Gaussians")
     return gaussians.subset(morton_order(gaussians.means))
 
 
 def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
-    """Indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells per axis.
+    """Returns indices that sort points, shape (N, 3), along a Morton curve of 2^21 cells per axis.
 
-    The curve leaves out a thousandth of the points at each end, so that one stray cannot put all others into one cell.
+    A thousandth of the points at each end of an axis is clamped, so that one outlier cannot put all others into one
+    cell.
     """
     low, high = np.quantile(positions.astype(np.float64), (0.001, 0.999), axis=0)
     extent = np.maximum(high - low, np.finfo(np.float32).tiny)
@@ -41,11 +42,11 @@ def morton_order(positions: _Floats) -> npt.NDArray[np.int64]:
 
 
 def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
-    """Places along the curve, shape (N,), of points in the unit cube, shape (3, N)."""
+    """Returns the Morton codes, shape (N,), of points in the unit cube, shape (3, N)."""
     code = np.zeros(shares.shape[1], dtype=np.uint64)
     for axis in range(3):
         bits = (shares[axis] * (2**21 - 1)).astype(np.uint64)
-        # Moves 21 bits to every third place; each step halves the groups of bits that move together.
+        # Spreads 21 bits to every third position; each step halves the groups of bits that move together.
         for shift, mask in (
             (32, 0x1F00000000FFFF),
             (16, 0x1F0000FF0000FF),
@@ -59,20 +60,20 @@ def morton_codes(shares: _Floats) -> npt.NDArray[np.uint64]:
 
 
 SAMPLING_RADIUS_STEP = 0.97
-"""Factor by which the radius shrinks while too few points are kept."""
+"""Factor by which the radius shrinks while too few points are selected."""
 
 SAMPLING_RADIUS_STEPS_MAX = 100
-"""Steps at most, to a twentieth of the radius: closer points coincide, and make up for those missing."""
+"""Largest number of steps, to a twentieth of the radius: closer points coincide, and fill up the number."""
 
 _Indices = npt.NDArray[np.integer]
 
 _CELL_BITS = 21
 _CELL_MASK = (1 << _CELL_BITS) - 1
 _CELL_MAX = 2.0**40
-"""Number of a cell, at most: points farther out are in the last one, all of them."""
+"""Largest cell coordinate: all points farther out share the last cell."""
 
 _MARGIN = 1.0 + 1e-6
-"""Factor of the radius that SciPy searches, in float64: what it finds is compared with the radius in float32."""
+"""Factor by which SciPy's float64 search radius grows, because distances are then compared in float32."""
 
 
 _ROUNDS = 4
@@ -87,7 +88,7 @@ class Pairs(NamedTuple):
     distance: FloatArray
 
     def where(self, rows: npt.NDArray[np.bool_]) -> Pairs:
-        """The pairs that a mask selects."""
+        """Returns the pairs that a mask selects."""
         return Pairs(self.first[rows], self.second[rows], self.distance[rows])
 
 
@@ -135,17 +136,17 @@ def _closer(points: FloatArray, others: FloatArray, first: _Indices, second: _In
 
 
 def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) -> _Indices:
-    """Indices of ``count`` of M points that are as far from each other as elimination gets them.
+    """Selects ``count`` of M points by Poisson-disk elimination; returns their indices.
 
-    Points are visited by priority, in parallel: a point is kept if no undecided or kept point with a higher priority is
-    within the radius. When no more points fit, the radius shrinks a little and the others are tried again (dart
-    throwing in the order of McCool and Fiume 1992, in parallel by Luby's independent-set rule). Every point left out is
-    closer to a kept one than the final radius, up to one shrinking step.
+    Points are visited by priority, in parallel: a point is selected if no undecided or selected point with a higher
+    priority is within the radius. When no more points fit, the radius shrinks a little and the others are tried again
+    (dart throwing in the order of McCool and Fiume 1992, in parallel by Luby's independent-set rule). Every other point
+    is closer to a selected one than the final radius, up to one shrinking step.
 
     Args:
         pairs: All neighbours closer than ``radius``.
         priority: A permutation of 0..M-1, shape (M,); the smallest number comes first.
-        count: Number of points to keep, 1..M.
+        count: Number of points to select, 1..M.
         radius: First radius; a radius above the distance of the densest packing only takes longer.
 
     Returns:
@@ -155,37 +156,37 @@ def poisson_disk(pairs: Pairs, priority: _Indices, count: int, radius: float) ->
     pairs = pairs._replace(
         first=np.where(swapped, pairs.second, pairs.first), second=np.where(swapped, pairs.first, pairs.second)
     )
-    kept = np.zeros(priority.size, dtype=bool)
+    selected = np.zeros(priority.size, dtype=bool)
     for _ in range(SAMPLING_RADIUS_STEPS_MAX):
-        before = kept.copy()
+        before = selected.copy()
         pairs = pairs.where(pairs.distance < radius)
-        _keep_maximal(pairs, kept)
-        if np.count_nonzero(kept) >= count:
-            return _fill_up(before, kept & ~before, priority, count)
+        _select_maximal(pairs, selected)
+        if np.count_nonzero(selected) >= count:
+            return _fill_up(before, selected & ~before, priority, count)
         radius *= SAMPLING_RADIUS_STEP
-    # Coincident points are never far enough apart: they fill up the number.
-    return _fill_up(kept, ~kept, priority, count)
+    # Coincident points are never far enough apart, so they fill up the number.
+    return _fill_up(selected, ~selected, priority, count)
 
 
-def _fill_up(kept: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int) -> _Indices:
-    """The kept points and the first of ``more`` by priority, ``count`` in total, sorted."""
+def _fill_up(selected: npt.NDArray[np.bool_], more: npt.NDArray[np.bool_], priority: _Indices, count: int) -> _Indices:
+    """Returns the selected points and the first of ``more`` by priority, ``count`` in total, sorted."""
     rows = np.flatnonzero(more)
-    rows = rows[np.argsort(priority[rows])][: count - np.count_nonzero(kept)]
-    return np.sort(np.concatenate([np.flatnonzero(kept), rows]))
+    rows = rows[np.argsort(priority[rows])][: count - np.count_nonzero(selected)]
+    return np.sort(np.concatenate([np.flatnonzero(selected), rows]))
 
 
-def _keep_maximal(pairs: Pairs, kept: npt.NDArray[np.bool_]) -> None:
-    """Adds points to ``kept`` until every point is kept or paired with a kept one."""
+def _select_maximal(pairs: Pairs, selected: npt.NDArray[np.bool_]) -> None:
+    """Selects points until every point is selected or paired with a selected one."""
     first, second, _ = pairs
-    undecided = ~kept
-    undecided[second[kept[first]]] = False
-    undecided[first[kept[second]]] = False
+    undecided = ~selected
+    undecided[second[selected[first]]] = False
+    undecided[first[selected[second]]] = False
     while undecided.any():
         rows = undecided[first] & undecided[second]
         first, second = first[rows], second[rows]
         winners = undecided.copy()
         winners[second] = False
-        kept |= winners
+        selected |= winners
         undecided &= ~winners
         undecided[second[winners[first]]] = False
 
@@ -193,14 +194,14 @@ def _keep_maximal(pairs: Pairs, kept: npt.NDArray[np.bool_]) -> None:
 def pairs_of_about(
     count: int, points: npt.NDArray[np.floating], pairs_within: Callable[[float], Pairs]
 ) -> tuple[Pairs, float]:
-    """Pairs of points within a radius, chosen so that the median point has about ``count`` others, and the radius.
+    """Returns pairs of points within a radius at which the median point has about ``count`` others, and the radius.
 
-    On a surface the number grows with the square of the radius: it is guessed, and then corrected by what is found.
+    On a surface the number grows with the square of the radius, which corrects the first guess.
 
     Args:
-        count: Of a point's pairs.
+        count: Wanted number of pairs of a point.
         points: Shape (N, 3).
-        pairs_within: Pairs closer than a radius, each in both orders.
+        pairs_within: Returns the pairs closer than a radius, each in both orders.
     """
     low, high = np.quantile(points, [0.25, 0.75], axis=0)
     radius = max(float(np.linalg.norm(high - low)) * np.sqrt(count / len(points)), 1e-9)

@@ -1,7 +1,7 @@
-"""Computes normals: outward ones of Gaussians (docs/method/relighting.md#normals), and smooth ones of meshes.
+"""Normals: outward ones of Gaussians (docs/method/relighting.md#normals), and smooth ones of meshes.
 
-The normal of a Gaussian is its shortest axis; its outside is found from the set as voxels and the free space connected
-to its surroundings. Normals of meshes are smooth across blunt edges and broken at sharp ones.
+The normal of a Gaussian is its shortest axis. Its outward side is found on a voxel grid, from the free space connected
+to the outside. Normals of meshes are smooth across blunt edges and broken at sharp ones.
 """
 
 from __future__ import annotations
@@ -28,61 +28,62 @@ from lumisplat.scene.mesh import Mesh, area_vectors
 from lumisplat.scene.ops.neighbours import Pairs, cross_pairs, pairs_of_about
 
 NORMAL_NEIGHBOURS = 24
-"""Median number of neighbours through which the plane of a Gaussian's normal is fitted: over two rings on a surface."""
+"""Median number of neighbours for fitting a Gaussian's tangent plane: over two rings on a surface."""
 
 NORMAL_NEIGHBOURS_PER_CELL = 16
-"""Neighbours that count in a cube of the search radius, twice as many as a surface has there: dense clusters would
-otherwise pair all with all."""
+"""Largest number of neighbours in a cube of the search radius, twice as many as a surface has there: in dense clusters
+all would otherwise be paired with all."""
 
 NORMAL_NEIGHBOURS_MIN = 4
-"""Least number of neighbours that determine a plane."""
+"""Smallest number of neighbours that determine a plane."""
 
 OUTSIDE_CELLS = 1_500_000
-"""Largest number of voxels that find a set's outside: about a centimetre for a person; half a second."""
+"""Largest number of voxels for finding the outside: about a centimetre for a person; half a second."""
 
 OUTSIDE_OPACITY_MIN = 0.1
-"""Gaussians fainter than this are no wall: haze around an object must not enclose it."""
+"""Smallest opacity of a Gaussian that counts as solid: haze around an object must not enclose it."""
 
 OUTSIDE_REACH = 1.5
-"""Scales of a Gaussian up to which its disc is solid: neighbours on a surface meet there."""
+"""Radius of a Gaussian's solid disc, in its scales: neighbours on a surface meet there."""
 
 OUTSIDE_STEPS_MAX = 12
-"""Largest number of cells from a disc's centre to its rim: a few huge Gaussians may leak, but not take all the time."""
+"""Largest number of cells from a disc's centre to its rim: it bounds the time of a few huge Gaussians, which may leak.
+"""
 
 OUTSIDE_CONNECTED = 0.25
-"""Weight of a cell's connection to the outside, around corners; the rest is that of its open directions."""
+"""Weight of a cell's connection to the outside, around corners; the rest is the weight of its open directions."""
 
 OUTSIDE_CONTRAST = 0.1
-"""One side is outside if its share exceeds the other's by this: two or three of 26 directions."""
+"""Difference of openness from which one side counts as outside: two or three of 26 directions."""
 
 WELD_SHARE = 1e-6
-"""Distance, relative to the diagonal of a mesh, below which its vertices are one where it is smoothed: text files round
-to six digits."""
+"""Distance relative to a mesh's diagonal below which vertices are welded for smoothing: text files round to six
+digits."""
 
 _BORDER = 2
 """Free cells around the set: they are outside, and keep the blur off the grid's edge."""
 
 
 def shortest_axes(gaussians: Gaussians) -> Doubles:
-    """Of either sign, unit, in the set's own space, shape (N, 3); of a round Gaussian the first of its axes."""
+    """Returns each Gaussian's shortest axis, unit, either sign, shape (N, 3); for a round Gaussian, its first axis."""
     return _ranked_axes(gaussians)[..., 0]
 
 
 def _wide_axes(gaussians: Gaussians) -> tuple[Doubles, Doubles]:
-    """The two others, each times its scale, the shorter ones first, shape (N, 3) both."""
+    """Returns the two longer axes times their scales, the shorter one first, shape (N, 3) each."""
     axes, scales = _ranked_axes(gaussians), np.sort(gaussians.scales, axis=1)
     return axes[..., 1] * scales[:, 1:2], axes[..., 2] * scales[:, 2:]
 
 
 def _ranked_axes(gaussians: Gaussians) -> Doubles:
-    """The axes as columns, from the one with the least scale to that with the largest, unit, shape (N, 3, 3)."""
+    """Returns unit axes as columns in order of increasing scale, shape (N, 3, 3)."""
     axes = matrices_from_quaternions(gaussians.rotations_wxyz.astype(np.float64))
     order = np.argsort(gaussians.scales, axis=1, kind="stable")
     return np.take_along_axis(axes, order[:, None, :], axis=2)
 
 
 class OpennessGrid(NamedTuple):
-    """How open the space around each cell is towards the outside."""
+    """Voxel grid of how open the space around each cell is towards the outside."""
 
     openness: FloatArray
     """0 (solid or enclosed) to 1, blurred by about a cell, shape (X, Y, Z)."""
@@ -92,7 +93,7 @@ class OpennessGrid(NamedTuple):
     """Side of a cell, scene units."""
 
     def at(self, points: Doubles) -> FloatArray:
-        """The openness at points, shape (N, 3); 1 outside of the grid."""
+        """Returns the openness at points, shape (N, 3); 1 outside the grid."""
         cells = np.floor((points - self.corner) / self.cell)
         inside = np.all((cells >= 0) & (cells < np.array(self.openness.shape)), axis=1)
         x, y, z = np.where(inside[:, None], cells, 0.0).astype(np.int64).T
@@ -100,16 +101,15 @@ class OpennessGrid(NamedTuple):
 
 
 def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> FloatArray:
-    """For each Gaussian, +1 where its axis points outside, else -1, shape (N,).
+    """Returns +1 where a Gaussian's axis points outwards, otherwise -1, shape (N,).
 
-    The set becomes voxels that are solid where Gaussians are. Free cells that are connected to the set's surroundings
-    are outside. The openness on both sides of a Gaussian is compared along its axis at a distance of one cell, two,
-    four and so on, until one side is clearly more open. So the shape need not be convex, and the two sides of a plate
-    are told apart if it is at least about a cell thick. Where both sides stay equal, as for a single sheet, the axes
-    are turned to one common side.
+    Gaussians are voxelised as solid; free cells connected to the edge of the grid are outside. The openness on both
+    sides of a Gaussian is compared along its axis at distances of one cell, two, four and so on, until one side is
+    clearly more open. The shape need not be convex, and a plate that is at least about a cell thick has two sides.
+    Where both sides stay equal, as for a single sheet, the axes are turned to one common side.
 
     Args:
-        gaussians: The set.
+        gaussians: Gaussians.
         axes: Unit vectors in object space, shape (N, 3).
     """
     grid = _openness_grid(gaussians)
@@ -129,14 +129,14 @@ def _outward_signs(gaussians: Gaussians, axes: npt.NDArray[np.floating]) -> Floa
 
 
 def agreeing_signs(axes: Doubles) -> Doubles:
-    """Signs, +1 or -1, that turn axes, shape (M, 3), to one side of the plane perpendicular to most of them: (M,)."""
+    """Returns signs, (M,), that turn axes, shape (M, 3), to one side of the plane perpendicular to most of them."""
     common = np.linalg.eigh(axes.T @ axes)[1][:, 2]
     common *= np.sign(common[np.abs(common).argmax()])
     return np.where(axes @ common < 0.0, -1.0, 1.0)
 
 
 def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
-    """Makes the voxels of a set, and computes how open each is towards the outside."""
+    """Voxelises a set, and computes how open each cell is towards the outside."""
     wide = _wide_axes(gaussians)
     means = gaussians.means.astype(np.float64)
     opaque = gaussians.opacities >= OUTSIDE_OPACITY_MIN
@@ -145,7 +145,7 @@ def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
     radii = np.stack([np.linalg.norm(axis, axis=1) for axis in wide], axis=1)
     sides = np.maximum(high - low, 1e-3 * max(float((high - low).max()), float(radii.max())))
     cell = max(float(np.prod(sides) / OUTSIDE_CELLS) ** (1.0 / 3.0), float(np.median(radii[rows].max(axis=1))))
-    # Points on a flat side of the box lie in the middle of their cells: rounding must not scatter them over two layers.
+    # Points on a flat side of the box are centred in their cells, so that rounding leaves them in one layer.
     corner = low - (_BORDER + 0.5) * cell
     shape = np.ceil((high - low) / cell).astype(int) + 1 + 2 * _BORDER
     solid = np.zeros(shape, bool)
@@ -164,7 +164,7 @@ def _openness_grid(gaussians: Gaussians) -> OpennessGrid:
 
 
 def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int) -> Iterator[Doubles]:
-    """Points on the discs of M Gaussians, one of each disc at a time, shape (M, 3): ``count`` steps to the rim."""
+    """Yields points on the discs of M Gaussians, one per disc at a time, (M, 3), ``count`` steps to the rim."""
     offsets = np.arange(-count, count + 1) * (OUTSIDE_REACH / count)
     for a in offsets:
         for b in offsets[np.hypot(offsets, a) <= OUTSIDE_REACH * 1.01]:
@@ -172,14 +172,14 @@ def _points_on_discs(means: Doubles, first: Doubles, second: Doubles, count: int
 
 
 def _bounds_without_strays(points: Doubles) -> tuple[Doubles, Doubles]:
-    """Corners of a box around all points but strays, which lie far outside of the quantiles."""
+    """Returns the corners of a box around all points except outliers far outside the quantiles."""
     low, high = np.quantile(points, [STRAY_SHARE, 1.0 - STRAY_SHARE], axis=0)
     margin = 0.5 * (high - low)
     return np.maximum(points.min(axis=0), low - margin), np.minimum(points.max(axis=0), high + margin)
 
 
 def _open_directions(free: Flags) -> FloatArray:
-    """Share of the 26 directions to a cell's neighbours that are free of solid cells up to the grid's edge.
+    """Returns the fraction of a cell's 26 neighbour directions without a solid cell up to the grid's edge.
 
     For each direction, the grid is swept slice by slice: a cell is open if it is free and the next cell in that
     direction is open.
@@ -194,14 +194,14 @@ def _open_directions(free: Flags) -> FloatArray:
         u, v = np.delete(step, axis)
         order = range(len(slices)) if step[axis] < 0 else range(len(slices) - 1, -1, -1)
         is_open = np.ones(slices.shape[1:], bool)
-        for place in order:
-            is_open = _shift(is_open, u, v) & slices[place]
-            counts[place] += is_open
+        for layer in order:
+            is_open = _shift(is_open, u, v) & slices[layer]
+            counts[layer] += is_open
     return count.astype(np.float32) / 26.0
 
 
 def _shift(flags: Flags, u: int, v: int) -> Flags:
-    """Moves a slice by -1, 0 or 1 cells along its axes; cells that enter at the edge are true."""
+    """Shifts a slice by -1, 0 or 1 cells along its axes; cells that enter at the edge are true."""
     rows, columns = flags.shape
     padded = np.pad(flags, 1, constant_values=True)
     return padded[1 - u : 1 - u + rows, 1 - v : 1 - v + columns]
@@ -214,7 +214,7 @@ def _outside(solid: Flags) -> Flags:
 
 
 def _blur(values: FloatArray, axis: int) -> FloatArray:
-    """Blurs with weights 1/4, 1/2, 1/4 along an axis; the edge cells are repeated outwards."""
+    """Blurs with weights 1/4, 1/2, 1/4 along an axis; edge cells extend outwards."""
     padded = np.pad(values, [(1, 1) if dim == axis else (0, 0) for dim in range(3)], mode="edge")
     lower, upper = (np.take(padded, np.arange(int(values.shape[axis])) + shift, axis=axis) for shift in (0, 2))
     blurred = np.float32(0.5) * values + np.float32(0.25) * (lower + upper)
@@ -222,18 +222,17 @@ def _blur(values: FloatArray, axis: int) -> FloatArray:
 
 
 def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = NormalEstimate.AUTO) -> FloatArray:
-    """Estimates unit outward normals of a set that is an object seen from outside.
+    """Estimates unit outward normals of an object captured from outside.
 
-    First an axis is found for each Gaussian, then which of its two directions points outside, to the free space that is
-    connected to the set's surroundings (see `_outward_signs`). For a room captured from within, outside is behind its
-    walls.
+    First an axis is found for each Gaussian, then which of its two directions points to the free space that is
+    connected to the outside (see `_outward_signs`). For a room captured from within, outside is behind its walls.
 
     Args:
-        gaussians: The set; more opaque Gaussians have more weight.
+        gaussians: Gaussians; more opaque ones have more weight.
         method: ``AUTO``: the set's own ``normals`` if it has them, else ``SMALLEST_AXIS``. ``SMALLEST_AXIS``: the axis
-            of the smallest scale; for a round Gaussian any of its axes. ``PCA``: the normal of the plane through the
-            means around, weighted by opacity and by a Gaussian of distance; the smallest axis where neighbours are too
-            few.
+            of the smallest scale; for a round Gaussian any of its axes. ``PCA``: the normal of the plane through
+            neighbouring means, weighted by opacity and by a Gaussian of distance; the smallest axis where neighbours
+            are too few.
 
     Returns:
         Normals in the set's own space, shape (N, 3), read-only.
@@ -254,7 +253,7 @@ def estimate_normals(gaussians: Gaussians, method: NormalEstimate | str = Normal
 
 
 def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
-    """Normals, of either sign, of the planes through the means around each Gaussian, shape (N, 3)."""
+    """Fits planes to the means around each Gaussian; returns their normals, either sign, shape (N, 3)."""
     within = partial(_pairs_within, gaussians.means)
     pairs, radius = pairs_of_about(NORMAL_NEIGHBOURS, gaussians.means, within)
     means, opacities = gaussians.means.astype(np.float64), gaussians.opacities.astype(np.float64)
@@ -262,7 +261,7 @@ def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
     first, second = pairs.first, pairs.second
     weights = np.exp(-0.5 * (2.0 * pairs.distance.astype(np.float64) / radius) ** 2) * opacities[second]
     step = means[second] - means[first]
-    # Moments about the centre of the neighbours, the Gaussian itself (offset 0) included.
+    # Moments about the neighbours' centre, including the Gaussian itself (offset 0).
     total = np.bincount(first, weights, count) + opacities
     total = np.maximum(total, np.finfo(np.float64).tiny)
     center = np.stack([np.bincount(first, weights * step[:, i], count) for i in range(3)], axis=1) / total[:, None]
@@ -277,7 +276,7 @@ def _plane_normals(gaussians: Gaussians, fallback: Doubles) -> Doubles:
 
 
 def _pairs_within(means: FloatArray, radius: float) -> Pairs:
-    """Each Gaussian (``first``) with others near it, at most `NORMAL_NEIGHBOURS_PER_CELL` of them per cube."""
+    """Pairs each Gaussian (``first``) with others near it, at most `NORMAL_NEIGHBOURS_PER_CELL` of them per cube."""
     _, cells = np.unique(np.floor(means / radius).astype(np.int64), axis=0, return_inverse=True)
     order = np.argsort(cells.ravel(), kind="stable")
     starts = np.searchsorted(cells.ravel()[order], cells.ravel()[order])
@@ -288,15 +287,15 @@ def _pairs_within(means: FloatArray, radius: float) -> Pairs:
 
 
 def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
-    """The mesh with new normals: at a corner, the mean of the faces around that meet its own at less than an angle.
+    """Returns the mesh with new normals: each corner averages adjacent faces that differ by less than a crease angle.
 
-    Faces count by their angle at the corner (Thuermer and Wuethrich 1998), so that how they are cut into triangles does
-    not matter; corners at the same place are one, whatever their uvs. Where corners of a vertex get different normals,
-    it is split.
+    Faces are weighted by their angle at the corner (Thuermer and Wuethrich 1998), so that the triangulation does not
+    matter; corners at the same position count as one, whatever their uvs. A vertex is split where its corners get
+    different normals.
 
     Args:
-        mesh: The mesh; normals that it has are replaced.
-        crease_angle: Largest angle between faces that are smooth, radians, 0 to pi; 0: flat.
+        mesh: Mesh; its normals are replaced.
+        crease_angle: Largest angle between faces that are smoothed, radians, 0 to pi; 0: flat shading.
 
     Raises:
         SceneError: It is no mesh, or the angle is out of range.
@@ -307,7 +306,7 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
     if crease_angle == 0.0:
         return replace(mesh, normals=None)
     normals = _corner_normals(mesh, crease_angle)
-    # Corners of a vertex whose normals are equal stay one vertex.
+    # Corners of a vertex with equal normals stay one vertex.
     cells: npt.NDArray[np.int64] = np.rint(normals * 1e5).astype(np.int64)
     keys = np.column_stack([mesh.indices.ravel(), cells])
     _, first, vertex = np.unique(keys, axis=0, return_index=True, return_inverse=True)
@@ -323,7 +322,7 @@ def smooth_normals(mesh: Mesh, crease_angle: float = CREASE_ANGLE) -> Mesh:
 
 
 def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
-    """Unit normals of the triangles' corners, one row a corner, shape (3 F, 3)."""
+    """Returns unit normals of the triangles' corners, shape (3 F, 3)."""
     areas = area_vectors(mesh.positions, mesh.indices)
     faces = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
     low, high = mesh.bounds()
@@ -338,7 +337,7 @@ def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
     order = np.argsort(point_of_corner, kind="stable")
     starts = np.flatnonzero(np.diff(point_of_corner[order], prepend=-1))
     counts = np.diff(starts, append=len(order))
-    for count in np.unique(counts):  # all points with as many corners at once: pairs are count x count
+    for count in np.unique(counts):  # all points with equally many corners at once, as count x count pairs
         rows = order[starts[counts == count][:, None] + np.arange(count)]
         around = faces[face_of_corner[rows]]
         weights = angle_of_corner[rows][:, None, :] * (np.einsum("nic,njc->nij", around, around) >= cosine)
@@ -351,7 +350,7 @@ def _corner_normals(mesh: Mesh, crease_angle: float) -> np.ndarray:
 
 
 def _corner_angles(mesh: Mesh) -> np.ndarray:
-    """Angles of the triangles at their corners, radians, shape (F, 3)."""
+    """Returns the angles of the triangles at their corners, radians, shape (F, 3)."""
     corners = mesh.positions.astype(np.float64)[mesh.indices]
     one, other = np.roll(corners, -1, axis=1) - corners, np.roll(corners, 1, axis=1) - corners
     sine = np.linalg.norm(np.cross(one, other), axis=2)

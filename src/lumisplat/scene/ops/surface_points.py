@@ -1,4 +1,4 @@
-"""Samples surfaces of meshes: points stratified by area, points along creases, and base colours.
+"""Sampling of mesh surfaces: points stratified by area, points along creases, and base colours.
 
 Creases are sharp and open edges. A colour is averaged over the area that one sample represents.
 """
@@ -18,14 +18,14 @@ from lumisplat.scene.materials import TextureWrap, WrapPair, wraps_of
 from lumisplat.scene.mesh import Mesh, area_vectors
 
 SAMPLING_SPACINGS_PER_DIAGONAL = 300
-"""Without a count, neighbours are about this fraction of the bounding box's diagonal apart: detail against number, some
-70,000 to 100,000 Gaussians for a compact object."""
+"""Default number of spacings along the bounding box's diagonal, a compromise of detail and number: some 70,000 to
+100,000 Gaussians for a compact object."""
 
 SAMPLING_DEFAULT_COUNTS = (1_000, 1_000_000)
 """Bounds of the default count."""
 
 CREASE_COSINE = 0.77
-"""Faces whose normals make a smaller cosine than this meet at a crease (about 40 degrees)."""
+"""Cosine between face normals below which an edge is a crease (about 40 degrees)."""
 
 _Floats = npt.NDArray[np.floating]
 _Ints = npt.NDArray[np.integer]
@@ -35,19 +35,19 @@ class SurfacePoints(NamedTuple):
     """M points on triangles."""
 
     positions: Doubles
-    """Shape (M, 3)."""
+    """Positions, shape (M, 3)."""
     faces: npt.NDArray[np.integer]
     """Triangle of each point, shape (M,)."""
     weights: Doubles
     """Barycentric coordinates, shape (M, 3)."""
 
     def at(self, rows: npt.NDArray[np.integer]) -> SurfacePoints:
-        """The points that ``rows`` selects."""
+        """Returns the points that ``rows`` selects."""
         return SurfacePoints(self.positions[rows], self.faces[rows], self.weights[rows])
 
 
 def face_areas_and_normals(mesh: Mesh) -> tuple[Doubles, Doubles]:
-    """Areas of the triangles, shape (F,), and their unit normals (0 without an area), shape (F, 3)."""
+    """Returns the triangles' areas, shape (F,), and unit normals (0 without an area), shape (F, 3)."""
     vectors = area_vectors(mesh.positions, mesh.indices)
     doubled = np.linalg.norm(vectors, axis=1)
     normals = np.divide(vectors, doubled[:, None], out=np.zeros_like(vectors), where=doubled[:, None] > 0.0)
@@ -55,12 +55,12 @@ def face_areas_and_normals(mesh: Mesh) -> tuple[Doubles, Doubles]:
 
 
 def surface_area(mesh: Mesh) -> float:
-    """Sum of the areas of all triangles, square scene units."""
+    """Returns the total area of all triangles, square scene units."""
     return float(face_areas_and_normals(mesh)[0].sum())
 
 
 def default_count(meshes: Sequence[Mesh]) -> int:
-    """Number of Gaussians for which neighbours are 1/300 of the diagonal of the meshes' bounding box apart."""
+    """Returns the number of Gaussians for a spacing of 1/300 of the diagonal of the meshes' bounding box."""
     corners = [mesh.positions[mesh.indices].reshape(-1, 3).astype(np.float64) for mesh in meshes]
     highest, lowest = (np.array([extreme(c, axis=0) for c in corners]) for extreme in (np.max, np.min))
     diagonal = float(np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0)))
@@ -69,7 +69,7 @@ def default_count(meshes: Sequence[Mesh]) -> int:
 
 
 def stratified_points(mesh: Mesh, areas: Doubles, count: int, rng: np.random.Generator) -> SurfacePoints:
-    """Points stratified by area over the triangles, and by the R2 sequence (Roberts 2018) within each triangle."""
+    """Samples points stratified by area over the triangles, with the R2 sequence (Roberts 2018) within each."""
     cumulative = np.cumsum(areas)
     strata: Doubles = (np.arange(count) + rng.random(count)) * (cumulative[-1] / count)
     faces = np.minimum(np.searchsorted(cumulative, strata, side="right"), np.flatnonzero(areas)[-1])
@@ -89,7 +89,7 @@ def interpolate_vertices(
     """Interpolates vertex values, shape (V, D), at points on triangles.
 
     Args:
-        values: Shape (V, D).
+        values: Vertex values, shape (V, D).
         corners: Vertices of the triangle of each point, shape (M, 3).
         weights: Barycentric coordinates of the points, shape (M, 3).
 
@@ -106,19 +106,19 @@ class CreasePoints(NamedTuple):
     """C points along creases."""
 
     positions: npt.NDArray[np.float64]
-    """Shape (C, 3)."""
+    """Positions, shape (C, 3)."""
     directions: npt.NDArray[np.float64]
     """Unit direction of the edge at each point, shape (C, 3)."""
 
 
 def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: float, *, limit: int) -> CreasePoints:
-    """Points at most ``spacing`` apart along all open, non-manifold and sharp edges.
+    """Samples points at most ``spacing`` apart along all open, non-manifold and sharp edges.
 
     Args:
-        mesh: The mesh; vertices at equal positions count as one.
+        mesh: Mesh; vertices at equal positions count as one.
         face_normals: Unit normals, shape (F, 3); zero for faces without area.
         spacing: Largest distance between neighbours on an edge, scene units, > 0.
-        limit: Largest number of points; ``spacing`` grows to keep it.
+        limit: Largest number of points; ``spacing`` grows to respect it.
     """
     start, end = _crease_edges(mesh, face_normals)
     lengths: npt.NDArray[np.float64] = np.linalg.norm(end - start, axis=1)
@@ -128,13 +128,13 @@ def crease_points(mesh: Mesh, face_normals: npt.NDArray[np.floating], spacing: f
     step = np.arange(edge.size) - np.repeat(np.cumsum(counts) - counts, counts)
     along = (step + 0.5) / counts[edge]
     positions = start[edge] + (end - start)[edge] * along[:, None]
-    # Dense meshes have many short edges: one point per voxel is enough.
+    # Dense meshes have many short edges, for which one point per voxel is enough.
     _, rows = np.unique(np.floor(positions / (0.5 * spacing)).astype(np.int64), axis=0, return_index=True)
     return CreasePoints(positions[rows], ((end - start) / lengths[:, None])[edge[rows]])
 
 
 def welded_indices(mesh: Mesh) -> IntArray:
-    """Triangles over unique positions: vertices that were split for normals or uvs are joined again, shape (F, 3)."""
+    """Returns triangles over unique positions, which joins vertices split for normals or uvs, shape (F, 3)."""
     _, unique_from_vertex = np.unique(mesh.positions, axis=0, return_inverse=True)
     return unique_from_vertex.reshape(-1).astype(np.int32)[mesh.indices]
 
@@ -142,7 +142,7 @@ def welded_indices(mesh: Mesh) -> IntArray:
 def _crease_edges(
     mesh: Mesh, face_normals: npt.NDArray[np.floating]
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Start and end points of the open, non-manifold and sharp edges, shape (E, 3) each."""
+    """Returns the start and end points of the open, non-manifold and sharp edges, shape (E, 3) each."""
     faces = np.flatnonzero(np.linalg.norm(face_normals, axis=1) > 0.5)
     corners = welded_indices(mesh)[faces]
     ends = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -160,10 +160,10 @@ def _crease_edges(
 
 
 def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Floats:
-    """Linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3).
+    """Returns linear material colour times vertex colour times texture, clamped to 0..1, shape (M, 3).
 
     Args:
-        mesh: The mesh.
+        mesh: Mesh.
         faces: Triangle of each point, shape (M,).
         weights: Barycentric coordinates of each point, shape (M, 3).
         width: Width over which the texture is averaged, scene units.
@@ -181,7 +181,7 @@ def base_colors(mesh: Mesh, faces: _Ints, weights: _Floats, width: float) -> _Fl
 
 
 def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) -> _Floats:
-    """For each face, the pyramid level whose texels are ``width`` wide on average over both directions, shape (F,)."""
+    """Returns each face's mip level at which texels are ``width`` wide on average over both directions, shape (F,)."""
     area = np.linalg.norm(area_vectors(mesh.positions, mesh.indices), axis=1)
     p, q, r = uvs.astype(np.float64)[mesh.indices].swapaxes(0, 1)
     uv_area = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
@@ -190,7 +190,7 @@ def _texture_levels(mesh: Mesh, uvs: _Floats, texel_count: int, width: float) ->
 
 
 def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats, wraps: WrapPair) -> _Floats:
-    """Trilinear lookup of a texture, linear Rec.709, shape (M, 3); ``level`` 0 is the texture itself."""
+    """Looks a texture up trilinearly in linear Rec.709, shape (M, 3); ``level`` 0 is full resolution."""
     image = decode_srgb(np.arange(256) / 255.0).astype(np.float32)[texture[..., :3]]
     colors, step = np.zeros((uvs.shape[0], 3)), 0
     while True:
@@ -204,7 +204,7 @@ def _filter_texture(texture: npt.NDArray[np.uint8], uvs: _Floats, level: _Floats
 
 
 def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
-    """Bilinear lookup of an image, shape (M, 3)."""
+    """Looks an image up bilinearly, shape (M, 3)."""
     height, width = image.shape[:2]
     x = wrapped(uvs[:, 0], wraps[0]) * width - 0.5
     y = wrapped(uvs[:, 1], wraps[1]) * height - 0.5
@@ -217,12 +217,12 @@ def _bilinear(image: _Floats, uvs: _Floats, wraps: WrapPair) -> _Floats:
 
 
 def _neighbour(texels: _Ints, size: int, wrap: TextureWrap) -> _Ints:
-    """Texels next to an edge: across it in the same texture, or those at the edge."""
+    """Wraps or clamps texel indices beyond an edge."""
     return texels % size if wrap is TextureWrap.REPEAT else np.clip(texels, 0, size - 1)
 
 
 def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
-    """Texture coordinates within the texture, 0..1."""
+    """Wraps texture coordinates into 0..1."""
     if wrap is TextureWrap.CLAMP:
         return np.clip(coordinates, 0.0, 1.0)
     if wrap is TextureWrap.MIRROR:
@@ -231,7 +231,7 @@ def wrapped(coordinates: _Floats, wrap: TextureWrap) -> _Floats:
 
 
 def _halve(image: _Floats, axis: int) -> _Floats:
-    """Halves the number of rows or columns, to at least one; each is the mean over its share, also of odd numbers."""
+    """Halves the number of rows or columns, to at least one, by exact area averages, also for odd numbers."""
     size = int(image.shape[axis])
     half = max(size // 2, 1)
     image = np.moveaxis(image, axis, 0)

@@ -1,4 +1,4 @@
-"""Makes cameras: framed on a scene, in orbit about it, focused on a pixel; and rays of pixels, and up from cameras."""
+"""Camera construction: framing a scene, orbits, focus on a pixel; pixel rays; and up directions from cameras."""
 
 from __future__ import annotations
 
@@ -20,47 +20,47 @@ from lumisplat.scene.placing import Vector, front_vector, up_vector
 from lumisplat.scene.scene import Scene, SplatInstance
 
 FRAMING_FARTHEST = 1e17
-"""How far a scene may reach from the origin, in its units: a camera may stand at up to 1e18."""
+"""Largest coordinate of a scene that can be framed, scene units: a camera position may reach 1e18."""
 
 _FRAMING_FOV_Y = 0.8
-"""Vertical field of view, radians: a normal lens."""
+"""Default vertical field of view, radians: a normal lens."""
 
 _FRAMING_ELEVATION = 0.2
-"""How far above the horizon the eye stands, radians: enough to show the ground an object stands on."""
+"""Default elevation of the eye above the horizon, radians: enough to show the ground below an object."""
 
 _STEEP = 0.1
-"""Cosine of the elevation above which a view has a horizontal direction of its own."""
+"""Cosine of the elevation below which a view is so steep that its horizontal direction is unreliable."""
 
 _GAPS = 50
-"""Gaps in the largest extent of a bulk: what is no further from it, or from what hangs together with it, shows."""
-_SHOWS = 0.1
-"""Opacity above which a Gaussian of a thin end counts."""
+"""Largest gap between connected Gaussians, as a divisor of the bulk's largest extent."""
+_OPACITY_MIN = 0.1
+"""Smallest opacity of Gaussians that extend the visible bounds."""
 _ENDS_MOST = 4.0
-"""Extents of the bulk beyond which nothing is looked for."""
+"""Distance from the bulk, in its extents, beyond which Gaussians are ignored."""
 
 _FRAMING_MARGIN = 1.05
-"""Room around the scene's box, as a factor of the distance."""
+"""Factor of the fitting distance that leaves a margin around the scene's box."""
 
 _ROLL, _PITCH = 0.1, 0.35
-"""Standard deviations, radians, by which people hold cameras off the horizon: about the axis, and up or down."""
+"""Standard deviations, radians, of the roll and pitch at which people hold cameras."""
 _AGREE = 0.3
-"""Least length of the mean of all ups; below, images do not agree on one."""
+"""Length of the mean of all up vectors below which the cameras do not agree on an up direction."""
 _ALL_DOWN = 0.9
-"""Least length of the mean of all views if all look the same way, as from an aircraft."""
+"""Length of the mean of all view directions from which all cameras look the same way, as from an aircraft."""
 _CONVERGE = 0.35
-"""Largest tangent, in the median, by which axes of cameras pass beside the point that they look at."""
+"""Largest median tangent of the angle by which camera axes miss their common point."""
 _MIDDLE = 0.3
-"""Share of an image, from its middle, in which the depth of what is seen there is measured."""
+"""Central fraction of an image in which depth is measured."""
 _COUNT = 2000
-"""Largest number of cameras that are compared with each other; of more, every second, third, ..."""
+"""Largest number of cameras that are compared with each other; larger sets are subsampled."""
 _WIDEST = 2.0
-"""Largest field of view of a first view, radians, of lenses that see more."""
+"""Largest field of view of a first view, radians, for cameras with wider lenses."""
 
 
 def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
-    """Origins and unit directions of the rays through the pixel centres of frames, world space, shapes (H, W, 3).
+    """Returns origins and unit directions of the rays through the pixel centres, world space, (H, W, 3) each.
 
-    Pixels of a fisheye that have no ray have direction 0. With a rolling shutter each row has its own pose.
+    Pixels of a fisheye without a ray have direction 0. With a rolling shutter each row has its own pose.
     """
     (width, height), (left, top) = camera.image_size, camera.image_corner
     rotation, directions = camera.world_from_camera[:3, :3], camera.ray_directions()
@@ -75,12 +75,12 @@ def world_rays(camera: Camera) -> tuple[Doubles, Doubles]:
 
 
 def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
-    """Origin and unit direction of the ray through the centre of a pixel, world space, of shape (1, 3) each.
+    """Returns origin and unit direction of the ray through a pixel's centre, world space, shape (1, 3) each.
 
     Args:
-        camera: The camera.
-        x: Column of the picture, from 0.
-        y: Row of it, from 0.
+        camera: Camera.
+        x: Column of the image, from 0.
+        y: Row of the image, from 0.
 
     Raises:
         SceneError: There is no such pixel, or it has no ray.
@@ -92,19 +92,19 @@ def pixel_ray(camera: Camera, x: int, y: int) -> tuple[Doubles, Doubles]:
     left, top = around.image_corner
     origins, directions = world_rays(around)
     if not directions[y - top, x - left].any():
-        raise SceneError(f"pixel ({x}, {y}) has no ray: it is outside of what the lens shows")
+        raise SceneError(f"pixel ({x}, {y}) has no ray: it lies outside the lens's image")
     return origins[y - top, x - left][None], directions[y - top, x - left][None]
 
 
 def _camera_around(camera: Camera, x: int, y: int) -> Camera:
-    """The camera with the smallest window that shows a pixel of the picture."""
+    """Returns the camera with the smallest window that contains a pixel."""
     left, top = (side // WINDOW_STEP * WINDOW_STEP for side in (x, y))
     window = left, top, min(WINDOW_STEP, camera.width - left), min(WINDOW_STEP, camera.height - top)
     return replace(camera, window=window)
 
 
 def _rotate(vectors: Doubles, turn: Doubles) -> Doubles:
-    """Rotates vectors about ``turn`` by its length in radians (Rodrigues), shapes (H, W, 3) and (H, 1, 3)."""
+    """Rotates vectors, (H, W, 3), about ``turn``, (H, 1, 3), by its length in radians (Rodrigues)."""
     angle = np.linalg.norm(turn, axis=-1, keepdims=True)
     axis = np.divide(turn, angle, out=np.zeros_like(turn), where=angle > 0.0)
     across = np.cross(axis, vectors)
@@ -112,13 +112,13 @@ def _rotate(vectors: Doubles, turn: Doubles) -> Doubles:
 
 
 def focused_camera(camera: Camera, x: int, y: int, distance: float) -> Camera:
-    """The camera with what pixel (x, y) shows in focus.
+    """Returns the camera focused on the surface at pixel (x, y).
 
     Args:
-        camera: The camera.
-        x: Column of the picture, from 0.
-        y: Row of it, from 0.
-        distance: To the surface along the ray of the pixel's centre, scene units; inf: there is none.
+        camera: Camera.
+        x: Column of the image, from 0.
+        y: Row of the image, from 0.
+        distance: Distance to the surface along the pixel's central ray, scene units; inf without a surface.
 
     Raises:
         SceneError: There is no surface in front of the camera.
@@ -129,7 +129,7 @@ def focused_camera(camera: Camera, x: int, y: int, distance: float) -> Camera:
         left, top = around.image_corner
         depth = distance * float(around.ray_directions()[y - top, x - left, 2])
     if not 0.0 < depth < math.inf:
-        raise SceneError(f"pixel ({x}, {y}) shows no surface to focus on: pick another one, or give focus_distance")
+        raise SceneError(f"pixel ({x}, {y}) shows no surface to focus on: use another pixel, or give focus_distance")
     return replace(camera, focus_distance=depth)
 
 
@@ -146,28 +146,28 @@ def frame_camera(
     name: str = "front",
     all_around: bool = False,
 ) -> Camera:
-    """A camera that looks at a scene from any side; without further arguments its first view, else all of it.
+    """Returns a camera that looks at a scene; by default its first view, or else a view of the whole scene.
 
-    The first view (`Scene.first_view`) of a capture that states one shows what the image shows from which it was
-    taken, and what each argument is that is not given. Scenes without are seen from the front.
+    The first view (`Scene.first_view`) of a capture provides all values that are not given. Scenes without one are seen
+    from the front.
 
     Args:
-        scene: The scene to look at. Its `Scene.up_direction` is up in the image.
-        azimuth: Radians about the vertical, counter-clockwise seen from above, -2 pi to 2 pi: 0, the default, is the
-            side of the first view, else the front, pi / 2 the right-hand side as seen from there.
-        elevation: Radians above the horizon, -pi / 2 to pi / 2; pi / 2 looks straight down; None: that of the first
-            view, else `_FRAMING_ELEVATION`.
-        distance: From the eye to ``target``, scene units; None: that of the first view, else so far that all that
-            shows of the scene fills the image.
-        target: World position in the middle of the image, shape (3,); None: that of the first view, else the middle of
-            what shows of the scene.
-        fov_y: Vertical field of view, radians, 0 to pi; None: so much that all of the image of the first view is
-            seen, else `_FRAMING_FOV_Y`.
+        scene: Scene to look at. Its `Scene.up_direction` is up in the image.
+        azimuth: Angle about the vertical, radians, counter-clockwise seen from above, -2 pi to 2 pi: 0, the default, is
+            the side of the first view, else the front; pi / 2 is the right-hand side as seen from there.
+        elevation: Angle above the horizon, radians, -pi / 2 to pi / 2; pi / 2 looks straight down; None: that of the
+            first view, else 0.2.
+        distance: Distance from the eye to ``target``, scene units; None: that of the first view, else the distance at
+            which the visible scene fills the image.
+        target: World position in the centre of the image, shape (3,); None: that of the first view, else the centre of
+            the visible scene.
+        fov_y: Vertical field of view, radians, 0 to pi; None: enough to show the whole image of the first view, else
+            0.8.
         width: Image width, pixels.
         height: Image height, pixels.
         name: Name of the camera.
-        all_around: Without ``distance``: so far that all that shows fits from all sides, for an orbit; that of the
-            first view, if there is one.
+        all_around: Without ``distance``, choose one at which the visible scene fits from all sides, for an orbit; a
+            first view's distance takes precedence.
 
     Raises:
         SceneError: The scene is empty, or an argument is out of its range.
@@ -203,7 +203,7 @@ def frame_camera(
 
 
 def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
-    """The azimuth and elevation of the eye of a view; from above or below, what is up in its image stays up."""
+    """Returns azimuth and elevation of a view's eye; for steep views, the image's up direction defines the azimuth."""
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
     _, down, forward = view.camera_from_world[:3, :3]
@@ -213,24 +213,24 @@ def _angles(scene: Scene, view: Camera) -> tuple[float, float]:
 
 
 def _fov_of(view: Camera, aspect: float) -> float:
-    """The vertical field of view in which an image of an aspect shows all that a view shows."""
+    """Returns the vertical field of view at which an image of another aspect ratio shows all of a view."""
     tangent = math.tan(0.5 * view.fov_y)
     return 2.0 * math.atan(tangent * max(1.0, view.width / view.height / aspect))
 
 
 def _side(scene: Scene, azimuth: float, elevation: float) -> tuple[Doubles, Doubles]:
-    """The direction from the target to an eye, and up in its image."""
+    """Returns the direction from the target to the eye, and up in the image."""
     upward = np.array(scene.up_direction)
     front = front_vector(upward)
     level = math.cos(azimuth) * front + math.sin(azimuth) * np.cross(upward, front)
     backward = math.cos(elevation) * level + math.sin(elevation) * upward
-    # At the poles the vertical is along the view: there, up is what is up a moment before them.
+    # At the poles the vertical is parallel to the view, so up is its limit when approaching the pole.
     up = upward if math.cos(elevation) > 1e-3 else math.cos(elevation) * upward - math.sin(elevation) * level
     return backward, up
 
 
 def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
-    """A world position that is given, shape (3,); None: what the first view looks at, else the middle of what shows.
+    """Returns the given world position, (3,); None: the first view's target, else the visible scene's centre.
 
     Raises:
         SceneError: It is not three finite numbers, or the scene is empty.
@@ -239,7 +239,7 @@ def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
         view = scene.first_view
         if view is not None:
             return view.eye + view.focus_distance * view.camera_from_world[2, :3]
-        low, high = shown_bounds(scene)
+        low, high = visible_bounds(scene)
         return 0.5 * (low + high)
     point = finite_numbers(target, (3,))
     if point is None:
@@ -247,11 +247,11 @@ def _target_point(scene: Scene, target: npt.ArrayLike | None) -> Doubles:
     return point
 
 
-def shown_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
-    """Corners (min, max) of a world-space box around all that shows of a scene, shape (3,) each.
+def visible_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
+    """Returns the corners (min, max) of a world-space box around the visible scene, shape (3,) each.
 
-    The bulk of a capture (`Scene.bulk_bounds`) leaves out its ends where they are thin. They show: the box grows over
-    all Gaussians that hang together with the bulk, without gaps; strays do not.
+    The bulk of a capture (`Scene.bulk_bounds`) cuts off thin ends that are visible. The box grows over all Gaussians
+    that are connected to the bulk without gaps; stray Gaussians are not.
 
     Raises:
         SceneError: The scene is empty.
@@ -263,11 +263,11 @@ def shown_bounds(scene: Scene) -> tuple[Doubles, Doubles]:
 
 
 def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
-    """Means outside of a box that hang together with what is in it, world space, shape (M, 3)."""
+    """Returns means outside a box that are connected to its contents, world space, shape (M, 3)."""
     means, gaussians = instance.world_means, instance.gaussians
     gap = max(float((high - low).max()) / _GAPS, 4.0 * instance.scale * float(np.median(gaussians.scales.max(axis=1))))
     reach = _ENDS_MOST * (high - low).max()
-    outside = ((means < low) | (means > high)).any(axis=1) & (gaussians.opacities > _SHOWS)
+    outside = ((means < low) | (means > high)).any(axis=1) & (gaussians.opacities > _OPACITY_MIN)
     outside &= ((means > low - reach) & (means < high + reach)).all(axis=1)
     points = means[outside]
     if not gap > 0.0 or not len(points):
@@ -281,8 +281,8 @@ def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
     steps = np.array(np.meshgrid(*[(-1, 0, 1)] * 3)).reshape(3, -1).T @ np.array([width * width, width, 1])
     while len(reached):
         wanted = np.unique(keys[reached][:, None] + steps)
-        places = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
-        found = np.unique(places[keys[places] == wanted])
+        slots = np.searchsorted(keys, wanted).clip(max=len(keys) - 1)
+        found = np.unique(slots[keys[slots] == wanted])
         reached = found[~hangs[found]]
         hangs[reached] = True
     return points[hangs[cell_of.ravel()]]
@@ -291,31 +291,31 @@ def _thin_ends(instance: SplatInstance, low: Doubles, high: Doubles) -> Doubles:
 def _fitting_distance(
     scene: Scene, center: Doubles, sides: list[tuple[Doubles, Doubles]], lens: tuple[float, float]
 ) -> float:
-    """Distance from ``center`` at which all that shows of the scene fits from all sides.
+    """Returns the distance from ``center`` at which the visible scene fits from all sides.
 
     Args:
-        scene: The scene.
-        center: World position in the middle of the image.
-        sides: As from `_side`.
-        lens: Vertical field of view, and width to height of the image.
+        scene: Scene.
+        center: World position in the centre of the image.
+        sides: Directions as from `_side`.
+        lens: Vertical field of view, and ratio of width to height of the image.
     """
     fov_y, aspect = lens
     if not is_number(fov_y) or not 0.0 < fov_y < math.pi:
         raise SceneError(f"fov_y is {fov_y}, expected radians between 0 and pi")
     tan_y = math.tan(0.5 * fov_y)
     tan_x = tan_y * aspect
-    low, high = shown_bounds(scene)
+    low, high = visible_bounds(scene)
     farthest = float(np.abs([low, high]).max())
     if farthest > FRAMING_FARTHEST:
         raise SceneError(
-            f"reaches {farthest:.3g} units away from the origin, and no camera shows all of it: give a camera, or "
-            "leave out what is far away"
+            f"reaches {farthest:.3g} units away from the origin, too far for an automatic camera: give a camera, or "
+            "crop the scene"
         )
     size = max(float(np.linalg.norm(high - low)), 1e-6)
     corners = np.array(np.meshgrid(*np.stack([low, high], axis=1))).reshape(3, -1).T - center
     needed = 0.5 * size
     for backward, up in sides:
-        # Any distance gives the orientation; the corners seen in it then give the distance at which all of them fit.
+        # The orientation does not depend on the distance; in it, the corners give the distance at which all fit.
         rotation = Camera.look_at(center + size * backward, center, up).camera_from_world[:3, :3]
         x, y, z = rotation @ corners.T
         needed = max(needed, (np.abs(x) / tan_x - z).max(), (np.abs(y) / tan_y - z).max())
@@ -331,18 +331,18 @@ def _check_angle(name: str, angle: object, largest: float) -> None:
 def orbit_cameras(
     scene: Scene, count: int, camera: Camera | None = None, *, turns: float = 1.0, target: npt.ArrayLike | None = None
 ) -> list[Camera]:
-    """Cameras on a circle about the vertical through a point, evenly spread: the first picture follows the last.
+    """Returns cameras evenly spread on a circle about the vertical through a point; the last precedes the first.
 
     Args:
-        scene: The scene to go round; its `Scene.up_direction` is the axis.
+        scene: Scene to orbit; its `Scene.up_direction` is the axis.
         count: Number of cameras, at least 1.
-        camera: The first one; None: one that shows the scene from the front, from where all of it is seen all the
-            way round, see `frame_camera`.
-        turns: How many times round, counter-clockwise seen from above; negative: clockwise.
-        target: World position on the axis, shape (3,); None: the middle of the bulk of the scene.
+        camera: First camera; None: one from the front, at a distance from which the scene fits all the way round, see
+            `frame_camera`.
+        turns: Number of revolutions, counter-clockwise seen from above; negative: clockwise.
+        target: World position on the axis, shape (3,); None: the centre of the scene's bulk.
 
     Returns:
-        ``count`` cameras, which differ in pose and name; each sees the target where the first one does.
+        ``count`` cameras, which differ in pose and name; the target is at the same pixel in each.
 
     Raises:
         SceneError: The scene is empty, or an argument is out of its range.
@@ -350,7 +350,7 @@ def orbit_cameras(
     check_argument("orbit_cameras", scene, Scene, "a Scene", ": ls.Scene([gaussians]) makes one")
     check_whole("count", count, 1, ANIMATION_FRAMES_MAX)
     if not is_number(turns) or not math.isfinite(turns):
-        raise SceneError(f"turns is {turns}, expected a number of turns")
+        raise SceneError(f"turns is {turns}, expected a finite number")
     first = frame_camera(scene, target=target, all_around=True) if camera is None else camera
     check_argument("orbit_cameras", first, Camera, "a Camera")
     point = _target_point(scene, target)
@@ -358,7 +358,7 @@ def orbit_cameras(
 
 
 def _turned(camera: Camera, scene: Scene, point: npt.NDArray[np.float64], turns: float, name: str) -> Camera:
-    """A camera moved about the vertical through a point."""
+    """Rotates a camera about the vertical through a point."""
     before_from_now = np.eye(4)
     before_from_now[:3, :3] = axis_rotation(scene.up_direction, -2.0 * math.pi * turns)
     before_from_now[:3, 3] = point - before_from_now[:3, :3] @ point
@@ -372,18 +372,18 @@ def _turned(camera: Camera, scene: Scene, point: npt.NDArray[np.float64], turns:
 
 
 def up_of_cameras(cameras: Sequence[Camera]) -> Vector | None:
-    """Returns the unit vector that points up for most cameras, as people hold them.
+    """Estimates the up direction of a scene from its cameras, as people hold them.
 
-    It begins with the mean of the cameras' own ups, as nerfstudio's auto-orient does. Where all look down a little,
-    that mean leans; but the x axis of a camera that is held level is horizontal. Least squares weigh both by how
-    people hold cameras. Cameras that were held on their side count with the side that was up. Where ups cancel and all
-    cameras look the same way, as from an aircraft, up is the way from which they look.
+    The start is the mean of the cameras' up vectors, as in nerfstudio's auto-orient. It leans if all cameras look down,
+    whereas the x axis of a level camera stays horizontal. Least squares combine both, weighted by how people hold
+    cameras. Cameras held sideways count with the side that was up. If up vectors cancel and all cameras look the same
+    way, as from an aircraft, up is opposite to the view direction.
 
     Args:
         cameras: At least one.
 
     Returns:
-        None if the cameras do not agree.
+        Unit vector that points up; None if the cameras do not agree.
     """
     right, down, forward = np.array([camera.camera_from_world[:3, :3] for camera in cameras]).transpose(1, 0, 2)
     up: Doubles = -down.mean(axis=0)
@@ -396,16 +396,16 @@ def up_of_cameras(cameras: Sequence[Camera]) -> Vector | None:
         up /= np.linalg.norm(up)
         held = np.argmax(sides @ up, axis=1)
         own, level = sides[rows, held], sides[rows, (held + 2) % 4]
-        # The sum of (level . up)^2 / roll^2, plus |up - mean own|^2 / pitch^2, is least: all may look down alike.
+        # Minimises the sum of (level . up)^2 / roll^2 plus |up - mean own|^2 / pitch^2: all may pitch alike.
         across: Doubles = (_PITCH / _ROLL) ** 2 * np.einsum("ni,nj->ij", level, level)
         up = np.linalg.inv(across + np.eye(3)) @ own.mean(axis=0)
     return up_vector(np.round(up / np.linalg.norm(up), 9) + 0.0)
 
 
 def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) -> Camera:
-    """Returns the camera that is nearest to all others, in place and view, focused on what it looks at.
+    """Returns the camera nearest to all others in position and view direction, focused on its subject.
 
-    That is where the axes of all cameras meet; if they do not, what is seen in the middle of its image.
+    The subject is where the axes of all cameras converge, or else the median depth in the centre of its image.
 
     Args:
         cameras: At least one.
@@ -417,7 +417,7 @@ def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) ->
     apart = np.linalg.norm(eyes[:, None] - eyes, axis=2)
     apart = apart / (np.median(apart) or 1.0) + np.linalg.norm(axes[:, None] - axes, axis=2)
     chosen = some[int(np.argmin(apart.sum(axis=1)))]
-    distance = _distance_to_meeting(chosen, eyes, axes) or _distance_seen(chosen, means)
+    distance = _distance_to_convergence(chosen, eyes, axes) or _median_depth(chosen, means)
     return Camera.look_at(
         chosen.eye,
         chosen.eye + distance * chosen.camera_from_world[2, :3],
@@ -430,8 +430,8 @@ def first_view_of(cameras: Sequence[Camera], means: npt.NDArray[np.floating]) ->
     )
 
 
-def _distance_to_meeting(camera: Camera, eyes: Doubles, axes: Doubles) -> float | None:
-    """Returns the distance along a camera's axis to where all axes come nearest to each other; None: they do not."""
+def _distance_to_convergence(camera: Camera, eyes: Doubles, axes: Doubles) -> float | None:
+    """Returns the distance along a camera's axis to the point nearest to all axes; None if they do not converge."""
     across: Doubles = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     if np.linalg.cond(across.sum(axis=0)) > 1e6:  # parallel
         return None
@@ -445,8 +445,8 @@ def _distance_to_meeting(camera: Camera, eyes: Doubles, axes: Doubles) -> float 
     return distance if distance > 0.0 and np.median(tangents) < _CONVERGE else None
 
 
-def _distance_seen(camera: Camera, means: npt.NDArray[np.floating]) -> float:
-    """Returns the median depth of what is seen in the middle of an image; if nothing is, that of all."""
+def _median_depth(camera: Camera, means: npt.NDArray[np.floating]) -> float:
+    """Returns the median depth in the centre of an image; without Gaussians there, that of all Gaussians."""
     points = means @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     x, y, z = points.T.astype(np.float64)
     before = z > camera.near
