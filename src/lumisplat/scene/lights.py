@@ -65,7 +65,7 @@ def towards(kind: str, direction: npt.ArrayLike, start: Vector, target: npt.Arra
     is_given = bool(np.any(np.asarray(vector("direction", direction)) != 0.0))
     if target is None:
         if not is_given:
-            raise SceneError(f"{kind} needs a direction or a target")
+            raise SceneError(f"direction has no length: {kind} needs a direction or a target")
         return direction_of("direction", direction)
     if is_given:
         raise SceneError(f"direction and target of {kind} are both given: give one of them")
